@@ -1,0 +1,52 @@
+# Everything sets itself up from a bare clone: only Python 3.11 or newer and make are needed.
+PYTHON ?= python3
+VENV ?= .venv
+OUT ?= out/bench
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+# One thread per process: the matrices are small, and runs are spread over the cores as processes.
+export OMP_NUM_THREADS = 1
+export OPENBLAS_NUM_THREADS = 1
+
+.PHONY: help bench test lint types format models calibrate requirements clean
+
+help: ## this list
+	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
+
+$(READY): requirements.txt pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, this is %d.%d; try: make PYTHON=python3.12 ..." % sys.version_info[:2] if sys.version_info < (3, 11) else 0)'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.txt
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $(READY)
+
+bench: $(READY) ## models x trajectories x seeds and the horizon sweep: tables and figures in out/bench
+	$(BIN)/diffdrive-mpc bench --out $(OUT)
+
+test: $(READY) ## all tests
+	$(BIN)/pytest -n 2
+
+lint: $(READY) ## style and format
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(READY) ## strict type check
+	$(BIN)/mypy
+
+format: $(READY) ## apply the format
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+models: $(READY) ## identify MBM and SM again from experiments on the simulated robot
+	$(BIN)/diffdrive-mpc models fit
+
+calibrate: $(READY) ## fit the simulated robot to the published SSM again
+	$(BIN)/diffdrive-mpc models calibrate
+
+requirements: ## pin all dependencies anew (needs uv)
+	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \
+		--no-emit-index-url --no-emit-find-links --no-header --quiet --output-file requirements.txt
+
+clean: ## remove what make has built
+	rm -rf $(VENV) out .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info

@@ -1,0 +1,147 @@
+"""A velocity model sampled at the control rate, with fractional dead time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from models.interface import FloatArray
+
+# A dead time this close to a whole number of samples counts as whole: it came from rounded decimals.
+_WHOLE = 1e-9
+
+
+@dataclass(frozen=True)
+class DiscreteModel:
+    """x[k+1] = A x[k] + B0 u[k - delay] + B1 u[k - delay - 1],  y[k] = C x[k].
+
+    Column j of B0 and B1 acts on input j delayed by its own `delay[j]` samples; B1 carries the part of the sample in
+    which the older command is still at work.
+
+    Attributes
+    ----------
+    A, B0, B1, C, D
+        (n, n), (n, 2), (n, 2), (2, n), (2, 2). D is zero: no robot's velocity jumps with its command.
+    delay
+        (2,) whole samples.
+    dt
+        Sample time [s].
+    """
+
+    A: FloatArray
+    B0: FloatArray
+    B1: FloatArray
+    C: FloatArray
+    D: FloatArray
+    delay: NDArray[np.int64]
+    dt: float
+
+    @property
+    def order(self) -> int:
+        """Number of states n."""
+        return int(self.A.shape[0])
+
+    @property
+    def memory(self) -> int:
+        """Number of past commands that still act on the future: max(delay) + 1."""
+        return int(self.delay.max()) + 1
+
+    @property
+    def dc_gain(self) -> FloatArray:
+        """(2, 2) steady-state gain; that of the continuous model."""
+        return np.asarray(self.C @ np.linalg.solve(np.eye(self.order) - self.A, self.B0 + self.B1))
+
+    def effective_inputs(self, commands: FloatArray, past: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The delayed commands that B0 and B1 see.
+
+        Parameters
+        ----------
+        commands
+            (K, 2) commands at samples 0 to K - 1.
+        past
+            (memory, 2) commands before them, oldest first.
+
+        Returns
+        -------
+        tuple
+            Two arrays (K, 2): u[k - delay] and u[k - delay - 1].
+        """
+        line = np.vstack([past, commands])
+        rows = np.arange(len(commands))[:, None] + self.memory - self.delay
+        return line[rows, [0, 1]], line[rows - 1, [0, 1]]
+
+    def settled_state(self, command: ArrayLike) -> FloatArray:
+        """(n,) the state after `command` (2,) has been held for ever."""
+        drive = (self.B0 + self.B1) @ np.asarray(command, dtype=float)
+        return np.asarray(np.linalg.solve(np.eye(self.order) - self.A, drive))
+
+    def simulate(
+        self, commands: ArrayLike, state: ArrayLike | None = None, past: ArrayLike | None = None
+    ) -> FloatArray:
+        """Free run from commands alone.
+
+        Parameters
+        ----------
+        commands
+            (K, 2) v_ref [m/s], omega_ref [rad/s].
+        state
+            (n,) state at sample 0; zero (at rest) by default.
+        past
+            (memory, 2) commands before sample 0, oldest first; zero by default.
+
+        Returns
+        -------
+        FloatArray
+            (K, 2) v [m/s] and omega [rad/s] at samples 0 to K - 1.
+        """
+        commands = np.asarray(commands, dtype=float)
+        x = np.zeros(self.order) if state is None else np.array(state, dtype=float)
+        before = np.zeros((self.memory, 2)) if past is None else np.asarray(past, dtype=float)
+        recent, older = self.effective_inputs(commands, before)
+        drive = recent @ self.B0.T + older @ self.B1.T
+        states = np.empty((len(commands), self.order))
+        for k in range(len(commands)):
+            states[k] = x
+            x = self.A @ x + drive[k]
+        return np.asarray(states @ self.C.T)
+
+
+def zero_order_hold(A: FloatArray, B: FloatArray, C: FloatArray, dead_time: FloatArray, dt: float) -> DiscreteModel:
+    """Exact zero-order-hold sampling of x' = A x + B u(t - dead_time), y = C x.
+
+    With dead_time = delay dt + rest, the command of sample k - delay acts during the last dt - rest of sample k and its
+    predecessor during the first `rest`: B0 is the hold matrix over dt - rest, and B0 + B1 that over dt.
+
+    Parameters
+    ----------
+    A, B, C
+        (n, n), (n, 2), (2, n).
+    dead_time
+        (2,) [s], not negative.
+    dt
+        Sample time [s], positive.
+    """
+    import control  # noqa: PLC0415 - loads slowly, and only construction needs it
+
+    delay = np.floor(dead_time / dt + _WHOLE).astype(np.int64)
+    rest = np.maximum(dead_time - delay * dt, 0.0)
+    rest[rest < _WHOLE * dt] = 0.0
+    system = control.ss(A, B, C, np.zeros((2, 2)))
+    whole = control.sample_system(system, dt, method="zoh")
+    B0 = np.column_stack(
+        [
+            control.sample_system(system, dt - rest[j], method="zoh").B[:, j] if rest[j] < dt else 0 * B[:, j]
+            for j in (0, 1)
+        ]
+    )
+    return DiscreteModel(
+        A=np.asarray(whole.A),
+        B0=B0,
+        B1=np.asarray(whole.B) - B0 if rest.any() else np.zeros_like(B0),
+        C=C.copy(),
+        D=np.zeros((2, 2)),
+        delay=delay,
+        dt=float(dt),
+    )

@@ -1,0 +1,134 @@
+"""The types and protocols that `mpc` and `sim` share, so that neither needs to import the other.
+
+Frames follow REP 103: x forward, y left, yaw counter-clockwise. Units are SI throughout.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Stamped:
+    """A measured value together with the time it is valid for.
+
+    Attributes
+    ----------
+    value
+        The measured value; its shape is fixed by the field of `Measurement` that holds it.
+    time
+        The instant the value describes [s], on the clock of the controller (not the time it arrived).
+    covariance
+        Covariance of the value, (k, k), or None where the sensor states none.
+    """
+
+    value: ArrayLike
+    time: float
+    covariance: ArrayLike | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """What arrived since the last control tick. None means: nothing new.
+
+    Attributes
+    ----------
+    pose
+        (3,) x [m], y [m], theta [rad] in the frame of the reference; theta may be wrapped.
+    wheel_twist
+        (2,) v [m/s] and omega [rad/s] from the encoders and the geometric track.
+    yaw_rate
+        () yaw rate of the gyro [rad/s]. On a skid-steer it differs from the wheels' by the yaw gain.
+    wheel_speeds
+        (4,) front left, front right, rear left, rear right [rad/s].
+    sent
+        (v, omega) that the robot really got last tick, where that is known and may differ from the command.
+    """
+
+    pose: Stamped | None = None
+    wheel_twist: Stamped | None = None
+    yaw_rate: Stamped | None = None
+    wheel_speeds: Stamped | None = None
+    sent: tuple[float, float] | None = None
+
+
+class ReferenceSample(NamedTuple):
+    """A reference trajectory evaluated at n times."""
+
+    pose: FloatArray
+    """(n, 3) x [m], y [m], theta [rad]; theta is unwrapped."""
+    twist: FloatArray
+    """(n, 2) v [m/s], omega [rad/s]."""
+    arc_length: FloatArray
+    """(n,) distance travelled along the path since its start [m]."""
+
+
+@runtime_checkable
+class Reference(Protocol):
+    """A timed trajectory. Before 0 it rests at its start, after `duration` at its end."""
+
+    @property
+    def name(self) -> str:
+        """Name for tables and figures."""
+        ...
+
+    @property
+    def duration(self) -> float:
+        """Time from start to end [s]."""
+        ...
+
+    def sample(self, times: ArrayLike) -> ReferenceSample:
+        """Evaluate at `times` (n,) [s], counted from the start of the reference."""
+        ...
+
+
+class ControlStep(Protocol):
+    """What a controller returns for one tick; the closed loop reads these fields only."""
+
+    @property
+    def command(self) -> FloatArray:
+        """(2,) v [m/s], omega [rad/s]; finite and inside the limits."""
+        ...
+
+    @property
+    def mode(self) -> str:
+        """Name of the controller's mode, `TRACKING` when all is well."""
+        ...
+
+    @property
+    def message(self) -> str:
+        """One sentence that says why the mode is what it is; empty when all is well."""
+        ...
+
+    @property
+    def solver(self) -> Any:  # noqa: ANN401 - every solver has its own report
+        """Solver status, or None for a controller without one."""
+        ...
+
+    @property
+    def plan(self) -> FloatArray | None:
+        """(N + 1, 3) predicted poses, or None for a controller that does not predict."""
+        ...
+
+    @property
+    def step_time(self) -> float:
+        """Duration of the whole step [s]."""
+        ...
+
+
+class TrackingController(Protocol):
+    """Anything that the closed loop can drive a plant with: our MPC or a peer."""
+
+    def start(self, reference: Reference, t0: float) -> None:
+        """Begin to track `reference`, whose time 0 is `t0` [s] on the controller's clock."""
+        ...
+
+    def step(self, t: float, measurement: Measurement) -> ControlStep:
+        """Decide the command for the tick at time `t` [s]."""
+        ...

@@ -1,0 +1,69 @@
+"""Load velocity models from parameter files, shipped or the user's own."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from models.checked_yaml import ConfigError, check, read_yaml
+from models.structures import STRUCTURES, ModelFile
+from models.velocity_model import ModelError, VelocityModel
+
+PARAMETERS = Path(__file__).parent / "parameters"
+MODEL_NAMES = ("mbm", "sm", "ssm")
+
+
+def load_model(name: str | Path) -> VelocityModel:
+    """Load a velocity model.
+
+    Parameters
+    ----------
+    name
+        "mbm", "sm", "ssm", or the path of a parameter file.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If there is no such model or its file has a mistake.
+    models.velocity_model.ModelError
+        If the numbers cannot be a robot's: unstable, not finite, wrong units.
+    """
+    path = model_path(name)
+    data = read_model_file(path)
+    A, B, C = data.matrices()
+    try:
+        return VelocityModel(
+            name=data.name,
+            structure=getattr(data, "structure", ""),
+            A=A,
+            B=B,
+            C=C,
+            dead_time=[data.dead_time.v, data.dead_time.omega],  # type: ignore[arg-type]  # converted on construction
+            provenance=data.provenance.model_dump(),
+        )
+    except ModelError as error:
+        raise ModelError(f"{path.name}: {error}") from error
+
+
+def model_path(name: str | Path) -> Path:
+    """The parameter file behind `name`; raises ConfigError when there is none."""
+    text = str(name)
+    if text in MODEL_NAMES:
+        return PARAMETERS / f"{text}.yaml"
+    path = Path(name)
+    if path.is_file():
+        return path
+    near = difflib.get_close_matches(text, MODEL_NAMES, n=1, cutoff=0.3)
+    hint = f"; did you mean '{near[0]}'?" if near else ""
+    raise ConfigError(f"unknown model '{text}': give one of {', '.join(MODEL_NAMES)} or the path of a model file{hint}")
+
+
+def read_model_file(path: str | Path) -> ModelFile:
+    """Read and check a model parameter file without building the model."""
+    data: Any = read_yaml(path)
+    structure = data.get("structure") if isinstance(data, Mapping) else None
+    if structure not in STRUCTURES:
+        raise ConfigError(f"{path}: structure: expected one of {', '.join(STRUCTURES)}, found {structure!r}")
+    return check(STRUCTURES[structure], data, str(path))

@@ -1,0 +1,139 @@
+"""The one interface behind MBM, SM and SSM: a continuous linear system with a dead time per input."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from models.discrete_model import DiscreteModel, zero_order_hold
+from models.interface import FloatArray
+
+CHANNELS = ("v", "omega")
+
+# Gains of a twist-to-twist model are of order one; outside this range a unit was mixed up (degrees, rpm, mm).
+_GAIN_RANGE = (0.05, 20.0)
+# Likewise for its time constants [s]: milliseconds or minutes are not a robot's velocity dynamics.
+_TIME_CONSTANT_RANGE = (1e-3, 20.0)
+_LONGEST_DEAD_TIME = 2.0
+
+
+class ModelError(ValueError):
+    """A velocity model cannot be used. The message is one line: model, mistake, remedy."""
+
+
+@dataclass(frozen=True)
+class VelocityModel:
+    """Linear dynamics from commanded to true body twist, x' = A x + B u(t - dead_time), y = C x.
+
+    u = (v_ref [m/s], omega_ref [rad/s]), y = (v [m/s], omega [rad/s]).
+
+    Attributes
+    ----------
+    name
+        Name for tables and messages.
+    structure
+        "mbm", "sm" or "ssm".
+    A, B, C
+        (n, n), (n, 2), (2, n).
+    dead_time
+        (2,) dead time of each input [s].
+    provenance
+        Where the numbers come from, as the parameter file says it.
+
+    Raises
+    ------
+    ModelError
+        If a matrix has the wrong shape or is not finite, the model is unstable, or its gains, time constants or
+        dead times cannot be those of a robot in SI units.
+    """
+
+    name: str
+    structure: str
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    dead_time: FloatArray = field(default_factory=lambda: np.zeros(2))
+    provenance: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Convert to arrays and check."""
+        for name in ("A", "B", "C", "dead_time"):
+            object.__setattr__(self, name, np.array(getattr(self, name), dtype=float))
+        self._check()
+
+    @property
+    def order(self) -> int:
+        """Number of states n."""
+        return int(self.A.shape[0])
+
+    @property
+    def poles(self) -> FloatArray:
+        """(n,) eigenvalues of A [rad/s], complex."""
+        return np.asarray(np.linalg.eigvals(self.A))
+
+    @property
+    def dc_gain(self) -> FloatArray:
+        """(2, 2) steady-state gain from command to twist."""
+        return np.asarray(-self.C @ np.linalg.solve(self.A, self.B))
+
+    @property
+    def lag(self) -> FloatArray:
+        """(2,) mean delay of each channel [s]: dead time plus the lag of the dynamics at zero frequency."""
+        first_moment = self.C @ np.linalg.solve(self.A, np.linalg.solve(self.A, self.B))
+        return np.asarray(self.dead_time + np.diag(first_moment) / np.diag(self.dc_gain))
+
+    def with_extra_dead_time(self, extra: ArrayLike) -> VelocityModel:
+        """The same dynamics behind `extra` (2,) seconds more dead time."""
+        return replace(self, dead_time=self.dead_time + np.asarray(extra, dtype=float))
+
+    def discretise(self, dt: float) -> DiscreteModel:
+        """Sample exactly under a zero-order hold, dead time included.
+
+        Parameters
+        ----------
+        dt
+            Sample time [s]; the dead times need not be multiples of it.
+
+        Raises
+        ------
+        ModelError
+            If `dt` is not positive and finite.
+        """
+        if not (np.isfinite(dt) and dt > 0):
+            raise ModelError(f"model '{self.name}': sample time {dt} s; it must be positive and finite")
+        return zero_order_hold(self.A, self.B, self.C, self.dead_time, dt)
+
+    def _check(self) -> None:
+        where = f"model '{self.name}'"
+        n = self.A.shape[0]
+        shapes = {"A": (n, n), "B": (n, 2), "C": (2, n), "dead_time": (2,)}
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value.shape != shape:
+                raise ModelError(f"{where}: {name} has shape {value.shape}, expected {shape}")
+            if not np.isfinite(value).all():
+                raise ModelError(f"{where}: {name} holds a value that is not finite; identify the model again")
+        worst = self.poles[np.argmax(self.poles.real)]
+        if worst.real >= 0:
+            raise ModelError(
+                f"{where}: unstable, pole at {worst:.4g} rad/s; every pole must lie left of the imaginary axis"
+            )
+        constants = 1 / np.abs(self.poles)
+        if constants.min() < _TIME_CONSTANT_RANGE[0] or constants.max() > _TIME_CONSTANT_RANGE[1]:
+            raise ModelError(
+                f"{where}: time constants {constants.min():.3g} to {constants.max():.3g} s; expected within "
+                f"{_TIME_CONSTANT_RANGE[0]} to {_TIME_CONSTANT_RANGE[1]} s: are the poles in rad/s?"
+            )
+        for channel, gain in zip(CHANNELS, np.diag(self.dc_gain), strict=True):
+            if not _GAIN_RANGE[0] <= gain <= _GAIN_RANGE[1]:
+                raise ModelError(
+                    f"{where}: steady-state gain {gain:.4g} from {channel}_ref to {channel}; expected "
+                    f"{_GAIN_RANGE[0]} to {_GAIN_RANGE[1]}: check the sign and the units (m/s, rad/s)"
+                )
+        if (self.dead_time < 0).any() or (self.dead_time > _LONGEST_DEAD_TIME).any():
+            raise ModelError(
+                f"{where}: dead time {self.dead_time.tolist()} s; expected 0 to {_LONGEST_DEAD_TIME} s"
+            )

@@ -1,0 +1,59 @@
+"""Wheel and body kinematics of a four-wheel differential drive, both ways.
+
+Source: Guffanti et al., Sensors 2025, 25(11), 3553 (wheel to body and body to wheel equations). Wheels are ordered
+front left, front right, rear left, rear right. On a skid-steer the track that turns wheel speeds into the true yaw
+rate is wider than the geometric one: the caller says which track is meant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from models.interface import FloatArray
+
+_RIGHT = np.array([-1.0, 1.0, -1.0, 1.0])
+"""Sign of each wheel's side: right wheels turn faster in a left turn."""
+
+
+@dataclass(frozen=True, slots=True)
+class WheelKinematics:
+    """Linear map between wheel speeds and body twist.
+
+    Attributes
+    ----------
+    radius
+        Wheel radius [m].
+    track
+        Distance between the left and right wheels that the conversion uses [m].
+    """
+
+    radius: float
+    track: float
+
+    def __post_init__(self) -> None:
+        """Check that both lengths are positive and finite; raises ValueError."""
+        for name in ("radius", "track"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name} = {value}: a length in metres must be positive and finite")
+
+    @property
+    def body_to_wheels(self) -> FloatArray:
+        """(4, 2) matrix from (v [m/s], omega [rad/s]) to wheel speeds [rad/s]."""
+        return np.column_stack([np.ones(4), 0.5 * self.track * _RIGHT]) / self.radius
+
+    @property
+    def wheels_to_body(self) -> FloatArray:
+        """(2, 4) matrix from wheel speeds [rad/s] to (v [m/s], omega [rad/s]); each side is the mean of its wheels."""
+        return self.radius * np.vstack([np.full(4, 0.25), 0.5 * _RIGHT / self.track])
+
+    def wheel_speeds(self, twist: ArrayLike) -> FloatArray:
+        """Wheel speeds (..., 4) [rad/s] for body twists (..., 2)."""
+        return np.asarray(np.asarray(twist, dtype=float) @ self.body_to_wheels.T)
+
+    def twist(self, wheel_speeds: ArrayLike) -> FloatArray:
+        """Body twists (..., 2) for wheel speeds (..., 4) [rad/s]."""
+        return np.asarray(np.asarray(wheel_speeds, dtype=float) @ self.wheels_to_body.T)

@@ -1,0 +1,87 @@
+"""The exact arc: against an ODE solver, its gradient against finite differences, smooth through omega = 0."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from models import integrate_pose
+from models.pose import arc_function, arc_jacobians, wrap_angle
+
+poses = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-10, 10)).map(np.array)
+speeds, times = st.floats(-2, 2), st.floats(1e-3, 0.5)
+# Around the switch to the series and around zero, where a sloppy formula shows.
+rates = st.one_of(st.floats(-3, 3), st.floats(-1e-6, 1e-6), st.floats(0.03, 0.05), st.just(0.0))
+
+
+@given(poses, speeds, rates, times)
+def test_matches_an_ode_solver(pose, v, omega, dt):
+    def motion(_, p):
+        return [v * np.cos(p[2]), v * np.sin(p[2]), omega]
+
+    expected = solve_ivp(motion, (0, dt), pose, rtol=1e-11, atol=1e-12).y[:, -1]
+    assert integrate_pose(pose, v, omega, dt) == pytest.approx(expected, abs=1e-9)
+
+
+@given(poses, speeds, rates, times)
+def test_casadi_agrees_with_numpy(pose, v, omega, dt):
+    assert np.array(arc_function()(pose, v, omega, dt)).ravel() == pytest.approx(
+        integrate_pose(pose, v, omega, dt), abs=1e-12
+    )
+
+
+@given(poses, speeds, rates, times)
+def test_gradients_agree_with_finite_differences(pose, v, omega, dt):
+    by_pose, by_twist = arc_jacobians(pose[2], v, omega, dt)
+    step = 1e-6
+
+    def differences(function, at):
+        columns = [(function(at + step * e) - function(at - step * e)) / (2 * step) for e in np.eye(len(at))]
+        return np.column_stack(columns)
+
+    assert by_pose == pytest.approx(differences(lambda p: integrate_pose(p, v, omega, dt), pose), abs=1e-7)
+    twist = np.array([v, omega])
+    assert by_twist == pytest.approx(differences(lambda q: integrate_pose(pose, q[0], q[1], dt), twist), abs=1e-7)
+
+
+@given(poses, speeds, rates, times)
+def test_casadi_derivatives_agree(pose, v, omega, dt):
+    arc = arc_function()
+    p, twist = ca.SX.sym("p", 3), ca.SX.sym("twist", 2)
+    jacobian = ca.Function("j", [p, twist], [ca.jacobian(arc(p, twist[0], twist[1], dt), ca.vertcat(p, twist))])
+    computed = np.array(jacobian(pose, [v, omega]))
+    assert np.isfinite(computed).all()
+    assert computed == pytest.approx(np.hstack(arc_jacobians(pose[2], v, omega, dt)), abs=1e-9)
+
+
+@given(poses, speeds, rates, times, st.floats(0.05, 0.95))
+def test_an_arc_in_two_parts_is_the_same_arc(pose, v, omega, dt, share):
+    half_way = integrate_pose(pose, v, omega, share * dt)
+    assert integrate_pose(half_way, v, omega, (1 - share) * dt) == pytest.approx(
+        integrate_pose(pose, v, omega, dt), abs=1e-12
+    )
+
+
+@given(poses, speeds, rates, times)
+def test_going_back_returns(pose, v, omega, dt):
+    assert integrate_pose(integrate_pose(pose, v, omega, dt), v, omega, -dt) == pytest.approx(pose, abs=1e-12)
+
+
+def test_arrays_broadcast():
+    moved = integrate_pose(np.zeros(3), np.linspace(0, 1, 4), 0.0, 2.0)
+    assert moved == pytest.approx(np.column_stack([2 * np.linspace(0, 1, 4), np.zeros(4), np.zeros(4)]))
+    assert integrate_pose(np.zeros((5, 3)), 1.0, np.ones(5), 0.1).shape == (5, 3)
+
+
+def test_a_left_turn_goes_left():
+    assert integrate_pose([0, 0, 0], 1.0, np.pi / 2, 1.0) == pytest.approx([2 / np.pi, 2 / np.pi, np.pi / 2])
+
+
+@given(st.floats(-100, 100))
+def test_wrapped_angles_point_the_same_way(angle):
+    wrapped = float(wrap_angle(angle))
+    assert -np.pi <= wrapped < np.pi
+    assert np.cos(wrapped) == pytest.approx(np.cos(angle), abs=1e-12)
+    assert np.sin(wrapped) == pytest.approx(np.sin(angle), abs=1e-12)
