@@ -1,0 +1,146 @@
+"""The tracking problem linearised along a plan and condensed to a small dense quadratic program in the commands.
+
+Twists and headings are linear in the commands with constant matrices; only the positions need a new linearisation at
+each tick. Their rows are sums over arcs, so a running sum replaces the loop over the horizon.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.interface import FloatArray
+from mpc.bounds import command_box, slew_step
+from mpc.problem import TrackingProblem, arc_derivatives
+from mpc.tick import Tick
+
+
+@dataclass(frozen=True)
+class QuadraticProgram:
+    """Minimise U'HU/2 + g'U + penalty(soft U) subject to |U| <= box and |increments| <= slew.
+
+    Attributes
+    ----------
+    H, g
+        (2 N, 2 N) and (2 N,): Gauss-Newton Hessian and gradient at U = 0.
+    box
+        (2 N,) bound of each command.
+    slew, last_command
+        (2,) bound of each increment, and (2,) the command before the first.
+    soft, soft_lower, soft_upper
+        (5, N, 2 N), (5, N), (5, N): what should stay inside, at a price, over the steps 1 to N: v, omega, right and
+        left wheel speed, distance across the path.
+    """
+
+    H: FloatArray
+    g: FloatArray
+    box: FloatArray
+    slew: FloatArray
+    last_command: FloatArray
+    soft: FloatArray
+    soft_lower: FloatArray
+    soft_upper: FloatArray
+
+
+class Condenser:
+    """Turns ticks into quadratic programs. Holds what is constant for one problem, and its work space."""
+
+    def __init__(self, problem: TrackingProblem) -> None:
+        self._problem = problem
+        N, self._dt = problem.steps, problem.model.dt
+        prediction, w = problem.prediction, problem.config.weights
+        self._from_plan = prediction.from_plan
+        self._mean_v = np.ascontiguousarray(prediction.mean_from_plan[0::2])
+        self._mean_omega = np.ascontiguousarray(prediction.mean_from_plan[1::2])
+        self._heading = np.ascontiguousarray(prediction.heading_from_plan)
+        weights = problem.pose_weights()
+        self._root_weights = np.sqrt(weights[:, :2])
+        self._heading_weights = weights[:, 2]
+        command_weights = np.tile([w.v, w.omega], N)
+        self._command_weights = command_weights
+        self._first_increment = np.array([w.v_increment, w.omega_increment])
+        difference = np.eye(2 * N) - np.eye(2 * N, k=-2)
+        increments = np.tile(self._first_increment, N)
+        weighted_heading = self._heading_weights[:, None] * self._heading[1:]
+        self._constant_hessian = (
+            np.diag(command_weights)
+            + difference.T @ (increments[:, None] * difference)
+            + self._heading[1:].T @ weighted_heading
+        )
+        self._heading_gradient = weighted_heading.T
+        self._twist_rows = problem.twist_rows()
+        by_channel = self._from_plan[2:].reshape(N, 2, 2 * N)
+        self._soft = np.empty((5, N, 2 * N))
+        self._soft[:4] = np.einsum("rc,kcu->rku", self._twist_rows, by_channel)
+        self._stack = np.empty((2 * N, 2 * N))
+        self._arcs_in = np.empty((3, N))
+        self._arcs_out = np.empty((N, 8))
+        self._arc_buffer, self._arc_call = arc_derivatives(N, self._dt).buffer()
+        for row in range(3):
+            self._arc_buffer.set_arg(row, memoryview(self._arcs_in[row]))  # type: ignore[call-arg]  # wrong in casadi's stubs
+        self._arc_buffer.set_res(0, memoryview(self._arcs_out))  # type: ignore[call-arg, arg-type]
+
+    def poses(self, tick: Tick, plan: FloatArray) -> FloatArray:
+        """(N + 1, 3) poses that follow from `plan` (N, 2), by exact arcs; fills the arcs' derivatives on the way."""
+        twist = tick.free_twist + (self._from_plan @ plan.ravel()).reshape(-1, 2)
+        mean = 0.5 * (twist[:-1] + twist[1:])
+        poses = np.empty_like(tick.reference)
+        poses[0] = tick.pose
+        np.cumsum(self._dt * mean[:, 1], out=poses[1:, 2])
+        poses[1:, 2] += tick.pose[2]
+        self._arcs_in[0] = poses[:-1, 2]
+        self._arcs_in[1:] = mean.T
+        self._arc_call()
+        np.cumsum(self._arcs_out[:, :2], axis=0, out=poses[1:, :2])
+        poses[1:, :2] += tick.pose[:2]
+        return poses
+
+    def condense(self, tick: Tick, plan: FloatArray) -> QuadraticProgram:
+        """Linearise along `plan` (N, 2) and condense."""
+        problem, N = self._problem, self._problem.steps
+        poses = self.poses(tick, plan)
+        arcs = self._arcs_out
+        headings = self._heading[:-1]
+        moves = [
+            np.cumsum(
+                arcs[:, i, None] * self._mean_v
+                + arcs[:, i + 1, None] * self._mean_omega
+                + arcs[:, i + 2, None] * headings,
+                axis=0,
+            )
+            for i in (2, 5)
+        ]
+        error = poses[1:] - tick.reference[1:]
+        direction = tick.reference[1:, 2]
+        c, s = np.cos(direction), np.sin(direction)
+        across = c[:, None] * moves[1] - s[:, None] * moves[0]
+        across_error = c * error[:, 1] - s * error[:, 0]
+        stack = self._stack
+        stack[:N] = self._root_weights[:, :1] * (c[:, None] * moves[0] + s[:, None] * moves[1])
+        stack[N:] = self._root_weights[:, 1:] * across
+
+        flat = plan.ravel()
+        residual = np.concatenate(
+            [self._root_weights[:, 0] * (c * error[:, 0] + s * error[:, 1]), self._root_weights[:, 1] * across_error]
+        )
+        H = stack.T @ stack + self._constant_hessian
+        g = stack.T @ (residual - stack @ flat)
+        g += self._heading_gradient @ (error[:, 2] - self._heading[1:] @ flat)
+        g -= self._command_weights * tick.feed_forward.ravel()
+        g[:2] -= self._first_increment * tick.last_command
+
+        self._soft[4] = across
+        offset = np.vstack([self._twist_rows @ tick.free_twist[1:].T, across_error - across @ flat])
+        soft_limits = problem.soft_limits(tick)[:, None]
+        limits = problem.config.limits
+        return QuadraticProgram(
+            H=H,
+            g=g,
+            box=command_box(limits, self._dt, tick.last_command, N).ravel(),
+            slew=slew_step(limits, self._dt),
+            last_command=tick.last_command,
+            soft=self._soft,
+            soft_lower=-soft_limits - offset,
+            soft_upper=soft_limits - offset,
+        )

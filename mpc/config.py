@@ -1,0 +1,138 @@
+"""The configuration of a controller: one typed schema with unit, range and help for every field.
+
+The schema is the single source of defaults, error messages and documentation. Units stand in brackets at the end of
+each description.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from models.checked_yaml import StrictModel
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+
+
+class ExtraDeadTime(StrictModel):
+    """Dead time of the robot at hand that the model file does not carry."""
+
+    v: Annotated[float, Field(ge=0, le=1)] = Field(0.0, description="added to the forward channel [s]")
+    omega: Annotated[float, Field(ge=0, le=1)] = Field(0.0, description="added to the yaw channel [s]")
+    provenance: str = Field("", description="how the values were found")
+
+
+class Weights(StrictModel):
+    """Weights of the quadratic cost, each summed over the steps of the horizon."""
+
+    along: NotNegative = Field(60.0, description="squared position error along the path [1/m^2]")
+    across: NotNegative = Field(120.0, description="squared position error across the path [1/m^2]")
+    heading: NotNegative = Field(6.0, description="squared heading error [1/rad^2]")
+    v: NotNegative = Field(1.0, description="squared deviation of v_ref from its feed-forward [s^2/m^2]")
+    omega: NotNegative = Field(0.3, description="squared deviation of omega_ref from its feed-forward [s^2/rad^2]")
+    v_increment: Positive = Field(20.0, description="squared increment of v_ref from tick to tick [s^2/m^2]")
+    omega_increment: Positive = Field(4.0, description="squared increment of omega_ref from tick to tick [s^2/rad^2]")
+    terminal: Positive = Field(10.0, description="factor on the pose errors at the end of the horizon [-]")
+    soft: Positive = Field(
+        50.0, description="exact penalty on each unit by which a soft limit is exceeded [1/(m/s), 1/(rad/s), 1/m]"
+    )
+    soft_quadratic: Positive = Field(50.0, description="quadratic penalty beside it [1/(m/s)^2, 1/(rad/s)^2, 1/m^2]")
+
+
+class Limits(StrictModel):
+    """Hard limits of the command, and soft limits of what the model predicts."""
+
+    v: Positive = Field(1.5, description="hard: |v_ref| [m/s]")
+    omega: Positive = Field(2.0, description="hard: |omega_ref| [rad/s]")
+    v_slew: Positive = Field(2.0, description="hard: rate of change of v_ref [m/s^2]")
+    omega_slew: Positive = Field(6.0, description="hard: rate of change of omega_ref [rad/s^2]")
+    predicted_v: Positive = Field(1.6, description="soft: predicted |v| [m/s]")
+    predicted_omega: Positive = Field(2.2, description="soft: predicted |omega| [rad/s]")
+    wheel_speed: Positive = Field(
+        2.2, description="soft: speed of the left and right wheels at the rim, from the predicted twist [m/s]"
+    )
+    corridor: Positive = Field(0.5, description="soft: predicted distance from the path to either side [m]")
+
+
+class Wheels(StrictModel):
+    """What turns the predicted twist into wheel speeds."""
+
+    track: Positive = Field(
+        0.6,
+        description="track by which the robot's firmware turns a yaw rate into wheel speeds; on a skid-steer it is "
+        "wider than the geometric one [m]",
+    )
+
+
+class Solver(StrictModel):
+    """OSQP's settings. Only iterations bound it in simulation: a wall-clock limit would break determinism."""
+
+    max_iterations: Annotated[int, Field(ge=10, le=100_000)] = Field(2000, description="limit of ADMM iterations [-]")
+    tolerance: Annotated[float, Field(ge=1e-9, le=1e-2)] = Field(
+        1e-5, description="absolute and relative tolerance on the residuals [-]"
+    )
+    check_every: Annotated[int, Field(ge=1, le=1000)] = Field(
+        10, description="iterations between two checks of the residuals [-]"
+    )
+
+
+class Estimator(StrictModel):
+    """Noise that the Kalman filter assumes (standard deviations), and what it rejects."""
+
+    wheel_speed_noise: Positive = Field(0.01, description="forward speed from the encoders [m/s]")
+    yaw_rate_noise: Positive = Field(0.02, description="yaw rate of the gyro [rad/s]")
+    position_noise: Positive = Field(0.005, description="position, where the pose states no covariance [m]")
+    heading_noise: Positive = Field(0.0052, description="heading, where the pose states no covariance [rad]")
+    v_input_noise: Positive = Field(0.05, description="what the model gets wrong, as noise on v_ref [m/s]")
+    omega_input_noise: Positive = Field(0.1, description="what the model gets wrong, as noise on omega_ref [rad/s]")
+    v_offset_drift: Positive = Field(0.1, description="random walk of the v offset [m/s per sqrt(s)]")
+    omega_offset_drift: Positive = Field(0.2, description="random walk of the omega offset [rad/s per sqrt(s)]")
+    position_drift: Positive = Field(0.005, description="random walk of the position beside the model [m per sqrt(s)]")
+    heading_drift: Positive = Field(0.005, description="random walk of the heading beside the model [rad per sqrt(s)]")
+    history: Annotated[float, Field(ge=0.05, le=5)] = Field(
+        0.4, description="how late a pose may arrive and still be applied at its stamp [s]"
+    )
+    max_position_jump: Positive = Field(0.3, description="a pose further than this from the prediction is rejected [m]")
+    max_heading_jump: Positive = Field(
+        0.6, description="a pose turned by more than this from the prediction is rejected [rad]"
+    )
+
+
+class Failure(StrictModel):
+    """What happens when a solve or the measurements fail."""
+
+    max_reused_ticks: Annotated[int, Field(ge=0, le=100)] = Field(
+        5, description="ticks for which the rest of the last good plan is used after a failed solve [-]"
+    )
+    max_pose_age: Positive = Field(0.5, description="without an accepted pose for longer, the robot brakes [s]")
+    resume: bool = Field(True, description="drive on when poses and solves are good again after a stop [-]")
+
+
+class Finish(StrictModel):
+    """When the end of the reference counts as reached."""
+
+    position: Positive = Field(0.02, description="distance to the end pose [m]")
+    speed: Positive = Field(
+        0.02, description="estimated |v| [m/s] and |omega| [rad/s] below which the robot is at rest"
+    )
+    timeout: NotNegative = Field(
+        2.0, description="time after the end of the reference at which it is finished anyway [s]"
+    )
+
+
+class ControllerConfig(StrictModel):
+    """Everything that one controller needs beside the reference."""
+
+    model: str = Field("ssm", min_length=1, description="velocity model: mbm, sm, ssm or the path of a model file [-]")
+    sample_time: Annotated[float, Field(ge=0.001, le=0.5)] = Field(0.0202, description="time between two ticks [s]")
+    horizon: Annotated[int, Field(ge=1, le=200)] = Field(30, description="steps that the controller looks ahead [-]")
+    extra_dead_time: ExtraDeadTime = ExtraDeadTime()
+    weights: Weights = Weights()
+    limits: Limits = Limits()
+    wheels: Wheels = Wheels()
+    solver: Solver = Solver()
+    estimator: Estimator = Estimator()
+    failure: Failure = Failure()
+    finish: Finish = Finish()

@@ -1,0 +1,64 @@
+"""Read a controller's configuration from its YAML file, and change single fields of it by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from models.checked_yaml import ConfigError, check, read_yaml
+from models.load import MODEL_NAMES
+from mpc.config import ControllerConfig
+
+PARAMETERS = Path(__file__).parent / "parameters"
+
+
+def load_config(source: str | Path = "ssm", overrides: Mapping[str, object] | None = None) -> ControllerConfig:
+    """Read and check a configuration.
+
+    Parameters
+    ----------
+    source
+        "mbm", "sm" or "ssm" for the shipped configuration of that model, or the path of a YAML file. A relative
+        path of a model inside that file is taken from the folder of the file.
+    overrides
+        Values by dotted key, for instance ``{"horizon": 20, "weights.across": 200.0}``.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        With one line that names the file, the key, the mistake and the remedy.
+    """
+    name = str(source)
+    path = PARAMETERS / f"{name}.yaml" if name in MODEL_NAMES else Path(source)
+    if not path.is_file():
+        raise ConfigError(f"no configuration '{name}': give one of {', '.join(MODEL_NAMES)} or the path of a YAML file")
+    data = read_yaml(path)
+    if not isinstance(data, Mapping):
+        raise ConfigError(f"{path}: expected keys and values; an example: diffdrive-mpc config show ssm")
+    merged: dict[str, Any] = {**data}
+    for key, value in (overrides or {}).items():
+        merged = _with_value(merged, key.split("."), value, key)
+    config = check(ControllerConfig, merged, name if name in MODEL_NAMES else str(path))
+    beside = path.parent / config.model
+    if config.model not in MODEL_NAMES and not Path(config.model).is_absolute() and beside.is_file():
+        config = config.model_copy(update={"model": str(beside)})
+    return config
+
+
+def replace_values(config: ControllerConfig, overrides: Mapping[str, object]) -> ControllerConfig:
+    """A copy of `config` with values replaced by dotted key, checked anew; raises ConfigError."""
+    data = config.model_dump()
+    for key, value in overrides.items():
+        data = _with_value(data, key.split("."), value, key)
+    return check(ControllerConfig, data, "configuration")
+
+
+def _with_value(data: Mapping[str, Any], keys: list[str], value: object, whole: str) -> dict[str, Any]:
+    first, *rest = keys
+    if not rest:
+        return {**data, first: value}
+    inner = data.get(first, {})
+    if not isinstance(inner, Mapping):
+        raise ConfigError(f"configuration: unknown key '{whole}': '{first}' holds one value, not a group")
+    return {**data, first: _with_value(inner, rest, value, whole)}

@@ -1,0 +1,31 @@
+"""The command that would keep the reference's twist: the model's steady-state gain inverted, one lag ahead."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models.interface import FloatArray
+from models.velocity_model import VelocityModel
+
+
+class FeedForward:
+    """Commands for the next N ticks from the reference's twists.
+
+    A command shows its effect one lag later (dead time and dynamics), so it answers to the twist that the reference
+    has then. The estimated offset is taken off: the command makes up for it.
+    """
+
+    def __init__(self, model: VelocityModel, dt: float, steps: int) -> None:
+        self._inverse_gain = np.linalg.inv(model.dc_gain)
+        ahead = model.lag / dt
+        whole = np.floor(ahead).astype(int)
+        self._rest = ahead - whole
+        self._rows = np.arange(steps)[:, None] + whole
+        self.samples = int(self._rows.max()) + 2
+        """Samples of the reference's twist that `commands` needs, from now on."""
+
+    def commands(self, twist: FloatArray, offset: FloatArray) -> FloatArray:
+        """(N, 2) commands for reference twists (samples, 2) and the offset (2,) [m/s, rad/s]."""
+        now, after = twist[self._rows, [0, 1]], twist[self._rows + 1, [0, 1]]
+        wanted = now + self._rest * (after - now) - offset
+        return np.asarray(wanted @ self._inverse_gain.T)

@@ -1,0 +1,48 @@
+"""What a solver says about one solve; it travels with every command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class SolverStatus(StrEnum):
+    """Outcome of one solve, as a sentence for people."""
+
+    SOLVED = "solved"
+    SOLVED_INACCURATELY = "solved, but only to a looser tolerance"
+    MAX_ITERATIONS = "the iteration limit was reached"
+    TIME_LIMIT = "the time limit was reached"
+    INFEASIBLE = "the problem has no solution"
+    UNBOUNDED = "the problem is unbounded"
+    NOT_CONVEX = "the problem is not convex"
+    NOT_FINITE = "the problem's data are not finite"
+    NOT_RUN = "the solver did not run"
+
+    @property
+    def usable(self) -> bool:
+        """Whether a command may be taken from such a solution."""
+        return self in (SolverStatus.SOLVED, SolverStatus.SOLVED_INACCURATELY)
+
+
+@dataclass(frozen=True)
+class SolverReport:
+    """Status, effort and accuracy of one solve.
+
+    Attributes
+    ----------
+    status
+        The outcome; only a `usable` one may move the robot.
+    iterations
+        Iterations of the solver, over all solves of the tick.
+    primal_residual, dual_residual
+        As the solver states them at its end; NaN if it did not run.
+    soft_limits
+        Whether the solve included the soft limits: it does only while they matter.
+    """
+
+    status: SolverStatus
+    iterations: int = 0
+    primal_residual: float = float("nan")
+    dual_residual: float = float("nan")
+    soft_limits: bool = False

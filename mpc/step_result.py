@@ -1,0 +1,59 @@
+"""What one control step returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from models.interface import FloatArray
+from mpc.estimator import Estimate
+from mpc.solver_report import SolverReport
+
+
+class Mode(StrEnum):
+    """What the controller is doing."""
+
+    TRACKING = "TRACKING"
+    """The problem was solved; the command is the first of a fresh plan."""
+    REUSED_PLAN = "REUSED_PLAN"
+    """The solve failed; the command comes from the rest of the last good plan."""
+    BRAKING = "BRAKING"
+    """The command ramps to zero at the slew limit."""
+    STOPPED = "STOPPED"
+    """The command is zero."""
+    FINISHED = "FINISHED"
+    """The end of the reference is reached; the command ramps to zero and stays there."""
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """Command, mode and everything that explains them.
+
+    Attributes
+    ----------
+    command
+        (2,) v_ref [m/s], omega_ref [rad/s]; finite and inside range and slew in every mode.
+    mode
+        What the controller is doing.
+    message
+        Why, in words; empty when tracking and nothing was rejected.
+    solver
+        Status, residuals and iterations of the solve; its status says so if none was run.
+    plan
+        (N + 1, 3) predicted poses of the plan that the command comes from; None while braking or stopped.
+    planned_commands
+        (N, 2) the commands of that plan.
+    estimate
+        The estimate that the command is based on; None before the first pose.
+    step_time
+        Duration of the whole step [s].
+    """
+
+    command: FloatArray
+    mode: Mode
+    message: str
+    solver: SolverReport
+    plan: FloatArray | None
+    planned_commands: FloatArray | None
+    estimate: Estimate | None
+    step_time: float

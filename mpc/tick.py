@@ -1,0 +1,33 @@
+"""What changes from tick to tick in the optimal control problem."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from models.interface import FloatArray
+
+
+@dataclass(frozen=True)
+class Tick:
+    """The data of one optimal control problem over N steps.
+
+    Attributes
+    ----------
+    pose
+        (3,) estimated pose now: x [m], y [m], theta [rad].
+    free_twist
+        (N + 1, 2) twist at the samples that follows from the state, the commands already sent and the estimated
+        offset, if the plan were zero [m/s, rad/s].
+    reference
+        (N + 1, 3) reference poses at the samples; theta unwrapped and within pi of `pose` at the first.
+    feed_forward
+        (N, 2) commands from which deviations are penalised [m/s, rad/s].
+    last_command
+        (2,) the command before the plan [m/s, rad/s].
+    """
+
+    pose: FloatArray
+    free_twist: FloatArray
+    reference: FloatArray
+    feed_forward: FloatArray
+    last_command: FloatArray
