@@ -1,0 +1,9 @@
+"""Reference trajectories: timed paths that a differential-drive robot can follow, from built-in names or files."""
+
+from __future__ import annotations
+
+from mpc.trajectories.limits import TrajectoryLimits
+from mpc.trajectories.load import BUILT_IN, load_trajectory
+from mpc.trajectories.trajectory import Trajectory
+
+__all__ = ["BUILT_IN", "Trajectory", "TrajectoryLimits", "load_trajectory"]

@@ -1,0 +1,87 @@
+"""A trajectory of exact arcs, turns on the spot and waits, each with piecewise constant acceleration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from models.interface import FloatArray, ReferenceSample
+from models.pose import integrate_pose
+from mpc.trajectories.timing import Phase
+from mpc.trajectories.trajectory import Trajectory
+
+# sin(h) / h is exactly 1 at this h; it stands in for h = 0.
+_TINY = 1e-200
+
+
+class Stretch(NamedTuple):
+    """A stretch of path on which forward and yaw motion stay in one proportion, with its timing."""
+
+    forward: float
+    """Metres driven per unit of progress, negative backwards; 0 for a turn on the spot or a wait."""
+    turn: float
+    """Radians turned per unit of progress, positive to the left; 0 on a straight or in a wait."""
+    length: float
+    """Progress at the end of the stretch."""
+    phases: Sequence[Phase]
+    """Timing of the progress along the stretch."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArcTrajectory(Trajectory):
+    """Exact arcs, sampled in closed form: pose and twist agree to rounding at every instant.
+
+    Attributes
+    ----------
+    breaks
+        (m,) start time of each phase [s], the last one being the rest at the end.
+    table
+        (10, m) per phase: start time; x, y, theta and arc length at the start of its stretch; forward and turn per
+        unit of progress; progress, its rate and half its acceleration at the start of the phase.
+    """
+
+    breaks: FloatArray
+    table: FloatArray
+
+    @classmethod
+    def lay(cls, name: str, start: ArrayLike, stretches: Sequence[Stretch]) -> ArcTrajectory:
+        """Lay `stretches` one after the other from the pose `start` (3,) [m, m, rad]."""
+        pose, arc_length, time = np.asarray(start, dtype=float), 0.0, 0.0
+        columns: list[list[float]] = []
+        for stretch in stretches:
+            for phase in stretch.phases:
+                columns.append([time, *pose, arc_length, stretch.forward, stretch.turn, *phase[:2], phase[2] / 2])
+                time += phase.duration
+            pose = integrate_pose(pose, stretch.forward, stretch.turn, stretch.length)
+            arc_length += abs(stretch.forward) * stretch.length
+        columns.append([time, *pose, arc_length, 0.0, 0.0, 0.0, 0.0, 0.0])
+        table = np.ascontiguousarray(np.transpose(columns))
+        return cls(name, time, table[0].copy(), table)
+
+    def sample(self, times: ArrayLike) -> ReferenceSample:
+        """Evaluate at `times` (n,) [s]; see `Trajectory.sample`."""
+        t = np.minimum(np.maximum(np.atleast_1d(np.asarray(times, dtype=float)), 0.0), self.duration)
+        phase = self.breaks.searchsorted(t, side="right") - 1
+        begin, x, y, theta, arc_length, forward, turn, offset, rate, half_acceleration = self.table.take(phase, axis=1)
+        tau = t - begin
+        gain = half_acceleration * tau
+        progress = offset + (rate + gain) * tau
+        speed = rate + 2.0 * gain
+
+        travelled = forward * progress
+        half = 0.5 * turn * progress
+        direction = theta + half
+        safe = np.where(half == 0.0, _TINY, half)
+        chord = travelled * (np.sin(safe) / safe)
+        pose = np.empty((t.size, 3))
+        pose[:, 0] = x + chord * np.cos(direction)
+        pose[:, 1] = y + chord * np.sin(direction)
+        pose[:, 2] = direction + half
+        twist = np.empty((t.size, 2))
+        twist[:, 0] = forward * speed
+        twist[:, 1] = turn * speed
+        return ReferenceSample(pose, twist, arc_length + np.abs(travelled))

@@ -1,0 +1,48 @@
+"""The speeds and accelerations that a reference trajectory must respect."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from models.robot import Robot, load_robot
+
+
+@dataclass(frozen=True, slots=True)
+class TrajectoryLimits:
+    """Bounds of the reference twist and of its rate of change.
+
+    Attributes
+    ----------
+    v
+        Largest forward speed, either way [m/s].
+    omega
+        Largest yaw rate, either way [rad/s].
+    v_acceleration
+        Largest forward acceleration [m/s^2].
+    omega_acceleration
+        Largest yaw acceleration [rad/s^2].
+    """
+
+    v: float
+    omega: float
+    v_acceleration: float
+    omega_acceleration: float
+
+    def __post_init__(self) -> None:
+        """Check that every bound is positive and finite; raises ValueError."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"trajectory limit {field.name} = {value}: must be positive and finite")
+
+    @classmethod
+    def of_robot(cls, robot: Robot | None = None) -> TrajectoryLimits:
+        """Speed limits and reference accelerations of `robot`; by default the robot of the papers."""
+        robot = robot or load_robot()
+        return cls(
+            v=robot.limits.v,
+            omega=robot.limits.omega,
+            v_acceleration=robot.reference_acceleration.v,
+            omega_acceleration=robot.reference_acceleration.omega,
+        )

@@ -1,0 +1,61 @@
+"""Find a trajectory by name or path, and read it with the reader that fits its content."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from pathlib import Path
+
+from models.checked_yaml import ConfigError, check, read_yaml
+from mpc.trajectories.limits import TrajectoryLimits
+from mpc.trajectories.segments import SegmentFile, lay_segments
+from mpc.trajectories.timed_poses import read_timed_poses
+from mpc.trajectories.trajectory import Trajectory
+from mpc.trajectories.waypoints import WaypointFile, lay_waypoints
+
+_FOLDER = Path(__file__).parent / "built_in"
+
+BUILT_IN: tuple[str, ...] = tuple(sorted(path.stem for path in _FOLDER.glob("*.yaml")))
+"""Names of the trajectories that ship with the package."""
+
+
+def load_trajectory(name_or_path: str | Path, limits: TrajectoryLimits | None = None) -> Trajectory:
+    """Load a reference trajectory.
+
+    Parameters
+    ----------
+    name_or_path
+        A name in `BUILT_IN`; or a YAML file with `segments` (a list of v [m/s], omega [rad/s], duration [s]) or with
+        `waypoints` (a list of x, y [m]); or a CSV file of timed poses with the columns t [s], x, y [m], theta [rad].
+    limits
+        Speeds and accelerations to respect; by default those of the robot of the papers.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the name is unknown, or the file is missing, malformed, empty or beyond the limits.
+    """
+    limits = limits or TrajectoryLimits.of_robot()
+    path = _find(name_or_path)
+    if path.suffix.lower() == ".csv":
+        return read_timed_poses(path, limits)
+    data, where = read_yaml(path), str(path)
+    if isinstance(data, Mapping) and "waypoints" in data:
+        route = check(WaypointFile, data, where)
+        return lay_waypoints(route.waypoints, limits, name=route.name or path.stem, speed=route.speed, where=where)
+    sequence = check(SegmentFile, data, where)
+    return lay_segments(sequence.segments, limits, name=sequence.name or path.stem, start=sequence.start, where=where)
+
+
+def _find(name_or_path: str | Path) -> Path:
+    """Path of a built-in or user file; a bare word that is neither is an unknown name."""
+    if name_or_path in BUILT_IN:
+        return _FOLDER / f"{name_or_path}.yaml"
+    path = Path(name_or_path)
+    if path.suffix.lower() in {".yaml", ".yml", ".csv"}:
+        return path
+    near = difflib.get_close_matches(str(name_or_path), BUILT_IN, n=1, cutoff=0.5)
+    hint = f"did you mean '{near[0]}'? " if near else ""
+    raise ConfigError(
+        f"unknown trajectory '{name_or_path}'; {hint}known: {', '.join(BUILT_IN)}, or the path of a .yaml or .csv file"
+    )

@@ -1,0 +1,119 @@
+"""Sequences of (v, omega, duration), turned into a timed reference that a robot at rest can start and end.
+
+A segment fixes geometry and cruise speed: an arc of length |v| duration and curvature omega / v, driven backwards where
+v < 0; a turn on the spot where v = 0; a wait where both are zero. The geometry is kept exactly and time is
+added where the acceleration limits need it.
+
+On an arc omega = curvature * v, so where the curvature jumps, omega would jump too unless v = 0 there. Exact
+geometry with a bounded yaw acceleration thus forces the robot to rest between segments of different curvature, between
+forward and backward travel, and around a turn on the spot. Consecutive segments of equal curvature and direction
+form one run, within which the speed goes from one cruise value to the next without a stop. On an arc the acceleration
+is bounded by the smaller of the forward limit and the yaw limit over the curvature.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+from pydantic import Field
+
+from models.checked_yaml import ConfigError, StrictModel
+from mpc.trajectories.arcs import ArcTrajectory, Stretch
+from mpc.trajectories.limits import TrajectoryLimits
+from mpc.trajectories.timing import Phase, rest_to_rest
+
+# A slower twist is a wait: over any duration it leads nowhere, and its square would underflow.
+_STILL = 1e-100
+
+
+class Segment(StrictModel):
+    """Constant twist over a duration: the geometry and cruise speed of one piece of path."""
+
+    v: float = Field(description="forward speed [m/s]; negative drives backwards")
+    omega: float = Field(description="yaw rate [rad/s]; positive turns left")
+    duration: float = Field(gt=0, description="duration at that twist, before time is added for acceleration [s]")
+
+    @property
+    def cruise(self) -> float:
+        """Rate of progress: the larger of |v| [m/s] and |omega| [rad/s]; 0 for a wait."""
+        rate = max(abs(self.v), abs(self.omega))
+        return rate if rate > _STILL else 0.0
+
+    @property
+    def direction(self) -> tuple[float, float]:
+        """Metres driven and radians turned per unit of progress, with sign; (0, 0) for a wait."""
+        return (self.v / self.cruise, self.omega / self.cruise) if self.cruise else (0.0, 0.0)
+
+
+class SegmentFile(StrictModel):
+    """Schema of a trajectory file with segments."""
+
+    name: str | None = Field(default=None, description="name for tables and figures; default: name of the file")
+    start: tuple[float, float, float] = Field(default=(0.0, 0.0, 0.0), description="start pose x, y [m], theta [rad]")
+    segments: list[Segment] = Field(description="segments in the order in which they are driven")
+
+
+def lay_segments(
+    segments: Sequence[Segment],
+    limits: TrajectoryLimits,
+    *,
+    name: str,
+    start: Sequence[float] = (0.0, 0.0, 0.0),
+    where: str = "trajectory",
+) -> ArcTrajectory:
+    """Turn `segments` into a timed trajectory from the pose `start` (3,) [m, m, rad].
+
+    `where` names the source of the segments in error messages.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If there is no segment, or one is faster than `limits`.
+    """
+    if not segments:
+        raise ConfigError(f"{where}: segments is empty; give at least one {{v, omega, duration}}")
+    for i, segment in enumerate(segments):
+        for key, unit in (("v", "m/s"), ("omega", "rad/s")):
+            value, bound = getattr(segment, key), getattr(limits, key)
+            if abs(value) > bound:
+                raise ConfigError(
+                    f"{where}: segments.{i}.{key} = {value:g} {unit} is beyond the limit of {bound:g} {unit}; lower it"
+                )
+    return ArcTrajectory.lay(name, start, [stretch for run in _runs(segments) for stretch in _timed(run, limits)])
+
+
+def _runs(segments: Sequence[Segment]) -> list[list[Segment]]:
+    """Group consecutive segments that may be joined without a stop."""
+    runs = [[segments[0]]]
+    for previous, segment in pairwise(segments):
+        if previous.cruise and segment.cruise and _joins(previous, segment):
+            runs[-1].append(segment)
+        else:
+            runs.append([segment])
+    return runs
+
+
+def _joins(one: Segment, other: Segment) -> bool:
+    """Whether forward and yaw motion stay in the same proportion from `one` to `other`."""
+    # Only rounding of omega / v is forgiven: the yaw rate may then jump by no more than that.
+    return all(
+        math.isclose(a, b, rel_tol=1e-12, abs_tol=1e-12) for a, b in zip(one.direction, other.direction, strict=True)
+    )
+
+
+def _timed(run: Sequence[Segment], limits: TrajectoryLimits) -> list[Stretch]:
+    """Time one run from rest to rest."""
+    if not run[0].cruise:
+        return [Stretch(0.0, 0.0, 0.0, [Phase(0.0, 0.0, 0.0, segment.duration)]) for segment in run]
+    bounds = (limits.v_acceleration, limits.omega_acceleration)
+    acceleration = min(
+        bound / abs(share) for segment in run for share, bound in zip(segment.direction, bounds, strict=True) if share
+    )
+    lengths = [segment.cruise * segment.duration for segment in run]
+    phases = rest_to_rest(lengths, [segment.cruise for segment in run], acceleration)
+    return [
+        Stretch(*segment.direction, length, timing)
+        for segment, length, timing in zip(run, lengths, phases, strict=True)
+    ]

@@ -1,0 +1,84 @@
+"""A path of continuous curvature through waypoints, cut into short pieces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from models.checked_yaml import ConfigError
+from models.interface import FloatArray
+from mpc.trajectories.settings import load_settings
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothPath:
+    """A path cut into m short pieces: values at their ends, and bounds over each piece."""
+
+    points: FloatArray
+    """(m + 1, 2) x, y [m]."""
+    heading: FloatArray
+    """(m + 1,) direction of the tangent [rad], unwrapped."""
+    curvature: FloatArray
+    """(m + 1,) curvature [1/m]."""
+    lengths: FloatArray
+    """(m,) length of each piece [m]."""
+    bend: FloatArray
+    """(m,) largest |curvature| on each piece [1/m]."""
+    bend_change: FloatArray
+    """(m,) largest |d curvature / d arc length| on each piece [1/m^2]."""
+
+
+def smooth_path(waypoints: FloatArray, where: str) -> SmoothPath:
+    """Lay a natural cubic spline over chord length through `waypoints` (k, 2) [m], k >= 2, and cut it into pieces.
+
+    `where` names the source of the waypoints in error messages.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If two waypoints that follow each other coincide, or the path turns too tightly.
+    """
+    settings = load_settings()
+    chords = np.hypot(*np.diff(waypoints, axis=0).T)
+    if not chords.all():
+        at = int(np.argmin(chords))
+        raise ConfigError(f"{where}: waypoints.{at} and waypoints.{at + 1} coincide; remove one")
+    spline = CubicSpline(np.concatenate([[0.0], np.cumsum(chords)]), waypoints, bc_type="natural")
+    pieces = settings.pieces_per_waypoint
+    u = np.append((spline.x[:-1, None] + chords[:, None] * np.arange(pieces) / pieces).ravel(), spline.x[-1])
+    inside = u[:-1, None] + np.diff(u)[:, None] * (_NODES + 1) / 2
+
+    tangent = spline(u, 1)
+    heading = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+    curvature, _, _ = bending(spline, u)
+    bend, bend_change, stretch = (np.abs(values) for values in bending(spline, inside))
+    lengths = np.diff(u) / 2 * (stretch @ _WEIGHTS)
+    bend = np.maximum(bend.max(axis=1), np.maximum(np.abs(curvature[:-1]), np.abs(curvature[1:])))
+    # A cusp shows in the heading even where the curvature is zero on both sides of it.
+    tightest = np.abs(np.diff(heading)) / lengths
+    at = int(np.argmax(tightest))
+    if tightest[at] * settings.least_turn_radius > 1:
+        raise ConfigError(
+            f"{where}: the path turns with a radius below {settings.least_turn_radius:g} m between waypoints."
+            f"{at // pieces} and waypoints.{at // pieces + 1}; add or move waypoints to round the turn"
+        )
+    return SmoothPath(spline(u), heading, curvature, lengths, bend, bend_change.max(axis=1))
+
+
+def bending(spline: CubicSpline, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return curvature [1/m], its slope over arc length [1/m^2] and the length of the tangent, each shaped as `u`."""
+    first, second, third = (spline(u, order) for order in (1, 2, 3))
+    stretch = np.hypot(first[..., 0], first[..., 1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        curvature = _cross(first, second) / stretch**3
+        change = (_cross(first, third) / stretch**3 - 3 * curvature * (first * second).sum(-1) / stretch**2) / stretch
+    return curvature, change, stretch
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the z component of the cross product of vectors in the plane (..., 2)."""
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

@@ -1,0 +1,69 @@
+"""A trajectory of cubic pieces in time, for paths that are not made of arcs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicHermiteSpline
+
+from models.interface import FloatArray, ReferenceSample
+from mpc.trajectories.trajectory import Trajectory
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
+
+
+@dataclass(frozen=True, eq=False)
+class SplineTrajectory(Trajectory):
+    """Cubic pieces of x, y, theta and arc length; the twist is their derivative, seen from the body.
+
+    Attributes
+    ----------
+    breaks
+        (m + 1,) ends of the pieces [s], from 0 to the duration.
+    table
+        (16, m) coefficients of x, y, theta and arc length for each power of the time since the start of the piece,
+        highest power first.
+    """
+
+    breaks: FloatArray
+    table: FloatArray
+
+    @classmethod
+    def through(cls, name: str, times: FloatArray, poses: FloatArray, rates: FloatArray) -> SplineTrajectory:
+        """Interpolate poses (m + 1, 3) and their time derivatives (m + 1, 3) at `times` (m + 1,), which start at 0."""
+        motion = CubicHermiteSpline(times, poses, rates)
+        step = np.diff(times)
+        inside = times[:-1, None] + step[:, None] * (_NODES + 1) / 2
+        advance = _speed(motion(inside), motion(inside, 1)) @ _WEIGHTS * step / 2
+        # A cubic piece cannot turn back while its end slopes are at most three times its mean slope (Fritsch, Carlson,
+        # SIAM J. Numer. Anal. 17(2), 1980): that bites only where the speed passes through zero.
+        mean = np.pad(advance / step, 1, mode="edge")
+        slope = np.minimum(_speed(poses, rates), 3 * np.minimum(mean[:-1], mean[1:]))
+        arc_length = CubicHermiteSpline(times, np.concatenate([[0.0], np.cumsum(advance)]), slope)
+        coefficients = np.concatenate([motion.c, arc_length.c[..., None]], axis=-1)
+        table = np.ascontiguousarray(coefficients.transpose(0, 2, 1).reshape(16, -1))
+        return cls(name, float(times[-1]), times, table)
+
+    def sample(self, times: ArrayLike) -> ReferenceSample:
+        """Evaluate at `times` (n,) [s]; see `Trajectory.sample`."""
+        times = np.atleast_1d(np.asarray(times, dtype=float))
+        t = np.minimum(np.maximum(times, 0.0), self.duration)
+        piece = self.breaks[1:-1].searchsorted(t, side="right")
+        tau = t - self.breaks[piece]
+        cubic, square, linear, constant = self.table.take(piece, axis=1).reshape(4, 4, -1)
+        value = ((cubic * tau + square) * tau + linear) * tau + constant
+        rate = (3.0 * cubic * tau + 2.0 * square) * tau + linear
+        pose = value[:3].T.copy()
+        twist = np.empty((t.size, 2))
+        twist[:, 0] = rate[0] * np.cos(value[2]) + rate[1] * np.sin(value[2])
+        twist[:, 1] = rate[2]
+        twist[times != t] = 0.0
+        return ReferenceSample(pose, twist, value[3])
+
+
+def _speed(poses: FloatArray, rates: FloatArray) -> FloatArray:
+    """Absolute forward speed (...) [m/s] for poses and their time derivatives (..., 3)."""
+    heading = poses[..., 2]
+    return np.asarray(np.abs(rates[..., 0] * np.cos(heading) + rates[..., 1] * np.sin(heading)))

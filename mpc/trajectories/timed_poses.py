@@ -1,0 +1,108 @@
+"""Trajectories from a CSV file of timed poses, interpolated by cubic splines in time."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from models.checked_yaml import ConfigError
+from models.interface import FloatArray
+from mpc.trajectories.limits import TrajectoryLimits
+from mpc.trajectories.settings import load_settings
+from mpc.trajectories.spline import SplineTrajectory
+
+_COLUMNS = ("t", "x", "y", "theta")
+
+
+def read_timed_poses(path: Path, limits: TrajectoryLimits) -> SplineTrajectory:
+    """Lay twice continuously differentiable splines through the timed poses of a CSV file.
+
+    The file has a header with the columns t [s], x, y [m] and theta [rad]; others are ignored. The first row becomes
+    time 0. theta may be wrapped: it is taken to turn by less than pi from row to row. Speeds are checked between the
+    rows as well as at them. Accelerations are not checked: the file alone decides them.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the file cannot be read, has fewer than two rows, a value that is no finite number, a time that does not
+        increase, a speed beyond `limits`, or a heading that does not point along the direction of travel.
+    """
+    rows = _read(path)
+    splines = CubicSpline(rows[:, 0] - rows[0, 0], np.column_stack([rows[:, 1:3], np.unwrap(rows[:, 3])]))
+    pieces = load_settings().pieces_per_row
+    share = np.arange(pieces) / pieces
+    times = np.append((splines.x[:-1, None] + np.diff(splines.x)[:, None] * share).ravel(), splines.x[-1])
+    poses, rates = splines(times), splines(times, 1)
+    _check_speeds(path, times + rows[0, 0], poses, rates, limits)
+    # The Hermite form through nodes of a cubic spline is that spline.
+    return SplineTrajectory.through(path.stem, times, poses, rates)
+
+
+def _read(path: Path) -> FloatArray:
+    """Columns t, x, y, theta of the file, (m, 4), checked for form."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            header = [cell.strip() for cell in next(reader, [])]
+            lines = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
+    missing = [name for name in _COLUMNS if name not in header]
+    if missing:
+        raise ConfigError(
+            f"{path}, line 1: column '{missing[0]}' is missing; the header must name {','.join(_COLUMNS)}"
+        )
+    if len(lines) < 2:
+        raise ConfigError(f"{path}: {len(lines)} timed poses; give at least two rows below the header")
+    columns = [header.index(name) for name in _COLUMNS]
+    rows = np.array([_numbers(path, line, cells, columns) for line, cells in lines])
+    late = np.flatnonzero(np.diff(rows[:, 0]) <= 0)
+    if late.size:
+        raise ConfigError(
+            f"{path}, line {lines[late[0] + 1][0]}: t = {rows[late[0] + 1, 0]:g} s does not come after the row before; "
+            "sort the rows and drop double ones"
+        )
+    return rows
+
+
+def _numbers(path: Path, line: int, cells: list[str], columns: list[int]) -> list[float]:
+    """Parse the four numbers of one row."""
+    if len(cells) <= max(columns):
+        raise ConfigError(f"{path}, line {line}: {len(cells)} values are fewer than the header names; complete the row")
+    numbers = []
+    for name, column in zip(_COLUMNS, columns, strict=True):
+        try:
+            number = float(cells[column])
+        except ValueError:
+            number = np.nan
+        if not np.isfinite(number):
+            raise ConfigError(
+                f"{path}, line {line}: {name} = '{cells[column].strip()}' is not a finite number; correct it"
+            )
+        numbers.append(number)
+    return numbers
+
+
+def _check_speeds(
+    path: Path, times: FloatArray, poses: FloatArray, rates: FloatArray, limits: TrajectoryLimits
+) -> None:
+    """Refuse speeds beyond the limits and sideways travel."""
+    settings = load_settings()
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    forward, sideways = rates[:, 0] * cos + rates[:, 1] * sin, rates[:, 1] * cos - rates[:, 0] * sin
+    slower = "stretch the time or lower the speed"
+    along = "let theta point along the direction of travel, or give more rows"
+    for name, unit, speed, bound, excess, remedy in (
+        ("v", "m/s", forward, limits.v, settings.speed_excess, slower),
+        ("omega", "rad/s", rates[:, 2], limits.omega, settings.speed_excess, slower),
+        ("sideways speed", "m/s", sideways, settings.lateral_speed, 0.0, along),
+    ):
+        worst = int(np.argmax(np.abs(speed)))
+        if abs(speed[worst]) > bound * (1 + excess):
+            raise ConfigError(
+                f"{path}: {name} = {speed[worst]:.3g} {unit} at t = {times[worst]:.3f} s is beyond the limit of "
+                f"{bound:.3g} {unit}; {remedy}"
+            )

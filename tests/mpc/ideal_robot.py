@@ -1,0 +1,91 @@
+"""A robot that obeys a discrete model exactly, with the sensors' errors added on top: for tests of the controller."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models import DiscreteModel, Measurement, Stamped, integrate_pose
+from models.interface import FloatArray
+
+
+class IdealRobot:
+    """Advances a discrete model; measurements are exact but for what the arguments say.
+
+    Parameters
+    ----------
+    model
+        The dynamics.
+    pose
+        Where it stands at first.
+    late
+        Samples by which poses arrive late.
+    offset
+        (2,) added to the true twist.
+    noise
+        Scale of the measurement noise: 1 is 5 mm, 0.3 degrees, 5 mm/s and 0.01 rad/s.
+    """
+
+    def __init__(
+        self,
+        model: DiscreteModel,
+        pose: FloatArray,
+        late: int = 0,
+        offset: tuple[float, float] = (0.0, 0.0),
+        noise: float = 0.0,
+        seed: int = 0,
+    ) -> None:
+        self.model, self.late, self.offset, self.noise = model, late, np.array(offset), noise
+        self.rng = np.random.default_rng(seed)
+        self.state = np.zeros(model.order)
+        self.line = [np.zeros(2)] * (model.memory + 1)
+        self.poses = [np.asarray(pose, dtype=float)] * (late + 1)
+        self.k = 0
+
+    @property
+    def time(self) -> float:
+        return self.k * self.model.dt
+
+    @property
+    def pose(self) -> FloatArray:
+        return self.poses[-1]
+
+    @property
+    def twist(self) -> FloatArray:
+        moving = any(command.any() for command in self.line)
+        return self.model.C @ self.state + (self.offset if moving else 0.0)
+
+    def measure(self) -> Measurement:
+        scale, twist = self.noise * self.rng.normal(size=6), self.twist
+        pose = self.poses[-1 - self.late] + scale[:3] * [0.005, 0.005, 0.0052]
+        pose[2] = (pose[2] + np.pi) % (2 * np.pi) - np.pi
+        return Measurement(
+            pose=Stamped(pose, self.time - self.late * self.model.dt),
+            wheel_twist=Stamped(twist + scale[3] * 0.005, self.time),
+            yaw_rate=Stamped(twist[1] + scale[4] * 0.01, self.time),
+        )
+
+    def advance(self, command: FloatArray) -> None:
+        before = self.twist
+        self.line.append(np.array(command))
+        recent = [self.line[-1 - self.model.delay[j]][j] for j in (0, 1)]
+        older = [self.line[-2 - self.model.delay[j]][j] for j in (0, 1)]
+        self.state = self.model.A @ self.state + self.model.B0 @ recent + self.model.B1 @ older
+        mean = 0.5 * (before + self.twist)
+        self.poses.append(integrate_pose(self.pose, mean[0], mean[1], self.model.dt))
+        self.k += 1
+
+
+def drive(controller, robot, reference, seconds, t0=0.0, change=None):
+    """Run the loop; `change(k, measurement)` may spoil measurements. Returns (results, true poses, times)."""
+    controller.start(reference, t0)
+    results, poses, times = [], [], []
+    for k in range(round(seconds / robot.model.dt)):
+        measurement = robot.measure()
+        if change is not None:
+            measurement = change(k, measurement)
+        result = controller.step(robot.time, measurement)
+        results.append(result)
+        poses.append(robot.pose)
+        times.append(robot.time)
+        robot.advance(result.command)
+    return results, np.array(poses), np.array(times)

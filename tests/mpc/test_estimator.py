@@ -1,0 +1,197 @@
+"""The estimator: late data count as if in time, offsets are found, faults are rejected and named."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from ideal_robot import IdealRobot
+
+from models import Measurement, Stamped, load_model
+from mpc.config import Estimator
+from mpc.estimator import StateEstimator
+
+DT = 0.0202
+MODEL = load_model("ssm").with_extra_dead_time([0.01, 0.03]).discretise(DT)
+COMMANDS = np.column_stack([0.5 + 0.2 * np.sin(np.arange(200) / 15), 0.8 * np.sin(np.arange(200) / 25)])
+
+
+def run(estimator, robot, ticks=200, deliver=None):
+    """Drive open loop; `deliver(k, measurement)` decides what the estimator gets."""
+    messages = []
+    for k in range(ticks):
+        measurement = robot.measure()
+        if deliver is not None:
+            measurement = deliver(k, measurement)
+        estimator.advance(robot.time)
+        messages += estimator.update(robot.time, measurement)
+        estimator.commands.append(COMMANDS[k])
+        robot.advance(COMMANDS[k])
+    return messages
+
+
+def test_perfect_data_give_the_perfect_estimate():
+    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.array([1.0, 2.0, 3.0]))
+    messages = run(estimator, robot)
+    estimate = estimator.estimate
+    assert messages == []
+    assert estimate.pose == pytest.approx(robot.poses[-2], abs=1e-9)
+    assert estimate.offset == pytest.approx([0, 0], abs=1e-9)
+    assert estimate.pose_age == 0
+
+
+@pytest.mark.parametrize("late", [1, 3, 8])
+def test_a_late_pose_counts_as_if_it_had_come_in_time(late):
+    """Poses in time up to some tick, or the same poses late: the same estimate."""
+    in_time, delayed = StateEstimator(MODEL, Estimator()), StateEstimator(MODEL, Estimator())
+    queue = []
+
+    def hold_back(k, measurement):
+        queue.append(measurement.pose)
+        pose = queue[k - late] if k >= late else (queue[0] if k == 0 else None)
+        return Measurement(pose=pose, wheel_twist=measurement.wheel_twist, yaw_rate=measurement.yaw_rate)
+
+    def stop_early(k, measurement):
+        keep = k < 100 - late
+        return Measurement(
+            pose=measurement.pose if keep else None,
+            wheel_twist=measurement.wheel_twist,
+            yaw_rate=measurement.yaw_rate,
+        )
+
+    run(delayed, IdealRobot(MODEL, np.zeros(3), noise=1.0), 100, hold_back)
+    run(in_time, IdealRobot(MODEL, np.zeros(3), noise=1.0), 100, stop_early)
+    assert delayed.estimate.pose == pytest.approx(in_time.estimate.pose, abs=1e-12)
+    assert delayed.estimate.offset == pytest.approx(in_time.estimate.offset, abs=1e-12)
+    assert delayed.estimate.pose_deviation == pytest.approx(in_time.estimate.pose_deviation, abs=1e-12)
+
+
+def test_a_pose_between_two_ticks_is_applied_at_its_stamp():
+    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
+    from models import integrate_pose
+
+    def half_a_tick_ago(k, measurement):
+        if k == 0:
+            return measurement
+        v, omega = robot.twist
+        pose = integrate_pose(robot.pose, v, omega, -0.5 * DT)
+        return Measurement(pose=Stamped(pose, robot.time - 0.5 * DT))
+
+    run(estimator, robot, 200, half_a_tick_ago)
+    # The stamp applied wrongly would leave half a tick of travel, 5 mm.
+    assert estimator.estimate.pose[:2] == pytest.approx(robot.poses[-2][:2], abs=5e-4)
+
+
+def test_a_velocity_offset_is_found():
+    estimator = StateEstimator(MODEL, Estimator())
+    run(estimator, IdealRobot(MODEL, np.zeros(3), offset=(0.07, -0.11)))
+    assert estimator.estimate.offset == pytest.approx([0.07, -0.11], abs=5e-3)
+
+
+def test_errors_are_as_large_as_the_estimator_says():
+    """Mean normalised squared pose error over seeds lies near its three degrees of freedom."""
+    scores = []
+    for seed in range(20):
+        estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), noise=1.0, seed=seed)
+        run(estimator, robot, 120)
+        error = estimator.estimate.pose - robot.poses[-2]
+        scores.append(np.sum((error / estimator.estimate.pose_deviation) ** 2))
+    # The filter assumes model errors that this robot does not have, so it may be too careful, but not too sure.
+    assert 0.3 < np.mean(scores) < 4.5
+
+
+def test_the_estimate_turns_on_through_pi():
+    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.array([0, 0, 3.0]))
+    for _ in range(400):
+        estimator.advance(robot.time)
+        assert estimator.update(robot.time, robot.measure()) == []
+        estimator.commands.append(np.array([0.2, 1.0]))
+        robot.advance(np.array([0.2, 1.0]))
+    assert robot.poses[-2][2] > 3 * np.pi
+    assert estimator.estimate.pose[2] == pytest.approx(robot.poses[-2][2], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("pose", "message"),
+    [
+        (lambda r: Stamped([np.nan, 0, 0], r.time), "finite"),
+        (lambda r: Stamped([np.inf, 0, 0], r.time), "finite"),
+        (lambda r: Stamped([0.0, 0.0], r.time), "three finite numbers"),
+        (lambda r: Stamped(r.pose + [5, 0, 0], r.time), "jumps by 5.00 m"),
+        (lambda r: Stamped(r.pose + [0, 0, 2], r.time), "2.00 rad"),
+        (lambda r: Stamped(r.pose, r.time + 1.0), "future"),
+        (lambda r: Stamped(r.pose, r.time - 2.0), "not newer"),
+        (lambda r: Stamped(r.pose, float("nan")), "finite"),
+        (lambda r: Stamped(r.pose, r.time, -np.eye(3)), "covariance"),
+        (lambda r: Stamped(r.pose, r.time, np.full((3, 3), np.nan)), "covariance"),
+    ],
+)
+def test_faulty_poses_are_rejected_and_named(pose, message):
+    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
+    run(estimator, robot, 60)
+    estimator.advance(robot.time)
+    before = estimator.estimate
+    (reason,) = estimator.update(robot.time, Measurement(pose=pose(robot)))
+    assert message in reason
+    assert estimator.estimate.pose == pytest.approx(before.pose)
+
+
+def test_a_pose_older_than_the_history_is_rejected():
+    estimator, robot = StateEstimator(MODEL, Estimator(history=0.3)), IdealRobot(MODEL, np.zeros(3))
+    messages = run(
+        estimator,
+        robot,
+        100,
+        lambda k, m: m if k == 0 else Measurement(pose=Stamped(m.pose.value, m.pose.time - 0.4) if k == 60 else None),
+    )
+    assert len(messages) == 1
+    assert "history" in messages[0]
+
+
+def test_faulty_wheels_and_gyro_are_rejected_and_named():
+    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
+    run(estimator, robot, 30)
+    estimator.advance(robot.time)
+    spoiled = Measurement(
+        wheel_twist=Stamped([np.nan, 0.0], robot.time), yaw_rate=Stamped(np.inf, robot.time), pose=None
+    )
+    reasons = estimator.update(robot.time, spoiled)
+    assert [reason.split(" rejected")[0] for reason in reasons] == ["wheel speed", "yaw rate"]
+    assert np.isfinite(estimator.estimate.pose).all()
+
+
+def test_missed_ticks_are_made_up_for():
+    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
+    command = np.array([0.6, 0.3])
+    for k in range(120):
+        if k % 3 == 0:
+            estimator.advance(robot.time)
+            estimator.update(robot.time, robot.measure())
+            estimator.commands.append(command)
+        robot.advance(command)
+    assert estimator.estimate.pose == pytest.approx(robot.poses[117], abs=1e-6)
+
+
+def test_a_long_pause_drops_the_estimate():
+    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
+    run(estimator, robot, 30)
+    reason = estimator.advance(robot.time + 10.0)
+    assert reason is not None
+    assert "anew" in reason
+    assert not estimator.ready
+
+
+@given(st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=7, max_size=7))
+def test_garbage_never_spoils_the_estimate(numbers):
+    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
+    run(estimator, robot, 5)
+    estimator.advance(robot.time)
+    estimator.update(
+        robot.time,
+        Measurement(
+            pose=Stamped(numbers[:3], numbers[3]),
+            wheel_twist=Stamped(numbers[4:6], robot.time),
+            yaw_rate=Stamped(numbers[6], robot.time),
+        ),
+    )
+    assert np.isfinite(estimator.estimate.pose).all()
+    assert np.isfinite(estimator.estimate.twist).all()

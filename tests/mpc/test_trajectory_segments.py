@@ -1,0 +1,176 @@
+"""Sequences of (v, omega, duration): exact geometry, bounded speed and acceleration, consistent sampling."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from trajectory_checks import assert_holds_its_ends, largest_integration_gap, largest_shares
+
+from models import pose as pose_kinematics
+from models.checked_yaml import ConfigError
+from models.interface import FloatArray, Reference
+from mpc.trajectories import BUILT_IN, TrajectoryLimits, load_trajectory
+from mpc.trajectories.arcs import ArcTrajectory
+from mpc.trajectories.segments import Segment, lay_segments
+
+LIMITS = TrajectoryLimits(v=1.5, omega=2.0, v_acceleration=1.0, omega_acceleration=2.0)
+
+_v = st.one_of(st.just(0.0), st.just(0.5), st.just(-0.5), st.floats(-1.5, 1.5))
+_omega = st.one_of(st.just(0.0), st.just(0.5), st.just(-1.0), st.floats(-2.0, 2.0))
+_segments = st.lists(st.builds(Segment, v=_v, omega=_omega, duration=st.floats(0.02, 3.0)), min_size=1, max_size=6)
+_start = st.tuples(st.floats(-10, 10), st.floats(-10, 10), st.floats(-4, 4))
+
+
+def lay(*twists: tuple[float, float, float]) -> ArcTrajectory:
+    segments = [Segment(v=v, omega=omega, duration=duration) for v, omega, duration in twists]
+    return lay_segments(segments, LIMITS, name="test")
+
+
+@given(_segments)
+def test_random_sequences_respect_every_limit(segments: list[Segment]) -> None:
+    shares = largest_shares(lay_segments(segments, LIMITS, name="test"), LIMITS)
+    assert np.all(shares <= 1 + 1e-8), shares
+
+
+@given(_segments)
+def test_no_segment_is_driven_faster_than_its_own_twist(segments: list[Segment]) -> None:
+    trajectory = lay_segments(segments, LIMITS, name="test")
+    twist = np.abs(trajectory.sample(np.linspace(0, trajectory.duration, 500)).twist)
+    slowest_cruise = np.max([(abs(s.v), abs(s.omega)) for s in segments], axis=0)
+    assert np.all(twist <= slowest_cruise * (1 + 1e-9))
+
+
+@given(_segments, _start)
+def test_end_is_the_product_of_the_exact_arcs(segments: list[Segment], start: tuple[float, float, float]) -> None:
+    trajectory = lay_segments(segments, LIMITS, name="test", start=start)
+    expected: FloatArray = np.array(start)
+    for segment in segments:
+        expected = pose_kinematics.integrate_pose(expected, segment.v, segment.omega, segment.duration)
+    sample = trajectory.sample([0.0, trajectory.duration])
+    np.testing.assert_allclose(sample.pose, np.array([start, expected]), rtol=0, atol=1e-11)
+    assert sample.arc_length[1] == pytest.approx(sum(abs(s.v) * s.duration for s in segments), abs=1e-12)
+
+
+@given(_segments, _start)
+def test_twist_integrates_to_pose_and_arc_length(segments: list[Segment], start: tuple[float, float, float]) -> None:
+    trajectory = lay_segments(segments, LIMITS, name="test", start=start)
+    assert largest_integration_gap(trajectory, trajectory.breaks, pieces=4) < 1e-9
+
+
+@given(_segments)
+def test_arc_length_never_falls_and_ends_hold(segments: list[Segment]) -> None:
+    trajectory = lay_segments(segments, LIMITS, name="test")
+    arc_length = trajectory.sample(np.linspace(-1, trajectory.duration + 1, 2000)).arc_length
+    assert np.all(np.diff(arc_length) >= -1e-14)
+    assert_holds_its_ends(trajectory)
+
+
+@given(_segments)
+def test_time_is_only_added_and_no_more_than_a_stop_per_segment_costs(segments: list[Segment]) -> None:
+    trajectory = lay_segments(segments, LIMITS, name="test")
+    nominal = sum(s.duration for s in segments)
+    stops = sum(max(abs(s.v) / LIMITS.v_acceleration, abs(s.omega) / LIMITS.omega_acceleration) for s in segments)
+    assert nominal - 1e-12 <= trajectory.duration <= nominal + stops + 1e-9
+
+
+# Length over cruise speed, plus cruise speed over acceleration for each run between two stops.
+@pytest.mark.parametrize(
+    ("name", "duration", "end", "length"),
+    [
+        ("circle", 4 * np.pi + 0.5, (0.0, 0.0, 2 * np.pi), 2 * np.pi),
+        ("square", 4 * (2 + 0.5 + np.pi / 2 + 0.5), (0.0, 0.0, 2 * np.pi), 4.0),
+        ("s", 4 * np.pi + 3 * 0.5, (4.0, 0.0, 0.0), 2 * np.pi),
+        ("cane", 4 + 0.5 + np.pi / 0.7 + 0.5, (2.0, 2 * 0.5 / 0.7, np.pi), 2 + np.pi * 0.5 / 0.7),
+    ],
+)
+def test_built_in_trajectories_end_where_exact_arcs_say(
+    name: str, duration: float, end: tuple[float, float, float], length: float
+) -> None:
+    trajectory = load_trajectory(name)
+    assert isinstance(trajectory, Reference)
+    assert trajectory.name == name
+    assert trajectory.duration == pytest.approx(duration, rel=1e-14)
+    sample = trajectory.sample([0.0, trajectory.duration])
+    np.testing.assert_allclose(sample.pose, [(0, 0, 0), end], rtol=0, atol=1e-14)
+    assert sample.arc_length[1] == pytest.approx(length, rel=1e-14)
+    assert np.all(largest_shares(trajectory, TrajectoryLimits.of_robot()) <= 1 + 1e-8)
+
+
+def test_the_four_built_in_trajectories_are_known() -> None:
+    assert set(BUILT_IN) == {"circle", "square", "s", "cane"}
+
+
+def test_circle_keeps_its_radius() -> None:
+    circle = load_trajectory("circle")
+    x, y, _ = circle.sample(np.linspace(0, circle.duration, 300)).pose.T
+    np.testing.assert_allclose(np.hypot(x, y - 1), 1.0, rtol=1e-14)
+
+
+def test_square_turns_on_the_spot_in_its_four_corners() -> None:
+    square = load_trajectory("square")
+    sample = square.sample(np.arange(0, square.duration, 1e-3))
+    turning = sample.twist[:, 1] != 0
+    assert np.all(sample.twist[turning, 0] == 0)
+    corners = np.array([(1, 0), (1, 1), (0, 1), (0, 0)])
+    gap = np.abs(sample.pose[turning, None, :2] - corners).max(axis=2)
+    assert gap.min(axis=1).max() < 1e-14
+    assert set(gap.argmin(axis=1)) == {0, 1, 2, 3}
+
+
+def test_equal_curvature_is_joined_without_a_stop() -> None:
+    trajectory = lay((0.5, 0.25, 2.0), (1.0, 0.5, 2.0), (0.4, 0.2, 2.0))
+    speed_up, slow_down = 0.5, 0.4
+    inside = trajectory.sample(np.linspace(speed_up, trajectory.duration - slow_down, 500)).twist[:, 0]
+    assert inside.min() == pytest.approx(0.4, abs=1e-12)
+    assert inside.max() == pytest.approx(1.0, abs=1e-12)
+
+
+def test_a_short_fast_segment_never_reaches_its_cruise_speed() -> None:
+    trajectory = lay((1.5, 0.0, 0.1))
+    assert trajectory.duration == pytest.approx(2 * np.sqrt(0.15))
+    assert trajectory.sample([trajectory.duration / 2]).twist[0, 0] == pytest.approx(np.sqrt(0.15))
+
+
+def test_yaw_acceleration_binds_on_a_tight_arc() -> None:
+    trajectory = lay((0.5, 2.0, 3.0))
+    assert trajectory.duration == pytest.approx(3.0 + 2.0 / LIMITS.omega_acceleration)
+
+
+def test_reversing_goes_backwards_along_the_arc_with_growing_arc_length() -> None:
+    trajectory = lay((0.5, 0.5, 2.0), (-0.5, -0.5, 2.0))
+    sample = trajectory.sample([trajectory.duration / 2, trajectory.duration])
+    np.testing.assert_allclose(sample.pose[1], 0.0, atol=1e-15)
+    np.testing.assert_allclose(sample.arc_length, [1.0, 2.0], rtol=1e-14)
+    assert trajectory.sample([0.75 * trajectory.duration]).twist[0, 0] == pytest.approx(-0.5)
+
+
+def test_waiting_rests_for_its_duration() -> None:
+    trajectory = lay((0.5, 0.0, 2.0), (0.0, 0.0, 3.0), (0.5, 0.0, 2.0))
+    sample = trajectory.sample(np.linspace(2.5, 5.5, 50))
+    np.testing.assert_allclose(sample.pose, np.tile([1.0, 0.0, 0.0], (50, 1)), atol=1e-15)
+    np.testing.assert_allclose(sample.twist, 0.0, atol=1e-14)
+    assert trajectory.duration == pytest.approx(8.0)
+
+
+def test_heading_is_unwrapped_over_several_turns() -> None:
+    theta = lay((0.5, 1.0, 20.0)).sample(np.linspace(0, 25, 2000)).pose[:, 2]
+    assert theta[-1] == pytest.approx(20.0)
+    assert np.diff(theta).min() >= 0
+
+
+def test_a_time_that_is_no_number_gives_a_pose_that_is_none() -> None:
+    assert np.isnan(load_trajectory("circle").sample([np.nan]).pose).all()
+
+
+@pytest.mark.parametrize(("v", "omega", "named"), [(1.6, 0.0, "segments.1.v"), (0.0, -2.1, "segments.1.omega")])
+def test_a_segment_beyond_the_speed_limits_is_named(v: float, omega: float, named: str) -> None:
+    with pytest.raises(ConfigError, match=rf"{named} = .* beyond the limit"):
+        lay((0.5, 0.0, 1.0), (v, omega, 1.0))
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
+def test_a_limit_must_be_positive_and_finite(bad: float) -> None:
+    with pytest.raises(ValueError, match="omega_acceleration"):
+        TrajectoryLimits(v=1.0, omega=1.0, v_acceleration=1.0, omega_acceleration=bad)
