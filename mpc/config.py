@@ -94,6 +94,8 @@ class Estimator(StrictModel):
     history: Annotated[float, Field(ge=0.05, le=5)] = Field(
         0.4, description="how late a pose may arrive and still be applied at its stamp [s]"
     )
+    max_wheel_speed: Positive = Field(5.0, description="a forward speed from the encoders beyond this is rejected [m/s]")
+    max_yaw_rate: Positive = Field(10.0, description="a yaw rate of the gyro beyond this is rejected [rad/s]")
     max_position_jump: Positive = Field(0.3, description="a pose further than this from the prediction is rejected [m]")
     max_heading_jump: Positive = Field(
         0.6, description="a pose turned by more than this from the prediction is rejected [rad]"
@@ -115,7 +117,7 @@ class Finish(StrictModel):
 
     position: Positive = Field(0.02, description="distance to the end pose [m]")
     speed: Positive = Field(
-        0.02, description="estimated |v| [m/s] and |omega| [rad/s] below which the robot is at rest"
+        0.02, description="estimated |v| and |omega| below which the robot is at rest [m/s, rad/s]"
     )
     timeout: NotNegative = Field(
         2.0, description="time after the end of the reference at which it is finished anyway [s]"

@@ -166,9 +166,7 @@ class Controller:
         return ""
 
     def _estimate(self, t: float, measurement: Measurement, notes: list[str]) -> None:
-        sent = measurement.sent
-        if sent is not None and np.isfinite(sent).all():
-            self._estimator.commands.correct_last(np.asarray(sent, dtype=float))
+        notes.extend(self._estimator.correct_sent(measurement.sent))
         pause = self._estimator.advance(t)
         if pause:
             notes.append(pause)

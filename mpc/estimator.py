@@ -118,6 +118,18 @@ class StateEstimator:
             pose_age=node.time - self._pose_stamp,
         )
 
+    def correct_sent(self, sent: tuple[float, float] | None) -> list[str]:
+        """Believe what the robot says it got at the last tick, unless it cannot be; then returns why not."""
+        if sent is None:
+            return []
+        value = np.asarray(sent, dtype=float)
+        largest = [self._settings.max_wheel_speed, self._settings.max_yaw_rate]
+        # Not a comparison the other way round: NaN fails every one.
+        if not (value.shape == (2,) and (np.abs(value) <= largest).all()):
+            return [f"sent command rejected: {value.tolist()} is beyond what a robot can do"]
+        self.commands.correct_last(value)
+        return []
+
     def advance(self, t: float) -> str | None:
         """Predict to the tick at `t` [s]; the commands of the ticks since are in `commands`.
 
@@ -150,16 +162,17 @@ class StateEstimator:
                 self._start(t, pose)
             return rejected
         oldest = len(self._nodes)
-        for row, name, stamped, noise in (
-            (0, "wheel speed", measurement.wheel_twist, self._settings.wheel_speed_noise),
-            (1, "yaw rate", measurement.yaw_rate, self._settings.yaw_rate_noise),
+        settings = self._settings
+        for row, name, stamped, noise, largest in (
+            (0, "wheel speed", measurement.wheel_twist, settings.wheel_speed_noise, settings.max_wheel_speed),
+            (1, "yaw rate", measurement.yaw_rate, settings.yaw_rate_noise, settings.max_yaw_rate),
         ):
             if stamped is None:
                 continue
             value, variance = _first_entry(stamped, noise**2)
             index = self._node_before(stamped.time + 0.5 * self._model.dt)
-            if not (np.isfinite(value) and variance > 0):
-                rejected.append(f"{name} rejected: not finite")
+            if not (abs(value) <= largest and 0 < variance < np.inf):
+                rejected.append(f"{name} rejected: {value} with variance {variance}; the limit is {largest}")
             elif index is None or stamped.time > t + _FUTURE:
                 rejected.append(f"{name} rejected: stamped {t - stamped.time:.3f} s before the tick")
             else:

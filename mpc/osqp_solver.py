@@ -137,11 +137,14 @@ class _Workspace:
             self._upper[2 * n : 2 * n + rows] = qp.soft_upper[self._kinds].ravel()
             self._lower[2 * n : 2 * n + rows] = qp.soft_lower[self._kinds].ravel()
             self._A.data[self._soft_place] = qp.soft[self._kinds].reshape(rows, n)
-        if self._solver is None:
-            self._solver = self._set_up(gradient)
-        else:
-            changed = {"Ax": self._A.data} if rows else {}
-            self._solver.update(q=gradient, l=self._lower, u=self._upper, Px=self._P.data, **changed)
+        try:
+            if self._solver is None:
+                self._solver = self._set_up(gradient)
+            else:
+                changed = {"Ax": self._A.data} if rows else {}
+                self._solver.update(q=gradient, l=self._lower, u=self._upper, Px=self._P.data, **changed)
+        except (osqp.OSQPException, ValueError):
+            return guess.ravel(), SolverReport(SolverStatus.REFUSED, soft_limits=rows > 0)
         self._solver.warm_start(x=self._start(qp, guess), y=self._shifted_dual())
         result = self._solver.solve(raise_error=False)
         status = _STATUS.get(result.info.status_val, SolverStatus.NOT_RUN)

@@ -17,6 +17,7 @@ class SolverStatus(StrEnum):
     UNBOUNDED = "the problem is unbounded"
     NOT_CONVEX = "the problem is not convex"
     NOT_FINITE = "the problem's data are not finite"
+    REFUSED = "the solver refused the problem's data"
     NOT_RUN = "the solver did not run"
 
     @property

@@ -1,0 +1,213 @@
+"""The controller on a robot that obeys its model: it tracks, through pi and from any clock, and repeats itself."""
+
+import numpy as np
+import pytest
+from ideal_robot import IdealRobot, drive
+
+from models import ModelError, load_model
+from models.checked_yaml import ConfigError
+from mpc import Controller, Mode, load_config, load_trajectory
+from mpc.solver_report import SolverStatus
+
+DT = 0.0202
+MODEL = load_model("ssm")
+
+
+def robot_for(reference, **kwargs):
+    return IdealRobot(MODEL.discretise(DT), reference.sample([0.0]).pose[0], **kwargs)
+
+
+def controller(**overrides):
+    return Controller(load_config("ssm", overrides), "ssm" if "model" not in overrides else None)
+
+
+def rmse(poses, times, reference):
+    error = poses - reference.sample(times).pose
+    return np.sqrt(np.mean(np.sum(error[:, :2] ** 2, axis=1))), np.abs(error[:, 2]).max()
+
+
+@pytest.mark.parametrize("name", ["circle", "square", "s", "cane"])
+def test_without_noise_the_model_is_tracked_closely(name):
+    reference = load_trajectory(name)
+    results, poses, times = drive(controller(), robot_for(reference), reference, reference.duration)
+    position, heading = rmse(poses, times, reference)
+    assert {result.mode for result in results} == {Mode.TRACKING}
+    assert all(result.solver.status is SolverStatus.SOLVED for result in results)
+    assert position < 0.003
+    assert heading < 0.05
+
+
+def test_an_offset_leaves_no_lasting_error():
+    reference = load_trajectory("circle")
+    robot = robot_for(reference, offset=(-0.05, 0.08))
+    _, poses, times = drive(controller(), robot, reference, reference.duration)
+    error = (poses - reference.sample(times).pose)[200:500]
+    assert np.abs(error[:, :2]).max() < 0.003
+    assert np.abs(error[:, 2]).max() < 0.005
+
+
+@pytest.mark.parametrize("turns", [-2, 1, 3])
+def test_the_turn_a_heading_is_counted_on_does_not_matter(turns):
+    reference = load_trajectory("circle")
+    plain, _, _ = drive(controller(), robot_for(reference), reference, 3.0)
+    robot = IdealRobot(MODEL.discretise(DT), reference.sample([0.0]).pose[0] + [0, 0, 2 * np.pi * turns])
+    turned, _, _ = drive(controller(), robot, reference, 3.0)
+    assert np.array([r.command for r in turned]) == pytest.approx(np.array([r.command for r in plain]), abs=1e-6)
+
+
+def test_headings_pass_through_pi(tmp_path):
+    path = tmp_path / "round_and_round.yaml"
+    path.write_text("start: [0.0, 0.0, 3.0]\nsegments:\n- {v: 0.4, omega: 0.8, duration: 12.0}\n")
+    reference = load_trajectory(path)
+    _, poses, times = drive(controller(), robot_for(reference, noise=1.0), reference, reference.duration)
+    assert reference.sample([reference.duration]).pose[0, 2] > 3 * np.pi
+    position, heading = rmse(poses, times, reference)
+    assert position < 0.01
+    assert heading < 0.05
+
+
+def test_the_clock_may_start_anywhere():
+    reference = load_trajectory("cane")
+    at_zero, _, _ = drive(controller(), robot_for(reference), reference, 2.0)
+    robot = robot_for(reference)
+    shifted = controller()
+    robot.k = 5000
+    later, _, _ = drive(shifted, robot, reference, 2.0, t0=robot.time)
+    assert np.array([r.command for r in later]) == pytest.approx(np.array([r.command for r in at_zero]), abs=1e-7)
+
+
+def test_two_runs_are_equal_bit_for_bit():
+    reference = load_trajectory("s")
+    first, _, _ = drive(controller(), robot_for(reference, noise=1.0, late=2), reference, 4.0)
+    second, _, _ = drive(controller(), robot_for(reference, noise=1.0, late=2), reference, 4.0)
+    assert all((a.command == b.command).all() for a, b in zip(first, second, strict=True))
+
+
+def test_starting_again_forgets_the_run_before():
+    reference = load_trajectory("s")
+    once = controller()
+    first, _, _ = drive(once, robot_for(reference, noise=1.0), reference, 2.0)
+    again, _, _ = drive(once, robot_for(reference, noise=1.0), reference, 2.0)
+    assert all((a.command == b.command).all() for a, b in zip(first, again, strict=True))
+
+
+def test_dead_time_is_made_up_for():
+    """A robot with 150 ms more dead time is tracked as closely once the configuration says so."""
+    reference, late = load_trajectory("s"), MODEL.with_extra_dead_time([0.15, 0.15])
+    errors = {}
+    for extra in (0.0, 0.15):
+        robot = IdealRobot(late.discretise(DT), reference.sample([0.0]).pose[0])
+        told = controller(**{"extra_dead_time.v": extra, "extra_dead_time.omega": extra})
+        _, poses, times = drive(told, robot, reference, reference.duration)
+        # The first command acts late whatever the controller knows: the start does not count.
+        errors[extra] = rmse(poses[100:], times[100:], reference)[0]
+    assert errors[0.15] < 0.003
+    assert errors[0.15] < 0.6 * errors[0.0]
+
+
+def test_it_finishes_at_rest_at_the_end():
+    reference = load_trajectory("cane")
+    results, poses, _ = drive(controller(), robot_for(reference, noise=1.0), reference, reference.duration + 3.0)
+    assert results[-1].mode is Mode.FINISHED
+    assert (results[-1].command == 0).all()
+    assert np.hypot(*(poses[-1] - reference.sample([reference.duration]).pose[0])[:2]) < 0.03
+
+
+def test_the_robot_that_cannot_reach_the_end_is_told_so():
+    reference = load_trajectory("cane")
+    robot = robot_for(reference)
+    far = IdealRobot(MODEL.discretise(DT), robot.pose + [0.0, 40.0, 0.0])
+    results, _, _ = drive(controller(), far, reference, reference.duration + 3.5)
+    finished = [r for r in results if r.mode is Mode.FINISHED]
+    assert "m from the end" in finished[0].message
+    assert (results[-1].command == 0).all()
+
+
+def test_the_result_carries_plan_and_estimate():
+    reference = load_trajectory("circle")
+    results, _, _ = drive(controller(horizon=12), robot_for(reference), reference, 2.0)
+    last = results[-1]
+    assert last.plan.shape == (13, 3)
+    assert last.planned_commands.shape == (12, 2)
+    assert last.planned_commands[0] == pytest.approx(last.command, abs=1e-6)
+    assert last.plan[0] == pytest.approx(last.estimate.pose)
+    assert last.step_time > 0
+
+
+def test_what_the_robot_really_got_is_believed():
+    """A base that halves every command: told so, the estimator needs no offset to explain it."""
+    reference, offsets = load_trajectory("circle"), {}
+    for told in (False, True):
+        robot, driver, sent = robot_for(reference), controller(), None
+        driver.start(reference, 0.0)
+        for _ in range(60):
+            measurement = robot.measure()
+            if told and sent is not None:
+                measurement = type(measurement)(
+                    pose=measurement.pose,
+                    wheel_twist=measurement.wheel_twist,
+                    yaw_rate=measurement.yaw_rate,
+                    sent=tuple(sent),
+                )
+            result = driver.step(robot.time, measurement)
+            sent = 0.5 * result.command
+            robot.advance(sent)
+        offsets[told] = abs(result.estimate.offset[0])
+    assert offsets[True] < 1e-6
+    assert offsets[False] > 0.01
+
+
+def test_updates_take_effect_between_two_ticks():
+    reference, robot, driver = load_trajectory("circle"), None, controller()
+    robot = robot_for(reference)
+    driver.start(reference, 0.0)
+    commands = []
+    for k in range(150):
+        if k == 100:
+            changed = driver.update(limits={"v": 0.2})
+            assert changed.limits.v == 0.2
+            assert driver.config.limits.v == 1.5
+        result = driver.step(robot.time, robot.measure())
+        commands.append(result.command)
+        robot.advance(result.command)
+    commands = np.array(commands)
+    # Tightened below the present command: approached at the slew limit, then kept.
+    assert commands[99, 0] > 0.45
+    assert (np.diff(commands[99:, 0]) >= -2.0 * DT - 1e-12).all()
+    assert commands[-1, 0] <= 0.2 + 1e-12
+    assert driver.config.limits.v == 0.2
+
+
+@pytest.mark.parametrize(
+    "change", [{"limits": {"v": -1.0}}, {"limits": {"speed": 1.0}}, {"weights": {"across": float("nan")}}]
+)
+def test_a_bad_update_changes_nothing(change):
+    driver = controller()
+    before = driver.config
+    with pytest.raises(ConfigError):
+        driver.update(**change)
+    assert driver.config is before
+
+
+def test_step_before_start_is_an_error():
+    with pytest.raises(RuntimeError, match="call start"):
+        controller().step(0.0, robot_for(load_trajectory("circle")).measure())
+
+
+def test_a_start_time_that_is_none_is_refused():
+    with pytest.raises(ValueError, match="t0"):
+        controller().start(load_trajectory("circle"), float("nan"))
+
+
+def test_construction_refuses_what_cannot_work(tmp_path):
+    with pytest.raises(ConfigError, match="unknown model"):
+        Controller(load_config("ssm"), "no_such_model")
+    with pytest.raises(ValueError, match="horizon"):
+        controller(**{"horizon": 3, "extra_dead_time.v": 0.2})
+    bad = tmp_path / "bad.yaml"
+    bad.write_text(
+        "name: bad\nstructure: ssm\nprovenance: {origin: identified, source: test}\n"
+        "A: [[1.0, 0.0], [0.0, -5.0]]\nB: [[5.0, 0.0], [0.0, 5.0]]\nC: [[1.0, 0.0], [0.0, 1.0]]\n"
+    )
+    with pytest.raises(ModelError, match="unstable"):
+        Controller(load_config("ssm"), str(bad))
