@@ -134,6 +134,4 @@ class VelocityModel:
                     f"{_GAIN_RANGE[0]} to {_GAIN_RANGE[1]}: check the sign and the units (m/s, rad/s)"
                 )
         if (self.dead_time < 0).any() or (self.dead_time > _LONGEST_DEAD_TIME).any():
-            raise ModelError(
-                f"{where}: dead time {self.dead_time.tolist()} s; expected 0 to {_LONGEST_DEAD_TIME} s"
-            )
+            raise ModelError(f"{where}: dead time {self.dead_time.tolist()} s; expected 0 to {_LONGEST_DEAD_TIME} s")

@@ -1,5 +1,7 @@
 """Zero-order-hold sampling with dead time, held against an ODE solver and against invariants."""
 
+import itertools
+
 import control
 import numpy as np
 import pytest
@@ -25,7 +27,7 @@ def ode_outputs(model, commands, dt):
     switches = {k * dt + delay for k in range(len(commands)) for delay in model.dead_time}
     times = sorted(t for t in ends | switches if t <= (len(commands) - 1) * dt)
     x, outputs = np.zeros(model.order), {0.0: np.zeros(2)}
-    for start, end in zip(times[:-1], times[1:], strict=True):
+    for start, end in itertools.pairwise(times):
         if end - start < 1e-12:
             outputs[end] = model.C @ x
             continue
@@ -46,8 +48,8 @@ def test_matches_an_ode_solver(dead_time):
 def test_without_dead_time_it_is_plain_zero_order_hold():
     discrete = SSM.discretise(0.05)
     plain = control.sample_system(control.ss(SSM.A, SSM.B, SSM.C, 0 * SSM.C @ SSM.B), 0.05, "zoh")
-    assert discrete.A == pytest.approx(plain.A)
-    assert discrete.B0 == pytest.approx(plain.B)
+    assert pytest.approx(plain.A) == discrete.A
+    assert pytest.approx(plain.B) == discrete.B0
     assert not discrete.B1.any()
     assert not discrete.D.any()
     assert discrete.delay.tolist() == [0, 0]

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from models import VelocityModel
 from models.identification import (
     Experiment,
     fit_percent,
@@ -11,7 +12,7 @@ from models.identification import (
     side_difference,
     simulate_two_poles,
 )
-from models.structures import TwoPoles
+from models.structures import SmFile, TwoPoles
 from models.wheels import WheelKinematics
 
 DT = 0.0202
@@ -40,6 +41,25 @@ def test_known_truth_is_recovered_without_noise(gain, frequency, damping, dead_t
     assert fit.transfer.natural_frequency == pytest.approx(frequency, rel=2e-2)
     assert fit.transfer.damping == pytest.approx(damping, rel=2e-2)
     assert fit.dead_time == pytest.approx(dead_time, abs=1e-3)
+
+
+def test_the_simulation_is_that_of_the_velocity_model():
+    transfer = TwoPoles(gain=0.9, natural_frequency=15.0, damping=0.8)
+    data = SmFile(
+        name="both",
+        structure="sm",
+        provenance={"origin": "identified", "source": "test"},
+        channels={"v": transfer, "omega": transfer},
+    )
+    A, B, C = data.matrices()
+    model = VelocityModel("both", "sm", A, B, C, np.array([0.047, 0.047])).discretise(DT)
+    command = 0.3 + steps(0.5)
+    start = np.full(2, command[0])
+    both = model.simulate(
+        np.column_stack([command, command]), model.settled_state(start), np.tile(start, (model.memory, 1))
+    )
+    simulated = simulate_two_poles(transfer, 0.047, Experiment("one", DT, command, command))
+    assert both == pytest.approx(np.column_stack([simulated, simulated]), abs=1e-9)
 
 
 def test_noise_moves_the_lag_little():

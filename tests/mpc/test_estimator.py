@@ -67,6 +67,7 @@ def test_a_late_pose_counts_as_if_it_had_come_in_time(late):
 
 def test_a_pose_between_two_ticks_is_applied_at_its_stamp():
     estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3))
+
     def half_a_tick_ago(k, measurement):
         if k == 0:
             return measurement

@@ -24,7 +24,9 @@ SOFT = {
 
 
 def setting(model_name, horizon=15, **overrides):
-    config = load_config("ssm", {"horizon": horizon, "solver.tolerance": 1e-8, "solver.max_iterations": 50000} | overrides)
+    config = load_config(
+        "ssm", {"horizon": horizon, "solver.tolerance": 1e-8, "solver.max_iterations": 50000} | overrides
+    )
     model = load_model(model_name).with_extra_dead_time(EXTRA).discretise(DT)
     problem = TrackingProblem(config, model)
     state = model.settled_state([0.45, 0.4])
