@@ -1,0 +1,177 @@
+"""Fits the firmware of the digital twin so that a published velocity model predicts what the twin measures.
+
+One motor loop cannot give forward speed and yaw rate the different lags of the published model, so the firmware shapes
+each command channel with a lag of its own; its track sets the yaw gain. Nothing else of the twin is adjusted.
+"""
+
+from __future__ import annotations
+
+import datetime
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import yaml
+
+from models.checked_yaml import ConfigError, StrictModel, load_checked
+from models.discrete_model import DiscreteModel
+from models.identification.fit import fit_percent
+from models.interface import FloatArray
+from models.load import load_model
+from models.robot import load_robot
+from sim.drives import random_drive
+from sim.log import Log, record
+from sim.sensor_set import load_sensor_set
+from sim.surface import load_surface
+from sim.twin_parameters import FIRMWARE_FILE, PARAMETERS, Firmware, load_firmware
+
+_SIGNIFICANT_DIGITS = 4
+
+
+class Bounds(StrictModel):
+    """Lower and upper bound of each calibrated parameter, units as in `Firmware`."""
+
+    gain_v: tuple[float, float]
+    lag_v: tuple[float, float]
+    lag_omega: tuple[float, float]
+    track: tuple[float, float]
+
+
+class RequiredFit(StrictModel):
+    """FIT that held-out drives have to reach [%]."""
+
+    v: float
+    omega: float
+
+
+class CalibrationParameters(StrictModel):
+    """Target model, drives and bounds."""
+
+    target: str
+    seeds: list[int]
+    held_out_seeds: list[int]
+    bounds: Bounds
+    required_fit: RequiredFit
+
+
+class DriveFit(NamedTuple):
+    """How well the target model predicts one drive."""
+
+    seed: int
+    smooth: bool
+    v: float
+    """FIT of the forward speed [%]."""
+    omega: float
+    """FIT of the gyro's yaw rate [%]."""
+
+
+@cache
+def load_calibration_parameters() -> CalibrationParameters:
+    """Read the calibration's parameter file; raises ConfigError on a mistake in it."""
+    return load_checked(CalibrationParameters, PARAMETERS / "calibration.yaml")
+
+
+def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | None = None) -> list[DriveFit]:
+    """Free-run FIT of the target model on random drives of the plant, smoothed and in steps.
+
+    Parameters
+    ----------
+    firmware
+        By default the shipped one.
+    seeds
+        Drives; by default those held out from calibration.
+    """
+    parameters = load_calibration_parameters()
+    firmware = firmware or load_firmware()
+    target = load_model(parameters.target).discretise(load_robot().sample_time)
+    fits = []
+    for seed in seeds or parameters.held_out_seeds:
+        for smooth in (True, False):
+            log = _drive(firmware, seed, smooth)
+            fit = [fit_percent(y, yhat) for y, yhat in zip(log.output.T, target.simulate(log.command).T, strict=True)]
+            fits.append(DriveFit(seed, smooth, *fit))
+    return fits
+
+
+def calibrate(path: str | Path = FIRMWARE_FILE, date: datetime.date | None = None) -> Firmware:
+    """Fit the firmware parameters on the calibration drives and write them, with provenance, to `path`.
+
+    Parameters
+    ----------
+    path
+        Parameter file to write; the shipped one by default.
+    date
+        Date for the provenance; today by default.
+    """
+    from scipy.optimize import minimize  # noqa: PLC0415 - loads slowly
+
+    parameters = load_calibration_parameters()
+    target = load_model(parameters.target).discretise(load_robot().sample_time)
+    names = list(Bounds.model_fields)
+    low, high = np.transpose([getattr(parameters.bounds, name) for name in names])
+
+    def cost(scaled: FloatArray) -> float:
+        firmware = _firmware(names, low + scaled * (high - low), {})
+        return sum(_squared_error(_drive(firmware, seed, smooth=True), target) for seed in parameters.seeds)
+
+    # Counting and rounding make the cost rough on a small scale: a wide simplex sees past it where gradients do not.
+    simplex = np.full((len(names) + 1, len(names)), 0.3) + 0.3 * np.eye(len(names) + 1, len(names), k=-1)
+    options = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-5}
+    solution = minimize(cost, simplex[0], method="Nelder-Mead", bounds=[(0, 1)] * len(names), options=options)
+    values = low + solution.x * (high - low)
+    firmware = _firmware(names, values, {})
+    held_out = validate_calibration(firmware)
+    provenance: dict[str, object] = {
+        "target": parameters.target,
+        "method": "Nelder-Mead on the squared free-run error of the target, v of the encoders and omega of the gyro",
+        "plant": "mujoco, surface default, sensors default",
+        "drives": "random_drive, smoothed, 30 s",
+        "seeds": parameters.seeds,
+        "date": (date or datetime.date.today()).isoformat(),
+        "held_out_fit_percent": [
+            {"seed": fit.seed, "smooth": fit.smooth, "v": round(fit.v, 2), "omega": round(fit.omega, 2)}
+            for fit in held_out
+        ],
+    }
+    firmware = _firmware(names, values, provenance)
+    write_firmware(firmware, path)
+    return firmware
+
+
+def _drive(firmware: Firmware, seed: int, smooth: bool) -> Log:
+    from sim.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
+
+    friction = load_surface("default").friction
+    if friction is None:
+        raise ConfigError("surface 'default' has no friction: the calibration drives on it")
+    return record(
+        MujocoPlant(friction, load_sensor_set("default"), seed, firmware=firmware), random_drive(seed, smooth)
+    )
+
+
+def _squared_error(log: Log, target: DiscreteModel) -> float:
+    """Error energy of the target on one drive, each channel over that of its prediction, which no parameter changes."""
+    predicted = target.simulate(log.command)
+    energy = np.sum((predicted - predicted.mean(axis=0)) ** 2, axis=0)
+    return float(np.sum(np.sum((log.output - predicted) ** 2, axis=0) / energy))
+
+
+def _firmware(names: list[str], values: FloatArray, provenance: dict[str, object]) -> Firmware:
+    rounded = {name: float(f"{value:.{_SIGNIFICANT_DIGITS}g}") for name, value in zip(names, values, strict=True)}
+    return Firmware(**rounded, provenance=provenance)
+
+
+_HEADER = """\
+# Firmware of the digital twin, written by sim.calibration.calibrate(). SI units.
+# Adjusted: lag of each command channel, forward gain, and the track that turns yaw rate into wheel speeds.
+# Remains: the target has no dead time where the plant has 40 ms, so steps fit less well than smooth drives; the target
+# couples v_ref into omega where the plant is almost symmetric; yaw gain and side-slip of the plant depend on speed,
+# friction and turn radius where the target is linear.
+"""
+
+
+def write_firmware(firmware: Firmware, path: str | Path) -> None:
+    """Write firmware parameters, with what was adjusted and what remains as a comment on top."""
+    text = yaml.safe_dump(firmware.model_dump(), sort_keys=False, default_flow_style=None, width=120)
+    Path(path).write_text(_HEADER + text, encoding="utf-8")

@@ -1,0 +1,129 @@
+"""The chassis in MuJoCo: a rigid body on four wheels that roll and skid on a flat floor."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from models.interface import FloatArray
+from models.robot import Robot
+from sim.twin_parameters import TwinParameters
+
+WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
+_SETTLING_TIME = 1.0
+
+
+class Chassis:
+    """Free body, four hinged wheels, one contact point per wheel.
+
+    The wheels are spheres to the contact solver: one smooth contact point each, midway across the tyre.
+
+    Parameters
+    ----------
+    robot, twin
+        Geometry, masses and tyres.
+    friction
+        Sliding friction coefficient.
+    step
+        Physics step [s].
+    """
+
+    def __init__(self, robot: Robot, twin: TwinParameters, friction: float, step: float) -> None:
+        import mujoco  # noqa: PLC0415 - an optional dependency, needed by this plant only
+
+        self._advance = mujoco.mj_step
+        self._forward = mujoco.mj_forward
+        self._restart = mujoco.mj_resetData
+        self._model: Any = mujoco.MjModel.from_xml_string(_mjcf(robot, twin, friction, step))
+        self._data: Any = mujoco.MjData(self._model)
+        self._torque = self._data.qfrc_applied[6:10]
+        self._position, self._velocity = self._data.qpos, self._data.qvel
+        for _ in range(round(_SETTLING_TIME / step)):
+            self._advance(self._model, self._data)
+        self._resting_height = float(self._position[2])
+        self.reset(np.zeros(3))
+
+    def reset(self, pose: ArrayLike) -> None:
+        """Put the body at rest at `pose` (3,), settled on its wheels."""
+        x, y, theta = np.asarray(pose, dtype=float)
+        self._restart(self._model, self._data)
+        self._position[:7] = [x, y, self._resting_height, math.cos(theta / 2), 0.0, 0.0, math.sin(theta / 2)]
+        self._position[7:] = 0.0
+        self._forward(self._model, self._data)
+        self._yaw = float(theta)
+
+    def step(self, torques: FloatArray) -> None:
+        """Apply wheel `torques` (4,) [N m] for one physics step."""
+        self._torque[:] = torques
+        self._advance(self._model, self._data)
+        w, x, y, z = self._position[3:7].tolist()
+        yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        self._yaw += math.remainder(yaw - self._yaw, 2 * math.pi)
+
+    @property
+    def pose(self) -> FloatArray:
+        """(3,) x, y [m] midway between the wheels, theta [rad], unwrapped."""
+        return np.array([self._position[0], self._position[1], self._yaw])
+
+    @property
+    def twist(self) -> FloatArray:
+        """(3,) forward and lateral speed [m/s] and yaw rate [rad/s], body frame."""
+        vx, vy = float(self._velocity[0]), float(self._velocity[1])
+        c, s = math.cos(self._yaw), math.sin(self._yaw)
+        return np.array([c * vx + s * vy, c * vy - s * vx, self._velocity[5]])
+
+    @property
+    def wheel_angles(self) -> FloatArray:
+        """(4,) wheel angles [rad], zero after a reset."""
+        return np.array(self._position[7:11])
+
+    @property
+    def wheel_speeds(self) -> FloatArray:
+        """(4,) wheel speeds [rad/s]."""
+        return np.array(self._velocity[6:10])
+
+    @property
+    def wheels_on_floor(self) -> int:
+        """Number of wheels that touch the floor."""
+        return int(self._data.ncon)
+
+    @property
+    def energy(self) -> float:
+        """Kinetic energy of body, wheels and rotors [J]."""
+        import mujoco  # noqa: PLC0415 - see above
+
+        momentum = np.zeros(self._model.nv)
+        mujoco.mj_mulM(self._model, self._data, momentum, self._velocity)
+        return float(0.5 * self._velocity @ momentum)
+
+
+def _mjcf(robot: Robot, twin: TwinParameters, friction: float, step: float) -> str:
+    """The model in MuJoCo's XML format."""
+    chassis, tyre, radius = twin.chassis, twin.tyre, robot.wheel_radius
+    half_base, half_track = chassis.wheel_base / 2, robot.track / 2
+    places = [(half_base, half_track), (half_base, -half_track), (-half_base, half_track), (-half_base, -half_track)]
+    wheels = "".join(
+        f'<body pos="{x} {y} 0"><joint type="hinge" axis="0 1 0" armature="{twin.motor.rotor_inertia}"/>'
+        f'<geom name="{name}" type="sphere" size="{radius}" mass="{chassis.wheel_mass}"/></body>'
+        for name, (x, y) in zip(WHEELS, places, strict=True)
+    )
+    # Friction gets a time constant of its own: with that of the normal direction, fast skidding lifts the wheels.
+    contacts = "".join(
+        f'<pair geom1="floor" geom2="{name}" condim="3" friction="{friction} {friction} 0 0 0"'
+        f' solref="{tyre.contact_time} {tyre.contact_damping}" solreffriction="{tyre.creep_time} 1"'
+        f' solimp="{tyre.impedance} {tyre.impedance} 0.001"/>'
+        for name in WHEELS
+    )
+    length, width, height = (size / 2 for size in chassis.body_size)
+    body_mass = robot.mass - 4 * chassis.wheel_mass
+    return (
+        f'<mujoco><option timestep="{step!r}" cone="elliptic" impratio="{tyre.creep_stiffness}"'
+        ' integrator="implicitfast"/><default><geom contype="0" conaffinity="0"/></default>'
+        '<worldbody><geom name="floor" type="plane" size="0 0 1"/>'
+        f'<body pos="0 0 {radius}"><freejoint/><geom type="box" size="{length} {width} {height}"'
+        f' pos="0 0 {chassis.body_height}" mass="{body_mass}"/>{wheels}</body></worldbody>'
+        f"<contact>{contacts}</contact></mujoco>"
+    )

@@ -1,0 +1,106 @@
+"""Motor drivers with their velocity loops, and the DC motors behind them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models.interface import FloatArray
+from sim.twin_parameters import Driver, Motor
+
+
+class SpeedObserver:
+    """Speed of the four wheels from encoder counts, by a tracking loop with a double pole.
+
+    One raw count per control sample is 0.039 m/s: a driver never reports differences of counts.
+
+    Parameters
+    ----------
+    bandwidth
+        Magnitude of the double pole [rad/s].
+    pulse
+        Angle of one count [rad].
+    step
+        Time between two calls [s].
+    phase
+        (4,) position of each wheel between two counts at angle zero, in counts, 0 to 1.
+    """
+
+    def __init__(self, bandwidth: float, pulse: float, step: float, phase: FloatArray) -> None:
+        pole = np.exp(-bandwidth * step)
+        self._angle_gain = 1 - pole**2
+        self._speed_gain = (1 - pole) ** 2 / step
+        self._pulse = pulse
+        self._step = step
+        self._phase = phase
+        self.reset()
+
+    def reset(self) -> None:
+        """Wheels at rest at angle zero since ever."""
+        self._angle = self._counted(np.zeros(4))
+        self.speed = np.zeros(4)
+
+    def update(self, angles: FloatArray) -> FloatArray:
+        """(4,) speeds [rad/s] after reading the counters at wheel `angles` (4,) [rad]."""
+        predicted = self._angle + self._step * self.speed
+        error = self._counted(angles) - predicted
+        self._angle = predicted + self._angle_gain * error
+        self.speed = self.speed + self._speed_gain * error
+        return self.speed
+
+    def _counted(self, angles: FloatArray) -> FloatArray:
+        return np.asarray(np.floor(angles / self._pulse + self._phase) * self._pulse)
+
+
+class VelocityLoops:
+    """Feed-forward and PI loop per motor with limited duty, and the motor's torque-speed line.
+
+    Parameters
+    ----------
+    driver, motor
+        Gains and motor data.
+    pulse
+        Angle of one encoder count [rad].
+    step
+        Time between two calls [s].
+    """
+
+    def __init__(self, driver: Driver, motor: Motor, pulse: float, step: float) -> None:
+        self._driver = driver
+        self._no_load_speed = motor.no_load_speed
+        self._stall_torque = motor.stall_torque * np.array(motor.spread)
+        # Slower than one count per control sample or so the counter cannot tell from rest.
+        self._rest_speed = pulse / step / 10
+        self._step = step
+        self.reset()
+
+    def reset(self) -> None:
+        """Empty integrators."""
+        self._integral = np.zeros(4)
+
+    def torque(self, set_points: FloatArray, measured: FloatArray, speeds: FloatArray) -> FloatArray:
+        """Motor torques.
+
+        Parameters
+        ----------
+        set_points
+            (4,) wanted wheel speeds [rad/s].
+        measured
+            (4,) the drivers' own speed estimates [rad/s].
+        speeds
+            (4,) true wheel speeds [rad/s], which make the back-EMF.
+
+        Returns
+        -------
+        FloatArray
+            (4,) torques at the wheels [N m].
+        """
+        error = set_points - measured
+        # At a zero set-point the driver brakes and forgets: otherwise it would hunt for a fraction of a count.
+        resting = (set_points == 0.0) & (np.abs(measured) < self._rest_speed)
+        self._integral[resting] = 0.0
+        wanted = set_points / self._no_load_speed + self._driver.proportional_gain * error + self._integral
+        duty = np.minimum(np.maximum(wanted, -1.0), 1.0)
+        duty[resting] = 0.0
+        # The integrators stand still while the duty is at its limit.
+        self._integral += np.where(duty == wanted, self._step * self._driver.integral_gain * error, 0.0)
+        return np.asarray(self._stall_torque * (duty - speeds / self._no_load_speed))

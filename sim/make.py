@@ -1,0 +1,67 @@
+"""Plants by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from models.checked_yaml import ConfigError
+from sim.plant import Plant
+from sim.sensor_set import load_sensor_set
+from sim.surface import load_surface
+
+_MODEL_PREFIX = "model:"
+
+
+def make_plant(
+    name: str,
+    surface: str | Path = "default",
+    sensors: str | Path = "default",
+    seed: int = 0,
+    *,
+    extra_dead_time: float = 0.0,
+) -> Plant:
+    """Build a plant.
+
+    Parameters
+    ----------
+    name
+        "mujoco" for the physics, or "model:NAME" for a velocity model, NAME as `models.load_model` takes it.
+    surface
+        Name of a shipped surface or path of a surface file.
+    sensors
+        Name of a shipped sensor set or path of a sensor file.
+    seed
+        Seed of all noise, not negative: the same seed gives the same run, bit for bit.
+    extra_dead_time
+        For "model:" plants: dead time on top of the model's own [s]. The physics has its own in its parameter file.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If a name is unknown, a file has a mistake, or the arguments do not go together.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise ConfigError(f"seed {seed!r}: give an integer that is not negative")
+    floor, sensor_set = load_surface(surface), load_sensor_set(sensors)
+    if name == "mujoco":
+        if floor.friction is None:
+            raise ConfigError(f"surface '{surface}' has no friction: it is for 'model:' plants; wheels need it to push")
+        if extra_dead_time:
+            raise ConfigError(
+                "extra_dead_time is for 'model:' plants; 'mujoco' has link.dead_time in its parameter file"
+            )
+        from sim.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
+
+        return MujocoPlant(floor.friction, sensor_set, seed)
+    if name.startswith(_MODEL_PREFIX):
+        from models.load import load_model  # noqa: PLC0415 - only this plant needs it
+        from sim.model_plant import ModelPlant  # noqa: PLC0415
+
+        if not extra_dead_time >= 0:
+            raise ConfigError(f"extra_dead_time {extra_dead_time} s: it must not be negative")
+        return ModelPlant(
+            load_model(name.removeprefix(_MODEL_PREFIX)), floor.slip, sensor_set, seed, extra_dead_time=extra_dead_time
+        )
+    raise ConfigError(
+        f"unknown plant '{name}': give 'mujoco' or 'model:NAME' (mbm, sm, ssm or the path of a model file)"
+    )

@@ -1,0 +1,127 @@
+"""A velocity model as plant: fast, and the truth is known in closed form."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from models.interface import FloatArray, Measurement
+from models.pose import integrate_pose
+from models.robot import Robot, load_robot
+from models.velocity_model import VelocityModel
+from models.wheels import WheelKinematics
+from sim.link import clip_command
+from sim.sensor_set import SensorSet
+from sim.sensors import Sensors
+from sim.surface import Slip
+
+
+class ModelPlant:
+    """A velocity model, extra dead time and slip behind the same sensors as the physics; see `sim.plant.Plant`.
+
+    The model's v is that of the encoders, its omega that of the gyro on the surface it was identified on. Over a sample
+    the twist is the mean of the outputs at both ends, and the pose moves along the exact arc of that mean.
+
+    Parameters
+    ----------
+    model
+        The velocity model.
+    slip
+        What happens between the model's twist and the true one.
+    sensors
+        Sensor parameters.
+    seed
+        Seed of all noise, not negative.
+    extra_dead_time
+        Dead time on top of the model's own, both channels [s].
+    robot
+        Geometry, sample time and limits; by default the robot of the papers.
+    """
+
+    def __init__(
+        self,
+        model: VelocityModel,
+        slip: Slip,
+        sensors: SensorSet,
+        seed: int = 0,
+        *,
+        extra_dead_time: float = 0.0,
+        robot: Robot | None = None,
+    ) -> None:
+        self._robot = robot or load_robot()
+        self._model = model.with_extra_dead_time([extra_dead_time, extra_dead_time]).discretise(self._robot.sample_time)
+        self._slip = slip
+        self._kinematics = WheelKinematics(self._robot.wheel_radius, self._robot.track)
+        self._sensors = Sensors(sensors, self._kinematics, self._robot.sample_time, seed=seed, noisy_encoders=True)
+        self.reset(np.zeros(3))
+
+    @property
+    def sample_time(self) -> float:
+        """Time between two control ticks [s]."""
+        return self._robot.sample_time
+
+    @property
+    def time(self) -> float:
+        """Time since the last reset [s]."""
+        return self._tick * self.sample_time
+
+    @property
+    def true_pose(self) -> FloatArray:
+        """(3,) x [m], y [m], theta [rad, unwrapped] midway between the wheels."""
+        return self._pose.copy()
+
+    @property
+    def true_twist(self) -> FloatArray:
+        """(3,) forward and lateral speed [m/s] and yaw rate [rad/s], body frame."""
+        return self._slipped(self._model.C @ self._state)
+
+    def reset(self, pose: ArrayLike) -> None:
+        """Put the robot at rest at `pose` (3,) at time 0 and restart the noise from the seed."""
+        self._tick = 0
+        self._sent: tuple[float, float] | None = None
+        self._pose = np.array(pose, dtype=float)
+        self._state = np.zeros(self._model.order)
+        self._past = np.zeros((self._model.memory, 2))
+        self._sensors.reset(self._pose, np.zeros(4))
+
+    def measure(self) -> Measurement:
+        """Everything that the sensors delivered since the last call."""
+        return self._sensors.collect(self.time, self._sent)
+
+    def advance(self, command: ArrayLike) -> None:
+        """Send `command` (2,) and let one sample pass; raises ValueError unless it is two finite numbers."""
+        sent = clip_command(command, self._robot.limits)
+        self._sent = (float(sent[0]), float(sent[1]))
+        before = self._model.C @ self._state
+        (recent,), (older,) = self._model.effective_inputs(sent[None], self._past)
+        self._state = self._model.A @ self._state + self._model.B0 @ recent + self._model.B1 @ older
+        self._past = np.vstack([self._past[1:], sent])
+        after = self._model.C @ self._state
+        twist = self._slipped(0.5 * (before + after))
+        end = self._moved(twist, self.sample_time)
+        started = self.time
+        self._tick += 1
+        for look in self._sensors.poses_due(self.time):
+            self._sensors.see_pose(look, end if look == self.time else self._moved(twist, look - started))
+        self._pose = end
+        wheels = np.array([after[0], self._slipped(after)[2] / self._slip.wheel_yaw_gain])
+        self._sensors.see_motion(self.time, self._kinematics.wheel_speeds(wheels), float(self._slipped(after)[2]))
+
+    def _slipped(self, output: FloatArray) -> FloatArray:
+        """(3,) true twist for the model's output (2,); side-slip points outward, so against the turn."""
+        v, omega = self._slip.longitudinal_gain * output[0], self._slip.yaw_gain * output[1]
+        return np.array([v, -self._slip.side_slip * v * omega, omega])
+
+    def _moved(self, twist: FloatArray, duration: float) -> FloatArray:
+        """(3,) the pose after `duration` [s] with constant body `twist` (3,)."""
+        v, lateral, omega = twist
+        # A body that crabs moves along the same arc as one that points in the direction of travel.
+        forward = math.copysign(1.0, v)
+        crab = math.atan2(forward * lateral, abs(v))
+        moved = integrate_pose(
+            self._pose + np.array([0.0, 0.0, crab]), forward * math.hypot(v, lateral), omega, duration
+        )
+        moved[2] -= crab
+        return moved

@@ -1,0 +1,122 @@
+"""The physics plant: chassis in MuJoCo, and around it link, firmware, motor drivers and sensors."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from models.interface import FloatArray, Measurement
+from models.robot import Robot, load_robot
+from models.wheels import WheelKinematics
+from sim.chassis import Chassis
+from sim.drivetrain import SpeedObserver, VelocityLoops
+from sim.firmware import CommandShaper
+from sim.link import DelayLine, clip_command
+from sim.sensor_set import SensorSet
+from sim.sensors import Sensors
+from sim.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
+
+# Spawn keys of the sensors' streams are 0, 1, 2, ...: this one can never meet them.
+_ENCODER_PHASE_KEY = 1_000
+
+
+class MujocoPlant:
+    """The robot of the papers as a digital twin; see `sim.plant.Plant`.
+
+    Parameters
+    ----------
+    friction
+        Sliding friction coefficient of the floor.
+    sensors
+        Sensor parameters.
+    seed
+        Seed of all noise, not negative.
+    robot, twin, firmware
+        Other robots than the shipped one.
+    """
+
+    def __init__(
+        self,
+        friction: float,
+        sensors: SensorSet,
+        seed: int = 0,
+        *,
+        robot: Robot | None = None,
+        twin: TwinParameters | None = None,
+        firmware: Firmware | None = None,
+    ) -> None:
+        robot, twin = robot or load_robot(), twin or load_twin_parameters()
+        self._robot = robot
+        self._substeps = twin.substeps
+        step = robot.sample_time / twin.substeps
+        pulse = 2 * np.pi / robot.encoder_pulses
+        phase = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_ENCODER_PHASE_KEY,))).random(4)
+        self._chassis = Chassis(robot, twin, friction, step)
+        self._line = DelayLine(twin.link.dead_time)
+        self._shaper = CommandShaper(firmware or load_firmware(), robot, step)
+        self._observer = SpeedObserver(twin.driver.observer_bandwidth, pulse, step, phase)
+        self._loops = VelocityLoops(twin.driver, twin.motor, pulse, step)
+        self._exact_speeds = sensors.encoders.speed_sd == 0.0
+        kinematics = WheelKinematics(robot.wheel_radius, robot.track)
+        self._sensors = Sensors(sensors, kinematics, robot.sample_time, seed=seed, noisy_encoders=False)
+        self.reset(np.zeros(3))
+
+    @property
+    def sample_time(self) -> float:
+        """Time between two control ticks [s]."""
+        return self._robot.sample_time
+
+    @property
+    def time(self) -> float:
+        """Time since the last reset [s]."""
+        return self._tick * self.sample_time
+
+    @property
+    def true_pose(self) -> FloatArray:
+        """(3,) x [m], y [m], theta [rad, unwrapped] midway between the wheels."""
+        return self._chassis.pose
+
+    @property
+    def true_twist(self) -> FloatArray:
+        """(3,) forward and lateral speed [m/s] and yaw rate [rad/s], body frame."""
+        return self._chassis.twist
+
+    @property
+    def chassis(self) -> Chassis:
+        """The body in MuJoCo, for a look at energy, contacts and true wheel speeds."""
+        return self._chassis
+
+    def reset(self, pose: ArrayLike) -> None:
+        """Put the robot at rest at `pose` (3,) at time 0 and restart the noise from the seed."""
+        self._tick = 0
+        self._sent: tuple[float, float] | None = None
+        self._chassis.reset(pose)
+        self._line.reset()
+        self._shaper.reset()
+        self._observer.reset()
+        self._loops.reset()
+        self._sensors.reset(self._chassis.pose, np.zeros(4))
+
+    def measure(self) -> Measurement:
+        """Everything that the sensors delivered since the last call."""
+        return self._sensors.collect(self.time, self._sent)
+
+    def advance(self, command: ArrayLike) -> None:
+        """Send `command` (2,) and let one sample pass; raises ValueError unless it is two finite numbers."""
+        sent = clip_command(command, self._robot.limits)
+        self._sent = (float(sent[0]), float(sent[1]))
+        self._line.send(self.time, sent)
+        edges = self.time + np.arange(self._substeps + 1) * (self.sample_time / self._substeps)
+        edges[-1] = (self._tick + 1) * self.sample_time
+        chassis, observer = self._chassis, self._observer
+        for start, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+            set_points = self._shaper.set_points(self._line.mean(start, end))
+            torques = self._loops.torque(set_points, observer.speed, chassis.wheel_speeds)
+            before = chassis.pose
+            chassis.step(torques)
+            observer.update(chassis.wheel_angles)
+            for look in self._sensors.poses_due(end):
+                self._sensors.see_pose(look, before + (look - start) / (end - start) * (chassis.pose - before))
+        self._tick += 1
+        speeds = chassis.wheel_speeds if self._exact_speeds else observer.speed
+        self._sensors.see_motion(self.time, speeds, float(chassis.twist[2]))

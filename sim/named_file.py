@@ -1,0 +1,36 @@
+"""Parameter files that are asked for by a short name or by a path."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+
+from models.checked_yaml import ConfigError
+
+
+def named_file(kind: str, folder: Path, name: str | Path) -> Path:
+    """The YAML file behind `name`: one that ships in `folder`, or the user's own.
+
+    Parameters
+    ----------
+    kind
+        What the files describe, for the message.
+    folder
+        Folder of the shipped files.
+    name
+        Name of a shipped file without its ending, or a path.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If there is neither; the message lists the shipped names.
+    """
+    known = sorted(path.stem for path in folder.glob("*.yaml"))
+    text = str(name)
+    if text in known:
+        return folder / f"{text}.yaml"
+    if Path(name).is_file():
+        return Path(name)
+    near = difflib.get_close_matches(text, known, n=1, cutoff=0.5)
+    hint = f"; did you mean '{near[0]}'?" if near else ""
+    raise ConfigError(f"unknown {kind} '{text}': give one of {', '.join(known)}, or the path of a YAML file{hint}")

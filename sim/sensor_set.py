@@ -1,0 +1,55 @@
+"""Parameters of the sensors around a plant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field
+
+from models.checked_yaml import StrictModel, load_checked
+from models.robot import Positive
+from sim.named_file import named_file
+from sim.surface import NotNegative
+
+SENSOR_SETS = Path(__file__).parent / "sensor_sets"
+
+
+class PoseSensor(StrictModel):
+    """SLAM, motion capture or the like."""
+
+    period: Positive | None = Field(description="time between poses [s]; null: every control sample")
+    latency: NotNegative = Field(description="from the instant a pose describes to its delivery [s]")
+    position_sd: NotNegative = Field(description="standard deviation of x and of y [m]")
+    heading_sd: NotNegative = Field(description="standard deviation of theta [rad]")
+
+
+class Gyro(StrictModel):
+    """Yaw-rate gyro."""
+
+    noise_sd: NotNegative = Field(description="standard deviation of the white noise of a sample [rad/s]")
+    bias_sd: NotNegative = Field(description="standard deviation of the bias over seeds; constant in a run [rad/s]")
+
+
+class Encoders(StrictModel):
+    """Speed estimates of the motor drivers."""
+
+    speed_sd: NotNegative = Field(description="standard deviation of one wheel's speed estimate [rad/s]; 0: exact")
+
+
+class SensorSet(StrictModel):
+    """All sensors of one robot."""
+
+    pose: PoseSensor
+    gyro: Gyro
+    encoders: Encoders
+
+
+def load_sensor_set(name: str | Path) -> SensorSet:
+    """Read a sensor set by shipped name or path.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If there is no such set or its file has a mistake.
+    """
+    return load_checked(SensorSet, named_file("sensor set", SENSOR_SETS, name))

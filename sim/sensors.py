@@ -1,0 +1,112 @@
+"""The sensor layer that every plant shares: noise, bias, rate and latency between the truth and the controller."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from models.interface import FloatArray, Measurement, Stamped
+from models.pose import wrap_angle
+from models.wheels import WheelKinematics
+from sim.sensor_set import SensorSet
+
+# Times are sums and multiples of decimals: an instant this close [s] counts as reached.
+TIME_TOLERANCE = 1e-9
+
+
+class Sensors:
+    """Turns true motion into measurements.
+
+    The plant reports its motion as it goes; `collect` hands out what has been delivered. Every sensor draws from a
+    random stream of its own, so that one sensor's rate does not change another one's noise.
+
+    Parameters
+    ----------
+    parameters
+        Noise, rates and latencies.
+    kinematics
+        Wheel radius and geometric track, with which the encoders' twist is computed.
+    sample_time
+        Control sample time [s].
+    seed
+        Seed of all noise, not negative.
+    noisy_encoders
+        Draw white noise on the wheel speeds. False where the plant itself counts pulses.
+    """
+
+    def __init__(
+        self, parameters: SensorSet, kinematics: WheelKinematics, sample_time: float, *, seed: int, noisy_encoders: bool
+    ) -> None:
+        self._parameters = parameters
+        self._kinematics = kinematics
+        self._period = parameters.pose.period or sample_time
+        self._seed = seed
+        pose, gyro, speed_sd = parameters.pose, parameters.gyro, parameters.encoders.speed_sd
+        self._pose_sd = np.array([pose.position_sd, pose.position_sd, pose.heading_sd])
+        self._speed_noise = speed_sd if noisy_encoders else 0.0
+        to_body = kinematics.wheels_to_body
+        self._pose_covariance = _stated(np.diag(self._pose_sd**2))
+        self._gyro_covariance = _stated(np.array([[gyro.noise_sd**2]]))
+        self._speed_covariance = _stated(speed_sd**2 * np.eye(4))
+        self._twist_covariance = _stated(speed_sd**2 * (to_body @ to_body.T))
+        self.reset(np.zeros(3), np.zeros(4))
+
+    def reset(self, pose: ArrayLike, wheel_speeds: ArrayLike) -> None:
+        """Restart all noise at time 0, after a long rest at `pose` (3,)."""
+        self._pose_stream, self._gyro_stream, self._encoder_stream = (
+            np.random.default_rng(stream) for stream in np.random.SeedSequence(self._seed).spawn(3)
+        )
+        self._gyro_bias = self._parameters.gyro.bias_sd * self._gyro_stream.standard_normal()
+        self._on_the_way: deque[Stamped] = deque()
+        # Back to the first pose that has arrived by time 0.
+        self._next_pose = -int(np.ceil((self._parameters.pose.latency - TIME_TOLERANCE) / self._period))
+        for time in self.poses_due(0.0):
+            self.see_pose(time, pose)
+        self.see_motion(0.0, wheel_speeds, 0.0)
+
+    def poses_due(self, until: float) -> list[float]:
+        """The times up to `until` [s] at which the pose sensor looks; each has to be answered with `see_pose`."""
+        due = []
+        while self._next_pose * self._period <= until + TIME_TOLERANCE:
+            due.append(self._next_pose * self._period)
+            self._next_pose += 1
+        return due
+
+    def see_pose(self, time: float, pose: ArrayLike) -> None:
+        """The pose sensor looks at the true `pose` (3,) at `time` [s]."""
+        value = np.asarray(pose, dtype=float) + self._pose_sd * self._pose_stream.standard_normal(3)
+        value[2] = -wrap_angle(-value[2])  # into (-pi, pi], as SLAM reports it
+        self._on_the_way.append(Stamped(value, time, self._pose_covariance))
+
+    def see_motion(self, time: float, wheel_speeds: ArrayLike, yaw_rate: float) -> None:
+        """Encoders and gyro are read at the tick at `time` [s]: wheel speeds (4,) [rad/s], true yaw rate [rad/s]."""
+        speeds = np.array(wheel_speeds, dtype=float) + self._speed_noise * self._encoder_stream.standard_normal(4)
+        noise = self._gyro_bias + self._parameters.gyro.noise_sd * self._gyro_stream.standard_normal()
+        self._wheel_speeds: Stamped | None = Stamped(speeds, time, self._speed_covariance)
+        self._wheel_twist: Stamped | None = Stamped(self._kinematics.twist(speeds), time, self._twist_covariance)
+        self._yaw_rate: Stamped | None = Stamped(np.float64(yaw_rate + noise), time, self._gyro_covariance)
+
+    def collect(self, time: float, sent: tuple[float, float] | None) -> Measurement:
+        """Everything delivered up to `time` [s] and not collected yet; of several poses the newest."""
+        pose = None
+        while self._on_the_way and self._on_the_way[0].time + self._parameters.pose.latency <= time + TIME_TOLERANCE:
+            pose = self._on_the_way.popleft()
+        measurement = Measurement(
+            pose=pose,
+            wheel_twist=self._wheel_twist,
+            yaw_rate=self._yaw_rate,
+            wheel_speeds=self._wheel_speeds,
+            sent=sent,
+        )
+        self._wheel_speeds = self._wheel_twist = self._yaw_rate = None
+        return measurement
+
+
+def _stated(covariance: FloatArray) -> FloatArray | None:
+    """A covariance to hand out, or None for an exact sensor: a filter must not divide by zero."""
+    if not covariance.any():
+        return None
+    covariance.setflags(write=False)
+    return covariance

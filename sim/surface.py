@@ -1,0 +1,42 @@
+"""What the robot drives on: friction for the physics, slip for velocity models."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from models.checked_yaml import StrictModel, load_checked
+from models.robot import Positive
+from sim.named_file import named_file
+
+SURFACES = Path(__file__).parent / "surfaces"
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class Slip(StrictModel):
+    """How the body moves when a velocity model says (v, omega)."""
+
+    yaw_gain: Positive = Field(description="true yaw rate over that of the velocity model")
+    wheel_yaw_gain: Positive = Field(description="true yaw rate over that of encoders and geometric track")
+    longitudinal_gain: Positive = Field(description="true forward speed over that of the encoders")
+    side_slip: NotNegative = Field(description="lateral speed, outward, over v * omega [s]")
+
+
+class Surface(StrictModel):
+    """One floor."""
+
+    friction: Positive | None = Field(default=None, description="sliding friction coefficient of tyre on floor")
+    slip: Slip = Field(description="slip of a plant that is a velocity model")
+
+
+def load_surface(name: str | Path) -> Surface:
+    """Read a surface by shipped name or path.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If there is no such surface or its file has a mistake.
+    """
+    return load_checked(Surface, named_file("surface", SURFACES, name))

@@ -1,0 +1,196 @@
+"""The physics plant against what mechanics says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from models.robot import load_robot
+from sim.chassis import Chassis
+from sim.drives import random_drive
+from sim.log import Log, record
+from sim.mujoco_plant import MujocoPlant
+from sim.sensor_set import load_sensor_set
+from sim.slip_measurement import measure_slip
+from sim.surface import load_surface
+from sim.twin_parameters import load_firmware, load_twin_parameters
+
+FRICTION = {name: load_surface(name).friction or 0.0 for name in ("slippery", "default", "grippy")}
+
+
+def _plant(surface: str = "default") -> MujocoPlant:
+    return MujocoPlant(FRICTION[surface], load_sensor_set("perfect"))
+
+
+def _hold(plant: MujocoPlant, v: float, omega: float, samples: int = 200) -> Log:
+    """Steady part of a held command."""
+    log = record(plant, np.tile([v, omega], (samples, 1)))
+    half = samples // 2
+    return Log(*(getattr(log, name)[half:] for name in Log.__dataclass_fields__))
+
+
+@pytest.fixture(scope="module")
+def steady() -> dict[str, Log]:
+    """The same gentle curve on every surface."""
+    return {surface: _hold(_plant(surface), 0.5, 0.5) for surface in FRICTION}
+
+
+def test_resting_robot_stays_where_it_is() -> None:
+    plant = _plant()
+    log = record(plant, np.zeros((250, 2)), pose=[1.0, -2.0, 0.7])
+    np.testing.assert_allclose(log.true_pose, np.tile([1.0, -2.0, 0.7], (250, 1)), atol=1e-4)
+    np.testing.assert_allclose(log.wheel_speeds, 0.0, atol=1e-6)
+    assert plant.chassis.wheels_on_floor == 4
+
+
+@pytest.mark.parametrize("v", [0.3, 1.0, -0.4])
+def test_straight_speed_is_the_command(v: float) -> None:
+    log = _hold(_plant(), v, 0.0)
+    encoders = log.wheel_twist[:, 0].mean()
+    # The set-point is a whole number of pulses per second: at most half a pulse off.
+    half_pulse = np.pi * load_robot().wheel_radius / load_robot().encoder_pulses
+    assert encoders == pytest.approx(load_firmware().gain_v * v, abs=half_pulse + 1e-3)
+    # Loaded tyres roll on a slightly smaller radius than the encoders' twist assumes.
+    assert 0.98 < log.true_twist[:, 0].mean() / encoders < 1.0
+    np.testing.assert_allclose(log.true_twist[:, 1:], 0.0, atol=5e-3)
+
+
+def test_turning_on_the_spot_slips_as_coulomb_friction_says() -> None:
+    """Moment balance of four equally loaded sliding wheels: yaw gain = track^2 / (track^2 + wheel base^2)."""
+    track, base = load_robot().track, load_twin_parameters().chassis.wheel_base
+    log = _hold(_plant(), 0.0, 1.0)
+    gain = log.true_twist[:, 2].mean() / log.wheel_twist[:, 1].mean()
+    assert gain == pytest.approx(track**2 / (track**2 + base**2), abs=0.01)
+
+
+def test_yaw_rate_is_below_that_of_the_wheels(steady: dict[str, Log]) -> None:
+    for log in steady.values():
+        assert 0.7 < log.true_twist[:, 2].mean() / log.wheel_twist[:, 1].mean() < 0.95
+
+
+def test_side_slip_points_outward_and_grows_as_grip_falls(steady: dict[str, Log]) -> None:
+    lateral = {surface: log.true_twist[:, 1].mean() for surface, log in steady.items()}
+    assert lateral["slippery"] < lateral["default"] < lateral["grippy"] < 0
+
+
+def test_left_and_right_mirror_each_other_but_for_the_motors() -> None:
+    left, right = _hold(_plant(), 0.5, 0.8), _hold(_plant(), 0.5, -0.8)
+    np.testing.assert_allclose(left.true_twist.mean(axis=0), right.true_twist.mean(axis=0) * [1, -1, -1], atol=0.01)
+
+
+def test_dead_time_is_that_of_the_link() -> None:
+    """Nothing moves before the dead time; the sample in which it ends shows the first motion."""
+    log = record(_plant(), np.tile([0.6, 0.0], (10, 1)))
+    dead_time = load_twin_parameters().link.dead_time
+    moving = np.abs(log.true_twist[:, 0]) > 1e-3
+    assert not moving[log.time <= dead_time].any()
+    assert moving[log.time > dead_time + load_robot().sample_time].all()
+
+
+def test_weak_motors_limit_the_speed_and_obey_again_when_less_is_asked() -> None:
+    twin = load_twin_parameters()
+    weak = twin.model_copy(update={"motor": twin.motor.model_copy(update={"no_load_speed": 15.0})})
+    plant = MujocoPlant(FRICTION["default"], load_sensor_set("perfect"), twin=weak)
+    reachable = 15.0 * load_robot().wheel_radius
+    log = record(plant, np.vstack([np.tile([1.5, 0.0], (150, 1)), np.tile([0.5, 0.0], (100, 1))]))
+    v = log.wheel_twist[:, 0]
+    # Without rolling resistance the no-load speed is the asymptote: reached up to the solver's residual, not passed.
+    assert v.max() == pytest.approx(reachable, rel=1e-6)
+    assert v[-30:].mean() == pytest.approx(0.5 * load_firmware().gain_v, abs=2e-3)
+
+
+def test_a_robot_without_motors_only_loses_energy() -> None:
+    """Friction takes energy away; only what rocking on the soft tyres holds may come back for a moment."""
+    robot, twin = load_robot(), load_twin_parameters()
+    chassis = Chassis(robot, twin, FRICTION["default"], robot.sample_time / twin.substeps)
+    for _ in range(250):
+        chassis.step(np.array([-0.4, 1.2, -0.4, 1.2]))
+    start = chassis.energy
+    energies = []
+    for _ in range(1000):
+        chassis.step(np.zeros(4))
+        energies.append(chassis.energy)
+    deflection = 2e-3
+    rocking = robot.mass * 9.81 * deflection
+    assert start > 10 * rocking
+    assert np.max(np.array(energies) - np.minimum.accumulate(energies)) < rocking
+    assert abs(chassis.twist[2]) < 1e-2
+
+
+def test_a_robot_without_motors_rolls_straight_on() -> None:
+    robot, twin = load_robot(), load_twin_parameters()
+    step = robot.sample_time / twin.substeps
+    chassis = Chassis(robot, twin, FRICTION["default"], step)
+    chassis.reset([0.0, 0.0, 0.5])
+    for _ in range(250):
+        chassis.step(np.full(4, 0.3))
+    start, speed = chassis.pose, chassis.twist[0]
+    for _ in range(500):
+        chassis.step(np.zeros(4))
+    assert chassis.twist[0] == pytest.approx(speed, rel=0.01)
+    travelled = chassis.pose - start
+    np.testing.assert_allclose(travelled[:2], 500 * step * speed * np.array([np.cos(0.5), np.sin(0.5)]), rtol=0.01)
+    assert abs(travelled[2]) < 1e-3
+
+
+def test_push_accelerates_the_mass_and_the_turning_parts() -> None:
+    """Newton: four wheel torques over the radius move mass + (wheel and rotor inertia) / radius^2."""
+    robot, twin = load_robot(), load_twin_parameters()
+    step = robot.sample_time / twin.substeps
+    chassis = Chassis(robot, twin, FRICTION["grippy"], step)
+    speeds = []
+    for _ in range(250):
+        chassis.step(np.full(4, 0.3))
+        speeds.append(chassis.twist[0])
+    wheel = 0.4 * twin.chassis.wheel_mass * robot.wheel_radius**2 + twin.motor.rotor_inertia
+    expected = 4 * 0.3 / robot.wheel_radius / (robot.mass + 4 * wheel / robot.wheel_radius**2)
+    assert (speeds[-1] - speeds[50]) / (199 * step) == pytest.approx(expected, rel=0.02)
+
+
+def test_zero_command_stops_the_robot_and_keeps_it_there() -> None:
+    plant = _plant()
+    record(plant, np.tile([1.0, 1.0], (100, 1)))
+    for _ in range(75):
+        plant.advance([0.0, 0.0])
+    stopped = plant.true_pose
+    for _ in range(250):
+        plant.advance([0.0, 0.0])
+    np.testing.assert_allclose(plant.true_pose, stopped, atol=1e-4)
+    assert plant.chassis.energy < 1e-9
+
+
+def test_acceleration_stays_within_friction() -> None:
+    """Pitching shifts load for an instant, but over a tenth of a second the floor carries the weight and no more."""
+    log = record(_plant("slippery"), np.tile([1.2, 0.0], (60, 1)))
+    samples = 5
+    gained = log.true_twist[samples:, 0] - log.true_twist[:-samples, 0]
+    acceleration = gained / (samples * load_robot().sample_time)
+    limit = FRICTION["slippery"] * 9.81
+    assert 0.9 * limit < acceleration.max() < 1.03 * limit
+
+
+def test_yaw_turns_past_pi_without_a_jump() -> None:
+    log = record(_plant(), np.tile([0.0, 1.5], (250, 1)), pose=[0.0, 0.0, 3.0])
+    assert log.true_pose[-1, 2] > 3.0 + 2 * np.pi
+    assert np.abs(np.diff(log.true_pose[:, 2])).max() < 0.1
+
+
+def test_pose_is_the_integral_of_the_twist() -> None:
+    log = record(_plant(), random_drive(5, duration=6.0))
+    v, lateral, omega = (0.5 * (log.true_twist[1:] + log.true_twist[:-1])).T
+    theta = 0.5 * (log.true_pose[1:, 2] + log.true_pose[:-1, 2])
+    dt = load_robot().sample_time
+    x = np.cumsum((v * np.cos(theta) - lateral * np.sin(theta)) * dt)
+    y = np.cumsum((v * np.sin(theta) + lateral * np.cos(theta)) * dt)
+    np.testing.assert_allclose(log.true_pose[1:, 0], x, atol=0.01)
+    np.testing.assert_allclose(log.true_pose[1:, 1], y, atol=0.01)
+    np.testing.assert_allclose(log.true_pose[1:, 2], np.cumsum(omega * dt), atol=0.01)
+
+
+def test_shipped_slip_of_the_surfaces_is_that_of_the_physics() -> None:
+    commands = random_drive(301)
+    logs = {surface: record(_plant(surface), commands) for surface in FRICTION}
+    for surface, log in logs.items():
+        measured, shipped = measure_slip(log, logs["default"]), load_surface(surface).slip
+        for name in type(shipped).model_fields:
+            assert getattr(shipped, name) == pytest.approx(getattr(measured, name), rel=0.02), (surface, name)

@@ -1,0 +1,188 @@
+"""What all plants promise: determinism, clean errors, and the model plant's exact agreement with its model."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from models import integrate_pose, load_model
+from models.checked_yaml import ConfigError
+from models.interface import Stamped
+from models.robot import load_robot
+from sim.drives import random_drive
+from sim.log import Log, record
+from sim.make import make_plant
+from sim.model_plant import ModelPlant
+from sim.plant import Plant
+from sim.sensor_set import load_sensor_set
+from sim.surface import Slip, load_surface
+
+DT = load_robot().sample_time
+PLANTS = ["mujoco", "model:ssm"]
+PERFECT = load_sensor_set("perfect")
+
+
+def _trace(plant: Plant, seed: int = 4) -> list[np.ndarray]:
+    """Everything a short drive lets one see."""
+    trace = []
+    for command in random_drive(seed, duration=3.0):
+        measurement = plant.measure()
+        for name in ("pose", "wheel_twist", "yaw_rate", "wheel_speeds"):
+            stamped: Stamped | None = getattr(measurement, name)
+            trace.append(np.array([]) if stamped is None else np.append(np.ravel(stamped.value), stamped.time))
+        trace += [plant.true_pose, plant.true_twist, np.array([plant.time])]
+        plant.advance(command)
+    return trace
+
+
+def _equal(one: list[np.ndarray], other: list[np.ndarray]) -> bool:
+    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_same_seed_same_run_bit_for_bit(name: str) -> None:
+    plant = make_plant(name, sensors="slam", seed=7)
+    first = _trace(plant)
+    assert _equal(first, _trace(make_plant(name, sensors="slam", seed=7)))
+    plant.reset([0.0, 0.0, 0.0])
+    assert _equal(first, _trace(plant))
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_seeds_differ(name: str) -> None:
+    assert not _equal(_trace(make_plant(name, seed=1)), _trace(make_plant(name, seed=2)))
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_protocol_of_time_and_sent_commands(name: str) -> None:
+    plant = make_plant(name)
+    assert isinstance(plant.sample_time, float)
+    plant.reset([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(plant.true_pose, [1.0, 2.0, 3.0])
+    assert plant.time == 0.0
+    assert plant.measure().sent is None
+    plant.advance([0.2, -0.1])
+    assert plant.time == DT
+    assert plant.measure().sent == (0.2, -0.1)
+    plant.advance([9.0, -9.0])
+    limits = load_robot().limits
+    assert plant.measure().sent == (limits.v, -limits.omega)
+
+
+@pytest.mark.parametrize("name", PLANTS)
+@pytest.mark.parametrize("command", [[0.1], [0.1, 0.2, 0.3], [np.nan, 0.0], [0.0, np.inf]])
+def test_bad_command_is_refused(name: str, command: list[float]) -> None:
+    plant = make_plant(name)
+    with pytest.raises(ValueError, match="give two finite numbers"):
+        plant.advance(command)
+    assert plant.time == 0.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"name": "gazebo"}, "unknown plant 'gazebo': give 'mujoco' or 'model:NAME'"),
+        ({"name": "model:smm"}, "unknown model 'smm'"),
+        ({"name": "mujoco", "surface": "slipery"}, "did you mean 'slippery'"),
+        ({"name": "mujoco", "surface": "sand"}, "unknown surface 'sand': give one of default, grippy, ideal, slippery"),
+        ({"name": "mujoco", "surface": "ideal"}, "surface 'ideal' has no friction"),
+        ({"name": "mujoco", "sensors": "gps"}, "unknown sensor set 'gps': give one of default, perfect, slam"),
+        ({"name": "mujoco", "seed": -1}, "seed -1"),
+        ({"name": "mujoco", "extra_dead_time": 0.1}, "extra_dead_time is for 'model:' plants"),
+        ({"name": "model:ssm", "extra_dead_time": -0.1}, "must not be negative"),
+    ],
+)
+def test_bad_arguments_give_one_clear_line(arguments: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        make_plant(**arguments)  # type: ignore[arg-type]
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_surface_and_sensors_can_be_the_users_files(tmp_path: Path) -> None:
+    surface = tmp_path / "ice.yaml"
+    surface.write_text("friction: -0.1\nslip: {yaw_gain: 1, wheel_yaw_gain: 1, longitudinal_gain: 1, side_slip: 0}\n")
+    with pytest.raises(ConfigError, match=r"ice\.yaml: friction"):
+        make_plant("mujoco", surface=surface)
+    surface.write_text(surface.read_text().replace("-0.1", "0.1"))
+    assert make_plant("mujoco", surface=surface).time == 0.0
+
+
+def test_import_of_sim_does_not_load_mujoco() -> None:
+    code = (
+        "import sys, sim.make, sim.surface, sim.drives; sim.make_plant('model:ssm'); sys.exit('mujoco' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def _simulated(extra_dead_time: float, commands: np.ndarray) -> np.ndarray:
+    model = load_model("ssm").with_extra_dead_time([extra_dead_time] * 2).discretise(DT)
+    return model.simulate(commands)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 1000), extra_dead_time=st.floats(0.0, 0.1))
+def test_model_plant_without_slip_is_its_model(seed: int, extra_dead_time: float) -> None:
+    commands = random_drive(seed, duration=2.0)
+    slip = load_surface("ideal").slip
+    log = record(ModelPlant(load_model("ssm"), slip, PERFECT, extra_dead_time=extra_dead_time), commands)
+    expected = _simulated(extra_dead_time, commands)
+    np.testing.assert_allclose(log.output, expected, atol=1e-12)
+    np.testing.assert_allclose(log.wheel_twist, expected, atol=1e-12)
+    mean = 0.5 * (expected[1:] + expected[:-1])
+    pose = np.zeros(3)
+    for k, (v, omega) in enumerate(mean):
+        pose = integrate_pose(pose, v, omega, DT)
+        np.testing.assert_allclose(log.true_pose[k + 1], pose, atol=1e-12)
+
+
+def _slipping(**changes: float) -> Log:
+    slip = Slip(**{"yaw_gain": 1.0, "wheel_yaw_gain": 1.0, "longitudinal_gain": 1.0, "side_slip": 0.0} | changes)
+    return record(ModelPlant(load_model("ssm"), slip, PERFECT), random_drive(6, duration=4.0))
+
+
+def test_slip_of_the_model_plant() -> None:
+    plain = _slipping()
+    v, omega = plain.output.T
+    slipped = _slipping(yaw_gain=0.9, wheel_yaw_gain=0.6, longitudinal_gain=0.95, side_slip=0.05)
+    np.testing.assert_allclose(slipped.true_twist[:, 0], 0.95 * v)
+    np.testing.assert_allclose(slipped.true_twist[:, 2], 0.9 * omega)
+    np.testing.assert_allclose(slipped.true_twist[:, 1], -0.05 * 0.95 * v * 0.9 * omega)
+    np.testing.assert_allclose(slipped.yaw_rate, 0.9 * omega, atol=1e-12)
+    np.testing.assert_allclose(slipped.wheel_twist, np.column_stack([v, 0.9 / 0.6 * omega]), atol=1e-12)
+
+
+def test_side_slip_moves_the_body_sideways() -> None:
+    """On a steady circle a side-slip turns the direction of travel outward by atan(side slip * omega)."""
+    slip = Slip(yaw_gain=1.0, wheel_yaw_gain=1.0, longitudinal_gain=1.0, side_slip=0.1)
+    log = record(ModelPlant(load_model("ssm"), slip, PERFECT), np.tile([0.5, 0.8], (300, 1)))
+    step = np.diff(log.true_pose[150:], axis=0)
+    heading = 0.5 * (log.true_pose[150:-1, 2] + log.true_pose[151:, 2])
+    course = np.unwrap(np.arctan2(step[:, 1], step[:, 0]) - heading)
+    omega = log.true_twist[150:-1, 2]
+    np.testing.assert_allclose(np.remainder(course + np.pi, 2 * np.pi) - np.pi, -np.arctan(0.1 * omega), atol=1e-4)
+
+
+def test_delivered_pose_between_ticks_lies_on_the_path() -> None:
+    """Poses at 10 Hz fall between ticks: on a steady circle they must lie on that circle all the same."""
+    exact_slam = PERFECT.model_copy(update={"pose": PERFECT.pose.model_copy(update={"period": 0.1, "latency": 0.06})})
+    plant = ModelPlant(load_model("ssm"), load_surface("ideal").slip, exact_slam)
+    truth, seen = [], []
+    for _ in range(300):
+        measurement = plant.measure()
+        truth.append([plant.time, *plant.true_pose])
+        if measurement.pose is not None:
+            seen.append([measurement.pose.time, *np.asarray(measurement.pose.value)[:2]])
+        plant.advance([0.4, 0.6])
+    times, xy = np.array(truth)[:, 0], np.array(truth)[:, 1:3]
+    late = np.array([row for row in seen if row[0] > 0])
+    assert len(late) > 50
+    for column in (0, 1):
+        # Chord against arc over one sample: v omega dt^2 / 8 = 1.2e-5 m.
+        np.testing.assert_allclose(late[:, 1 + column], np.interp(late[:, 0], times, xy[:, column]), atol=2e-5)
