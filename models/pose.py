@@ -55,19 +55,30 @@ def integrate_pose(pose: ArrayLike, v: ArrayLike, omega: ArrayLike, dt: float) -
     )
 
 
-def arc_jacobians(theta: float, v: float, omega: float, dt: float) -> tuple[FloatArray, FloatArray]:
-    """Gradient of one arc: (3, 3) with respect to the pose it starts from, and (3, 2) with respect to (v, omega)."""
+def linearised_arc(pose: FloatArray, v: float, omega: float, dt: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """One arc with its gradient, for a single pose: quicker than `integrate_pose`, and the same numbers.
+
+    Returns
+    -------
+    tuple
+        The pose (3,) after `dt`, its gradient (3, 3) with respect to the pose before, and its gradient (3, 2) with
+        respect to (v, omega).
+    """
+    x, y, theta = pose
     half = 0.5 * omega * dt
     if abs(half) < _SERIES_LIMIT:
-        sinc, slope = 1 - half * half / 6, -half / 3 * (1 - half * half / 10)
+        square = half * half
+        sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
+        slope = -half / 3 * (1 - square / 10 * (1 - square / 28))
     else:
         sinc = math.sin(half) / half
         slope = (math.cos(half) - sinc) / half
     c, s, chord = math.cos(theta + half), math.sin(theta + half), v * dt * sinc
     turn, stretch = 0.5 * dt * chord, 0.5 * dt * v * dt * slope
+    after = np.array([x + chord * c, y + chord * s, theta + omega * dt])
     by_pose = np.array([[1.0, 0.0, -chord * s], [0.0, 1.0, chord * c], [0.0, 0.0, 1.0]])
     by_twist = np.array([[dt * sinc * c, stretch * c - turn * s], [dt * sinc * s, stretch * s + turn * c], [0.0, dt]])
-    return by_pose, by_twist
+    return after, by_pose, by_twist
 
 
 @cache

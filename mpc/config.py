@@ -11,9 +11,13 @@ from typing import Annotated
 from pydantic import Field
 
 from models.checked_yaml import StrictModel
+from models.robot import load_robot
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+
+# Limits and sample time default to those of the shipped robot file.
+_ROBOT = load_robot()
 
 
 class ExtraDeadTime(StrictModel):
@@ -27,8 +31,8 @@ class ExtraDeadTime(StrictModel):
 class Weights(StrictModel):
     """Weights of the quadratic cost, each summed over the steps of the horizon."""
 
-    along: NotNegative = Field(60.0, description="squared position error along the path [1/m^2]")
-    across: NotNegative = Field(120.0, description="squared position error across the path [1/m^2]")
+    along: NotNegative = Field(100.0, description="squared position error along the path [1/m^2]")
+    across: NotNegative = Field(300.0, description="squared position error across the path [1/m^2]")
     heading: NotNegative = Field(6.0, description="squared heading error [1/rad^2]")
     v: NotNegative = Field(1.0, description="squared deviation of v_ref from its feed-forward [s^2/m^2]")
     omega: NotNegative = Field(0.3, description="squared deviation of omega_ref from its feed-forward [s^2/rad^2]")
@@ -44,14 +48,15 @@ class Weights(StrictModel):
 class Limits(StrictModel):
     """Hard limits of the command, and soft limits of what the model predicts."""
 
-    v: Positive = Field(1.5, description="hard: |v_ref| [m/s]")
-    omega: Positive = Field(2.0, description="hard: |omega_ref| [rad/s]")
-    v_slew: Positive = Field(2.0, description="hard: rate of change of v_ref [m/s^2]")
-    omega_slew: Positive = Field(6.0, description="hard: rate of change of omega_ref [rad/s^2]")
+    v: Positive = Field(_ROBOT.limits.v, description="hard: |v_ref| [m/s]")
+    omega: Positive = Field(_ROBOT.limits.omega, description="hard: |omega_ref| [rad/s]")
+    v_slew: Positive = Field(_ROBOT.command_slew.v, description="hard: rate of change of v_ref [m/s^2]")
+    omega_slew: Positive = Field(_ROBOT.command_slew.omega, description="hard: rate of change of omega_ref [rad/s^2]")
     predicted_v: Positive = Field(1.6, description="soft: predicted |v| [m/s]")
     predicted_omega: Positive = Field(2.2, description="soft: predicted |omega| [rad/s]")
     wheel_speed: Positive = Field(
-        2.2, description="soft: speed of the left and right wheels at the rim, from the predicted twist [m/s]"
+        _ROBOT.limits.wheel_speed * _ROBOT.wheel_radius,
+        description="soft: speed of the left and right wheels at the rim, from the predicted twist [m/s]",
     )
     corridor: Positive = Field(0.5, description="soft: predicted distance from the path to either side [m]")
 
@@ -60,7 +65,7 @@ class Wheels(StrictModel):
     """What turns the predicted twist into wheel speeds."""
 
     track: Positive = Field(
-        0.6,
+        0.4,
         description="track by which the robot's firmware turns a yaw rate into wheel speeds; on a skid-steer it is "
         "wider than the geometric one [m]",
     )
@@ -89,12 +94,14 @@ class Estimator(StrictModel):
     omega_input_noise: Positive = Field(0.1, description="what the model gets wrong, as noise on omega_ref [rad/s]")
     v_offset_drift: Positive = Field(0.1, description="random walk of the v offset [m/s per sqrt(s)]")
     omega_offset_drift: Positive = Field(0.2, description="random walk of the omega offset [rad/s per sqrt(s)]")
-    position_drift: Positive = Field(0.005, description="random walk of the position beside the model [m per sqrt(s)]")
+    position_drift: Positive = Field(0.02, description="random walk of the position beside the model [m per sqrt(s)]")
     heading_drift: Positive = Field(0.005, description="random walk of the heading beside the model [rad per sqrt(s)]")
     history: Annotated[float, Field(ge=0.05, le=5)] = Field(
         0.4, description="how late a pose may arrive and still be applied at its stamp [s]"
     )
-    max_wheel_speed: Positive = Field(5.0, description="a forward speed from the encoders beyond this is rejected [m/s]")
+    max_wheel_speed: Positive = Field(
+        5.0, description="a forward speed from the encoders beyond this is rejected [m/s]"
+    )
     max_yaw_rate: Positive = Field(10.0, description="a yaw rate of the gyro beyond this is rejected [rad/s]")
     max_position_jump: Positive = Field(0.3, description="a pose further than this from the prediction is rejected [m]")
     max_heading_jump: Positive = Field(
@@ -116,9 +123,7 @@ class Finish(StrictModel):
     """When the end of the reference counts as reached."""
 
     position: Positive = Field(0.02, description="distance to the end pose [m]")
-    speed: Positive = Field(
-        0.02, description="estimated |v| and |omega| below which the robot is at rest [m/s, rad/s]"
-    )
+    speed: Positive = Field(0.02, description="estimated |v| and |omega| below which the robot is at rest [m/s, rad/s]")
     timeout: NotNegative = Field(
         2.0, description="time after the end of the reference at which it is finished anyway [s]"
     )
@@ -128,7 +133,9 @@ class ControllerConfig(StrictModel):
     """Everything that one controller needs beside the reference."""
 
     model: str = Field("ssm", min_length=1, description="velocity model: mbm, sm, ssm or the path of a model file [-]")
-    sample_time: Annotated[float, Field(ge=0.001, le=0.5)] = Field(0.0202, description="time between two ticks [s]")
+    sample_time: Annotated[float, Field(ge=0.001, le=0.5)] = Field(
+        _ROBOT.sample_time, description="time between two ticks [s]"
+    )
     horizon: Annotated[int, Field(ge=1, le=200)] = Field(30, description="steps that the controller looks ahead [-]")
     extra_dead_time: ExtraDeadTime = ExtraDeadTime()
     weights: Weights = Weights()

@@ -8,7 +8,7 @@ import numpy as np
 
 from models.discrete_model import DiscreteModel
 from models.interface import FloatArray
-from models.pose import arc_jacobians, integrate_pose, wrap_angle
+from models.pose import linearised_arc, wrap_angle
 from mpc.config import Estimator
 
 
@@ -62,11 +62,11 @@ class VelocityPoseFilter:
         state = model.A @ z[:n] + model.B0 @ recent + model.B1 @ older
         offset = z[n : n + 2]
         v, omega = 0.5 * (model.C @ (z[:n] + state)) + offset
-        by_pose, by_twist = arc_jacobians(z[-1], v, omega, model.dt)
+        pose, by_pose, by_twist = linearised_arc(z[n + 2 :], v, omega, model.dt)
         F = self._transition
         F[n + 2 :, : n + 2] = by_twist @ self._mean_twist
         F[n + 2 :, n + 2 :] = by_pose
-        mean = np.concatenate([state, offset, integrate_pose(z[n + 2 :], v, omega, model.dt)])
+        mean = np.concatenate([state, offset, pose])
         return Belief(mean, F @ belief.covariance @ F.T + self._noise)
 
     def correct_twist(self, belief: Belief, values: FloatArray, variances: FloatArray, rows: list[int]) -> Belief:
@@ -77,16 +77,16 @@ class VelocityPoseFilter:
     def pose_at(self, belief: Belief, ahead: float) -> FloatArray:
         """(3,) the pose `ahead` seconds after the belief, at constant twist."""
         v, omega = self._twist @ belief.mean
-        return integrate_pose(belief.mean[-3:], v, omega, ahead)
+        return linearised_arc(belief.mean[-3:], v, omega, ahead)[0]
 
     def correct_pose(self, belief: Belief, pose: FloatArray, covariance: FloatArray, ahead: float) -> Belief:
         """Take in a pose (3,) that was true `ahead` seconds after the belief."""
         n = self._n
         v, omega = self._twist @ belief.mean
-        by_pose, by_twist = arc_jacobians(belief.mean[-1], v, omega, ahead)
+        expected, by_pose, by_twist = linearised_arc(belief.mean[n + 2 :], v, omega, ahead)
         H = by_twist @ self._twist
         H[:, n + 2 :] = by_pose
-        innovation = pose - self.pose_at(belief, ahead)
+        innovation = pose - expected
         innovation[2] = wrap_angle(innovation[2])
         return _correct(belief, H, innovation, covariance)
 

@@ -34,6 +34,9 @@ _STATUS = {
 # A soft limit exceeded by less than this counts as kept: it is the size of the solver's own residuals.
 _SOFT_SLACK = 1e-6
 
+# OSQP takes bounds beyond 1e30 for none, and refuses such an update without raising: it would solve the old problem.
+_LARGEST = 1e15
+
 Kinds = tuple[int, ...]
 """Which of the five kinds of soft limit a problem includes, ascending."""
 
@@ -70,7 +73,8 @@ class OsqpSolver:
 
     def solve(self, qp: QuadraticProgram, guess: FloatArray) -> Solution:
         """Solve, starting from the plan `guess` (N, 2). Never raises on numbers: see the report's status."""
-        if not (np.isfinite(qp.g).all() and np.isfinite(qp.H).all() and np.isfinite(qp.soft_upper).all()):
+        # Written so that NaN fails the comparison.
+        if not all((np.abs(data) < _LARGEST).all() for data in (qp.H, qp.g, qp.box, qp.last_command, qp.soft_upper)):
             return Solution(guess, SolverReport(SolverStatus.NOT_FINITE))
         iterations, kinds = 0, self._kinds
         while True:

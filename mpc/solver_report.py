@@ -16,7 +16,7 @@ class SolverStatus(StrEnum):
     INFEASIBLE = "the problem has no solution"
     UNBOUNDED = "the problem is unbounded"
     NOT_CONVEX = "the problem is not convex"
-    NOT_FINITE = "the problem's data are not finite"
+    NOT_FINITE = "the problem's data are not finite, or too large to be real"
     REFUSED = "the solver refused the problem's data"
     NOT_RUN = "the solver did not run"
 

@@ -122,7 +122,7 @@ def identify_two_poles(experiments: Sequence[Experiment], dead_time: float | Non
             )
             if best is None or result.cost < best.cost:
                 best = result
-    assert best is not None  # noqa: S101 - the lists of starting points are not empty
+    assert best is not None
     transfer, delay = _unpack(best.x, dead_time)
     return TwoPolesFit(transfer, delay, pooled_fit_percent(measured, simulations(best.x)))
 
