@@ -1,0 +1,1 @@
+"""What compares: the command line, experiments, peers, tables, figures and the report."""

@@ -1,0 +1,46 @@
+"""The command line `diffdrive-mpc`. Commands live in `bench.commands`, and import what they need when they run."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from bench.commands import bench, simulate
+from bench.commands.config import config_app
+from bench.commands.models import models_app
+from bench.commands.one_line_errors import OneLineErrors
+
+app = typer.Typer(
+    cls=OneLineErrors,
+    no_args_is_help=True,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Model-predictive trajectory tracking for skid-steer and differential-drive robots.",
+)
+app.command("simulate", epilog=simulate.EXAMPLE)(simulate.simulate)
+app.command("bench", epilog=bench.EXAMPLE)(bench.bench)
+app.add_typer(config_app, name="config")
+app.add_typer(models_app, name="models")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"diffdrive-mpc {version('diffdrive-mpc')}")
+        raise typer.Exit
+
+
+@app.callback(epilog="Example: diffdrive-mpc bench --quick --out results")
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Model-predictive trajectory tracking for skid-steer and differential-drive robots."""
+
+
+def main() -> None:
+    """Entry point of the console command."""
+    app(prog_name="diffdrive-mpc")

@@ -1,0 +1,1 @@
+"""One module for each command of the command line; what a command needs is imported when it runs."""

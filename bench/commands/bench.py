@@ -1,0 +1,55 @@
+"""`diffdrive-mpc bench`: compare models on trajectories and write the report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bench.commands.options import ConfigFile
+
+EXAMPLE = "Example: diffdrive-mpc bench --out results --models ssm --set weights.across=60,120,240"
+
+
+def bench(
+    *,
+    out: Annotated[Path, typer.Option(help="Folder for bench.json, bench.md and figures/.")],
+    models: Annotated[
+        str | None, typer.Option(help="Velocity models: names or paths.", show_default="mbm,sm,ssm, or --config's")
+    ] = None,
+    trajectories: Annotated[
+        str | None, typer.Option(help="Trajectories: names or paths.", show_default="circle,square,s,cane")
+    ] = None,
+    seeds: Annotated[
+        str | None, typer.Option(metavar="N|LIST", help="How many seeds, or a list of them.", show_default="5")
+    ] = None,
+    controllers: Annotated[str | None, typer.Option("--controller", help="mpc,kanayama", show_default="mpc")] = None,
+    plants: Annotated[str | None, typer.Option("--plant", help="mujoco, model:NAME.", show_default="mujoco")] = None,
+    surfaces: Annotated[
+        str | None, typer.Option("--surface", help="Surfaces of the mujoco plant.", show_default="default")
+    ] = None,
+    sensors: Annotated[str | None, typer.Option(help="Sensor sets.", show_default="default")] = None,
+    config: ConfigFile = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=V1,V2,...", help="Sweep a configuration value; repeatable."),
+    ] = None,
+    horizons: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LIST|none",
+            help="Horizons to sweep in steps.",
+            show_default="5,10,15,20,30,50; none with --set or --quick",
+        ),
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes.", show_default="one for each core")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="One seed and no horizon sweep.")] = False,
+) -> None:
+    """Compare controllers on trajectories. Options that name several things take them with commas between."""
+    from bench.compare import Choices, compare  # noqa: PLC0415 - --help and other commands do without it
+
+    choices = Choices(
+        controllers, models, trajectories, seeds, plants, surfaces, sensors, horizons, config, settings or [], quick
+    )
+    compare(choices, out, jobs)

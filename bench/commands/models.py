@@ -1,0 +1,78 @@
+"""`diffdrive-mpc models`: what velocity models there are and what they say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+models_app = typer.Typer(no_args_is_help=True, help="List, show and check velocity models.")
+
+
+@models_app.command("list", epilog="Example: diffdrive-mpc models list")
+def list_models() -> None:
+    """List the shipped models with their order, lags, gains and origin."""
+    from bench.model_report import print_models  # noqa: PLC0415 - --help does without it
+
+    print_models()
+
+
+@models_app.command(epilog="Example: diffdrive-mpc models show ssm")
+def show(name: Annotated[str, typer.Argument(metavar="NAME|FILE", help="mbm, sm, ssm, or a model file.")]) -> None:
+    """Show one model: matrices, poles, gains, dead times, and where the numbers come from."""
+    from bench.model_report import print_model  # noqa: PLC0415
+
+    print_model(name)
+
+
+@models_app.command(epilog="Example: diffdrive-mpc models check my_robot.yaml")
+def check(file: Annotated[str, typer.Argument(metavar="FILE", help="A model file.")]) -> None:
+    """Check a model file: keys, stability, gains and units."""
+    from models.load import load_model  # noqa: PLC0415
+
+    model = load_model(file)
+    typer.echo(f"{file}: valid, {model.structure.upper()} '{model.name}' with {model.order} states")
+
+
+@models_app.command(epilog="Example: diffdrive-mpc models fit --out my_models")
+def fit(
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for mbm.yaml and sm.yaml; by default the shipped ones.", show_default=False),
+    ] = None,
+) -> None:
+    """Identify MBM and SM again, from the papers' experiments run on the simulated robot."""
+    from bench.console import output_console  # noqa: PLC0415
+    from bench.model_fitting import fit_models  # noqa: PLC0415
+    from models.load import PARAMETERS  # noqa: PLC0415
+
+    console = output_console()
+    with console.status("experiments and identification (about a minute)"):
+        table = fit_models(out or PARAMETERS)
+    console.print(table.rich())
+
+
+@models_app.command(epilog="Example: diffdrive-mpc models calibrate --out my_firmware.yaml")
+def calibrate(
+    out: Annotated[
+        Path | None, typer.Option(help="Parameter file to write; by default the shipped one.", show_default=False)
+    ] = None,
+    check: Annotated[
+        bool,
+        typer.Option("--check", help="Only report how well the shipped calibration predicts drives held out from it."),
+    ] = False,
+) -> None:
+    """Fit the simulated robot's firmware so that the published SSM predicts what it measures."""
+    from bench.calibration_report import calibration_table  # noqa: PLC0415
+    from bench.console import output_console  # noqa: PLC0415
+    from sim.calibration import calibrate as fit_firmware  # noqa: PLC0415
+    from sim.twin_parameters import FIRMWARE_FILE, load_firmware  # noqa: PLC0415
+
+    console = output_console()
+    if check:
+        console.print(calibration_table(load_firmware()).rich())
+        return
+    with console.status("calibration (a few minutes)"):
+        firmware = fit_firmware(out or FIRMWARE_FILE)
+    console.print(calibration_table(firmware).rich())

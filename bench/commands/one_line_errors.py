@@ -1,0 +1,61 @@
+"""Turn mistakes of the user into one line on stderr and an exit code."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+from bench.errors import NotReproducibleError
+
+BAD_INPUT = 2
+"""Exit code for input that cannot be used."""
+FAILED = 1
+"""Exit code for anything else that went wrong."""
+
+OPTIONAL_PACKAGES = {"mujoco": "install diffdrive-mpc[sim], or use --plant model:ssm"}
+"""Packages that only some commands need, and what to do without them."""
+
+
+class OneLineErrors(TyperGroup):
+    """A group of commands whose bad input ends in `error: ...` and exit code 2, without a traceback.
+
+    Bad input is what the packages raise as ValueError (ConfigError and ModelError are such), what the system refuses
+    (OSError), and what the parser of the command line rejects. Anything else is a fault and shows its traceback.
+    """
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - the signature of the base class
+        """Parse the command line, run the command and exit."""
+        kwargs["standalone_mode"] = False
+        try:
+            code = super().main(*args, **kwargs)
+        except typer.Abort:
+            _complain("aborted")
+            sys.exit(FAILED)
+        except NotReproducibleError as error:
+            _complain(str(error))
+            sys.exit(FAILED)
+        except ModuleNotFoundError as error:
+            if error.name not in OPTIONAL_PACKAGES:
+                raise
+            _complain(f"the package '{error.name}' is not installed; {OPTIONAL_PACKAGES[error.name]}")
+            sys.exit(FAILED)
+        except (ValueError, OSError) as error:
+            _complain(str(error))
+            sys.exit(BAD_INPUT)
+        except Exception as error:
+            # The parser's own errors have no public base class that all versions of typer share.
+            if not hasattr(error, "format_message"):
+                raise
+            if type(error).__name__ == "NoArgsIsHelpError":
+                typer.echo(error.format_message())
+            else:
+                _complain(f"{error.format_message().rstrip('.')}; see --help")
+            sys.exit(BAD_INPUT)
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+def _complain(message: str) -> None:
+    typer.echo(f"error: {' '.join(message.split())}", err=True)

@@ -1,0 +1,50 @@
+"""`diffdrive-mpc simulate`: run one case, show it, draw it, log it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bench.commands.options import ConfigFile
+
+EXAMPLE = "Example: diffdrive-mpc simulate --model ssm --trajectory square --set horizon=20 --out results"
+
+
+def simulate(
+    *,
+    trajectory: Annotated[str, typer.Option(help="circle, square, s, cane, or the path of a file.")] = "circle",
+    model: Annotated[
+        str | None,
+        typer.Option(help="Velocity model: mbm, sm, ssm, or the path of a file.", show_default="ssm, or --config's"),
+    ] = None,
+    controller: Annotated[str, typer.Option(help="mpc, or the peer kanayama.")] = "mpc",
+    plant: Annotated[str, typer.Option(help="mujoco, or model:NAME.")] = "mujoco",
+    surface: Annotated[str, typer.Option(help="Surface of the mujoco plant.")] = "default",
+    sensors: Annotated[str, typer.Option(help="Sensor set.")] = "default",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the noise; the same seed gives the same run.")] = 0,
+    config: ConfigFile = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Replace a configuration value; repeatable."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for figures.", show_default=False)] = None,
+    log: Annotated[Path | None, typer.Option(help="CSV file for the log of the run.", show_default=False)] = None,
+) -> None:
+    """Run one closed loop and print how well it tracked; --out draws it, --log writes it as CSV."""
+    from bench.simulate import simulate_one  # noqa: PLC0415 - --help and other commands do without it
+
+    simulate_one(
+        controller=controller,
+        model=model,
+        trajectory=trajectory,
+        plant=plant,
+        surface=surface,
+        sensors=sensors,
+        seed=seed,
+        config=config,
+        settings=settings or [],
+        out=out,
+        log=log,
+    )

@@ -1,0 +1,94 @@
+"""The configuration schema and configurations as text, all from the one schema in `mpc.config`."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import yaml
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from bench.console import output_console
+from bench.table import Table
+from mpc.config import ControllerConfig
+
+_BOUNDS = {Gt: ("gt", ">"), Ge: ("ge", ">="), Lt: ("lt", "<"), Le: ("le", "<=")}
+"""Attribute and sign of each kind of bound."""
+
+
+@dataclass(frozen=True)
+class FieldRow:
+    """One key of the schema as text."""
+
+    key: str
+    default: str
+    unit: str
+    range: str
+    help: str
+
+
+def json_schema() -> str:
+    """The JSON schema of the configuration file."""
+    return json.dumps(ControllerConfig.model_json_schema(), indent=2)
+
+
+def print_schema() -> None:
+    """Print the schema as a table; a pipe gets it wide enough that nothing is broken."""
+    rows = tuple((row.key, row.default, row.unit, row.range, row.help) for row in schema_rows())
+    table = Table("Controller configuration", ("key", "default", "unit", "range", "meaning"), rows, text_columns=5)
+    output_console(width_elsewhere=240).print(table.rich())
+
+
+def schema_rows(schema: type[BaseModel] = ControllerConfig, prefix: str = "") -> list[FieldRow]:
+    """Every key of `schema`, groups resolved into dotted keys."""
+    rows = []
+    for name, field in schema.model_fields.items():
+        group = _group(field)
+        if group is not None:
+            rows += schema_rows(group, f"{prefix}{name}.")
+        else:
+            text, unit = _help_and_unit(field)
+            rows.append(FieldRow(prefix + name, _scalar(field.default), unit, _range(field), text))
+    return rows
+
+
+def commented_yaml(config: BaseModel) -> str:
+    """A configuration with all its values as YAML, each with its meaning as a comment."""
+    return "\n".join(_yaml_lines(config, "")) + "\n"
+
+
+def _yaml_lines(config: BaseModel, indent: str) -> Iterator[str]:
+    for name, field in type(config).model_fields.items():
+        value = getattr(config, name)
+        if isinstance(value, BaseModel):
+            yield f"{indent}{name}:"
+            yield from _yaml_lines(value, indent + "  ")
+        else:
+            comment = f"  # {field.description}" if field.description else ""
+            yield f"{indent}{name}: {_scalar(value)}{comment}"
+
+
+def _scalar(value: object) -> str:
+    """A value as YAML writes it, on one line."""
+    text = yaml.safe_dump(value, default_flow_style=True, width=10_000, allow_unicode=True)
+    return text.removesuffix("\n").removesuffix("\n...")
+
+
+def _group(field: FieldInfo) -> type[BaseModel] | None:
+    kind = field.annotation
+    return kind if isinstance(kind, type) and issubclass(kind, BaseModel) else None
+
+
+def _help_and_unit(field: FieldInfo) -> tuple[str, str]:
+    """Split "what it is [unit]"; without brackets at the end there is no unit."""
+    found = re.fullmatch(r"(.*?)\s*\[([^\[\]]*)\]", field.description or "", flags=re.DOTALL)
+    return (found[1], found[2]) if found else (field.description or "", "")
+
+
+def _range(field: FieldInfo) -> str:
+    bounds = [(_BOUNDS[type(m)], m) for m in field.metadata if type(m) in _BOUNDS]
+    return ", ".join(f"{sign} {getattr(bound, name):g}" for (name, sign), bound in bounds)

@@ -1,0 +1,75 @@
+"""What a figure was measured on, without anything that names a host, a user or a path."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from bench.runner import available_cores
+
+PACKAGES = ("numpy", "scipy", "casadi", "osqp", "mujoco", "control", "joblib")
+"""Packages whose version can change a figure."""
+
+
+def describe_machine() -> dict[str, object]:
+    """Processor, cores, system, Python and packages."""
+    return {
+        "cpu": _processor(),
+        "cores": available_cores(),
+        "os": _system(),
+        "python": platform.python_version(),
+        "packages": {name: _version(name) for name in PACKAGES},
+    }
+
+
+def project_version() -> str:
+    """Version of this project."""
+    return _version("diffdrive-mpc")
+
+
+def git_revision() -> str | None:
+    """Revision of the checkout that this code runs from, with a plus sign where files were changed; None elsewhere."""
+    root = Path(__file__).resolve().parents[1]
+    top = _git("rev-parse", "--show-toplevel")
+    revision = _git("rev-parse", "--short=12", "HEAD")
+    if not revision or not top or Path(top).resolve() != root:
+        return None
+    return revision + ("+" if _git("status", "--porcelain", "--untracked-files=no") else "")
+
+
+def _git(*arguments: str) -> str:
+    try:
+        done = subprocess.run(
+            ["git", *arguments], cwd=Path(__file__).parent, capture_output=True, text=True, timeout=10, check=True
+        )
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return done.stdout.strip()
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _processor() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.is_file():
+        for line in cpuinfo.read_text(encoding="utf-8").splitlines():
+            key, _, value = line.partition(":")
+            if key.strip() == "model name":
+                return value.strip()
+    return platform.processor() or platform.machine()
+
+
+def _system() -> str:
+    try:
+        name = platform.freedesktop_os_release().get("PRETTY_NAME", "")
+    except OSError:
+        name = ""
+    kernel = f"{platform.system()} {platform.release()}"
+    return f"{name} ({kernel})" if name else kernel

@@ -1,0 +1,61 @@
+"""Velocity models as text for the terminal."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.console import output_console
+from bench.table import Table
+from models.load import MODEL_NAMES, load_model
+from models.velocity_model import VelocityModel
+
+
+def print_models() -> None:
+    """Print one row for each shipped model."""
+    rows = []
+    for name in MODEL_NAMES:
+        model = load_model(name)
+        gain, lag = model.dc_gain, model.lag
+        rows.append(
+            (
+                name,
+                str(model.provenance.get("origin", "")),
+                str(model.order),
+                f"{gain[0, 0]:.3f}",
+                f"{gain[1, 1]:.3f}",
+                f"{1e3 * lag[0]:.0f}",
+                f"{1e3 * lag[1]:.0f}",
+            )
+        )
+    columns = ("model", "origin", "states", "gain v [-]", "gain omega [-]", "lag v [ms]", "lag omega [ms]")
+    note = "Lag: mean delay from command to output, dead time included. More: diffdrive-mpc models show NAME"
+    output_console().print(Table("Velocity models", columns, tuple(rows), text_columns=2, note=note).rich())
+
+
+def print_model(name: str) -> None:
+    """Print everything about one model; raises ConfigError or ModelError when it cannot be loaded."""
+    output_console().print(model_text(load_model(name)), markup=False, highlight=False, soft_wrap=True)
+
+
+def model_text(model: VelocityModel) -> str:
+    """Matrices, poles, gains and provenance as lines of text."""
+    poles = sorted(model.poles, key=lambda pole: (-pole.real, pole.imag))
+    lines = [
+        f"{model.name} ({model.structure.upper()}, {model.order} states)",
+        f"dead time [s]      v {model.dead_time[0]:.4g}, omega {model.dead_time[1]:.4g}",
+        f"lag [s]            v {model.lag[0]:.4g}, omega {model.lag[1]:.4g}",
+        f"poles [rad/s]      {', '.join(_pole(pole) for pole in poles)}",
+    ]
+    for label, matrix in (("dc gain", model.dc_gain), ("A", model.A), ("B", model.B), ("C", model.C)):
+        rows = np.array2string(matrix, precision=5, suppress_small=True, max_line_width=100).splitlines()
+        lines += [f"{label if i == 0 else '':<18} {row}" for i, row in enumerate(rows)]
+    lines += [f"{key:<18} {_text(value)}" for key, value in model.provenance.items() if value]
+    return "\n".join(lines)
+
+
+def _pole(pole: complex) -> str:
+    return f"{pole.real:.4g}" if abs(pole.imag) < 1e-9 else f"{pole.real:.4g}{pole.imag:+.4g}j"
+
+
+def _text(value: object) -> str:
+    return "; ".join(map(str, value)) if isinstance(value, (list, tuple)) else " ".join(str(value).split())

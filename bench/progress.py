@@ -1,0 +1,68 @@
+"""A progress bar that does not disturb what it watches."""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+if TYPE_CHECKING:
+    from typing import Self
+
+_REFRESH_PERIOD = 0.2
+
+
+class ProgressBar:
+    """A bar on stderr, drawn by the caller's own thread: a drawing thread would disturb measured step times.
+
+    Parameters
+    ----------
+    text
+        What is going on.
+    total
+        How many steps there will be; it may become known later.
+    """
+
+    def __init__(self, text: str, total: int | None = None) -> None:
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        console = Console(stderr=True)
+        self._progress = Progress(
+            *columns, console=console, auto_refresh=False, transient=True, disable=not console.is_terminal
+        )
+        self._task = self._progress.add_task(text, total=total)
+        self._drawn = 0.0
+
+    def __enter__(self) -> Self:
+        """Show the bar."""
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Remove the bar."""
+        self._progress.stop()
+
+    def at(self, done: int, total: int) -> None:
+        """Say how far it is."""
+        self._progress.update(self._task, completed=done, total=total)
+        self._draw()
+
+    def advance(self) -> None:
+        """One step more is done."""
+        self._progress.advance(self._task)
+        self._draw()
+
+    def begin(self, text: str, total: int) -> None:
+        """Start over with another activity."""
+        self._progress.update(self._task, description=text, completed=0, total=total)
+        self._progress.refresh()
+
+    def _draw(self) -> None:
+        now = time.monotonic()
+        if now - self._drawn >= _REFRESH_PERIOD:
+            self._drawn = now
+            self._progress.refresh()

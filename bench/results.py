@@ -1,0 +1,169 @@
+"""Outcomes as plain rows and as `bench.json`, and the means that tables and figures show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+
+from bench.case import label
+from bench.experiment import Experiment
+from bench.machine import describe_machine, git_revision, project_version
+from bench.runner import Outcome
+from models.interface import FloatArray
+from models.load import MODEL_NAMES
+from sim.metric_settings import metric_settings
+
+TIMING = "serial replay of the recorded measurements, one core, one BLAS thread, garbage collection off, whole step"
+STATISTICS = "true pose against the reference, from t = 0 to the end of the reference, no settling time added"
+
+
+@dataclass(frozen=True)
+class Results:
+    """What an experiment gave.
+
+    Attributes
+    ----------
+    experiment
+        What was asked for.
+    main
+        Outcomes of the comparison.
+    horizon
+        Outcomes of the horizon sweep; they may be among `main` too.
+    meta
+        Machine, versions and definitions, as in `bench.json`.
+    """
+
+    experiment: Experiment
+    main: tuple[Outcome, ...]
+    horizon: tuple[Outcome, ...]
+    meta: dict[str, object]
+
+    @property
+    def all(self) -> tuple[Outcome, ...]:
+        """Every outcome once, in order."""
+        return tuple({outcome.case: outcome for outcome in (*self.main, *self.horizon)}.values())
+
+    def as_json(self) -> dict[str, object]:
+        """`{"meta": ..., "runs": [...]}` of plain values; what could not be computed is None."""
+        swept = any(self.experiment.settings)
+        return {"meta": self.meta, "runs": [row(outcome, with_settings=swept) for outcome in self.all]}
+
+
+def row(outcome: Outcome, *, with_settings: bool = False) -> dict[str, object]:
+    """One run as plain values; `with_settings` adds the swept configuration values under "set"."""
+    case = outcome.case
+    values: dict[str, object] = {
+        "controller": case.labels["controller"],
+        "model": case.labels["model"],
+        "trajectory": case.labels["trajectory"],
+        "plant": case.labels["plant"],
+        "surface": case.labels["surface"],
+        "sensors": case.labels["sensors"],
+        "seed": case.seed,
+        "horizon": case.horizon,
+    }
+    values |= {name: _plain(value) for name, value in asdict(outcome.run.metrics).items()}
+    if with_settings:
+        values["set"] = dict(case.overrides)
+    return values
+
+
+def describe(experiment: Experiment, wall_time: float, cpu_share: float) -> dict[str, object]:
+    """The `meta` part: versions, machine, definitions, and what was asked for.
+
+    Parameters
+    ----------
+    experiment
+        What was asked for.
+    wall_time
+        How long the runs and their timing took [s].
+    cpu_share
+        Processor time over elapsed time of the timing pass [-].
+    """
+    asked = experiment.model_dump(mode="json", exclude={"config", "settings"})
+    for name in ("controllers", "models", "trajectories", "plants", "surfaces", "sensors"):
+        asked[name] = [label(text) for text in asked[name]]
+    return {
+        "project": "diffdrive-mpc",
+        "version": project_version(),
+        "revision": git_revision(),
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": describe_machine(),
+        "wall_time_s": round(wall_time, 1),
+        "step_times": TIMING,
+        "step_times_cpu_share": round(cpu_share, 3),
+        "statistics": STATISTICS,
+        "thresholds": metric_settings().model_dump(),
+        "experiment": asked,
+    }
+
+
+def mean(outcomes: Iterable[Outcome], field: str) -> float:
+    """Mean of one metric over runs; NaN where one of them could not compute it."""
+    return float(np.mean([getattr(outcome.run.metrics, field) for outcome in outcomes]))
+
+
+def worst(outcomes: Iterable[Outcome], field: str) -> float:
+    """Largest value of one metric over runs."""
+    return float(np.max([getattr(outcome.run.metrics, field) for outcome in outcomes]))
+
+
+def step_times(outcomes: Iterable[Outcome]) -> FloatArray:
+    """Step times of all counted ticks of several runs [s]."""
+    return np.concatenate([outcome.run.step_time[outcome.run.counted] for outcome in outcomes])
+
+
+def groups(outcomes: Sequence[Outcome]) -> dict[str, list[Outcome]]:
+    """Outcomes by what is compared: controller and model, and plant, surface, sensors and settings where they vary.
+
+    The names of a dimension that does not vary are left out, and so is "mpc" beside the name of its model.
+    """
+    varying = [name for name in ("plant", "surface", "sensors") if len({o.case.labels[name] for o in outcomes}) > 1]
+    several = len({outcome.case.overrides for outcome in outcomes if outcome.case.controller == "mpc"}) > 1
+    grouped: dict[str, list[Outcome]] = {}
+    for outcome in outcomes:
+        labels = outcome.case.labels
+        parts = [model_name(outcome) if labels["controller"] == "mpc" else labels["controller"]]
+        parts += [labels[name] for name in varying]
+        parts += [f"{key}={value}" for key, value in outcome.case.overrides] if several else []
+        grouped.setdefault(", ".join(parts), []).append(outcome)
+    return grouped
+
+
+def model_name(outcome: Outcome) -> str:
+    """Name of the model as the papers write it, or that of the user's file."""
+    name = outcome.case.labels["model"]
+    return name.upper() if name in MODEL_NAMES else name
+
+
+def by_model(outcomes: Sequence[Outcome]) -> dict[str, list[Outcome]]:
+    """Outcomes by model, in the order of their first appearance."""
+    grouped: dict[str, list[Outcome]] = {}
+    for outcome in outcomes:
+        grouped.setdefault(model_name(outcome), []).append(outcome)
+    return grouped
+
+
+def by_trajectory(outcomes: Sequence[Outcome]) -> dict[str, list[Outcome]]:
+    """Outcomes by trajectory, in the order of their first appearance."""
+    grouped: dict[str, list[Outcome]] = {}
+    for outcome in outcomes:
+        grouped.setdefault(outcome.case.labels["trajectory"], []).append(outcome)
+    return grouped
+
+
+def by_horizon(outcomes: Sequence[Outcome]) -> dict[int, list[Outcome]]:
+    """Outcomes of predictive controllers by horizon, shortest first."""
+    grouped: dict[int, list[Outcome]] = {}
+    for outcome in outcomes:
+        if outcome.case.horizon is not None:
+            grouped.setdefault(outcome.case.horizon, []).append(outcome)
+    return dict(sorted(grouped.items()))
+
+
+def _plain(value: object) -> object:
+    return None if isinstance(value, float) and not math.isfinite(value) else value

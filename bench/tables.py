@@ -1,0 +1,161 @@
+"""The tables of a report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from bench.results import Results, by_horizon, by_model, by_trajectory, groups, mean, step_times, worst
+from bench.runner import Outcome
+from bench.table import Table
+from models.interface import FloatArray
+
+_POSITION = ("position_rmse_m", "position_mean_m", "position_std_m", "position_max_m")
+_HEADING = ("heading_rmse_rad", "heading_mean_rad", "heading_std_rad", "heading_max_rad")
+_PATH = ("course_rmse_rad", "lateral_rmse_m", "lateral_mae_m", "lateral_p95_m", "lateral_max_m")
+
+
+def report_tables(results: Results) -> list[Table]:
+    """Every table of a report, in order; the horizon table only where horizons were swept."""
+    tables = [
+        summary_table(results.main),
+        error_table(results.main),
+        path_table(results.main),
+        time_table(results.main),
+    ]
+    return tables + ([horizon_table(results.horizon)] if results.horizon else [])
+
+
+def summary_table(outcomes: Sequence[Outcome]) -> Table:
+    """One row for each controller: how well it tracks and what it costs."""
+    rows = []
+    for name, group in groups(outcomes).items():
+        times = step_times(group)
+        rows.append(
+            (
+                name,
+                _number(mean(group, "position_rmse_m")),
+                _number(worst(group, "position_max_m")),
+                _number(mean(group, "heading_rmse_rad")),
+                _number(mean(group, "lateral_rmse_m")),
+                _number(mean(group, "in_band_percent"), 1),
+                _number(1e3 * _percentile(times, 50), 2),
+                _number(1e3 * _percentile(times, 99), 2),
+                str(sum(outcome.run.metrics.deadline_misses for outcome in group)),
+                str(sum(outcome.run.metrics.fallbacks for outcome in group)),
+                f"{sum(outcome.run.metrics.completed for outcome in group)}/{len(group)}",
+            )
+        )
+    columns = (
+        "controller",
+        "position RMSE [m]",
+        "position max [m]",
+        "heading RMSE [rad]",
+        "lateral RMSE [m]",
+        "in band [%]",
+        "step p50 [ms]",
+        "step p99 [ms]",
+        "deadline misses",
+        "fallbacks",
+        "completed",
+    )
+    return Table(
+        "Summary", columns, tuple(rows), note="Means over trajectories and seeds; maxima and counts over all runs."
+    )
+
+
+def error_table(outcomes: Sequence[Outcome]) -> Table:
+    """Position and heading errors by trajectory: the statistics of Guffanti et al. 2025, Table 2."""
+    columns = (
+        "controller",
+        "trajectory",
+        *(f"position {what} [m]" for what in ("RMSE", "mean", "std", "max")),
+        *(f"heading {what} [rad]" for what in ("RMSE", "mean", "std", "max")),
+    )
+    return Table(
+        "Position and heading error",
+        columns,
+        _by_trajectory(outcomes, (*_POSITION, *_HEADING)),
+        text_columns=2,
+        note="Means over seeds. Position: to the reference at the same time. Heading: absolute, wrapped.",
+    )
+
+
+def path_table(outcomes: Sequence[Outcome]) -> Table:
+    """Errors against the path rather than the timed reference, by trajectory."""
+    columns = (
+        "controller",
+        "trajectory",
+        "course RMSE [rad]",
+        *(f"lateral {what} [m]" for what in ("RMSE", "MAE", "p95", "max")),
+        "in band [%]",
+    )
+    rows = _by_trajectory(outcomes, (*_PATH, "in_band_percent"))
+    note = "Means over seeds. Lateral: by projection onto the path. Course: direction of travel against its tangent."
+    return Table("Error against the path", columns, rows, text_columns=2, note=note)
+
+
+def time_table(outcomes: Sequence[Outcome]) -> Table:
+    """Percentiles of the step time over all ticks of a controller."""
+    rows = []
+    for name, group in groups(outcomes).items():
+        times = step_times(group)
+        values = [*(_percentile(times, p) for p in (50, 95, 99)), float(np.max(times))]
+        horizons = " ".join(str(steps) for steps in by_horizon(group)) or "-"
+        rows.append((name, horizons, str(times.size), *(_number(1e3 * value, 3) for value in values)))
+    columns = ("controller", "horizon", "steps", "p50 [ms]", "p95 [ms]", "p99 [ms]", "max [ms]")
+    return Table("Step time", columns, tuple(rows), note="Whole step, serial replay on one core with one BLAS thread.")
+
+
+def horizon_table(outcomes: Sequence[Outcome]) -> Table:
+    """Tracking error and step time against the horizon, by model."""
+    rows = []
+    for name, group in by_model(outcomes).items():
+        for steps, runs in by_horizon(group).items():
+            times = step_times(runs)
+            rows.append(
+                (
+                    name,
+                    str(steps),
+                    _number(mean(runs, "position_rmse_m")),
+                    _number(worst(runs, "position_max_m")),
+                    _number(mean(runs, "heading_rmse_rad")),
+                    _number(mean(runs, "in_band_percent"), 1),
+                    _number(1e3 * _percentile(times, 50), 2),
+                    _number(1e3 * _percentile(times, 99), 2),
+                )
+            )
+    columns = (
+        "model",
+        "horizon [steps]",
+        "position RMSE [m]",
+        "position max [m]",
+        "heading RMSE [rad]",
+        "in band [%]",
+        "step p50 [ms]",
+        "step p99 [ms]",
+    )
+    return Table("Horizon", columns, tuple(rows), note="Means over trajectories, first seed.")
+
+
+def _by_trajectory(outcomes: Sequence[Outcome], fields: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+    rows = []
+    for name, group in groups(outcomes).items():
+        parts = by_trajectory(group)
+        if len(parts) > 1:
+            parts = {**parts, "mean": group}
+        for trajectory, runs in parts.items():
+            digits = [1 if field.endswith("percent") else 4 for field in fields]
+            cells = [_number(mean(runs, field), d) for field, d in zip(fields, digits, strict=True)]
+            rows.append((name, trajectory, *cells))
+    return tuple(rows)
+
+
+def _percentile(values: FloatArray, percent: float) -> float:
+    return float(np.percentile(values, percent))
+
+
+def _number(value: float, digits: int = 4) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"

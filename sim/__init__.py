@@ -1,0 +1,33 @@
+"""What stands in for the robot: plants, sensors, the closed loop and its metrics.
+
+Everything is imported on first use, so that `import sim` works where MuJoCo is not installed.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sim.loop import simulate
+    from sim.make import make_plant
+    from sim.metrics import Metrics
+    from sim.plant import Plant
+    from sim.run import Run
+
+_HOMES = {
+    "Metrics": "sim.metrics",
+    "Plant": "sim.plant",
+    "Run": "sim.run",
+    "make_plant": "sim.make",
+    "simulate": "sim.loop",
+}
+
+__all__ = ["Metrics", "Plant", "Run", "make_plant", "simulate"]
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - the type checker sees the imports above
+    """Import a public name when it is first asked for."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'sim' has no attribute '{name}'")
+    return getattr(import_module(_HOMES[name]), name)

@@ -1,0 +1,91 @@
+"""The closed loop: a controller drives a plant along a reference."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
+from sim.plant import Plant
+from sim.run import TIME_TOLERANCE, Run
+
+
+def simulate(
+    controller: TrackingController,
+    plant: Plant,
+    reference: Reference,
+    *,
+    extra_time: float = 0.0,
+    on_tick: Callable[[int, int], None] | None = None,
+) -> Run:
+    """Drive `plant` along `reference`, starting on it and at rest.
+
+    Parameters
+    ----------
+    controller
+        Anything with `start` and `step`. It sees the measurements only, never the true state.
+    plant
+        The robot stand-in; it is reset first.
+    reference
+        The timed trajectory; its time 0 is the plant's time 0.
+    extra_time
+        How long to go on after the end of the reference [s].
+    on_tick
+        Called after each tick with the number of ticks done and their total, for a progress display.
+
+    Returns
+    -------
+    Run
+        The ticks from 0 to the first one at or after the end.
+
+    Raises
+    ------
+    ValueError
+        If `extra_time` is negative or not finite, or the controller's command is not two finite numbers.
+    """
+    if not (np.isfinite(extra_time) and extra_time >= 0):
+        raise ValueError(f"extra_time = {extra_time}: give a time in seconds, zero or more")
+    plant.reset(reference.sample([0.0]).pose[0])
+    controller.start(reference, plant.time)
+    ticks = int(np.ceil((reference.duration + extra_time - TIME_TOLERANCE) / plant.sample_time)) + 1
+    time = np.empty(ticks)
+    true_pose, true_twist, command = np.empty((ticks, 3)), np.empty((ticks, 3)), np.empty((ticks, 2))
+    steps: list[ControlStep] = []
+    measurements: list[Measurement] = []
+    for k in range(ticks):
+        time[k], true_pose[k], true_twist[k] = plant.time, plant.true_pose, plant.true_twist
+        measurement = plant.measure()
+        step = controller.step(plant.time, measurement)
+        command[k] = _checked(step.command, plant.time)
+        plant.advance(command[k])
+        steps.append(step)
+        measurements.append(measurement)
+        if on_tick is not None:
+            on_tick(k + 1, ticks)
+    expected = reference.sample(time)
+    return Run(
+        reference=reference,
+        sample_time=plant.sample_time,
+        time=time,
+        true_pose=true_pose,
+        true_twist=true_twist,
+        reference_pose=expected.pose,
+        reference_twist=expected.twist,
+        reference_arc_length=expected.arc_length,
+        command=command,
+        step_time=np.array([step.step_time for step in steps]),
+        modes=tuple(str(step.mode) for step in steps),
+        messages=tuple(step.message for step in steps),
+        measurements=tuple(measurements),
+    )
+
+
+def _checked(command: FloatArray, t: float) -> FloatArray:
+    """Pass on a sound command; a controller that gives anything else has a fault worth stopping for."""
+    command = np.asarray(command, dtype=float)
+    if command.shape != (2,) or not np.isfinite(command).all():
+        raise ValueError(
+            f"t = {t:.3f} s: the controller's command must be two finite numbers (found {command.tolist()})"
+        )
+    return command

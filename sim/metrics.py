@@ -1,0 +1,105 @@
+"""Statistics of a closed-loop run.
+
+The position and heading statistics are those of Guffanti et al., Sensors 2025, 25(11), 3553, Table 2. The band follows
+Guffanti et al. 2026 (PMC12845739). They cover t = 0 to the end of the reference, with no settling time added.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models.interface import FloatArray
+from sim.metric_settings import metric_settings
+
+if TYPE_CHECKING:
+    from sim.run import Run
+
+FALLBACK_MODES = frozenset({"REUSED_PLAN", "BRAKING", "STOPPED"})
+"""Modes in which a controller did without a fresh plan."""
+GIVEN_UP_MODES = frozenset({"BRAKING", "STOPPED"})
+"""Modes in which a controller no longer tracks."""
+
+
+@dataclass(frozen=True, slots=True)
+class Metrics:
+    """Statistics of one run; the field names are those of `bench.json`, units in their endings.
+
+    `heading_*` other than the RMSE are of the absolute error. A value that cannot be computed (the robot never moved,
+    a pose was not finite) is NaN.
+    """
+
+    steps: int
+    completed: bool
+    position_rmse_m: float
+    position_mean_m: float
+    position_std_m: float
+    position_max_m: float
+    heading_rmse_rad: float
+    heading_mean_rad: float
+    heading_std_rad: float
+    heading_max_rad: float
+    course_rmse_rad: float
+    lateral_rmse_m: float
+    lateral_mae_m: float
+    lateral_p95_m: float
+    lateral_max_m: float
+    in_band_percent: float
+    step_time_p50_s: float
+    step_time_p95_s: float
+    step_time_p99_s: float
+    step_time_max_s: float
+    deadline_misses: int
+    fallbacks: int
+
+
+def compute_metrics(run: Run) -> Metrics:
+    """Statistics of `run` from t = 0 to the end of its reference."""
+    counted = run.counted
+    position = run.errors.position[counted]
+    heading = np.abs(run.errors.heading[counted])
+    lateral = np.abs(run.errors.lateral[counted])
+    course = run.errors.course[counted]
+    step_time = run.step_time[counted]
+    p50, p95, p99 = (float(value) for value in np.percentile(step_time, [50, 95, 99]))
+    return Metrics(
+        steps=int(np.count_nonzero(counted)),
+        completed=_completed(run),
+        position_rmse_m=_rms(position),
+        position_mean_m=float(np.mean(position)),
+        position_std_m=float(np.std(position)),
+        position_max_m=float(np.max(position)),
+        heading_rmse_rad=_rms(heading),
+        heading_mean_rad=float(np.mean(heading)),
+        heading_std_rad=float(np.std(heading)),
+        heading_max_rad=float(np.max(heading)),
+        course_rmse_rad=_rms(course[np.isfinite(course)]),
+        lateral_rmse_m=_rms(lateral),
+        lateral_mae_m=float(np.mean(lateral)),
+        lateral_p95_m=float(np.percentile(lateral, 95)),
+        lateral_max_m=float(np.max(lateral)),
+        in_band_percent=100.0 * float(np.mean(lateral <= metric_settings().band)),
+        step_time_p50_s=p50,
+        step_time_p95_s=p95,
+        step_time_p99_s=p99,
+        step_time_max_s=float(np.max(step_time)),
+        deadline_misses=int(np.count_nonzero(step_time > run.sample_time)),
+        fallbacks=sum(mode in FALLBACK_MODES for mode, used in zip(run.modes, counted, strict=True) if used),
+    )
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else float("nan")
+
+
+def _completed(run: Run) -> bool:
+    """Whether the run reached the end of its reference, still tracking and near it, with every number finite."""
+    last = int(np.flatnonzero(run.counted)[-1])
+    return bool(
+        run.time[-1] >= run.reference.duration - 1e-9
+        and all(np.isfinite(series).all() for series in (run.true_pose, run.true_twist, run.command))
+        and run.modes[last] not in GIVEN_UP_MODES
+        and run.errors.position[last] < metric_settings().end_error
+    )

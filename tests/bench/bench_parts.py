@@ -1,0 +1,75 @@
+"""A fast plant and ready-made outcomes for the tests of the bench."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bench.case import Case, run_case
+from bench.runner import Outcome
+from models.interface import FloatArray, Measurement, ReferenceSample, Stamped
+from models.pose import integrate_pose
+
+
+@dataclass(frozen=True)
+class Arc:
+    """A reference with constant twist."""
+
+    v: float = 0.5
+    omega: float = 0.3
+    duration: float = 8.0
+    name: str = "arc"
+
+    def sample(self, times: ArrayLike) -> ReferenceSample:
+        times = np.asarray(times, dtype=float)
+        t = np.clip(times, 0.0, self.duration)
+        moving = ((times >= 0) & (times <= self.duration)).astype(float)
+        pose = integrate_pose([0.0, 0.0, 0.0], self.v * t, self.omega * t, 1.0)
+        return ReferenceSample(pose, np.outer(moving, [self.v, self.omega]), abs(self.v) * t)
+
+
+class DisplacedUnicycle:
+    """Does at once what it is told; starts off the reference; its pose arrives `late` ticks late."""
+
+    sample_time = 0.0202
+
+    def __init__(self, offset: ArrayLike = (0.0, 0.0, 0.0), late: int = 0) -> None:
+        self._offset, self._late = np.asarray(offset, dtype=float), late
+        self.reset([0.0, 0.0, 0.0])
+
+    def reset(self, pose: ArrayLike) -> None:
+        self.true_pose: FloatArray = np.asarray(pose, dtype=float) + self._offset
+        self.true_twist: FloatArray = np.zeros(3)
+        self.time = 0.0
+        self._past = [Stamped(self.true_pose, (k - self._late) * self.sample_time) for k in range(self._late)]
+
+    def measure(self) -> Measurement:
+        self._past.append(Stamped(self.true_pose, self.time))
+        return Measurement(pose=self._past[-1 - self._late])
+
+    def advance(self, command: ArrayLike) -> None:
+        v, omega = np.asarray(command, dtype=float)
+        self.true_pose = integrate_pose(self.true_pose, v, omega, self.sample_time)
+        self.true_twist = np.array([v, 0.0, omega])
+        self.time += self.sample_time
+
+
+def quick_case(**changes: object) -> Case:
+    """A case on the plant of the controller's own model, without noise."""
+    fields = {
+        "controller": "mpc",
+        "model": "ssm",
+        "trajectory": "circle",
+        "plant": "model:ssm",
+        "surface": "ideal",
+        "sensors": "perfect",
+        "seed": 0,
+    }
+    return Case(**{**fields, **changes})  # type: ignore[arg-type]
+
+
+def quick_outcome(**changes: object) -> Outcome:
+    case = quick_case(**changes)
+    return Outcome(case, run_case(case))

@@ -1,0 +1,84 @@
+"""The commands that show, check and explain configurations and models."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from bench.cli import app
+from bench.config_report import schema_rows
+from models import load_model
+from mpc import load_config
+from mpc.config import ControllerConfig
+
+runner = CliRunner()
+
+
+def test_a_shown_configuration_is_a_file_with_the_same_values(tmp_path: Path) -> None:
+    shown = runner.invoke(app, ["config", "show", "ssm"])
+    assert shown.exit_code == 0
+    path = tmp_path / "mine.yaml"
+    path.write_text(shown.stdout)
+    assert load_config(path) == load_config("ssm")
+    assert yaml.safe_load(shown.stdout) == load_config("ssm").model_dump()
+    checked = runner.invoke(app, ["config", "check", str(path)])
+    assert checked.exit_code == 0
+    assert "valid, horizon 30 steps" in checked.stdout
+
+
+def test_a_mistake_in_a_file_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("model: ssm\nweights: {across: -3}\n")
+    result = runner.invoke(app, ["config", "check", str(path)])
+    assert result.exit_code == 2
+    assert "weights.across" in result.stderr
+    assert "mine.yaml" in result.stderr
+
+
+def test_the_schema_lists_every_key_with_its_default() -> None:
+    flat = {row.key: row for row in schema_rows()}
+    assert flat["horizon"].default == str(ControllerConfig().horizon)
+    assert flat["horizon"].range == ">= 1, <= 200"
+    assert flat["weights.across"].unit == "1/m^2"
+    assert flat["weights.across"].range == ">= 0"
+    assert all(row.help for row in flat.values())
+    text = runner.invoke(app, ["config", "schema"]).stdout
+    assert all(key in text for key in flat)
+    assert "[" not in flat["weights.across"].help
+
+
+def test_the_json_schema_is_that_of_the_model() -> None:
+    result = runner.invoke(app, ["config", "schema", "--json"])
+    assert json.loads(result.stdout) == ControllerConfig.model_json_schema()
+
+
+def test_a_model_is_shown_with_its_numbers_and_origin() -> None:
+    result = runner.invoke(app, ["models", "show", "ssm"])
+    assert result.exit_code == 0
+    assert "-7.444, -13.25" in result.stdout
+    assert "published" in result.stdout
+    assert str(load_model("ssm").provenance["source"]).split(":")[0] in result.stdout
+
+
+def test_a_model_file_is_checked(tmp_path: Path) -> None:
+    source = Path(__file__).parents[2] / "models" / "parameters" / "ssm.yaml"
+    good, bad = tmp_path / "good.yaml", tmp_path / "bad.yaml"
+    good.write_text(source.read_text())
+    data = yaml.safe_load(source.read_text())
+    data["A"][0][0] = 7.0
+    bad.write_text(yaml.safe_dump(data))
+    assert "2 states" in runner.invoke(app, ["models", "check", str(good)]).stdout
+    result = runner.invoke(app, ["models", "check", str(bad)])
+    assert result.exit_code == 2
+    assert "unstable" in result.stderr
+
+
+@pytest.mark.parametrize("name", ["mbm", "sm", "ssm"])
+def test_every_shipped_model_is_listed(name: str) -> None:
+    result = runner.invoke(app, ["models", "list"])
+    assert result.exit_code == 0
+    assert name in result.stdout.split()

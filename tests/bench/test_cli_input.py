@@ -1,0 +1,138 @@
+"""The command line: bad input ends in one line and exit code 2; help is quick and has examples."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from bench.cli import app
+
+COMMANDS = [
+    ["simulate"],
+    ["bench"],
+    ["config", "show"],
+    ["config", "check"],
+    ["config", "schema"],
+    ["models", "list"],
+    ["models", "show"],
+    ["models", "check"],
+]
+
+runner = CliRunner()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("simulate --model foo", "unknown model 'foo'"),
+        ("simulate --model missing.yaml", "unknown model 'missing.yaml'"),
+        ("simulate --trajectory cirle", "did you mean 'circle'"),
+        ("simulate --plant foo", "unknown plant 'foo'"),
+        ("simulate --surface foo", "unknown surface 'foo'"),
+        ("simulate --sensors foo", "unknown sensor set 'foo'"),
+        ("simulate --controller foo", "unknown controller 'foo'"),
+        ("simulate --config missing.yaml", "missing.yaml"),
+        ("simulate --set weights.acros=1", "did you mean 'weights.across'"),
+        ("simulate --set weights.across=-1", "weights.across"),
+        ("simulate --set horizon=0", "horizon"),
+        ("simulate --set sample_time=0", "sample_time"),
+        ("simulate --set sample_time=0.05", "every 0.0202 s"),
+        ("simulate --set horizon=5,10", "use 'bench'"),
+        ("simulate --set horizon", "write KEY=VALUE"),
+        ("simulate --seed -1", "--seed"),
+        ("simulate --seed one", "--seed"),
+        ("simulate --log no/such/folder/run.csv", "there is no folder"),
+        ("simulate --controller kanayama --set horizon=5", "takes no --model, --config or --set"),
+        ("simulate --spede 3", "--spede"),
+        ("simulat", "simulat"),
+        ("bench", "--out"),
+        ("bench --out {out} --models ssm,foo", "unknown model 'foo'"),
+        ("bench --out {out} --models ssm,ssm", "given twice"),
+        ("bench --out {out} --controller foo", "unknown controller 'foo'"),
+        ("bench --out {out} --trajectories circle,foo", "unknown trajectory 'foo'"),
+        ("bench --out {out} --seeds 0", "--seeds 0"),
+        ("bench --out {out} --horizons 0,5", "at least 1"),
+        ("bench --out {out} --horizons 5 --set horizon=5,10", "give one of them"),
+        ("bench --out {out} --models ssm --set weights.across=1,-1", "weights.across"),
+        ("bench --out {out} --jobs 0", "--jobs"),
+        ("config show foo", "foo"),
+        ("config check missing.yaml", "missing.yaml"),
+        ("models show foo", "unknown model 'foo'"),
+        ("models check missing.yaml", "missing.yaml"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(arguments: str, message: str, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = runner.invoke(app, arguments.format(out=out).split())
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1
+    assert message in result.stderr
+    assert result.stdout == ""
+    assert not out.exists()
+
+
+def test_a_place_that_cannot_be_written_to_is_refused_before_the_run(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("a file")
+    result = runner.invoke(app, ["simulate", "--out", str(tmp_path / "taken")])
+    assert result.exit_code == 2
+    assert "cannot be written to" in result.stderr
+    assert result.stdout == ""
+
+
+def test_a_fault_of_the_program_is_not_passed_off_as_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("bench.model_report.print_model", fails)
+    result = runner.invoke(app, ["models", "show", "ssm"])
+    assert isinstance(result.exception, ZeroDivisionError)
+
+
+@pytest.mark.parametrize("command", [[], *COMMANDS], ids=" ".join)
+def test_every_command_has_help_with_an_example(command: list[str]) -> None:
+    result = runner.invoke(app, [*command, "--help"])
+    assert result.exit_code == 0
+    assert f"Example: diffdrive-mpc {' '.join(command)}".rstrip() in " ".join(result.stdout.split())
+
+
+@pytest.mark.parametrize("group", [[], ["config"], ["models"]], ids=" ".join)
+def test_a_group_without_a_command_shows_what_there_is(group: list[str]) -> None:
+    result = runner.invoke(app, group)
+    assert result.exit_code == 2
+    assert "Usage" in result.stdout
+
+
+def test_version() -> None:
+    result = runner.invoke(app, ["--version"])
+    assert result.exit_code == 0
+    assert result.stdout.split() == ["diffdrive-mpc", version("diffdrive-mpc")]
+
+
+def test_the_command_line_loads_without_what_only_some_commands_need() -> None:
+    code = (
+        "import sys, bench.cli\n"
+        "heavy = {'mujoco', 'matplotlib', 'casadi', 'osqp', 'control', 'scipy', 'joblib', 'numpy'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_without_mujoco_the_remedy_is_named() -> None:
+    code = "import sys; sys.modules['mujoco'] = None; sys.argv = ['x', 'simulate']; from bench.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert re.fullmatch(r"error: the package 'mujoco' is not installed; [^\n]*--plant model:ssm\n", done.stderr)
+
+
+def test_the_console_command_runs_as_a_program() -> None:
+    code = "import sys; sys.argv = ['diffdrive-mpc', 'models', 'show', 'foo']; from bench.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert re.fullmatch(r"error: unknown model 'foo'[^\n]*\n", done.stderr)

@@ -1,0 +1,110 @@
+"""Which cases an experiment consists of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from bench_parts import quick_case
+
+from bench.compare import Choices
+from bench.experiment import Experiment, default_experiment, plan_cases
+from models.checked_yaml import ConfigError
+from mpc import load_config
+
+QUICK = {"plants": ("model:ssm",), "surfaces": ("ideal",), "sensors": ("perfect",), "models": ("ssm",)}
+
+
+def experiment(**changes: object) -> Experiment:
+    return default_experiment().model_copy(update={**QUICK, **changes})
+
+
+def test_the_default_is_three_models_four_trajectories_five_seeds_and_six_horizons() -> None:
+    chosen = Choices().experiment()
+    assert chosen == default_experiment()
+    assert set(chosen.models) == {"mbm", "sm", "ssm"}
+    assert set(chosen.trajectories) == {"circle", "square", "s", "cane"}
+    assert len(chosen.seeds) == 5
+    assert chosen.horizons == (5, 10, 15, 20, 30, 50)
+
+
+def test_a_horizon_case_that_is_a_main_case_runs_once() -> None:
+    plan = plan_cases(experiment(seeds=(0, 1), horizons=(5, 30)))
+    assert load_config("ssm").horizon == 30
+    assert len(plan.main) == 8
+    assert len(plan.horizon) == 8
+    assert len(plan.all) == 12
+    assert {case.horizon for case in plan.horizon} == {5, 30}
+    assert {case.seed for case in plan.horizon} == {0}
+
+
+def test_a_peer_has_no_model_and_no_settings() -> None:
+    settings = ((("horizon", 5),), (("horizon", 10),))
+    plan = plan_cases(
+        experiment(controllers=("mpc", "kanayama"), trajectories=("s",), seeds=(0,), horizons=(), settings=settings)
+    )
+    assert [(case.controller, case.model, case.horizon) for case in plan.all] == [
+        ("mpc", "ssm", 5),
+        ("mpc", "ssm", 10),
+        ("kanayama", "none", None),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"controllers": ("foo",)}, "unknown controller"),
+        ({"models": ("foo",)}, "unknown model"),
+        ({"trajectories": ("foo",)}, "unknown trajectory"),
+        ({"plants": ("foo",)}, "unknown plant"),
+        ({"sensors": ("foo",)}, "unknown sensor"),
+        ({"settings": ((("horizn", 5),),)}, "did you mean 'horizon'"),
+        ({"settings": ((("sample_time", 0.05),),)}, "0.0202"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_before_anything_runs(change: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        plan_cases(experiment(horizons=(), seeds=(0,), **change))
+
+
+def test_options_change_the_experiment() -> None:
+    chosen = Choices(models="ssm", seeds="3,4", surfaces="default,slippery", horizons="5,10").experiment()
+    assert chosen.models == ("ssm",)
+    assert chosen.seeds == (3, 4)
+    assert chosen.surfaces == ("default", "slippery")
+    assert chosen.horizons == (5, 10)
+
+
+def test_quick_is_one_seed_without_horizons() -> None:
+    chosen = Choices(quick=True).experiment()
+    assert chosen.seeds == (0,)
+    assert chosen.horizons == ()
+    assert Choices(quick=True, seeds="2", horizons="5").experiment().seeds == (0, 1)
+
+
+def test_a_sweep_has_no_horizon_table_unless_it_is_asked_for() -> None:
+    assert Choices(settings=["weights.across=1,2"]).experiment().horizons == ()
+    assert Choices(settings=["weights.across=1,2"], horizons="5").experiment().horizons == (5,)
+    assert Choices(horizons="none").experiment().horizons == ()
+    with pytest.raises(ConfigError, match="give one of them"):
+        Choices(settings=["horizon=5"], horizons="5").experiment()
+
+
+def test_a_configuration_file_brings_its_model(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("model: ssm\nhorizon: 12\n")
+    chosen = Choices(config=path).experiment()
+    assert chosen.models == ("ssm",)
+    plan = plan_cases(experiment(config=str(path), horizons=(), trajectories=("s",), seeds=(0,)))
+    assert plan.all[0].horizon == 12
+
+
+def test_a_model_file_of_the_users_own_is_named_by_its_stem(tmp_path: Path) -> None:
+    source = Path(__file__).parents[2] / "models" / "parameters" / "ssm.yaml"
+    path = tmp_path / "my_robot.yaml"
+    path.write_text(source.read_text())
+    case = quick_case(model=str(path), plant=f"model:{path}")
+    assert case.labels["model"] == "my_robot"
+    assert case.labels["plant"] == "model:my_robot"
+    assert case.horizon == load_config("ssm").horizon
+    assert len(plan_cases(experiment(models=(str(path),), horizons=(), seeds=(0,))).all) == 4

@@ -1,0 +1,82 @@
+"""The closed loop itself."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from loop_parts import ConstantTwist, FeedForward, FixedStep, KinematicPlant
+
+from models.interface import Measurement
+from sim import simulate
+
+CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=3.0, start=(1.0, -2.0, 0.4))
+
+
+def test_a_perfect_plant_under_feed_forward_stays_on_the_reference() -> None:
+    run = simulate(FeedForward(), KinematicPlant(), CIRCLE)
+    assert run.metrics.position_max_m < 1e-12
+    assert run.metrics.heading_max_rad < 1e-12
+    assert run.metrics.lateral_max_m < 3.2e-6
+    assert run.true_pose[0] == pytest.approx([1.0, -2.0, 0.4])
+
+
+@pytest.mark.parametrize(("duration", "ticks"), [(1.0, 51), (1.001, 52), (0.999, 51), (0.02 * 7, 8)])
+def test_the_last_tick_is_the_first_at_or_after_the_end(duration: float, ticks: int) -> None:
+    run = simulate(FeedForward(), KinematicPlant(), ConstantTwist(0.5, 0.0, duration))
+    assert len(run.time) == ticks
+    assert run.time == pytest.approx(0.02 * np.arange(ticks))
+
+
+def test_rows_hold_the_state_before_the_command_of_the_tick_acts() -> None:
+    run = simulate(FeedForward(), KinematicPlant(), CIRCLE)
+    assert run.true_twist[0] == pytest.approx([0.0, 0.0, 0.0])
+    assert run.true_twist[1, [0, 2]] == pytest.approx(run.command[0])
+    assert run.measured_pose == pytest.approx(run.true_pose)
+    assert run.gyro[1:] == pytest.approx(0.5)
+    assert np.isnan(run.wheel_speeds).all()
+
+
+def test_same_seed_same_run_bit_for_bit() -> None:
+    first, again = (simulate(FeedForward(), KinematicPlant(0.01, seed=3), CIRCLE) for _ in range(2))
+    other = simulate(FeedForward(), KinematicPlant(0.01, seed=4), CIRCLE)
+    assert np.array_equal(first.true_pose, again.true_pose)
+    assert np.array_equal(first.measured_pose, again.measured_pose)
+    assert first.metrics == again.metrics
+    assert not np.array_equal(first.measured_pose, other.measured_pose)
+
+
+@pytest.mark.parametrize("command", [[np.nan, 0.0], [0.0, np.inf], [0.0], [0.0, 0.0, 0.0]])
+def test_a_command_that_is_not_two_finite_numbers_ends_the_run(command: list[float]) -> None:
+    class Faulty(FeedForward):
+        def step(self, t: float, measurement: Measurement) -> FixedStep:
+            return FixedStep(np.array(command))
+
+    with pytest.raises(ValueError, match="two finite numbers"):
+        simulate(Faulty(), KinematicPlant(), CIRCLE)
+
+
+@pytest.mark.parametrize("extra", [-1.0, np.nan, np.inf])
+def test_extra_time_must_be_a_time(extra: float) -> None:
+    with pytest.raises(ValueError, match="extra_time"):
+        simulate(FeedForward(), KinematicPlant(), CIRCLE, extra_time=extra)
+
+
+def test_every_tick_is_announced() -> None:
+    seen: list[tuple[int, int]] = []
+    simulate(FeedForward(), KinematicPlant(), CIRCLE, on_tick=lambda done, total: seen.append((done, total)))
+    assert seen == [(k + 1, 151) for k in range(151)]
+
+
+def test_sim_imports_without_mujoco() -> None:
+    code = "import sys; sys.modules['mujoco'] = None; import sim; sim.simulate; sim.Run; sim.make_plant"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_sim_has_no_other_names() -> None:
+    import sim
+
+    with pytest.raises(AttributeError, match="no attribute 'robot'"):
+        sim.robot  # noqa: B018
