@@ -35,7 +35,7 @@ class Weights(StrictModel):
     across: NotNegative = Field(300.0, description="squared position error across the path [1/m^2]")
     heading: NotNegative = Field(6.0, description="squared heading error [1/rad^2]")
     v: NotNegative = Field(1.0, description="squared deviation of v_ref from its feed-forward [s^2/m^2]")
-    omega: NotNegative = Field(0.3, description="squared deviation of omega_ref from its feed-forward [s^2/rad^2]")
+    omega: NotNegative = Field(2.0, description="squared deviation of omega_ref from its feed-forward [s^2/rad^2]")
     v_increment: Positive = Field(20.0, description="squared increment of v_ref from tick to tick [s^2/m^2]")
     omega_increment: Positive = Field(4.0, description="squared increment of omega_ref from tick to tick [s^2/rad^2]")
     terminal: Positive = Field(10.0, description="factor on the pose errors at the end of the horizon [-]")
@@ -55,7 +55,7 @@ class Limits(StrictModel):
     predicted_v: Positive = Field(1.6, description="soft: predicted |v| [m/s]")
     predicted_omega: Positive = Field(2.2, description="soft: predicted |omega| [rad/s]")
     wheel_speed: Positive = Field(
-        _ROBOT.limits.wheel_speed * _ROBOT.wheel_radius,
+        round(_ROBOT.limits.wheel_speed * _ROBOT.wheel_radius, 3),
         description="soft: speed of the left and right wheels at the rim, from the predicted twist [m/s]",
     )
     corridor: Positive = Field(0.5, description="soft: predicted distance from the path to either side [m]")
@@ -93,7 +93,7 @@ class Estimator(StrictModel):
     v_input_noise: Positive = Field(0.05, description="what the model gets wrong, as noise on v_ref [m/s]")
     omega_input_noise: Positive = Field(0.1, description="what the model gets wrong, as noise on omega_ref [rad/s]")
     v_offset_drift: Positive = Field(0.1, description="random walk of the v offset [m/s per sqrt(s)]")
-    omega_offset_drift: Positive = Field(0.2, description="random walk of the omega offset [rad/s per sqrt(s)]")
+    omega_offset_drift: Positive = Field(0.1, description="random walk of the omega offset [rad/s per sqrt(s)]")
     position_drift: Positive = Field(0.02, description="random walk of the position beside the model [m per sqrt(s)]")
     heading_drift: Positive = Field(0.005, description="random walk of the heading beside the model [rad per sqrt(s)]")
     history: Annotated[float, Field(ge=0.05, le=5)] = Field(
