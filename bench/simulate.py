@@ -45,8 +45,6 @@ def simulate_one(
     peer = controller in PEERS
     if peer and (settings or config or model):
         raise ConfigError(f"the controller '{controller}' takes no --model, --config or --set")
-    if log is not None and not log.resolve().parent.is_dir():
-        raise ConfigError(f"--log {log}: there is no folder '{log.parent}'")
     case = Case(
         controller,
         NO_MODEL if peer else model or default_model(config),
@@ -63,10 +61,18 @@ def simulate_one(
         with ProgressBar("simulating") as bar:
             run = run_case(case, on_tick=bar.at)
         if log is not None:
+            _make_folder(log)
             write_log(run, log)
         if folder is not None:
             _draw(Outcome(case, run), folder)
     _print(Outcome(case, run))
+
+
+def _make_folder(log: Path) -> None:
+    try:
+        log.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--log {log}: the folder '{log.parent}' cannot be made ({error.strerror})") from error
 
 
 def _print(outcome: Outcome) -> None:

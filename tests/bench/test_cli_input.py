@@ -47,7 +47,7 @@ runner = CliRunner()
         ("simulate --set horizon", "write KEY=VALUE"),
         ("simulate --seed -1", "--seed"),
         ("simulate --seed one", "--seed"),
-        ("simulate --log no/such/folder/run.csv", "there is no folder"),
+        ("simulate --log /dev/null/folder/run.csv", "cannot be made"),
         ("simulate --controller kanayama --set horizon=5", "takes no --model, --config or --set"),
         ("simulate --spede 3", "--spede"),
         ("simulat", "simulat"),

@@ -1,0 +1,50 @@
+"""Who may import whom, and what must not be needed to run the controller."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ALLOWED = {
+    "models": {"models"},
+    "mpc": {"mpc", "models"},
+    "sim": {"sim", "models"},
+    "bench": {"bench", "mpc", "sim", "models"},
+}
+
+
+def imported(path):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.partition(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            yield node.module.partition(".")[0]
+
+
+@pytest.mark.parametrize("package", ALLOWED)
+def test_imports_run_one_way(package):
+    for path in (ROOT / package).rglob("*.py"):
+        ours = {name for name in imported(path) if name in ALLOWED}
+        assert ours <= ALLOWED[package], path
+        if package != "sim":
+            assert "mujoco" not in set(imported(path)), path
+
+
+def test_the_controller_runs_without_mujoco():
+    code = (
+        "import sys; sys.modules['mujoco'] = None\n"
+        "from mpc import Controller, load_config, load_trajectory, Measurement\n"
+        "import sim, bench.cli\n"
+        "c = Controller(load_config('ssm')); c.start(load_trajectory('circle'), 0.0)\n"
+        "print(c.step(0.0, Measurement()).mode)\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
+    assert result.stdout.strip() == "STOPPED"
+
+
+@pytest.mark.parametrize("package", ALLOWED)
+def test_types_and_parameters_ship(package):
+    assert (ROOT / package / "py.typed").exists()
