@@ -46,7 +46,7 @@ class Measurement:
     yaw_rate
         () yaw rate of the gyro [rad/s]. On a skid-steer it differs from the wheels' by the yaw gain.
     wheel_speeds
-        (4,) front left, front right, rear left, rear right [rad/s].
+        (4,) front left, front right, rear left, rear right [rad/s]; for logs and identification.
     sent
         (v, omega) that the robot really got last tick, where that is known and may differ from the command.
     """

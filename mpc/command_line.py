@@ -23,6 +23,8 @@ class CommandLine:
         self._delay = model.delay
         self._memory = model.memory
         self._line = np.zeros((model.memory + history + 2, 2))
+        self.oldest = history
+        """Ticks ago of the oldest interval that `acting` reaches."""
 
     def clear(self) -> None:
         """As after a long rest."""

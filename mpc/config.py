@@ -20,7 +20,11 @@ NotNegative = Annotated[float, Field(ge=0)]
 _ROBOT = load_robot()
 
 
-class ExtraDeadTime(StrictModel):
+class _Group(StrictModel, strict=True):
+    """Base of every group: no silent conversion, so that `true` is not taken for 1."""
+
+
+class ExtraDeadTime(_Group):
     """Dead time of the robot at hand that the model file does not carry."""
 
     v: Annotated[float, Field(ge=0, le=1)] = Field(0.0, description="added to the forward channel [s]")
@@ -28,7 +32,7 @@ class ExtraDeadTime(StrictModel):
     provenance: str = Field("", description="how the values were found")
 
 
-class Weights(StrictModel):
+class Weights(_Group):
     """Weights of the quadratic cost, each summed over the steps of the horizon."""
 
     along: NotNegative = Field(100.0, description="squared position error along the path [1/m^2]")
@@ -45,7 +49,7 @@ class Weights(StrictModel):
     soft_quadratic: Positive = Field(50.0, description="quadratic penalty beside it [1/(m/s)^2, 1/(rad/s)^2, 1/m^2]")
 
 
-class Limits(StrictModel):
+class Limits(_Group):
     """Hard limits of the command, and soft limits of what the model predicts."""
 
     v: Positive = Field(_ROBOT.limits.v, description="hard: |v_ref| [m/s]")
@@ -61,7 +65,7 @@ class Limits(StrictModel):
     corridor: Positive = Field(0.5, description="soft: predicted distance from the path to either side [m]")
 
 
-class Wheels(StrictModel):
+class Wheels(_Group):
     """What turns the predicted twist into wheel speeds."""
 
     track: Positive = Field(
@@ -71,19 +75,25 @@ class Wheels(StrictModel):
     )
 
 
-class Solver(StrictModel):
-    """OSQP's settings. Only iterations bound it in simulation: a wall-clock limit would break determinism."""
+class Solver(_Group):
+    """OSQP's settings."""
 
-    max_iterations: Annotated[int, Field(ge=10, le=100_000)] = Field(2000, description="limit of ADMM iterations [-]")
+    max_iterations: Annotated[int, Field(ge=10, le=100_000)] = Field(
+        2000, description="limit of ADMM iterations of one solve [-]"
+    )
     tolerance: Annotated[float, Field(ge=1e-9, le=1e-2)] = Field(
         1e-5, description="absolute and relative tolerance on the residuals [-]"
     )
     check_every: Annotated[int, Field(ge=1, le=1000)] = Field(
         10, description="iterations between two checks of the residuals [-]"
     )
+    time_limit: Annotated[float, Field(gt=0)] | None = Field(
+        None,
+        description="limit of the time of one solve, for robots; it breaks determinism in simulation [s]",
+    )
 
 
-class Estimator(StrictModel):
+class Estimator(_Group):
     """Noise that the Kalman filter assumes (standard deviations), and what it rejects."""
 
     wheel_speed_noise: Positive = Field(0.01, description="forward speed from the encoders [m/s]")
@@ -103,23 +113,34 @@ class Estimator(StrictModel):
         5.0, description="a forward speed from the encoders beyond this is rejected [m/s]"
     )
     max_yaw_rate: Positive = Field(10.0, description="a yaw rate of the gyro beyond this is rejected [rad/s]")
+    max_wheel_speed_jump: Positive = Field(
+        0.5,
+        description="a forward speed further than this from the sample before needs another to confirm it [m/s]",
+    )
+    max_yaw_rate_jump: Positive = Field(
+        2.0,
+        description="a yaw rate further than this from the sample before needs another to confirm it [rad/s]",
+    )
     max_position_jump: Positive = Field(0.3, description="a pose further than this from the prediction is rejected [m]")
     max_heading_jump: Positive = Field(
         0.6, description="a pose turned by more than this from the prediction is rejected [rad]"
     )
 
 
-class Failure(StrictModel):
+class Failure(_Group):
     """What happens when a solve or the measurements fail."""
 
     max_reused_ticks: Annotated[int, Field(ge=0, le=100)] = Field(
         5, description="ticks for which the rest of the last good plan is used after a failed solve [-]"
     )
     max_pose_age: Positive = Field(0.5, description="without an accepted pose for longer, the robot brakes [s]")
+    max_position_error: Positive = Field(
+        1.0, description="further than this from where the reference is, the robot brakes and says so [m]"
+    )
     resume: bool = Field(True, description="drive on when poses and solves are good again after a stop [-]")
 
 
-class Finish(StrictModel):
+class Finish(_Group):
     """When the end of the reference counts as reached."""
 
     position: Positive = Field(0.02, description="distance to the end pose [m]")
@@ -129,7 +150,7 @@ class Finish(StrictModel):
     )
 
 
-class ControllerConfig(StrictModel):
+class ControllerConfig(_Group):
     """Everything that one controller needs beside the reference."""
 
     model: str = Field("ssm", min_length=1, description="velocity model: mbm, sm, ssm or the path of a model file [-]")

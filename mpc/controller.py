@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,11 +17,23 @@ from mpc.config import ControllerConfig
 from mpc.config_file import replace_values
 from mpc.estimator import StateEstimator
 from mpc.planner import Plan, Planner
+from mpc.reference_check import check_speeds
 from mpc.solver_report import SolverReport, SolverStatus
 from mpc.step_result import Mode, StepResult
+from mpc.tick_clock import TickClock, TickKind
 
 _NOT_RUN = SolverReport(SolverStatus.NOT_RUN)
 _CHANGEABLE = ("weights", "limits")
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """What one tick decided."""
+
+    command: FloatArray
+    mode: Mode
+    solver: SolverReport = _NOT_RUN
+    plan: Plan | None = None
 
 
 class Controller:
@@ -31,7 +44,8 @@ class Controller:
     config
         The configuration, see `mpc.load_config`.
     model
-        A velocity model or the name of one, instead of the configuration's.
+        A velocity model or the name of one, instead of the configuration's. The extra dead time belongs to the
+        configuration's model, so another one is taken as it is.
 
     Raises
     ------
@@ -40,13 +54,16 @@ class Controller:
     """
 
     def __init__(self, config: ControllerConfig, model: VelocityModel | str | None = None) -> None:
-        chosen = model if isinstance(model, VelocityModel) else load_model(model or config.model)
         extra = config.extra_dead_time
-        self._model = chosen.with_extra_dead_time([extra.v, extra.omega])
+        if model is None:
+            self._model = load_model(config.model).with_extra_dead_time([extra.v, extra.omega])
+        else:
+            self._model = model if isinstance(model, VelocityModel) else load_model(model)
         self._config = config
         self._pending: ControllerConfig | None = None
         self._estimator = StateEstimator(self._model.discretise(config.sample_time), config.estimator)
         self._planner = Planner(config, self._model)
+        self._clock = TickClock(config.sample_time, self._estimator.longest_pause)
         self._reference: Reference | None = None
         self._t0 = 0.0
         self.reset()
@@ -69,23 +86,34 @@ class Controller:
     def start(self, reference: Reference, t0: float) -> None:
         """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`.
 
+        The estimate starts anew, and so does the clock. The robot may be moving: commands on their way are remembered,
+        and the next command keeps the slew limit against the last.
+
         Raises
         ------
         ValueError
-            If `t0` is not finite.
+            If `t0` is not finite, or the reference is faster than the limits of the configuration.
         """
         if not math.isfinite(t0):
             raise ValueError(f"t0 = {t0}: the start time must be finite")
-        self.reset()
+        check_speeds(reference, self._config.limits, self._config.sample_time)
+        self._forget()
         self._reference, self._t0 = reference, t0
 
     def reset(self) -> None:
-        """Forget estimate, plan and history; the reference stays, its clock too."""
-        self._estimator.reset()
+        """Be as new, for a robot that stands still: forget estimate, plan and commands. The reference stays."""
+        self._forget()
+        self._estimator.commands.clear()
+        self._last = np.zeros(2)
+
+    def _forget(self) -> None:
+        self._estimator.forget()
         self._planner.reset()
+        self._clock.restart()
         self._plan: Plan | None = None
         self._plan_age = 0
-        self._last_time = -math.inf
+        self._result: StepResult | None = None
+        self._has_driven = False
         self._latched = False
         self._finished = False
 
@@ -130,25 +158,32 @@ class Controller:
             raise RuntimeError("no reference: call start(reference, t0) before step")
         self._apply_pending()
         notes: list[str] = []
-        solver, plan = _NOT_RUN, None
-        clock = self._check_clock(t)
-        if clock:
-            command, mode = self._brake([clock], notes)
+        kind, fault = self._clock.judge(t)
+        if fault:
+            notes.append(fault)
+        if kind is TickKind.REPEATED and self._result is not None:
+            notes.extend(self._estimator.update(t, measurement))
+            return replace(self._result, message="; ".join(notes), step_time=time.perf_counter() - started)
+        if kind is TickKind.NEW:
+            outcome = self._tick(t, measurement, self._reference, notes)
+            self._estimator.commands.append(outcome.command)
         else:
-            self._estimate(t, measurement, notes)
-            command, mode, solver, plan = self._decide(t, self._reference, notes)
-        command = np.where(np.isfinite(command), command, 0.0)
-        self._estimator.commands.append(command)
-        return StepResult(
-            command=command,
-            mode=mode,
+            outcome = self._lost_time(kind)
+            # No interval of the model begins here: the command in force since the last tick has changed.
+            self._estimator.commands.correct_last(outcome.command)
+        self._last = outcome.command
+        self._has_driven = self._has_driven or outcome.mode is Mode.TRACKING
+        self._result = StepResult(
+            command=outcome.command.copy(),
+            mode=outcome.mode,
             message="; ".join(notes),
-            solver=solver,
-            plan=None if plan is None else plan.poses,
-            planned_commands=None if plan is None else plan.commands,
+            solver=outcome.solver,
+            plan=None if outcome.plan is None else outcome.plan.poses,
+            planned_commands=None if outcome.plan is None else outcome.plan.commands,
             estimate=self._estimator.estimate if self._estimator.ready else None,
             step_time=time.perf_counter() - started,
         )
+        return self._result
 
     def _apply_pending(self) -> None:
         if self._pending is None:
@@ -156,72 +191,84 @@ class Controller:
         self._config, self._pending = self._pending, None
         self._planner = Planner(self._config, self._model)
 
-    def _check_clock(self, t: float) -> str:
-        """What is wrong with the time of this tick, if anything."""
-        if not math.isfinite(t):
-            return f"the time of this tick is {t}; it was not used"
-        if t <= self._last_time:
-            return f"time ran backwards by {self._last_time - t:.3f} s; call start again if the clock was set"
-        self._last_time = t
-        return ""
+    def _lost_time(self, kind: TickKind) -> _Outcome:
+        """Brake: this tick tells nothing. Where the clock leapt, stand: a base without commands has stopped itself."""
+        outcome = self._brake()
+        if kind is TickKind.PAUSED:
+            self._estimator.forget()
+            self._estimator.commands.clear()
+        return outcome if kind is TickKind.FAULTY else _Outcome(np.zeros(2), Mode.STOPPED)
 
-    def _estimate(self, t: float, measurement: Measurement, notes: list[str]) -> None:
-        notes.extend(self._estimator.correct_sent(measurement.sent))
-        pause = self._estimator.advance(t)
-        if pause:
-            notes.append(pause)
-        notes.extend(self._estimator.update(t, measurement))
-
-    def _decide(
-        self, t: float, reference: Reference, notes: list[str]
-    ) -> tuple[FloatArray, Mode, SolverReport, Plan | None]:
-        if not self._estimator.ready:
-            return (*self._brake(["no pose has arrived yet"], notes), _NOT_RUN, None)
-        estimate = self._estimator.estimate
-        limit = self._config.failure.max_pose_age
-        if estimate.pose_age > limit and not self._restart(t):
-            return (*self._brake([f"no pose was accepted for {estimate.pose_age:.2f} s"], notes), _NOT_RUN, None)
+    def _tick(self, t: float, measurement: Measurement, reference: Reference, notes: list[str]) -> _Outcome:
+        estimator, failure = self._estimator, self._config.failure
+        notes.extend(estimator.correct_sent(measurement.sent))
+        if measurement.sent is not None:
+            self._last = self._slew_base()
+        estimator.advance(t)
+        notes.extend(estimator.update(t, measurement))
+        if not estimator.ready:
+            return self._brake(notes, "no pose has arrived yet")
+        if estimator.moved and not self._restart():
+            return self._brake(notes, "poses agree that the robot is somewhere else")
+        estimate = estimator.estimate
+        if not np.isfinite(estimate.pose).all():
+            estimator.forget()
+            return self._brake(notes, "the estimate is not finite; it starts anew")
+        if estimate.pose_age > failure.max_pose_age:
+            return self._brake(notes, f"no pose was accepted for {estimate.pose_age:.2f} s")
         if self._latched:
-            return (*self._brake(["stopped after a failure; call start or reset to drive on"], notes), _NOT_RUN, None)
+            return self._brake(notes, "stopped after a failure; call start or reset to drive on")
         if self._is_finished(t - self._t0, reference, notes):
-            return self._ramp(), Mode.FINISHED, _NOT_RUN, None
+            return _Outcome(self._ramp(), Mode.FINISHED)
+        here = reference.sample([t - self._t0]).pose[0]
+        distance = float(np.hypot(*(estimate.pose - here)[:2]))
+        if distance > failure.max_position_error:
+            return self._brake(
+                notes, f"{distance:.2f} m from the reference; the limit is {failure.max_position_error} m"
+            )
         return self._track(t, reference, notes)
 
-    def _track(
-        self, t: float, reference: Reference, notes: list[str]
-    ) -> tuple[FloatArray, Mode, SolverReport, Plan | None]:
-        commands = self._estimator.commands
-        plan, report = self._planner.plan(self._estimator.estimate, commands.recent, reference, t - self._t0)
+    def _track(self, t: float, reference: Reference, notes: list[str]) -> _Outcome:
+        past, estimate = self._estimator.commands.recent, self._estimator.estimate
+        plan, report = self._planner.plan(estimate, past, self._last, reference, t - self._t0)
         if plan is not None:
             self._plan, self._plan_age = plan, 0
-            return self._inside(plan.commands[0]), Mode.TRACKING, report, plan
+            return _Outcome(self._inside(plan.commands[0]), Mode.TRACKING, report, plan)
         notes.append(f"solve failed: {report.status}")
         self._plan_age += 1
         usable = min(self._config.failure.max_reused_ticks, self._config.horizon - 1)
         if self._plan is not None and self._plan_age <= usable:
-            return self._inside(self._plan.commands[self._plan_age]), Mode.REUSED_PLAN, report, self._plan
-        return (*self._brake([], notes), report, None)
+            command = self._inside(self._plan.commands[self._plan_age])
+            return _Outcome(command, Mode.REUSED_PLAN, report, self._plan)
+        return replace(self._brake(), solver=report)
 
-    def _brake(self, reasons: list[str], notes: list[str]) -> tuple[FloatArray, Mode]:
-        notes.extend(reasons)
+    def _brake(self, notes: list[str] | None = None, reason: str = "") -> _Outcome:
+        if notes is not None:
+            notes.append(reason)
         self._plan = None
         self._planner.reset()
         # Waiting for the first pose is no failure to be latched.
-        self._latched = self._latched or (self._estimator.ready and not self._config.failure.resume)
+        self._latched = self._latched or (self._has_driven and not self._config.failure.resume)
         command = self._ramp()
-        return command, Mode.BRAKING if command.any() else Mode.STOPPED
+        return _Outcome(command, Mode.BRAKING if command.any() else Mode.STOPPED)
 
     def _ramp(self) -> FloatArray:
         return self._inside(np.zeros(2))
 
     def _inside(self, command: FloatArray) -> FloatArray:
-        return clip_command(command, self._config.limits, self._config.sample_time, self._estimator.commands.last)
+        return clip_command(command, self._config.limits, self._config.sample_time, self._last)
 
-    def _restart(self, t: float) -> bool:
-        """Take the robot to be where its rejected poses agree it is, once it has stopped."""
+    def _slew_base(self) -> FloatArray:
+        """What the robot really got, as far as it lies inside the limits: from outside them there is no slew back."""
+        limits = self._config.limits
+        largest = np.maximum([limits.v, limits.omega], np.abs(self._last))
+        return np.asarray(np.clip(self._estimator.commands.last, -largest, largest))
+
+    def _restart(self) -> bool:
+        """Take the robot to be where its rejected poses agree it is, once it has been told to stand."""
         if self._estimator.commands.recent.any() or not self._config.failure.resume:
             return False
-        return self._estimator.restart_from_candidate(t)
+        return self._estimator.restart_elsewhere()
 
     def _is_finished(self, since_start: float, reference: Reference, notes: list[str]) -> bool:
         if self._finished or since_start < reference.duration:

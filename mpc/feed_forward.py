@@ -17,7 +17,8 @@ class FeedForward:
 
     def __init__(self, model: VelocityModel, dt: float, steps: int) -> None:
         self._inverse_gain = np.linalg.inv(model.dc_gain)
-        ahead = model.lag / dt
+        # A zero close to the origin can make a lag negative: there is no twist before now to answer to.
+        ahead = np.maximum(model.lag, 0.0) / dt
         whole = np.floor(ahead).astype(int)
         self._rest = ahead - whole
         self._rows = np.arange(steps)[:, None] + whole

@@ -9,6 +9,7 @@ import numpy as np
 from models.discrete_model import DiscreteModel
 from models.interface import FloatArray
 from models.pose import linearised_arc, wrap_angle
+from mpc.command_line import CommandLine
 from mpc.config import Estimator
 
 
@@ -43,14 +44,31 @@ class VelocityPoseFilter:
         noise[n:, n:] = np.diag(np.square(drift) * dt)
         self._noise = noise
 
-    def at_rest(self, pose: FloatArray, covariance: FloatArray) -> Belief:
-        """A robot that stands at `pose` (3,), known to `covariance` (3, 3)."""
-        n = self._n
+    def moving(self, commands: CommandLine) -> Belief:
+        """A robot that obeys the commands sent so far as the model says, somewhere.
+
+        Its speed is as uncertain as if it might as well stand; that of a robot at rest is certain.
+        """
+        model, n = self._model, self._n
+        recent, older = commands.acting(commands.oldest)
+        state = model.settled_state(older)
+        for ticks_ago in range(commands.oldest, -1, -1):
+            recent, older = commands.acting(ticks_ago)
+            state = model.A @ state + model.B0 @ recent + model.B1 @ older
+        settled = np.column_stack([model.settled_state(unit) for unit in np.eye(2)])
         P = np.zeros((n + 5, n + 5))
+        P[:n, :n] = (settled * np.square(model.C @ state)) @ settled.T
         # The offset is as uncertain as a second of its drift leaves it.
         P[n : n + 2, n : n + 2] = np.diag(np.square(self._offset_drift))
+        return Belief(np.concatenate([state, np.zeros(5)]), P)
+
+    def placed(self, motion: Belief, pose: FloatArray, covariance: FloatArray) -> Belief:
+        """The motion of `motion` at another `pose` (3,), known to `covariance` (3, 3)."""
+        n, P = self._n, motion.covariance.copy()
+        P[n + 2 :, :] = 0.0
+        P[:, n + 2 :] = 0.0
         P[n + 2 :, n + 2 :] = covariance
-        return Belief(np.concatenate([np.zeros(n + 2), pose]), P)
+        return Belief(np.concatenate([motion.mean[: n + 2], pose]), P)
 
     def twist(self, mean: FloatArray) -> FloatArray:
         """(2,) v [m/s], omega [rad/s]."""

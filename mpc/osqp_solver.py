@@ -188,6 +188,7 @@ class _Workspace:
             adaptive_rho=1,
             adaptive_rho_interval=50,
             polishing=False,
+            **({} if self._settings.time_limit is None else {"time_limit": self._settings.time_limit}),
         )
         return solver
 
@@ -201,7 +202,7 @@ class _Workspace:
         return np.concatenate([flat, over.ravel(), under.ravel()])
 
     def _shifted_dual(self) -> FloatArray:
-        """The multipliers of the last tick, moved one step ahead like the plan they belong to."""
+        """The multipliers of the last tick; those of hard limits move a step ahead like the plan."""
         if not self._dual.size:
             return np.zeros(len(self._lower))
         n, steps = self._n, self._n // 2

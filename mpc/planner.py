@@ -60,8 +60,13 @@ class Planner:
         self._guess = None
         self._solver.reset()
 
-    def tick(self, estimate: Estimate, past: FloatArray, reference: Reference, since_start: float) -> Tick:
-        """The data of the problem at `since_start` [s] on the reference's clock; `past` (memory, 2) commands."""
+    def tick(
+        self, estimate: Estimate, past: FloatArray, last_command: FloatArray, reference: Reference, since_start: float
+    ) -> Tick:
+        """The data of the problem at `since_start` [s] on the reference's clock.
+
+        `past` (memory, 2) are the commands on their way, `last_command` (2,) is the one that slew counts from.
+        """
         sample = reference.sample(since_start + self._times)
         poses = sample.pose[: self._config.horizon + 1].copy()
         # The estimate counts its turns itself: meet it on the turn it is on.
@@ -72,14 +77,14 @@ class Planner:
             free_twist=free,
             reference=poses,
             feed_forward=self._feed_forward.commands(sample.twist, estimate.offset),
-            last_command=past[-1],
+            last_command=last_command,
         )
 
     def plan(
-        self, estimate: Estimate, past: FloatArray, reference: Reference, since_start: float
+        self, estimate: Estimate, past: FloatArray, last_command: FloatArray, reference: Reference, since_start: float
     ) -> tuple[Plan | None, SolverReport]:
         """The next plan, or None where the solver's status does not allow its use."""
-        tick = self.tick(estimate, past, reference, since_start)
+        tick = self.tick(estimate, past, last_command, reference, since_start)
         if self._guess is None:
             box = command_box(self._config.limits, self._dt, tick.last_command, len(tick.feed_forward))
             self._guess = np.clip(tick.feed_forward, -box, box)

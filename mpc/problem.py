@@ -57,10 +57,10 @@ class TrackingProblem:
     """
 
     def __init__(self, config: ControllerConfig, model: DiscreteModel) -> None:
-        if config.horizon < model.memory + 1:
+        if config.horizon < model.memory:
             raise ValueError(
-                f"horizon = {config.horizon}: the dead time takes {model.memory} steps before a command acts; "
-                f"set horizon to {model.memory + 1} or more"
+                f"horizon = {config.horizon}: with its dead time the robot answers to a command after {model.memory} "
+                f"steps; set horizon to {model.memory} or more"
             )
         self.config = config
         self.model = model

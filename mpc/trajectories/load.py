@@ -9,6 +9,7 @@ from pathlib import Path
 from models.checked_yaml import ConfigError, check, read_yaml
 from mpc.trajectories.limits import TrajectoryLimits
 from mpc.trajectories.segments import SegmentFile, lay_segments
+from mpc.trajectories.settings import load_settings
 from mpc.trajectories.timed_poses import read_timed_poses
 from mpc.trajectories.trajectory import Trajectory
 from mpc.trajectories.waypoints import WaypointFile, lay_waypoints
@@ -35,8 +36,17 @@ def load_trajectory(name_or_path: str | Path, limits: TrajectoryLimits | None = 
     models.checked_yaml.ConfigError
         If the name is unknown, or the file is missing, malformed, empty or beyond the limits.
     """
-    limits = limits or TrajectoryLimits.of_robot()
     path = _find(name_or_path)
+    trajectory = _read(path, limits or TrajectoryLimits.of_robot())
+    longest = load_settings().longest_duration
+    if trajectory.duration > longest:
+        raise ConfigError(
+            f"{path}: it lasts {trajectory.duration:.3g} s, the longest is {longest:g} s: are times in s?"
+        )
+    return trajectory
+
+
+def _read(path: Path, limits: TrajectoryLimits) -> Trajectory:
     if path.suffix.lower() == ".csv":
         return read_timed_poses(path, limits)
     data, where = read_yaml(path), str(path)

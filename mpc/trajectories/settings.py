@@ -18,6 +18,7 @@ class TrajectorySettings(StrictModel):
     speed_excess: float = Field(ge=0, description="share by which timed poses may exceed a speed limit")
     lateral_speed: float = Field(gt=0, description="sideways speed that timed poses may show [m/s]")
     least_turn_radius: float = Field(gt=0, description="tightest radius of a path through waypoints [m]")
+    longest_duration: float = Field(gt=0, description="longest trajectory [s]")
 
 
 @cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -15,11 +16,15 @@ from mpc.trajectories.smooth_path import smooth_path
 from mpc.trajectories.spline import SplineTrajectory
 
 
+# A thousand kilometres: further is a mistake of units, and squares of it would overflow before long.
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
+
+
 class WaypointFile(StrictModel):
     """Schema of a trajectory file with waypoints."""
 
     name: str | None = Field(default=None, description="name for tables and figures; default: name of the file")
-    waypoints: list[tuple[float, float]] = Field(description="points x, y [m] in the order in which they are passed")
+    waypoints: list[tuple[Coordinate, Coordinate]] = Field(description="points x, y [m] in the order in which they are passed")
     speed: float | None = Field(default=None, gt=0, description="cruise speed [m/s]; default: the speed limit")
 
 

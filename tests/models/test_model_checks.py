@@ -111,3 +111,11 @@ def test_yaml_executes_nothing(tmp_path):
     with pytest.raises(ConfigError):
         load_model(path)
     assert not (tmp_path / "touched").exists()
+
+
+@pytest.mark.parametrize("text", ["? [1, 2]\n: 3\n", "name: 2020-13-40\n"])
+def test_yaml_that_python_cannot_hold(tmp_path, text):
+    path = tmp_path / "model.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match="model.yaml"):
+        load_model(path)

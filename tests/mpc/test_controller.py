@@ -18,7 +18,7 @@ def robot_for(reference, **kwargs):
 
 
 def controller(**overrides):
-    return Controller(load_config("ssm", overrides), "ssm" if "model" not in overrides else None)
+    return Controller(load_config("ssm", {"extra_dead_time.v": 0.0, "extra_dead_time.omega": 0.0} | overrides))
 
 
 def rmse(poses, times, reference):
@@ -83,10 +83,11 @@ def test_two_runs_are_equal_bit_for_bit():
     assert all((a.command == b.command).all() for a, b in zip(first, second, strict=True))
 
 
-def test_starting_again_forgets_the_run_before():
+def test_a_reset_makes_it_as_new():
     reference = load_trajectory("s")
     once = controller()
     first, _, _ = drive(once, robot_for(reference, noise=1.0), reference, 2.0)
+    once.reset()
     again, _, _ = drive(once, robot_for(reference, noise=1.0), reference, 2.0)
     assert all((a.command == b.command).all() for a, b in zip(first, again, strict=True))
 
@@ -113,11 +114,34 @@ def test_it_finishes_at_rest_at_the_end():
     assert np.hypot(*(poses[-1] - reference.sample([reference.duration]).pose[0])[:2]) < 0.03
 
 
+def test_starting_again_while_driving_keeps_the_slew_limit_and_knows_the_motion():
+    circle, robot, driver = load_trajectory("circle"), robot_for(load_trajectory("circle")), controller()
+    before, _, _ = drive(driver, robot, circle, 2.0)
+    driver.start(circle, robot.time - 2.0)
+    after = driver.step(robot.time, robot.measure())
+    assert (np.abs(after.command - before[-1].command) <= np.array([2.0, 6.0]) * DT + 1e-9).all()
+    assert after.estimate.twist == pytest.approx(robot.twist, abs=1e-3)
+
+
+def test_a_reference_beyond_the_configured_limits_is_refused():
+    with pytest.raises(ValueError, match=r"v = 0.5 at .* limits.v = 0.3"):
+        controller(**{"limits.v": 0.3}).start(load_trajectory("circle"), 0.0)
+    with pytest.raises(ValueError, match=r"limits.omega"):
+        controller(**{"limits.omega": 0.4}).start(load_trajectory("circle"), 0.0)
+
+
+def test_a_horizon_of_one_step_is_possible():
+    reference = load_trajectory("circle")
+    results, _, _ = drive(controller(horizon=1), robot_for(reference), reference, 0.5)
+    assert {result.mode for result in results} == {Mode.TRACKING}
+
+
 def test_the_robot_that_cannot_reach_the_end_is_told_so():
     reference = load_trajectory("cane")
     robot = robot_for(reference)
     far = IdealRobot(MODEL.discretise(DT), robot.pose + [0.0, 40.0, 0.0])
-    results, _, _ = drive(controller(), far, reference, reference.duration + 3.5)
+    unlimited = controller(**{"failure.max_position_error": 100.0})
+    results, _, _ = drive(unlimited, far, reference, reference.duration + 3.5)
     finished = [r for r in results if r.mode is Mode.FINISHED]
     assert "m from the end" in finished[0].message
     assert (results[-1].command == 0).all()

@@ -120,11 +120,112 @@ def test_a_tick_without_a_time_brakes(t):
     assert np.abs(result.command).max() < np.abs(results[-1].command).max()
 
 
-def test_the_same_time_twice_is_no_new_tick():
+def test_called_too_soon_it_repeats_its_command():
+    """Else a burst of calls would add up to any acceleration: the slew limit is one per sample."""
+    driver, base = controller(), robot()
+    results, _, _ = drive(driver, base, REFERENCE, 0.2)
+    for k in range(8):
+        again = driver.step(base.time - DT + k * 0.001, base.measure())
+        assert again.mode is Mode.TRACKING
+        assert (again.command == results[-1].command).all()
+        assert "repeated" in again.message
+
+
+def test_a_glitch_of_the_clock_costs_one_tick():
     driver, base = controller(), robot()
     drive(driver, base, REFERENCE, 2.0)
-    result = driver.step(base.time - DT, base.measure())
-    assert result.mode is Mode.BRAKING
+    glitch = driver.step(1e6, base.measure())
+    assert glitch.mode is Mode.STOPPED
+    assert (glitch.command == 0).all()
+    base.advance(glitch.command)
+    after = [driver.step(base.time + k * DT, base.measure()) for k in range(2)]
+    assert modes(after) == [Mode.TRACKING]
+
+
+@pytest.mark.parametrize("resume", [True, False])
+def test_after_a_long_pause_it_starts_from_rest_or_not_at_all(resume):
+    driver, base = controller(**{"failure.resume": resume, "failure.max_position_error": 100.0}), robot()
+    drive(driver, base, REFERENCE, 2.0)
+    resting = IdealRobot(load_model("ssm").discretise(DT), base.pose)
+    results = []
+    for k in range(20):
+        m = resting.measure()
+        t = base.time + 5.0 + k * DT
+        m = Measurement(pose=Stamped(m.pose.value, t), wheel_twist=Stamped([0.0, 0.0], t), yaw_rate=Stamped(0.0, t))
+        results.append(driver.step(t, m))
+    assert "no tick for" in results[0].message
+    assert not np.any([r.command for r in results[:2]])
+    assert results[-1].mode is (Mode.TRACKING if resume else Mode.STOPPED)
+    moving = np.array([r.command for r in results[1:]])
+    assert (np.abs(np.diff(moving, axis=0)) <= SLEW + 1e-9).all()
+
+
+def test_far_from_the_reference_it_stops_and_says_so():
+    base = robot()
+    base.poses = [base.pose + [0.0, 1.5, 0.0]]
+    results, _, _ = drive(controller(), base, REFERENCE, 1.0)
+    assert modes(results) == [Mode.STOPPED]
+    assert "from the reference; the limit is 1.0 m" in results[-1].message
+
+
+@pytest.mark.parametrize("wrong", [[0.8, 0.0, 0.0], [0.0, 0.0, 3.0]])
+def test_a_first_pose_that_is_wrong_is_noticed_before_the_robot_moves_far(wrong):
+    def spoil(k, m):
+        return with_pose(m, np.asarray(m.pose.value) + wrong) if k == 0 else m
+
+    results, poses, times = drive(controller(), robot(), REFERENCE, 6.0, change=spoil)
+    # Two agreeing poses more, then it brakes: nothing faster than three ticks of slew.
+    assert modes(results[:8]) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED, Mode.TRACKING]
+    assert np.abs([r.command[0] for r in results[:6]]).max() <= 3 * SLEW[0] + 1e-9
+    assert results[-1].mode is Mode.TRACKING
+    assert np.abs((poses - REFERENCE.sample(times).pose)[-50:, :2]).max() < 0.01
+
+
+def test_single_outliers_far_apart_or_delivered_twice_do_not_move_the_robot():
+    outlier = [3.0, 3.0, 0.0]
+
+    def spoil(k, m):
+        if k in (20, 60, 100, 140):
+            return with_pose(m, outlier)
+        return with_pose(m, outlier, stamp=140 * DT) if k in (141, 142, 143, 144) else m
+
+    results, poses, times = drive(controller(), robot(), REFERENCE, 4.0, change=spoil)
+    assert modes(results) == [Mode.TRACKING]
+    assert np.abs((poses - REFERENCE.sample(times).pose)[:, :2]).max() < 0.01
+
+
+def test_what_the_robot_got_beyond_its_limits_does_not_widen_them():
+    driver, base = controller(), robot()
+    drive(driver, base, REFERENCE, 2.0)
+    for sent in [(4.9, 9.0), (-4.9, -9.0), (1e307, 0.0), ("a", "b"), (None, 1.0), [[1.0], [2.0, 3.0]]]:
+        m = base.measure()
+        result = driver.step(
+            base.time, Measurement(pose=m.pose, wheel_twist=m.wheel_twist, yaw_rate=m.yaw_rate, sent=sent)
+        )
+        assert (np.abs(result.command) <= [1.5, 2.0]).all()
+        base.advance(result.command)
+
+
+def test_waiting_for_the_first_pose_latches_nothing():
+    def late(k, m):
+        return with_pose(m, None) if k < 30 else m
+
+    results, _, _ = drive(controller(**{"failure.resume": False}), robot(), REFERENCE, 1.0, change=late)
+    assert modes(results) == [Mode.STOPPED, Mode.TRACKING]
+
+
+def test_carried_away_without_leave_to_resume_it_stays():
+    def carry(k, m):
+        return with_pose(m, np.asarray(m.pose.value) + [0.0, 0.8, 0.0]) if k >= 100 else m
+
+    results, _, _ = drive(controller(**{"failure.resume": False}), robot(), REFERENCE, 4.0, change=carry)
+    assert modes(results) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED]
+
+
+def test_a_plan_is_not_reused_beyond_its_horizon(monkeypatch):
+    break_solver(monkeypatch, set(range(60, 80)))
+    results, _, _ = drive(controller(horizon=3, **{"failure.max_reused_ticks": 50}), robot(), REFERENCE, 1.6)
+    assert sum(r.mode is Mode.REUSED_PLAN for r in results) == 2
 
 
 def break_solver(monkeypatch, failing, status=SolverStatus.MAX_ITERATIONS, garbage=2.1e9):
@@ -186,7 +287,12 @@ def test_a_failed_warm_start_is_not_carried_on(monkeypatch):
 numbers = st.floats(allow_nan=True, allow_infinity=True)
 spoils = st.dictionaries(
     st.integers(1, 59),
-    st.tuples(st.sampled_from(["pose", "stamp", "wheels", "gyro", "sent", "none", "time"]), numbers, numbers),
+    st.one_of(
+        st.tuples(st.sampled_from(["pose", "stamp", "wheels", "gyro", "sent", "none", "time"]), numbers, numbers),
+        # Values that a robot might report: the dangerous ones are those that look real.
+        st.tuples(st.sampled_from(["pose", "wheels", "gyro", "sent"]), st.floats(-6, 6), st.floats(-6, 6)),
+        st.tuples(st.sampled_from(["stamp", "time"]), st.floats(-1, 3), st.just(0.0)),
+    ),
     max_size=12,
 )
 
@@ -218,7 +324,9 @@ def test_whatever_arrives_the_command_is_finite_and_inside_its_limits(faults, ho
         result = driver.step(t, Measurement(pose=pose, wheel_twist=wheels, yaw_rate=gyro, sent=sent))
         assert np.isfinite(result.command).all()
         assert (np.abs(result.command) <= [1.5, 2.0]).all()
-        if kind != "sent":
+        if result.mode is Mode.STOPPED:
+            assert not result.command.any()
+        elif kind != "sent":
             assert (np.abs(result.command - last) <= SLEW + 1e-9).all()
         last = result.command
         base.advance(result.command)

@@ -1,5 +1,7 @@
 """The condensed problem and its solver against IPOPT on the nonlinear program, and against finite differences."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -156,3 +158,40 @@ def test_the_iteration_limit_is_reported_and_not_usable():
     report = solver.solve(Condenser(problem).condense(tick, tick.feed_forward), tick.feed_forward).report
     assert report.status is SolverStatus.MAX_ITERATIONS
     assert not report.status.usable
+
+
+def shifted(problem, tick, ticks):
+    """The same problem some ticks later: the reference moves on, the rest stays."""
+    reference = tick.reference + ticks * np.array([0.5 * DT, 0.0, 0.0])
+    return replace(tick, pose=tick.pose + [0.5 * DT * ticks, 0.0, 0.0], reference=reference)
+
+
+def test_a_warm_start_needs_fewer_iterations_than_a_cold_one():
+    problem, tick = setting("ssm", **SOFT["twist"])
+    plan, _ = converge(problem, tick)
+    condenser, config = Condenser(problem), problem.config
+    warm, cold = (OsqpSolver(problem.steps, config.solver, config.weights) for _ in range(2))
+    for _ in range(3):
+        warm.solve(condenser.condense(tick, plan), plan)
+    after = condenser.condense(shifted(problem, tick, 1), plan)
+    assert warm.solve(after, plan).report.iterations < cold.solve(after, 0 * plan).report.iterations
+
+
+def test_a_reset_solver_is_as_new():
+    problem, tick = setting("ssm", **SOFT["twist"])
+    config, qp = problem.config, Condenser(problem).condense(tick, tick.feed_forward)
+    used, new = (OsqpSolver(problem.steps, config.solver, config.weights) for _ in range(2))
+    for _ in range(3):
+        used.solve(qp, tick.feed_forward)
+    used.reset()
+    again, first = used.solve(qp, tick.feed_forward), new.solve(qp, tick.feed_forward)
+    assert (again.plan == first.plan).all()
+    assert again.report == first.report
+
+
+def test_data_too_large_to_be_real_are_refused():
+    problem, tick = setting("ssm")
+    far = replace(tick, last_command=np.array([1e40, 0.0]))
+    qp = Condenser(problem).condense(far, tick.feed_forward)
+    solver = OsqpSolver(problem.steps, problem.config.solver, problem.config.weights)
+    assert solver.solve(qp, tick.feed_forward).report.status is SolverStatus.NOT_FINITE

@@ -198,3 +198,17 @@ def test_arc_length_never_falls_where_the_speed_changes_sign_twice_inside_a_piec
     arc_length = trajectory.sample(np.linspace(0, 1, 1000)).arc_length
     assert np.all(np.diff(arc_length) >= -1e-15)
     assert trajectory.sample([0.3]).twist[0, 0] == pytest.approx((0.3 - first) * (0.3 - second))
+
+
+def test_a_trajectory_of_years_is_a_mistake_of_units(tmp_path: Path) -> None:
+    path = tmp_path / "long.yaml"
+    path.write_text("segments:\n- {v: 0.1, omega: 0.1, duration: 1.0e+12}\n")
+    with pytest.raises(ConfigError, match="are times in s"):
+        load_trajectory(path)
+
+
+def test_waypoints_beyond_the_horizon_are_a_mistake_of_units(tmp_path: Path) -> None:
+    path = tmp_path / "far.yaml"
+    path.write_text("waypoints: [[0, 0], [1.0e+200, 0]]\n")
+    with pytest.raises(ConfigError, match="less than or equal to 1000000"):
+        load_trajectory(path)

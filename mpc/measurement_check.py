@@ -1,0 +1,49 @@
+"""Turn whatever arrives into checked numbers, or into nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from models.interface import FloatArray
+
+# A variance of a square kilometre says nothing about a robot, and would overflow the filter before long.
+_LARGEST_VARIANCE = 1e6
+
+
+def numbers(value: ArrayLike | None, count: int) -> FloatArray | None:
+    """`value` as `count` finite numbers, or None if it is anything else."""
+    try:
+        array = np.asarray(value, dtype=float).ravel()
+    except (TypeError, ValueError):
+        return None
+    return array if len(array) == count and bool(np.isfinite(array).all()) else None
+
+
+def covariance(value: ArrayLike, size: int) -> FloatArray | None:
+    """`value` as a symmetric positive definite (size, size) matrix with possible entries, or None."""
+    entries = numbers(value, size * size)
+    if entries is None or np.abs(entries).max() > _LARGEST_VARIANCE:
+        return None
+    matrix = entries.reshape(size, size)
+    symmetric = np.allclose(matrix, matrix.T, rtol=1e-6, atol=0.0)
+    return matrix if symmetric and np.linalg.eigvalsh(matrix).min() > 0 else None
+
+
+# Clocks of one robot agree to better than this; a stamp further ahead of the tick is a fault [s].
+FUTURE = 1e-3
+
+
+def stamp_fault(stamp: object, t: float, last: float, history: float) -> str:
+    """What is wrong with a stamp at tick `t` [s], after one at `last` [s]; empty if nothing is."""
+    time = numbers(stamp, 1)  # type: ignore[arg-type]  # whatever it is
+    if time is None:
+        return "its stamp is not a finite number"
+    age = t - float(time[0])
+    if age < -FUTURE:
+        return f"its stamp lies {-age:.3f} s in the future"
+    if time[0] <= last:
+        return "its stamp is not newer than that of the one before"
+    if age > history:
+        return f"it is {age:.2f} s old; the history reaches back {history} s"
+    return ""
