@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -66,9 +65,12 @@ class Case:
 
 
 def label(name: str) -> str:
-    """A name as it is, a path by its stem; "model:PATH" keeps what stands before the colon."""
+    """A name as it is, a path without folders and ending; "model:PATH+SECONDS" keeps what stands around the path."""
     kind, separator, rest = name.rpartition(":")
-    return kind + separator + Path(rest).stem
+    base = Path(rest).name
+    for ending in (".yaml", ".yml", ".csv"):
+        base = base.replace(ending, "")
+    return kind + separator + base
 
 
 def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
@@ -91,6 +93,6 @@ def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
     return controller, plant, load_trajectory(case.trajectory)
 
 
-def run_case(case: Case, on_tick: Callable[[int, int], None] | None = None) -> Run:
+def run_case(case: Case) -> Run:
     """Run one closed loop; raises as `build` does."""
-    return simulate(*build(case), on_tick=on_tick)
+    return simulate(*build(case))

@@ -11,7 +11,7 @@ from bench.atomic import staged
 from bench.case import Case
 from bench.commands.options import parse_seeds, split_names, split_numbers
 from bench.console import output_console
-from bench.controllers import default_model
+from bench.controllers import PEERS, default_model
 from bench.experiment import CasePlan, Experiment, default_experiment, plan_cases
 from bench.progress import ProgressBar
 from bench.results import Results, describe
@@ -49,7 +49,7 @@ class Choices:
 
     def experiment(self) -> Experiment:
         """The experiment that these options ask for; raises ConfigError or ValueError when one cannot be used."""
-        default = default_experiment()
+        default, only_peers = default_experiment(), self._only_peers()
         changes: dict[str, object] = {"settings": tuple(sweep_settings(self.settings))}
         for name, option in _NAME_LISTS.items():
             text = getattr(self, name)
@@ -62,8 +62,20 @@ class Choices:
             changes["seeds"] = parse_seeds(self.seeds)
         elif self.quick:
             changes["seeds"] = default.seeds[:1]
-        changes["horizons"] = self._horizons(default)
+        changes["horizons"] = () if only_peers else self._horizons(default)
         return default.model_copy(update=changes)
+
+    def _only_peers(self) -> bool:
+        """Whether no controller has a model or a configuration; raises ConfigError if there are options for one."""
+        chosen = default_experiment().controllers
+        if self.controllers is not None:
+            chosen = split_names(self.controllers, "--controller")
+        if not set(chosen) <= set(PEERS):
+            return False
+        given = [self.models is not None, self.config is not None, bool(self.settings), self.horizons is not None]
+        if any(given):
+            raise ConfigError(f"the controller '{chosen[0]}' takes no --models, --config, --set or --horizons")
+        return True
 
     def _horizons(self, default: Experiment) -> tuple[int, ...]:
         swept = any(setting.partition("=")[0].strip() == "horizon" for setting in self.settings)
@@ -92,12 +104,12 @@ def compare(choices: Choices, out: Path, jobs: int | None = None) -> Results:
         If the replay for the step times gave other commands.
     """
     from bench.figures.draw import count_figures  # noqa: PLC0415 - matplotlib loads slowly, and bad input needs none
-    from bench.report import write_report  # noqa: PLC0415
+    from bench.report import FIGURES, REPORT_FILES, write_report  # noqa: PLC0415
 
     began = time.perf_counter()
     experiment = choices.experiment()
     plan = plan_cases(experiment)
-    with staged(out) as folder, ProgressBar("preparing") as bar:
+    with staged(out, files=REPORT_FILES, folders=(FIGURES,)) as folder, ProgressBar("preparing") as bar:
         outcomes, cpu_share = _run(plan, jobs or available_cores(), bar)
         results = Results(
             experiment,
@@ -112,6 +124,17 @@ def compare(choices: Choices, out: Path, jobs: int | None = None) -> Results:
         console.print(table.rich())
     console.print(f"{len(plan.all)} runs in {time.perf_counter() - began:.0f} s; report in {out}", highlight=False)
     return results
+
+
+def incomplete(results: Results) -> str | None:
+    """One line about the runs of the predictive controller that did not complete; None where all did."""
+    ours = [outcome for outcome in results.all if outcome.case.controller not in PEERS]
+    failed = [outcome.case for outcome in ours if not outcome.run.metrics.completed]
+    if not failed:
+        return None
+    labels = failed[0].labels
+    first = f"{labels['model']} on {labels['trajectory']}, horizon {failed[0].horizon}, seed {failed[0].seed}"
+    return f"{len(failed)} of {len(ours)} runs of mpc did not complete, the first: {first}; bench.json lists them"
 
 
 def _run(plan: CasePlan, jobs: int, bar: ProgressBar) -> tuple[dict[Case, Outcome], float]:

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from bench.case import Case, Overrides, build
+from bench.case import Case, Overrides, build, label
 from bench.controllers import CONTROLLERS, NO_MODEL, PEERS
 from models.checked_yaml import ConfigError, StrictModel, load_checked
 from mpc import load_trajectory
@@ -68,12 +68,14 @@ def plan_cases(experiment: Experiment) -> CasePlan:
     Raises
     ------
     models.checked_yaml.ConfigError, ValueError
-        If a controller, model, trajectory, plant, surface, sensor set or configuration value cannot be used.
+        If a controller, model, trajectory, plant, surface, sensor set or configuration value cannot be used, or two
+        of them would have the same name in tables and figures.
     """
     e = experiment
     unknown = [name for name in e.controllers if name not in CONTROLLERS]
     if unknown:
         raise ConfigError(f"unknown controller '{unknown[0]}'; known: {', '.join(CONTROLLERS)}")
+    _check_labels(e)
     who = [pair for controller in e.controllers for pair in _drivers(controller, e)]
     where = list(itertools.product(e.plants, e.surfaces, e.sensors))
     main = [
@@ -104,6 +106,31 @@ def _drivers(controller: str, experiment: Experiment) -> list[tuple[str, str, Ov
 def _at_horizon(case: Case, steps: int) -> Case:
     """The case with another horizon, or itself where that is its own: equal cases run once."""
     return case if case.horizon == steps else case.with_override("horizon", steps)
+
+
+def _check_labels(experiment: Experiment) -> None:
+    """Refuse two files with the same stem in one dimension: tables and figures would merge them.
+
+    A model stands under its name where a peer stands under its own; upper and lower case make no file of their own.
+    """
+    e = experiment
+    peers = tuple(name for name in e.controllers if name in PEERS)
+    dimensions = {
+        "models": (*peers, *e.models) if "mpc" in e.controllers else peers,
+        "trajectories": e.trajectories,
+        "plants": e.plants,
+        "surfaces": e.surfaces,
+        "sensors": e.sensors,
+    }
+    for dimension, names in dimensions.items():
+        seen: dict[str, str] = {}
+        for name in names:
+            other = seen.setdefault(label(name).casefold(), name)
+            if other != name:
+                raise ConfigError(
+                    f"{dimension}: '{other}' and '{name}' would both be '{label(name)}' in tables and figures; "
+                    f"rename one file"
+                )
 
 
 def _check(plan: CasePlan) -> None:

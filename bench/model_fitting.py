@@ -6,7 +6,8 @@ Their coefficients are not in the papers' text, so they are identified from the 
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterable
+import itertools
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from bench.atomic import staged
 from bench.table import Table
 from models.identification import (
     Experiment,
+    TwoPolesFit,
     identify_track,
     identify_two_poles,
     pooled_fit_percent,
@@ -47,6 +49,13 @@ _METHOD = (
 )
 
 
+IDENTIFICATIONS = len(CHANNELS) + 2 * len(Motors.model_fields)
+"""Transfer functions that are fitted in all: both channels of SM, and each motor of MBM twice."""
+
+Identify = Callable[[list[Experiment], float | None], TwoPolesFit]
+"""Experiments of one channel, and its dead time [s] where that is known."""
+
+
 @dataclass(frozen=True)
 class PaperExperiments:
     """Logs of the experiments of Guffanti et al., Sensors 2025, 25(11), 3553, on the simulated robot."""
@@ -66,7 +75,11 @@ def run_experiments() -> PaperExperiments:
     return PaperExperiments(logs(step_drives("wheels")), logs(step_drives("v")), logs(step_drives("omega")))
 
 
-def fit_models(folder: Path = PARAMETERS, date: datetime.date | None = None) -> Table:
+def fit_models(
+    folder: Path = PARAMETERS,
+    date: datetime.date | None = None,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> Table:
     """Identify MBM and SM, write `mbm.yaml` and `sm.yaml` to `folder`, and return a table of their FIT.
 
     Parameters
@@ -75,12 +88,28 @@ def fit_models(folder: Path = PARAMETERS, date: datetime.date | None = None) -> 
         Where the parameter files go; the shipped ones by default.
     date
         Date for the provenance; today by default.
+    on_progress
+        Called with the number of transfer functions fitted so far and their total, at 0 and after each.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        At once, if `folder` cannot be written to. Whatever goes wrong, its files stay as they were.
     """
-    logs, day = run_experiments(), (date or datetime.date.today()).isoformat()
-    fits = (("sm", _fit_sm(logs), (logs.v, logs.omega)), ("mbm", _fit_mbm(logs), (logs.wheels, logs.omega)))
+    day = (date or datetime.date.today()).isoformat()
+    announce = on_progress or (lambda _done, _total: None)
+    count = itertools.count(1)
+
+    def identify(experiments: list[Experiment], dead_time: float | None) -> TwoPolesFit:
+        fit = identify_two_poles(experiments, dead_time)
+        announce(next(count), IDENTIFICATIONS)
+        return fit
+
     with staged(folder) as stage:
-        for name, data, used in fits:
-            _write(stage / f"{name}.yaml", data, used, day)
+        announce(0, IDENTIFICATIONS)
+        logs = run_experiments()
+        _write(stage / "sm.yaml", _fit_sm(logs, identify), (logs.v, logs.omega), day)
+        _write(stage / "mbm.yaml", _fit_mbm(logs, identify), (logs.wheels, logs.omega), day)
     return validation_table(folder)
 
 
@@ -136,17 +165,17 @@ def best_extra_dead_time(model: VelocityModel, logs: list[Log]) -> FloatArray:
     return extra
 
 
-def _fit_sm(logs: PaperExperiments) -> dict[str, Any]:
+def _fit_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     fits = {}
     for row, (channel, used) in enumerate(zip(CHANNELS, (logs.v, logs.omega), strict=True)):
-        fits[channel] = identify_two_poles([_experiment(log, log.command[:, row], log.output[:, row]) for log in used])
+        fits[channel] = identify([_experiment(log, log.command[:, row], log.output[:, row]) for log in used], None)
     return {
         "dead_time": {channel: round(fit.dead_time, 5) for channel, fit in fits.items()},
         "channels": {channel: _rounded(fit.transfer) for channel, fit in fits.items()},
     }
 
 
-def _fit_mbm(logs: PaperExperiments) -> dict[str, Any]:
+def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     robot = load_robot()
 
     def experiments(wheel: int) -> list[Experiment]:
@@ -155,8 +184,8 @@ def _fit_mbm(logs: PaperExperiments) -> dict[str, Any]:
         ]
 
     # The command reaches all four motors over one link: one dead time for all.
-    shared = float(np.mean([identify_two_poles(experiments(wheel)).dead_time for wheel in range(4)]))
-    motors = [identify_two_poles(experiments(wheel), shared).transfer for wheel in range(4)]
+    shared = float(np.mean([identify(experiments(wheel), None).dead_time for wheel in range(4)]))
+    motors = [identify(experiments(wheel), shared).transfer for wheel in range(4)]
     difference = np.concatenate([side_difference(log.wheel_speeds, robot.wheel_radius) for log in logs.omega])
     gyro = np.concatenate([log.yaw_rate for log in logs.omega])
     commanded = np.concatenate([log.command[:, 1] for log in logs.omega])

@@ -7,8 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bench.figures.draw import draw_all
-from bench.results import Results
+from bench.results import Results, chosen_configuration
 from bench.tables import report_tables
+
+REPORT_FILES = ("bench.json", "bench.md")
+FIGURES = "figures"
 
 
 def write_report(results: Results, folder: Path, on_done: Callable[[], None] = lambda: None) -> None:
@@ -16,7 +19,7 @@ def write_report(results: Results, folder: Path, on_done: Callable[[], None] = l
     (folder / "bench.json").write_text(
         json.dumps(results.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8"
     )
-    figures = folder / "figures"
+    figures = folder / FIGURES
     figures.mkdir()
     names = draw_all(results, figures, on_done)
     (folder / "bench.md").write_text(markdown(results, names), encoding="utf-8")
@@ -42,11 +45,13 @@ def _introduction(results: Results) -> str:
     packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
     revision = f", revision {meta['revision']}" if meta["revision"] else ""
     runs = len(results.all)
+    chosen = chosen_configuration(results.experiment)
     return "\n".join(
         [
             f"* {runs} runs in {meta['wall_time_s']} s; plant {', '.join(asked['plants'])}, "
             f"surface {', '.join(asked['surfaces'])}, sensors {', '.join(asked['sensors'])}, "
             f"seeds {', '.join(map(str, asked['seeds']))}.",
+            *([f"* Configuration: {chosen}."] if chosen else []),
             f"* diffdrive-mpc {meta['version']}{revision}, {meta['date']}.",
             f"* {machine['cpu']}, {machine['cores']} cores, {machine['os']}, Python {machine['python']}, {packages}.",
             f"* Errors: {meta['statistics']}.",

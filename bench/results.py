@@ -6,10 +6,12 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 
 from bench.case import label
+from bench.controllers import PEERS, controller_config
 from bench.experiment import Experiment
 from bench.machine import describe_machine, git_revision, project_version
 from bench.runner import Outcome
@@ -87,6 +89,9 @@ def describe(experiment: Experiment, wall_time: float, cpu_share: float) -> dict
     asked = experiment.model_dump(mode="json", exclude={"config", "settings"})
     for name in ("controllers", "models", "trajectories", "plants", "surfaces", "sensors"):
         asked[name] = [label(text) for text in asked[name]]
+    ours = not set(experiment.controllers) <= set(PEERS)
+    if not ours:
+        asked["models"] = []
     return {
         "project": "diffdrive-mpc",
         "version": project_version(),
@@ -99,7 +104,47 @@ def describe(experiment: Experiment, wall_time: float, cpu_share: float) -> dict
         "statistics": STATISTICS,
         "thresholds": metric_settings().model_dump(),
         "experiment": asked,
+        "configuration": {
+            "file": _stem(experiment.config),
+            "set": {key: list(values) for key, values in _swept(experiment).items()},
+            "controllers": _configurations(experiment) if ours else [],
+        },
     }
+
+
+def chosen_configuration(experiment: Experiment) -> str:
+    """The configuration file and the values in place of the shipped ones, as one phrase; empty without any."""
+    parts = [] if experiment.config is None else [f"file {_stem(experiment.config)}"]
+    parts += [f"{key}={','.join(map(str, values))}" for key, values in _swept(experiment).items()]
+    return "; ".join(parts)
+
+
+def _configurations(experiment: Experiment) -> list[dict[str, object]]:
+    """Every value that each model's controller was given, for each combination of swept values."""
+    return [
+        {
+            "model": label(model),
+            "set": dict(overrides),
+            "values": controller_config(model, experiment.config, overrides).model_dump(mode="json")
+            | {"model": label(model)},  # a path would tell of the machine
+        }
+        for model in experiment.models
+        for overrides in experiment.settings
+    ]
+
+
+def _swept(experiment: Experiment) -> dict[str, list[object]]:
+    """Values by dotted key, each once."""
+    values: dict[str, list[object]] = {}
+    for key, value in (pair for overrides in experiment.settings for pair in overrides):
+        known = values.setdefault(key, [])
+        if value not in known:
+            known.append(value)
+    return values
+
+
+def _stem(path: str | None) -> str | None:
+    return None if path is None else Path(path).stem
 
 
 def mean(outcomes: Iterable[Outcome], field: str) -> float:

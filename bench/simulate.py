@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from bench.atomic import staged
-from bench.case import Case, run_case
+from bench.case import Case, build
 from bench.console import output_console
 from bench.controllers import NO_MODEL, PEERS, default_model
 from bench.progress import ProgressBar
@@ -16,7 +16,9 @@ from bench.runner import Outcome
 from bench.sweep import single_settings
 from bench.tables import error_table, path_table, summary_table
 from models.checked_yaml import ConfigError
-from sim.log_csv import write_log
+from sim import simulate
+from sim.log_csv import write_rows
+from sim.whole_file import whole_file
 
 _MESSAGES_SHOWN = 5
 
@@ -40,14 +42,16 @@ def simulate_one(
     Raises
     ------
     models.checked_yaml.ConfigError, ValueError, OSError
-        If a name, a file, a value or a place to write to cannot be used.
+        If a name, a file, a value or a place to write to cannot be used; before the run, and nothing is made then.
     """
     peer = controller in PEERS
-    if peer and (settings or config or model):
+    if peer and (settings or config is not None or model is not None):
         raise ConfigError(f"the controller '{controller}' takes no --model, --config or --set")
+    if model is not None and not model.strip():
+        raise ConfigError("--model: it is empty; give mbm, sm, ssm or the path of a model file")
     case = Case(
         controller,
-        NO_MODEL if peer else model or default_model(config),
+        NO_MODEL if peer else default_model(config) if model is None else model,
         trajectory,
         plant,
         surface,
@@ -56,23 +60,28 @@ def simulate_one(
         None if config is None else str(config),
         single_settings(settings),
     )
+    parts = build(case)
     with ExitStack() as stack:
+        draft = None if log is None else stack.enter_context(_log_file(log))
         folder = None if out is None else stack.enter_context(staged(out))
         with ProgressBar("simulating") as bar:
-            run = run_case(case, on_tick=bar.at)
-        if log is not None:
-            _make_folder(log)
-            write_log(run, log)
+            run = simulate(*parts, on_tick=bar.at)
+        if draft is not None:
+            write_rows(run, draft)
         if folder is not None:
             _draw(Outcome(case, run), folder)
     _print(Outcome(case, run))
 
 
-def _make_folder(log: Path) -> None:
-    try:
-        log.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--log {log}: the folder '{log.parent}' cannot be made ({error.strerror})") from error
+@contextmanager
+def _log_file(log: Path) -> Iterator[Path]:
+    """Where to write the log to; a refusal names the option."""
+    with ExitStack() as stack:
+        try:
+            draft = stack.enter_context(whole_file(log))
+        except ConfigError as error:
+            raise ConfigError(f"--log {error}") from error
+        yield draft
 
 
 def _print(outcome: Outcome) -> None:

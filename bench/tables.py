@@ -137,16 +137,24 @@ def horizon_table(outcomes: Sequence[Outcome]) -> Table:
         "step p50 [ms]",
         "step p99 [ms]",
     )
-    return Table("Horizon", columns, tuple(rows), note="Means over trajectories, first seed.")
+    return Table("Horizon", columns, tuple(rows), note=f"Means over trajectories; {_place(outcomes[0])}.")
+
+
+def _place(outcome: Outcome) -> str:
+    """Where all runs of the horizon sweep took place: only the first of each dimension is swept."""
+    case = outcome.case
+    parts = [f"{name} {case.labels[name]}" for name in ("plant", "surface", "sensors")]
+    parts += [f"{key}={value}" for key, value in case.overrides if key != "horizon"]
+    return ", ".join([*parts, f"seed {case.seed}"])
 
 
 def _by_trajectory(outcomes: Sequence[Outcome], fields: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     rows = []
     for name, group in groups(outcomes).items():
-        parts = by_trajectory(group)
+        parts = list(by_trajectory(group).items())
         if len(parts) > 1:
-            parts = {**parts, "mean": group}
-        for trajectory, runs in parts.items():
+            parts.append(("mean", group))
+        for trajectory, runs in parts:
             digits = [1 if field.endswith("percent") else 4 for field in fields]
             cells = [_number(mean(runs, field), d) for field, d in zip(fields, digits, strict=True)]
             rows.append((name, trajectory, *cells))

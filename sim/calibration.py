@@ -7,6 +7,7 @@ each command channel with a lag of its own; its track sets the yaw gain. Nothing
 from __future__ import annotations
 
 import datetime
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -25,6 +26,7 @@ from sim.log import Log, record
 from sim.sensor_set import load_sensor_set
 from sim.surface import load_surface
 from sim.twin_parameters import FIRMWARE_FILE, PARAMETERS, Firmware, load_firmware
+from sim.whole_file import whole_file
 
 _SIGNIFICANT_DIGITS = 4
 
@@ -94,7 +96,11 @@ def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | No
     return fits
 
 
-def calibrate(path: str | Path = FIRMWARE_FILE, date: datetime.date | None = None) -> Firmware:
+def calibrate(
+    path: str | Path = FIRMWARE_FILE,
+    date: datetime.date | None = None,
+    on_evaluation: Callable[[], None] | None = None,
+) -> Firmware:
     """Fit the firmware parameters on the calibration drives and write them, with provenance, to `path`.
 
     Parameters
@@ -103,7 +109,21 @@ def calibrate(path: str | Path = FIRMWARE_FILE, date: datetime.date | None = Non
         Parameter file to write; the shipped one by default.
     date
         Date for the provenance; today by default.
+    on_evaluation
+        Called after each set of parameters that was tried, for a progress display; how many there will be is unknown.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        At once, if `path` cannot be written. Whatever goes wrong, `path` stays as it was.
     """
+    with whole_file(path) as unfinished:
+        firmware = _calibrated(date or datetime.date.today(), on_evaluation)
+        write_firmware(firmware, unfinished)
+    return firmware
+
+
+def _calibrated(date: datetime.date, on_evaluation: Callable[[], None] | None) -> Firmware:
     from scipy.optimize import minimize  # noqa: PLC0415 - loads slowly
 
     parameters = load_calibration_parameters()
@@ -113,7 +133,10 @@ def calibrate(path: str | Path = FIRMWARE_FILE, date: datetime.date | None = Non
 
     def cost(scaled: FloatArray) -> float:
         firmware = _firmware(names, low + scaled * (high - low), {})
-        return sum(_squared_error(_drive(firmware, seed, smooth=True), target) for seed in parameters.seeds)
+        error = sum(_squared_error(_drive(firmware, seed, smooth=True), target) for seed in parameters.seeds)
+        if on_evaluation is not None:
+            on_evaluation()
+        return error
 
     # Counting and rounding make the cost rough on a small scale: a wide simplex sees past it where gradients do not.
     simplex = np.full((len(names) + 1, len(names)), 0.3) + 0.3 * np.eye(len(names) + 1, len(names), k=-1)
@@ -128,15 +151,13 @@ def calibrate(path: str | Path = FIRMWARE_FILE, date: datetime.date | None = Non
         "plant": "mujoco, surface default, sensors default",
         "drives": "random_drive, smoothed, 30 s",
         "seeds": parameters.seeds,
-        "date": (date or datetime.date.today()).isoformat(),
+        "date": date.isoformat(),
         "held_out_fit_percent": [
             {"seed": fit.seed, "smooth": fit.smooth, "v": round(fit.v, 2), "omega": round(fit.omega, 2)}
             for fit in held_out
         ],
     }
-    firmware = _firmware(names, values, provenance)
-    write_firmware(firmware, path)
-    return firmware
+    return _firmware(names, values, provenance)
 
 
 def _drive(firmware: Firmware, seed: int, smooth: bool) -> Log:

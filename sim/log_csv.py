@@ -9,6 +9,7 @@ import numpy as np
 
 from models.interface import FloatArray
 from sim.run import Run
+from sim.whole_file import whole_file
 
 COLUMNS = (
     "t_s",
@@ -36,8 +37,18 @@ def write_log(run: Run, path: str | Path) -> None:
     """Write `run` to a CSV file; a cell is empty where a sensor had no news.
 
     Numbers are written so that reading gives back the same bits. The file appears complete or not at all.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If `path` is something else than a file or cannot be written to.
     """
-    path = Path(path)
+    with whole_file(path) as draft:
+        write_rows(run, draft)
+
+
+def write_rows(run: Run, path: Path) -> None:
+    """Write the header and the rows of `run` straight into `path`."""
     table = np.column_stack(
         [
             run.time,
@@ -50,15 +61,10 @@ def write_log(run: Run, path: str | Path) -> None:
             run.true_pose,
         ]
     )
-    partial = path.with_name(f".{path.name}.part")
-    try:
-        with partial.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(COLUMNS)
-            writer.writerows([["" if np.isnan(cell) else repr(float(cell)) for cell in row] for row in table])
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows([["" if np.isnan(cell) else repr(float(cell)) for cell in row] for row in table])
 
 
 def read_log(path: str | Path) -> dict[str, FloatArray]:

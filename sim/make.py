@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from models.checked_yaml import ConfigError
@@ -26,6 +27,8 @@ def make_plant(
     ----------
     name
         "mujoco" for the physics, or "model:NAME" for a velocity model, NAME as `models.load_model` takes it.
+        "model:NAME+SECONDS" puts that dead time on top of the model's own, as `extra_dead_time` does: "model:sm+0.04".
+        Where a file has the whole of NAME+SECONDS for a path, it is that file.
     surface
         Name of a shipped surface or path of a surface file.
     sensors
@@ -33,12 +36,15 @@ def make_plant(
     seed
         Seed of all noise, not negative: the same seed gives the same run, bit for bit.
     extra_dead_time
-        For "model:" plants: dead time on top of the model's own [s]. The physics has its own in its parameter file.
+        For "model:" plants: dead time on top of the model's own and of that in `name` [s]. The physics has its own in
+        its parameter file.
 
     Raises
     ------
     models.checked_yaml.ConfigError
         If a name is unknown, a file has a mistake, or the arguments do not go together.
+    models.velocity_model.ModelError
+        If a model cannot be a robot's, its dead time included.
     """
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ConfigError(f"seed {seed!r}: give an integer that is not negative")
@@ -59,9 +65,27 @@ def make_plant(
 
         if not extra_dead_time >= 0:
             raise ConfigError(f"extra_dead_time {extra_dead_time} s: it must not be negative")
-        return ModelPlant(
-            load_model(name.removeprefix(_MODEL_PREFIX)), floor.slip, sensor_set, seed, extra_dead_time=extra_dead_time
-        )
+        model, named_dead_time = _split(name.removeprefix(_MODEL_PREFIX))
+        extra_dead_time += named_dead_time
+        return ModelPlant(load_model(model), floor.slip, sensor_set, seed, extra_dead_time=extra_dead_time)
     raise ConfigError(
-        f"unknown plant '{name}': give 'mujoco' or 'model:NAME' (mbm, sm, ssm or the path of a model file)"
+        f"unknown plant '{name}': give 'mujoco' or 'model:NAME' (mbm, sm, ssm or the path of a model file), with more "
+        "dead time 'model:NAME+SECONDS'"
     )
+
+
+def _split(text: str) -> tuple[str, float]:
+    """Model and extra dead time [s] of NAME or NAME+SECONDS; an existing file may have a plus in its path."""
+    model, plus, seconds = text.rpartition("+")
+    if not plus or Path(text).is_file():
+        return text, 0.0
+    try:
+        dead_time = float(seconds)
+    except ValueError:
+        dead_time = math.nan
+    if not (math.isfinite(dead_time) and dead_time >= 0):
+        raise ConfigError(
+            f"plant 'model:{text}': '{seconds}' is no dead time; write model:NAME+SECONDS, such as model:sm+0.04, or "
+            "the path of a model file that exists"
+        )
+    return model, dead_time

@@ -6,16 +6,16 @@ Guffanti et al. 2026 (PMC12845739). They cover t = 0 to the end of the reference
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from models.interface import FloatArray
+from models.interface import FloatArray, Reference
 from sim.metric_settings import metric_settings
-
-if TYPE_CHECKING:
-    from sim.run import Run
+from sim.tracking_errors import TrackingErrors
 
 FALLBACK_MODES = frozenset({"REUSED_PLAN", "BRAKING", "STOPPED"})
 """Modes in which a controller did without a fresh plan."""
@@ -55,7 +55,61 @@ class Metrics:
     fallbacks: int
 
 
-def compute_metrics(run: Run) -> Metrics:
+class ScoredRun(Protocol):
+    """What the statistics need of a run of n ticks; shapes and units are those of `sim.run.Run`."""
+
+    @property
+    def reference(self) -> Reference:
+        """The trajectory that was tracked."""
+        ...
+
+    @property
+    def sample_time(self) -> float:
+        """Time between two ticks [s], the deadline of a step."""
+        ...
+
+    @property
+    def time(self) -> FloatArray:
+        """(n,) [s]."""
+        ...
+
+    @property
+    def true_pose(self) -> FloatArray:
+        """(n, 3) x [m], y [m], theta [rad]."""
+        ...
+
+    @property
+    def true_twist(self) -> FloatArray:
+        """(n, 3) forward speed [m/s], lateral speed [m/s], yaw rate [rad/s]."""
+        ...
+
+    @property
+    def command(self) -> FloatArray:
+        """(n, 2) v [m/s], omega [rad/s]."""
+        ...
+
+    @property
+    def step_time(self) -> FloatArray:
+        """(n,) [s]."""
+        ...
+
+    @property
+    def modes(self) -> Sequence[str]:
+        """Mode of the controller at each tick."""
+        ...
+
+    @property
+    def counted(self) -> NDArray[np.bool_]:
+        """(n,) True for the ticks that the statistics cover."""
+        ...
+
+    @property
+    def errors(self) -> TrackingErrors:
+        """Tracking errors over time."""
+        ...
+
+
+def compute_metrics(run: ScoredRun) -> Metrics:
     """Statistics of `run` from t = 0 to the end of its reference."""
     counted = run.counted
     position = run.errors.position[counted]
@@ -94,7 +148,7 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else float("nan")
 
 
-def _completed(run: Run) -> bool:
+def _completed(run: ScoredRun) -> bool:
     """Whether the run reached the end of its reference, still tracking and near it, with every number finite."""
     last = int(np.flatnonzero(run.counted)[-1])
     return bool(

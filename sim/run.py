@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from models.interface import FloatArray, Measurement, Reference, Stamped
-from sim.errors import TrackingErrors, tracking_errors
+from models.interface import FloatArray, Measurement, Reference, ReferenceSample, Stamped
 from sim.metrics import Metrics, compute_metrics
+from sim.tracking_errors import TrackingErrors, tracking_errors
 
 if TYPE_CHECKING:
     from typing import Self
@@ -72,7 +72,8 @@ class Run:
     @cached_property
     def errors(self) -> TrackingErrors:
         """Tracking errors over time."""
-        return tracking_errors(self)
+        expected = ReferenceSample(self.reference_pose, self.reference_twist, self.reference_arc_length)
+        return tracking_errors(self.reference, expected, self.true_pose, self.true_twist)
 
     @cached_property
     def metrics(self) -> Metrics:

@@ -7,7 +7,6 @@ from pathlib import Path
 from pydantic import Field
 
 from models.checked_yaml import StrictModel, load_checked
-from models.robot import Positive
 from sim.named_file import named_file
 from sim.surface import NotNegative
 
@@ -17,8 +16,9 @@ SENSOR_SETS = Path(__file__).parent / "sensor_sets"
 class PoseSensor(StrictModel):
     """SLAM, motion capture or the like."""
 
-    period: Positive | None = Field(description="time between poses [s]; null: every control sample")
-    latency: NotNegative = Field(description="from the instant a pose describes to its delivery [s]")
+    # Poses on the way number latency over period: without both bounds a slip of the pen fills the memory.
+    period: float | None = Field(ge=1e-3, description="time between poses [s]; null: every control sample")
+    latency: float = Field(ge=0, le=2, description="from the instant a pose describes to its delivery [s]")
     position_sd: NotNegative = Field(description="standard deviation of x and of y [m]")
     heading_sd: NotNegative = Field(description="standard deviation of theta [rad]")
 

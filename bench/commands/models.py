@@ -45,12 +45,12 @@ def fit(
     """Identify MBM and SM again, from the papers' experiments run on the simulated robot."""
     from bench.console import output_console  # noqa: PLC0415
     from bench.model_fitting import fit_models  # noqa: PLC0415
+    from bench.progress import ProgressBar  # noqa: PLC0415
     from models.load import PARAMETERS  # noqa: PLC0415
 
-    console = output_console()
-    with console.status("experiments and identification (about a minute)"):
-        table = fit_models(out or PARAMETERS)
-    console.print(table.rich())
+    with ProgressBar("experiments and identification (about a minute)") as bar:
+        table = fit_models(out or PARAMETERS, on_progress=bar.at)
+    output_console().print(table.rich())
 
 
 @models_app.command(epilog="Example: diffdrive-mpc models calibrate --out my_firmware.yaml")
@@ -66,13 +66,15 @@ def calibrate(
     """Fit the simulated robot's firmware so that the published SSM predicts what it measures."""
     from bench.calibration_report import calibration_table  # noqa: PLC0415
     from bench.console import output_console  # noqa: PLC0415
+    from bench.progress import ProgressBar  # noqa: PLC0415
     from sim.calibration import calibrate as fit_firmware  # noqa: PLC0415
     from sim.twin_parameters import FIRMWARE_FILE, load_firmware  # noqa: PLC0415
 
-    console = output_console()
+    if check and out is not None:
+        raise ValueError(f"--out {out}: --check writes nothing; give one of them")
     if check:
-        console.print(calibration_table(load_firmware()).rich())
-        return
-    with console.status("calibration (a few minutes)"):
-        firmware = fit_firmware(out or FIRMWARE_FILE)
-    console.print(calibration_table(firmware).rich())
+        firmware = load_firmware()
+    else:
+        with ProgressBar("calibration (a few minutes), parameters tried:") as bar:
+            firmware = fit_firmware(out or FIRMWARE_FILE, on_evaluation=bar.advance)
+    output_console().print(calibration_table(firmware).rich())

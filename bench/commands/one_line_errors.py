@@ -14,6 +14,8 @@ BAD_INPUT = 2
 """Exit code for input that cannot be used."""
 FAILED = 1
 """Exit code for anything else that went wrong."""
+INTERRUPTED = 130
+"""Exit code after Ctrl-C: 128 plus the number of the signal, as shells have it."""
 
 OPTIONAL_PACKAGES = {"mujoco": "install diffdrive-mpc[sim], or use --plant model:ssm"}
 """Packages that only some commands need, and what to do without them."""
@@ -32,8 +34,7 @@ class OneLineErrors(TyperGroup):
         try:
             code = super().main(*args, **kwargs)
         except typer.Abort:
-            _complain("aborted")
-            sys.exit(FAILED)
+            code = INTERRUPTED  # how older versions of typer pass on Ctrl-C; newer ones return the exit code
         except NotReproducibleError as error:
             _complain(str(error))
             sys.exit(FAILED)
@@ -54,6 +55,8 @@ class OneLineErrors(TyperGroup):
             else:
                 _complain(f"{error.format_message().rstrip('.')}; see --help")
             sys.exit(BAD_INPUT)
+        if code == INTERRUPTED:
+            _complain("aborted")
         sys.exit(code if isinstance(code, int) else 0)
 
 

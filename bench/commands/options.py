@@ -36,6 +36,10 @@ def split_numbers(text: str, option: str, *, least: int) -> tuple[int, ...]:
     return numbers
 
 
+MOST_SEEDS = 10_000
+"""More runs of one case than this take days, and their list alone could fill the memory."""
+
+
 def parse_seeds(text: str) -> tuple[int, ...]:
     """`5` means the seeds 0 to 4, a list with commas (`7,` or `3,4`) those seeds; raises ValueError otherwise."""
     numbers = split_numbers(text, "--seeds", least=0)
@@ -43,4 +47,8 @@ def parse_seeds(text: str) -> tuple[int, ...]:
         return numbers
     if numbers[0] == 0:
         raise ValueError("--seeds 0: give the number of seeds (at least 1), or a list such as 0,1,2")
+    if numbers[0] > MOST_SEEDS:
+        raise ValueError(
+            f"--seeds {text}: give at most {MOST_SEEDS} seeds; for the one seed {text} write --seeds {text},"
+        )
     return tuple(range(numbers[0]))

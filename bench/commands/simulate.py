@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from bench.commands.options import ConfigFile
+from bench.commands.out_folder import out_folder
 
 EXAMPLE = "Example: diffdrive-mpc simulate --model ssm --trajectory square --set horizon=20 --out results"
 
@@ -20,8 +21,8 @@ def simulate(
         typer.Option(help="Velocity model: mbm, sm, ssm, or the path of a file.", show_default="ssm, or --config's"),
     ] = None,
     controller: Annotated[str, typer.Option(help="mpc, or the peer kanayama.")] = "mpc",
-    plant: Annotated[str, typer.Option(help="mujoco, or model:NAME.")] = "mujoco",
-    surface: Annotated[str, typer.Option(help="Surface of the mujoco plant.")] = "default",
+    plant: Annotated[str, typer.Option(help="mujoco, model:NAME, or model:NAME+DEAD_TIME.")] = "mujoco",
+    surface: Annotated[str, typer.Option(help="Floor of the mujoco plant, slip of a model: plant.")] = "default",
     sensors: Annotated[str, typer.Option(help="Sensor set.")] = "default",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the noise; the same seed gives the same run.")] = 0,
     config: ConfigFile = None,
@@ -29,7 +30,9 @@ def simulate(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Replace a configuration value; repeatable."),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for figures.", show_default=False)] = None,
+    out: Annotated[
+        Path | None, typer.Option(parser=out_folder, metavar="PATH", help="Folder for figures.", show_default=False)
+    ] = None,
     log: Annotated[Path | None, typer.Option(help="CSV file for the log of the run.", show_default=False)] = None,
 ) -> None:
     """Run one closed loop and print how well it tracked; --out draws it, --log writes it as CSV."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from functools import partial
 from pathlib import Path
 
@@ -34,7 +35,7 @@ def draw_all(results: Results, folder: Path, on_done: Callable[[], None]) -> lis
         for outcome in group:
             if outcome.case.seed == results.experiment.seeds[0]:
                 title = f"{name}, {outcome.case.labels['trajectory']}"
-                jobs[f"{file_name(title)}.png"] = partial(draw_case, outcome.run, f"{title}, seed {outcome.case.seed}")
+                jobs[free_name(title, jobs)] = partial(draw_case, outcome.run, f"{title}, seed {outcome.case.seed}")
     for file, draw in jobs.items():
         draw(folder / file)
         on_done()
@@ -45,6 +46,13 @@ def count_figures(results: Results) -> int:
     """How many figures `draw_all` draws."""
     drawn = sum(outcome.case.seed == results.experiment.seeds[0] for outcome in results.main)
     return 2 + bool(results.horizon) + drawn
+
+
+def free_name(text: str, taken: Container[str]) -> str:
+    """File name of a figure called `text`, with a number where another one has that name already."""
+    stem = file_name(text)
+    names = itertools.chain([f"{stem}.png"], (f"{stem}-{number}.png" for number in itertools.count(2)))
+    return next(name for name in names if name not in taken)
 
 
 def file_name(text: str) -> str:

@@ -15,7 +15,6 @@ from mpc.trajectories.path_timing import squared_speeds
 from mpc.trajectories.smooth_path import smooth_path
 from mpc.trajectories.spline import SplineTrajectory
 
-
 # A thousand kilometres: further is a mistake of units, and squares of it would overflow before long.
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 
@@ -24,7 +23,7 @@ class WaypointFile(StrictModel):
     """Schema of a trajectory file with waypoints."""
 
     name: str | None = Field(default=None, description="name for tables and figures; default: name of the file")
-    waypoints: list[tuple[Coordinate, Coordinate]] = Field(description="points x, y [m] in the order in which they are passed")
+    waypoints: list[tuple[Coordinate, Coordinate]] = Field(description="points x, y [m] in the order of passing")
     speed: float | None = Field(default=None, gt=0, description="cruise speed [m/s]; default: the speed limit")
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
+import shlex
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -12,6 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from bench.cli import app
+from sim import Run, simulate
 
 COMMANDS = [
     ["simulate"],
@@ -25,6 +29,28 @@ COMMANDS = [
 ]
 
 runner = CliRunner()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A user's folder with files that have mistakes."""
+    folder = tmp_path_factory.mktemp("mine")
+    ssm = (Path(__file__).parents[2] / "models" / "parameters" / "ssm.yaml").read_text()
+    texts = {
+        "taken": "a file",
+        "ssm.yaml": ssm,
+        "unstable.yaml": ssm.replace("-7.381", "7.381"),
+        "nan.yaml": ssm.replace("-7.381", ".nan"),
+        "empty.yaml": "",
+        "no_segments.yaml": "segments: []\n",
+        "too_fast.yaml": "segments:\n- {v: 3.0, omega: 0.0, duration: 2.0}\n",
+        "blocked/bench.md/mine": "a file in a folder",
+    }
+    for name, text in texts.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    (folder / "link").symlink_to("/dev/null")
+    return folder
 
 
 @pytest.mark.parametrize(
@@ -47,11 +73,42 @@ runner = CliRunner()
         ("simulate --set horizon", "write KEY=VALUE"),
         ("simulate --seed -1", "--seed"),
         ("simulate --seed one", "--seed"),
-        ("simulate --log /dev/null/folder/run.csv", "cannot be made"),
+        ("simulate --log /dev/null/folder/run.csv", "cannot be written to"),
+        ("simulate --log {folder}/taken/run.csv", "--log {folder}/taken/run.csv: cannot be written to"),
+        ("simulate --log {folder}", "--log {folder}: not a regular file"),
+        ("simulate --log {folder}/link", "--log {folder}/link: not a regular file"),
+        ("simulate --log /dev/null", "--log /dev/null: not a regular file"),
+        ("simulate --out ''", "'--out': it is empty"),
+        ("simulate --model ''", "--model: it is empty"),
+        ("simulate --model '' --controller kanayama", "takes no --model, --config or --set"),
+        ("simulate --model {folder}/unstable.yaml", "unstable"),
+        ("simulate --model {folder}/nan.yaml", "A.0.0: Input should be a finite number"),
+        ("simulate --plant model:{folder}/unstable.yaml", "unstable"),
+        ("simulate --trajectory {folder}/empty.yaml", "empty.yaml: expected keys and values, found nothing"),
+        ("simulate --trajectory {folder}/no_segments.yaml", "no_segments.yaml: segments is empty"),
+        ("simulate --trajectory {folder}/too_fast.yaml", "too_fast.yaml: segments.0.v = 3 m/s is beyond the limit"),
+        (
+            "simulate --trajectory {folder}/too_fast.yaml --out {out} --log {out}/deep/run.csv",
+            "too_fast.yaml: segments.0.v = 3 m/s is beyond the limit",
+        ),
         ("simulate --controller kanayama --set horizon=5", "takes no --model, --config or --set"),
         ("simulate --spede 3", "--spede"),
         ("simulat", "simulat"),
         ("bench", "--out"),
+        ("bench --out ''", "'--out': it is empty"),
+        ("bench --out {folder}/blocked --models ssm", "'bench.md' there is in the way"),
+        ("bench --out {out} --models ''", "--models"),
+        ("bench --out {out} --models ssm,{folder}/ssm.yaml", "rename one file"),
+        ("bench --out {out} --models {folder}/unstable.yaml", "unstable"),
+        ("bench --out {out} --models {folder}/nan.yaml", "A.0.0: Input should be a finite number"),
+        ("bench --out {out} --trajectories {folder}/no_segments.yaml", "no_segments.yaml: segments is empty"),
+        (
+            "bench --out {out} --trajectories {folder}/too_fast.yaml",
+            "too_fast.yaml: segments.0.v = 3 m/s is beyond the limit",
+        ),
+        ("bench --out {out} --models ssm --set sample_time=0", "sample_time"),
+        ("bench --out {out} --controller kanayama --models nope", "takes no --models, --config, --set or --horizons"),
+        ("bench --out {out} --controller kanayama --set horizon=5", "takes no --models, --config, --set or --horizons"),
         ("bench --out {out} --models ssm,foo", "unknown model 'foo'"),
         ("bench --out {out} --models ssm,ssm", "given twice"),
         ("bench --out {out} --controller foo", "unknown controller 'foo'"),
@@ -67,15 +124,40 @@ runner = CliRunner()
         ("models check missing.yaml", "missing.yaml"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(arguments: str, message: str, tmp_path: Path) -> None:
+def test_bad_input_is_one_line_and_exit_code_2(arguments: str, message: str, tmp_path: Path, folder: Path) -> None:
     out = tmp_path / "out"
-    result = runner.invoke(app, arguments.format(out=out).split())
+    before = sorted(folder.rglob("*"))
+    result = runner.invoke(app, shlex.split(arguments.format(out=out, folder=folder)))
     assert result.exit_code == 2
     assert result.stderr.startswith("error: ")
     assert result.stderr.count("\n") == 1
-    assert message in result.stderr
+    assert message.format(folder=folder) in result.stderr
     assert result.stdout == ""
     assert not out.exists()
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_a_run_that_did_not_complete_is_exit_code_1_after_the_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def displaced(*parts: object, **options: object) -> Run:
+        run = simulate(*parts, **options)  # type: ignore[arg-type]
+        return replace(run, true_pose=run.true_pose + 1.0)
+
+    monkeypatch.setattr("bench.case.simulate", displaced)
+    arguments = "--models ssm --trajectories cane --seeds 1 --horizons none --jobs 1 --plant model:ssm"
+    result = runner.invoke(app, ["bench", "--out", str(tmp_path / "out"), *arguments.split()])
+    assert result.exit_code == 1
+    assert re.fullmatch(r"error: 1 of 1 runs of mpc did not complete, the first: ssm on cane[^\n]*\n", result.stderr)
+    (run,) = json.loads((tmp_path / "out" / "bench.json").read_text())["runs"]
+    assert run["completed"] is False
+
+
+@pytest.mark.parametrize("command", ["simulate", "bench"])
+def test_the_help_of_surface_names_both_kinds_of_plant(command: str) -> None:
+    text = " ".join(re.sub(r"[│\s]+", " ", runner.invoke(app, [command, "--help"]).stdout).split())
+    assert "slip of" in text
+    assert "loor of the mujoco plant" in text
 
 
 def test_a_place_that_cannot_be_written_to_is_refused_before_the_run(tmp_path: Path) -> None:

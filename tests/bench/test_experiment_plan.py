@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from bench_parts import quick_case
 
+from bench.case import label
 from bench.compare import Choices
 from bench.experiment import Experiment, default_experiment, plan_cases
 from models.checked_yaml import ConfigError
@@ -67,6 +69,51 @@ def test_what_cannot_be_run_is_refused_before_anything_runs(change: dict[str, ob
         plan_cases(experiment(horizons=(), seeds=(0,), **change))
 
 
+SHIPPED = {
+    "models": "models/parameters/ssm.yaml",
+    "trajectories": "mpc/trajectories/built_in/s.yaml",
+    "surfaces": "sim/surfaces/ideal.yaml",
+    "sensors": "sim/sensor_sets/perfect.yaml",
+    "plants": "models/parameters/ssm.yaml",
+}
+
+
+@pytest.mark.parametrize("dimension", SHIPPED)
+def test_two_files_with_one_label_are_refused(dimension: str, tmp_path: Path) -> None:
+    paths = [tmp_path / "a" / "mine.yaml", tmp_path / "b" / "Mine.yaml", tmp_path / "b" / "other.yaml"]
+    for path in paths:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text((Path(__file__).parents[2] / SHIPPED[dimension]).read_text())
+    first, second, other = (f"model:{path}" if dimension == "plants" else str(path) for path in paths)
+    changes = {"horizons": (), "seeds": (0,), "trajectories": ("s",)}
+    with pytest.raises(ConfigError, match="rename one file") as refused:
+        plan_cases(experiment(**{**changes, dimension: (first, second)}))
+    assert f"{dimension}: '{first}' and '{second}'" in str(refused.value)
+    assert len(plan_cases(experiment(**{**changes, dimension: (first, other)})).all) == 2
+
+
+def test_a_file_with_the_label_of_a_shipped_model_or_a_peer_is_refused(tmp_path: Path) -> None:
+    for name in ("SSM", "kanayama"):
+        path = tmp_path / f"{name}.yaml"
+        path.write_text((Path(__file__).parents[2] / SHIPPED["models"]).read_text())
+        changes = {"models": ("ssm", str(path)), "controllers": ("mpc", "kanayama")}
+        with pytest.raises(ConfigError, match=f"and '{path}' would both be '{name}'"):
+            plan_cases(experiment(horizons=(), seeds=(0,), **changes))
+
+
+@pytest.mark.parametrize(
+    "given", [{"models": "nope"}, {"config": Path("nope.yaml")}, {"horizons": "5"}, {"settings": ["horizon=5"]}]
+)
+def test_peers_alone_refuse_what_they_would_ignore(given: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match="the controller 'kanayama' takes no --models, --config, --set or --horizons"):
+        Choices(controllers="kanayama", **given).experiment()
+
+
+def test_peers_alone_sweep_no_horizon() -> None:
+    assert Choices(controllers="kanayama").experiment().horizons == ()
+    assert Choices(controllers="mpc,kanayama", models="ssm").experiment().horizons == default_experiment().horizons
+
+
 def test_options_change_the_experiment() -> None:
     chosen = Choices(models="ssm", seeds="3,4", surfaces="default,slippery", horizons="5,10").experiment()
     assert chosen.models == ("ssm",)
@@ -108,3 +155,17 @@ def test_a_model_file_of_the_users_own_is_named_by_its_stem(tmp_path: Path) -> N
     assert case.labels["plant"] == "model:my_robot"
     assert case.horizon == load_config("ssm").horizon
     assert len(plan_cases(experiment(models=(str(path),), horizons=(), seeds=(0,))).all) == 4
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("ssm", "ssm"),
+        ("folder/mine.yaml", "mine"),
+        ("model:folder/mine.yaml+0.04", "model:mine+0.04"),
+        ("model:sm+0.08", "model:sm+0.08"),
+        ("drive.v2.csv", "drive.v2"),
+    ],
+)
+def test_labels_tell_names_apart_without_folders(name: str, shown: str) -> None:
+    assert label(name) == shown

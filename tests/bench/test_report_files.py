@@ -11,15 +11,17 @@ import pytest
 from bench_parts import quick_outcome
 
 from bench.atomic import staged
+from bench.compare import incomplete
 from bench.experiment import default_experiment
 from bench.figures.case import draw_case
-from bench.figures.draw import count_figures, file_name
-from bench.report import write_report
+from bench.figures.draw import count_figures, draw_all, file_name, free_name
+from bench.report import markdown, write_report
 from bench.results import Results, describe, groups, row
 from bench.runner import Outcome
 from bench.table import Table
-from bench.tables import horizon_table, report_tables, summary_table
+from bench.tables import error_table, horizon_table, report_tables, summary_table
 from models.checked_yaml import ConfigError
+from mpc import load_config
 
 FIELDS = {
     "controller": str,
@@ -130,6 +132,65 @@ def test_the_horizon_table_is_sorted_by_horizon(results: Results) -> None:
     assert [cells[:2] for cells in horizon_table(results.horizon).rows] == [("SSM", "15"), ("SSM", "30")]
 
 
+def test_the_horizon_table_says_where_it_was_measured(results: Results) -> None:
+    place = "plant model:ssm, surface ideal, sensors perfect, seed 0"
+    assert place in horizon_table(results.horizon).note
+    runs = [Outcome(o.case.with_override("weights.across", 80), o.run) for o in results.horizon]
+    assert f"{place.replace(', seed 0', '')}, weights.across=80, seed 0" in horizon_table(runs).note
+
+
+def test_a_trajectory_called_mean_keeps_its_row(outcome: Outcome) -> None:
+    mean = Outcome(replace(outcome.case, trajectory="mean.yaml"), outcome.run)
+    assert [cells[1] for cells in error_table([outcome, mean]).rows] == ["cane", "mean", "mean"]
+
+
+def test_a_report_says_which_configuration_it_is_of(results: Results, tmp_path: Path) -> None:
+    path = tmp_path / "tuned.yaml"
+    path.write_text("model: ssm\nhorizon: 12\n")
+    settings = tuple((("weights.across", value), ("estimator.history", 0.4)) for value in (60, 120))
+    changes = {"config": str(path), "models": ("ssm",), "settings": settings}
+    experiment = results.experiment.model_copy(update=changes)
+    meta = describe(experiment, 1.0, 1.0)
+    used = json.loads(json.dumps(meta["configuration"]))
+    assert used["file"] == "tuned"
+    assert used["set"] == {"weights.across": [60, 120], "estimator.history": [0.4]}
+    for combination, across in zip(used["controllers"], (60, 120), strict=True):
+        expected = load_config(path, {"weights.across": across, "estimator.history": 0.4})
+        assert combination["model"] == "ssm"
+        assert combination["set"] == {"weights.across": across, "estimator.history": 0.4}
+        assert combination["values"] == expected.model_dump(mode="json")
+    head = markdown(replace(results, experiment=experiment, meta=meta), []).split("## ")[0]
+    assert "* Configuration: file tuned; weights.across=60,120; estimator.history=0.4.\n" in head
+    assert str(tmp_path) not in head + json.dumps(meta)
+    assert "Configuration:" not in markdown(results, [])
+    assert [c["model"] for c in results.meta["configuration"]["controllers"]] == ["mbm", "sm", "ssm"]
+
+
+def test_the_path_of_a_model_file_is_not_in_the_report(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text((Path(__file__).parents[2] / "models" / "parameters" / "ssm.yaml").read_text())
+    meta = describe(default_experiment().model_copy(update={"models": (str(path),)}), 1.0, 1.0)
+    assert meta["configuration"]["controllers"][0]["values"]["model"] == "mine"
+    assert str(tmp_path) not in json.dumps(meta)
+
+
+def test_a_report_of_peers_alone_names_no_model() -> None:
+    meta = describe(default_experiment().model_copy(update={"controllers": ("kanayama",)}), 1.0, 1.0)
+    assert meta["configuration"]["controllers"] == []
+    assert meta["experiment"]["models"] == []
+
+
+def test_runs_of_ours_that_did_not_complete_are_complained_about(results: Results) -> None:
+    assert incomplete(results) is None
+    ours, peer = results.main
+    stopped = replace(ours.run, true_pose=ours.run.true_pose + 1.0)
+    assert not stopped.metrics.completed
+    complaint = incomplete(replace(results, main=(Outcome(ours.case, stopped), peer), horizon=()))
+    assert complaint is not None
+    assert complaint.startswith("1 of 1 runs of mpc did not complete, the first: ssm on cane, horizon 30, seed 0")
+    assert incomplete(replace(results, main=(ours, Outcome(peer.case, stopped)))) is None
+
+
 def test_groups_name_only_what_varies(outcome: Outcome) -> None:
     slippery = Outcome(replace(outcome.case, surface="slippery"), outcome.run)
     swept = [Outcome(outcome.case.with_override("horizon", steps), outcome.run) for steps in (5, 10)]
@@ -147,7 +208,72 @@ def test_results_replace_old_ones_and_leave_other_files(tmp_path: Path) -> None:
         (folder / "figures" / "new.png").write_text("new")
         assert (tmp_path / "figures" / "old.png").exists()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["figures", "notes.txt"]
-    assert [path.name for path in (tmp_path / "figures").iterdir()] == ["new.png"]
+    assert sorted(path.name for path in (tmp_path / "figures").iterdir()) == ["new.png", "old.png"]
+    assert (tmp_path / "figures" / "old.png").read_text() == "old"
+
+
+def test_the_named_files_are_put_in_place_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    moved: list[str] = []
+    move = Path.replace
+    monkeypatch.setattr(Path, "replace", lambda self, to: moved.append(self.name) or move(self, to))
+    with staged(tmp_path, files=("bench.json", "bench.md"), folders=("figures",)) as folder:
+        (folder / "figures").mkdir()
+        for name in ("bench.json", "bench.md", "figures/overview.png", "zebra.txt"):
+            (folder / name).write_text("new")
+    assert moved == ["overview.png", "zebra.txt", "bench.json", "bench.md"]
+
+
+def test_a_move_that_fails_is_undone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a").write_text("old")
+    move = Path.replace
+
+    def fails_at_c(self: Path, to: Path) -> Path:
+        if self.name == "c":
+            raise OSError("disk full")
+        return move(self, to)
+
+    monkeypatch.setattr(Path, "replace", fails_at_c)
+    with pytest.raises(OSError, match="disk full"), staged(tmp_path) as folder:
+        (folder / "b").mkdir()
+        for name in ("a", "b/b", "c"):
+            (folder / name).write_text("new")
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+    assert (tmp_path / "a").read_text() == "old"
+
+
+@pytest.mark.parametrize("taken", ["bench.md", "figures"])
+def test_a_known_name_of_the_wrong_kind_is_refused_at_once(taken: str, tmp_path: Path) -> None:
+    if taken == "figures":
+        (tmp_path / taken).write_text("mine")
+    else:
+        (tmp_path / taken).mkdir()
+        (tmp_path / taken / "mine").write_text("mine")
+    entered = []
+    with (
+        pytest.raises(ConfigError, match=f"'{taken}' there is in the way"),
+        staged(tmp_path, files=("bench.md",), folders=("figures",)),
+    ):
+        entered.append(1)
+    assert not entered
+    assert [path.name for path in tmp_path.iterdir()] == [taken]
+
+
+@pytest.mark.parametrize("kind", ["folder", "link"])
+def test_a_conflict_found_in_the_end_replaces_nothing(kind: str, tmp_path: Path) -> None:
+    out, mine = tmp_path / "out", tmp_path / "mine"
+    out.mkdir()
+    (out / "a.txt").write_text("old")
+    mine.write_text("mine")
+    if kind == "folder":
+        (out / "b.txt").mkdir()
+    else:
+        (out / "b.txt").symlink_to(mine)
+    with pytest.raises(ConfigError, match=r"'b\.txt' there is in the way"), staged(out) as folder:
+        (folder / "a.txt").write_text("new")
+        (folder / "b.txt").write_text("new")
+    assert (out / "a.txt").read_text() == "old"
+    assert mine.read_text() == "mine"
+    assert sorted(path.name for path in out.iterdir()) == ["a.txt", "b.txt"]
 
 
 def test_a_failure_leaves_everything_as_it_was(tmp_path: Path) -> None:
@@ -160,6 +286,9 @@ def test_a_failure_leaves_everything_as_it_was(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), staged(tmp_path / "new"):
         raise ZeroDivisionError
     assert not (tmp_path / "new").exists()
+    with pytest.raises(ZeroDivisionError), staged(tmp_path / "one" / "two" / "three"):
+        raise ZeroDivisionError
+    assert [path.name for path in tmp_path.iterdir()] == ["bench.md"]
 
 
 def test_a_file_in_the_way_is_named(tmp_path: Path) -> None:
@@ -182,3 +311,16 @@ def test_a_table_needs_a_cell_for_every_column() -> None:
 
 def test_file_names_suit_every_file_system() -> None:
     assert file_name("SSM, surface=default: s") == "ssm-surface-default-s"
+
+
+def test_no_figure_takes_the_name_of_another(outcome: Outcome, tmp_path: Path) -> None:
+    assert free_name("a b", ["a-b.png", "a-b-2.png"]) == "a-b-3.png"
+    names = ("a_b.yaml", "a-b.yaml", "a b.yaml")
+    main = tuple(Outcome(replace(outcome.case, trajectory=name), outcome.run) for name in names)
+    experiment = default_experiment().model_copy(update={"seeds": (0,), "horizons": ()})
+    results = Results(experiment, main, (), {})
+    drawn = draw_all(results, tmp_path, lambda: None)
+    expected = ["overview.png", "step-time.png", "ssm-a-b.png", "ssm-a-b-2.png", "ssm-a-b-3.png"]
+    assert drawn == expected
+    assert count_figures(results) == len(expected)
+    assert {path.name for path in tmp_path.iterdir()} == set(expected)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -29,11 +30,39 @@ class Moody(KanayamaController):
         return replace(step, command=step.command + 1e-15 * Moody.calls)
 
 
-def test_a_replay_times_every_tick() -> None:
-    run = simulate(KanayamaController(), DisplacedUnicycle([0.0, 0.1, 0.0]), Arc())
-    times = replay(KanayamaController(), run, len(run.time))
+class Dawdling(KanayamaController):
+    """Takes 2 ms longer than it says: time outside its own clock."""
+
+    def step(self, t: float, measurement: Measurement) -> KanayamaStep:
+        step = super().step(t, measurement)
+        time.sleep(2e-3)
+        return step
+
+
+def test_a_replay_measures_every_whole_step_itself() -> None:
+    run = simulate(KanayamaController(), DisplacedUnicycle([0.0, 0.1, 0.0]), Arc(duration=1.0))
+    times = replay(Dawdling(), run, len(run.time))
     assert times.shape == run.time.shape
-    assert (times > 0).all()
+    assert (times >= 2e-3).all()
+
+
+def test_the_step_times_of_the_recording_are_replaced() -> None:
+    outcome = quick_outcome(controller="kanayama", model="none")
+    recorded = outcome.run.with_step_time(np.full(len(outcome.run.time), 9.0))
+    (timed,), _ = time_outcomes([replace(outcome, run=recorded)], lambda: None)
+    assert timed.case == outcome.case
+    assert not (timed.run.step_time == 9.0).any()
+    assert np.array_equal(timed.run.true_pose, outcome.run.true_pose)
+
+
+def test_every_outcome_gets_the_times_of_its_own_replay(monkeypatch: pytest.MonkeyPatch) -> None:
+    outcomes = [quick_outcome(controller="kanayama", model="none", trajectory=name) for name in ("circle", "s")]
+    expected = [np.linspace(1.0, 2.0, len(outcome.run.time)) + k for k, outcome in enumerate(outcomes)]
+    measured = iter(expected)
+    monkeypatch.setattr("bench.runner.time_steps", lambda case, run: next(measured))
+    timed, _ = time_outcomes(outcomes, lambda: None)
+    for outcome, times in zip(timed, expected, strict=True):
+        assert np.array_equal(outcome.run.step_time, times)
 
 
 def test_a_difference_in_the_last_bit_is_found() -> None:

@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.calibration import DriveFit, load_calibration_parameters, validate_calibration, write_firmware
+from models.checked_yaml import ConfigError
+from sim.calibration import DriveFit, calibrate, load_calibration_parameters, validate_calibration, write_firmware
 from sim.drives import random_drive
-from sim.log import record
+from sim.log import Log, record
 from sim.make import make_plant
 from sim.sensor_set import load_sensor_set
-from sim.twin_parameters import load_firmware
+from sim.twin_parameters import Firmware, load_firmware
 
 
 @pytest.fixture(scope="module")
@@ -64,3 +65,52 @@ def test_stated_encoder_noise_is_that_of_the_counting_encoders() -> None:
 def test_written_firmware_reads_back_the_same(tmp_path: Path) -> None:
     write_firmware(load_firmware(), tmp_path / "firmware.yaml")
     assert load_firmware(tmp_path / "firmware.yaml") == load_firmware()
+
+
+@pytest.fixture
+def drives(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Short drives of a velocity model in place of the physics; the seeds that were driven."""
+    driven: list[int] = []
+
+    def drive(firmware: Firmware, seed: int, smooth: bool) -> Log:
+        driven.append(seed)
+        plant = make_plant(f"model:ssm+{firmware.lag_v}", surface="ideal", sensors="perfect")
+        return record(plant, random_drive(seed, smooth, duration=1.0))
+
+    monkeypatch.setattr("sim.calibration._drive", drive)
+    return driven
+
+
+def test_a_calibration_writes_what_it_returns_and_announces_each_evaluation(drives: list[int], tmp_path: Path) -> None:
+    announced: list[int] = []
+    firmware = calibrate(tmp_path / "firmware.yaml", on_evaluation=lambda: announced.append(len(drives)))
+    seeds = load_calibration_parameters().seeds
+    assert announced == [len(seeds) * (k + 1) for k in range(sum(seed in seeds for seed in drives) // len(seeds))]
+    assert len(announced) > 10
+    assert load_firmware(tmp_path / "firmware.yaml") == firmware
+    assert [path.name for path in tmp_path.iterdir()] == ["firmware.yaml"]
+    # The stand-in is delayed by one parameter, the target is not: the least delay is best.
+    assert firmware.lag_v == pytest.approx(load_calibration_parameters().bounds.lag_v[0], abs=2e-3)
+
+
+@pytest.mark.parametrize("name", ["", "file/firmware.yaml"])
+def test_a_place_that_cannot_be_written_is_refused_before_the_calibration(
+    name: str, drives: list[int], tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_text("a file")
+    with pytest.raises(ConfigError, match="cannot be written to|not a regular file"):
+        calibrate(tmp_path / name)
+    assert drives == []
+
+
+def test_a_calibration_that_fails_leaves_the_old_file(drives: list[int], tmp_path: Path) -> None:
+    path = tmp_path / "firmware.yaml"
+    path.write_text("old")
+
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(path, on_evaluation=interrupt)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]

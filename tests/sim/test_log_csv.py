@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import os
+import stat
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from loop_parts import ConstantTwist, FeedForward, KinematicPlant
 
+from models.checked_yaml import ConfigError
 from models.interface import Measurement, Stamped
 from sim import Run, simulate
 from sim.log_csv import COLUMNS, read_log, write_log
+from sim.whole_file import whole_file
 
 
 class SparsePlant(KinematicPlant):
@@ -47,6 +52,66 @@ def test_a_log_reads_back_bit_for_bit(run: Run, tmp_path: Path) -> None:
 def test_no_partial_file_stays_behind(run: Run, tmp_path: Path) -> None:
     write_log(run, tmp_path / "run.csv")
     assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
+
+
+def test_a_log_replaces_a_file_and_keeps_its_permissions(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("old")
+    path.chmod(0o640)
+    write_log(run, path)
+    assert read_log(path)["t_s"].size == run.time.size
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+
+def test_a_link_to_a_file_stays_a_link(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "link.csv").symlink_to(tmp_path / "real.csv")
+    for _ in range(2):  # first the file is missing, then it is replaced
+        write_log(run, tmp_path / "link.csv")
+        assert (tmp_path / "link.csv").is_symlink()
+        assert read_log(tmp_path / "real.csv")["t_s"].size == run.time.size
+
+
+def _pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def _device(path: Path) -> None:
+    path.symlink_to("/dev/null")
+
+
+@pytest.mark.parametrize("make", [Path.mkdir, _pipe, _device])
+def test_only_a_regular_file_is_replaced(run: Run, tmp_path: Path, make: Callable[[Path], None]) -> None:
+    path = tmp_path / "run.csv"
+    make(path)
+    before = path.lstat()
+    with pytest.raises(ConfigError, match=r"run\.csv: not a regular file"):
+        write_log(run, path)
+    assert path.lstat() == before
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.csv"]
+
+
+def test_links_in_a_circle_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a").symlink_to(tmp_path / "b")
+    (tmp_path / "b").symlink_to(tmp_path / "a")
+    with pytest.raises(ConfigError, match=f"^{tmp_path / 'a'}: "), whole_file(tmp_path / "a"):
+        pass
+
+
+def test_what_cannot_be_written_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("a file")
+    with pytest.raises(ConfigError, match="cannot be written to"), whole_file(tmp_path / "taken" / "run.csv"):
+        pass
+    assert (tmp_path / "taken").read_text() == "a file"
+
+
+def test_a_failure_leaves_the_old_file_and_no_new_folder(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text("old")
+    for path in (tmp_path / "run.csv", tmp_path / "new" / "folder" / "run.csv"):
+        with pytest.raises(ZeroDivisionError), whole_file(path) as draft:
+            draft.write_text("half")
+            raise ZeroDivisionError
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.csv"]
+    assert (tmp_path / "run.csv").read_text() == "old"
 
 
 @pytest.mark.parametrize(

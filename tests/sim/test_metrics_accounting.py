@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from loop_parts import ConstantTwist, FeedForward, KinematicPlant, Slow, run_along
 
+from mpc import Mode
 from sim import simulate
+from sim.metrics import FALLBACK_MODES, GIVEN_UP_MODES
 
 LINE = ConstantTwist(v=0.5, omega=0.0, duration=1.0)
 TIMES = np.arange(0, 51) * 0.02
@@ -26,6 +28,12 @@ def test_fallback_ticks_are_counted_by_mode() -> None:
     run = simulate(FeedForward(modes), KinematicPlant(), LINE)
     assert run.metrics.fallbacks == 3
     assert run.metrics.completed
+
+
+def test_every_mode_of_the_controller_is_a_fallback_or_known_to_be_none() -> None:
+    assert FALLBACK_MODES | {"TRACKING", "FINISHED"} == {mode.value for mode in Mode}
+    assert not FALLBACK_MODES & {"TRACKING", "FINISHED"}
+    assert GIVEN_UP_MODES < FALLBACK_MODES
 
 
 @pytest.mark.parametrize("mode", ["BRAKING", "STOPPED"])

@@ -76,6 +76,15 @@ def test_driving_backwards_as_the_reference_does_is_no_course_error() -> None:
     assert run.metrics.lateral_max_m < 3.2e-6
 
 
+def test_course_error_is_against_the_tangent_where_the_reference_is() -> None:
+    """A robot that keeps to the circle half a second behind differs in course by the turn of half a second."""
+    circle = ConstantTwist(v=0.5, omega=0.5, duration=4.0)
+    times = np.arange(25, 200) * 0.02
+    run = run_along(circle, circle.sample(times - 0.5).pose, [0.5, 0.0, 0.5], times)
+    np.testing.assert_allclose(run.errors.course, -0.25, atol=1e-12)
+    assert np.abs(run.errors.lateral).max() < 1e-5
+
+
 def test_no_course_error_is_taken_while_the_robot_or_the_reference_stands() -> None:
     spot = ConstantTwist(v=0.0, omega=1.0, duration=10.0)
     turning = run_along(spot, spot.sample(TIMES).pose, [0.2, 0.1, 1.0], TIMES)

@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 from models import integrate_pose, load_model
 from models.checked_yaml import ConfigError
 from models.interface import Stamped
+from models.load import model_path
 from models.robot import load_robot
+from models.velocity_model import ModelError
 from sim.drives import random_drive
 from sim.log import Log, record
 from sim.make import make_plant
@@ -96,6 +98,14 @@ def test_bad_command_is_refused(name: str, command: list[float]) -> None:
         ({"name": "mujoco", "seed": -1}, "seed -1"),
         ({"name": "mujoco", "extra_dead_time": 0.1}, "extra_dead_time is for 'model:' plants"),
         ({"name": "model:ssm", "extra_dead_time": -0.1}, "must not be negative"),
+        ({"name": "gazebo"}, "'model:NAME+SECONDS'"),
+        ({"name": "model:smm+0.04"}, "unknown model 'smm'"),
+        ({"name": "model:sm+fast"}, "'fast' is no dead time; write model:NAME+SECONDS, such as model:sm+0.04"),
+        ({"name": "model:sm+"}, "'' is no dead time"),
+        ({"name": "model:sm+-0.1"}, "'-0.1' is no dead time"),
+        ({"name": "model:sm+nan"}, "'nan' is no dead time"),
+        ({"name": "model:sm+inf"}, "'inf' is no dead time"),
+        ({"name": "model:a+b.yaml"}, "the path of a model file that exists"),
     ],
 )
 def test_bad_arguments_give_one_clear_line(arguments: dict[str, object], message: str) -> None:
@@ -140,6 +150,44 @@ def test_model_plant_without_slip_is_its_model(seed: int, extra_dead_time: float
     for k, (v, omega) in enumerate(mean):
         pose = integrate_pose(pose, v, omega, DT)
         np.testing.assert_allclose(log.true_pose[k + 1], pose, atol=1e-12)
+
+
+def _named(name: str, commands: np.ndarray, **options: float) -> Log:
+    return record(make_plant(name, surface="ideal", sensors="perfect", **options), commands)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("model", ["sm", "mbm", "ssm"])
+def test_dead_time_in_the_name_delays_the_outputs(model: str) -> None:
+    commands = random_drive(8, duration=3.0)
+    plain, late = _named(f"model:{model}", commands), _named(f"model:{model}+{2 * DT}", commands)
+    np.testing.assert_allclose(late.output[2:], plain.output[:-2], atol=1e-12)
+    np.testing.assert_allclose(late.output[:2], 0.0, atol=1e-12)
+    assert np.abs(plain.output).max() > 0.3
+    np.testing.assert_array_equal(
+        _named(f"model:{model}+0.013", commands).output,
+        _named(f"model:{model}", commands, extra_dead_time=0.013).output,
+    )
+
+
+def test_a_dead_time_beyond_any_robots_is_refused() -> None:
+    with pytest.raises(ModelError, match=r"dead time [^\n]*expected 0 to"):
+        make_plant("model:sm+1e9")
+
+
+def test_dead_times_of_name_and_argument_add_up() -> None:
+    commands = random_drive(8, duration=3.0)
+    both = _named(f"model:sm+{DT}", commands, extra_dead_time=DT)
+    np.testing.assert_allclose(both.output, _named(f"model:sm+{2 * DT}", commands).output, atol=1e-12)
+
+
+def test_a_model_file_may_have_a_plus_in_its_path(tmp_path: Path) -> None:
+    path = tmp_path / "robot+0.04"
+    path.write_text(model_path("sm").read_text(encoding="utf-8"), encoding="utf-8")
+    commands = random_drive(8, duration=3.0)
+    plain = _named("model:sm", commands)
+    np.testing.assert_array_equal(_named(f"model:{path}", commands).output, plain.output)
+    late = _named(f"model:{path}+{DT}", commands)
+    np.testing.assert_allclose(late.output[1:], plain.output[:-1], atol=1e-12)
 
 
 def _slipping(**changes: float) -> Log:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from models.checked_yaml import ConfigError
 from models.interface import Measurement
 from models.wheels import WheelKinematics
 from sim.sensor_set import Encoders, Gyro, PoseSensor, SensorSet, load_sensor_set
@@ -142,3 +145,35 @@ def test_nothing_is_delivered_twice() -> None:
     sensors = Sensors(load_sensor_set("default"), KINEMATICS, DT, seed=0, noisy_encoders=True)
     sensors.collect(0.0, None)
     assert sensors.collect(0.0, (0.1, 0.2)) == Measurement(sent=(0.1, 0.2))
+
+
+def _file(folder: Path, period: str, latency: str) -> Path:
+    path = folder / "mine.yaml"
+    path.write_text(
+        f"pose: {{period: {period}, latency: {latency}, position_sd: 0.01, heading_sd: 0.01}}\n"
+        "gyro: {noise_sd: 0.0, bias_sd: 0.0}\nencoders: {speed_sd: 0.0}\n"
+    )
+    return path
+
+
+@pytest.mark.parametrize(
+    ("period", "latency", "key"),
+    [
+        ("1.0e-7", "0.02", "pose.period"),
+        ("0", "0.02", "pose.period"),
+        ("-0.1", "0.02", "pose.period"),
+        ("0.1", "1.0e+9", "pose.latency"),
+        ("0.1", "2.01", "pose.latency"),
+        ("0.1", "-0.01", "pose.latency"),
+    ],
+)
+def test_a_pose_sensor_that_would_never_end_is_refused(period: str, latency: str, key: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=rf"mine\.yaml: {key}: [^\n]*\(found [^\n]*\)$"):
+        load_sensor_set(_file(tmp_path, period, latency))
+
+
+def test_the_fastest_and_latest_pose_sensor_works(tmp_path: Path) -> None:
+    measurements = _run(load_sensor_set(_file(tmp_path, "0.001", "2.0")), 200)
+    for k, measurement in enumerate(measurements):
+        assert measurement.pose is not None
+        assert k * DT - measurement.pose.time == pytest.approx(2.0, abs=1.1e-3)

@@ -1,0 +1,73 @@
+"""Tracking errors over time, all of the true pose against the reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.interface import FloatArray, Reference, ReferenceSample
+from models.pose import wrap_angle
+from sim.metric_settings import metric_settings
+from sim.path_projection import path_polyline
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingErrors:
+    """Error series over the n ticks of a run.
+
+    Attributes
+    ----------
+    position
+        (n,) distance to the reference at the same time [m].
+    heading
+        (n,) true minus reference heading at the same time, wrapped [rad].
+    course
+        (n,) direction of travel, side-slip included, minus the path's tangent where the reference is at the same time
+        (not where the robot is nearest to the path), wrapped [rad]; NaN where the robot or the reference stands.
+    lateral
+        (n,) signed distance from the path, positive to its left [m].
+    """
+
+    position: FloatArray
+    heading: FloatArray
+    course: FloatArray
+    lateral: FloatArray
+
+
+def tracking_errors(
+    reference: Reference, expected: ReferenceSample, true_pose: FloatArray, true_twist: FloatArray
+) -> TrackingErrors:
+    """Error series of a run of n ticks, whose definitions are those of `TrackingErrors`.
+
+    Parameters
+    ----------
+    reference
+        The trajectory, of which the path is taken.
+    expected
+        The reference at the n ticks.
+    true_pose
+        (n, 3) x [m], y [m], theta [rad] at the ticks.
+    true_twist
+        (n, 3) forward speed [m/s], lateral speed [m/s], yaw rate [rad/s] at the ticks, body frame.
+    """
+    settings = metric_settings()
+    polyline = path_polyline(reference, settings.path_spacing, settings.path_window)
+    offset = true_pose[:, :2] - expected.pose[:, :2]
+    return TrackingErrors(
+        position=np.hypot(offset[:, 0], offset[:, 1]),
+        heading=wrap_angle(true_pose[:, 2] - expected.pose[:, 2]),
+        course=_course_error(expected, true_pose, true_twist, settings.moving_speed),
+        lateral=polyline.lateral(true_pose[:, :2], expected.arc_length, settings.path_window),
+    )
+
+
+def _course_error(
+    expected: ReferenceSample, true_pose: FloatArray, true_twist: FloatArray, moving_speed: float
+) -> FloatArray:
+    forward, sideways = true_twist[:, 0], true_twist[:, 1]
+    reference_speed = expected.twist[:, 0]
+    moving = (np.hypot(forward, sideways) > moving_speed) & (np.abs(reference_speed) > moving_speed)
+    course = true_pose[:, 2] + np.arctan2(sideways, forward)
+    tangent = expected.pose[:, 2] + np.where(reference_speed < 0, np.pi, 0.0)
+    return np.where(moving, wrap_angle(course - tangent), np.nan)

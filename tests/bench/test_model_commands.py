@@ -1,0 +1,102 @@
+"""`models fit` and `models calibrate`: checked before the long work, counted while it goes on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from bench.cli import app
+from bench.model_fitting import IDENTIFICATIONS, PaperExperiments, fit_models
+from bench.table import Table
+from models import load_model
+from models.identification import Experiment, TwoPolesFit
+from models.interface import FloatArray
+from models.structures import TwoPoles
+from sim.log import Log, record
+from sim.make import make_plant
+
+TRANSFER = TwoPoles(gain=1.0, natural_frequency=10.0, damping=1.0)
+runner = CliRunner()
+
+
+def _step(v: float, omega: float) -> Log:
+    commands: FloatArray = np.vstack([np.zeros((10, 2)), np.tile([v, omega], (100, 1))])
+    return record(make_plant("model:ssm", surface="ideal", sensors="perfect"), commands)
+
+
+@pytest.fixture
+def quick_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Short experiments on a velocity model, and no search."""
+
+    def identify(experiments: list[Experiment], dead_time: float | None = None) -> TwoPolesFit:
+        return TwoPolesFit(TRANSFER, 0.05 if dead_time is None else dead_time, 90.0)
+
+    straight, turn = [_step(0.5, 0.0)], [_step(0.0, 1.0)]
+    monkeypatch.setattr("bench.model_fitting.run_experiments", lambda: PaperExperiments(straight, straight, turn))
+    monkeypatch.setattr("bench.model_fitting.identify_two_poles", identify)
+    monkeypatch.setattr("bench.model_fitting.validation_table", lambda folder: Table("FIT", ("model",), (("sm",),)))
+
+
+@pytest.fixture
+def no_long_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise AssertionError("the long work began")
+
+    monkeypatch.setattr("bench.model_fitting.run_experiments", fails)
+    monkeypatch.setattr("sim.calibration._drive", fails)
+
+
+@pytest.mark.usefixtures("quick_parts")
+def test_every_identification_is_announced_against_the_right_total(tmp_path: Path) -> None:
+    seen: list[tuple[int, int]] = []
+    fit_models(tmp_path, on_progress=lambda done, total: seen.append((done, total)))
+    assert IDENTIFICATIONS == 10
+    assert seen == [(k, IDENTIFICATIONS) for k in range(IDENTIFICATIONS + 1)]
+    assert load_model(tmp_path / "sm.yaml").order == 4
+    assert load_model(tmp_path / "mbm.yaml").order == 8
+
+
+@pytest.mark.usefixtures("quick_parts")
+def test_an_interrupted_fit_leaves_the_old_files(tmp_path: Path) -> None:
+    (tmp_path / "sm.yaml").write_text("old")
+
+    def interrupt(done: int, total: int) -> None:
+        if done == total:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_models(tmp_path, on_progress=interrupt)
+    assert [path.name for path in tmp_path.iterdir()] == ["sm.yaml"]
+    assert (tmp_path / "sm.yaml").read_text() == "old"
+
+
+@pytest.mark.usefixtures("quick_parts")
+def test_the_fit_command_prints_the_table(tmp_path: Path) -> None:
+    result = runner.invoke(app, ["models", "fit", "--out", str(tmp_path / "fitted")])
+    assert result.exit_code == 0, result.stderr
+    assert "FIT" in result.stdout
+    assert sorted(path.name for path in (tmp_path / "fitted").iterdir()) == ["mbm.yaml", "sm.yaml"]
+
+
+@pytest.mark.usefixtures("no_long_work")
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("models fit --out {taken}", "cannot be written to"),
+        ("models calibrate --out {folder}", "not a regular file"),
+        ("models calibrate --out {taken}/firmware.yaml", "cannot be written to"),
+        ("models calibrate --check --out {folder}/new.yaml", "--check writes nothing"),
+    ],
+)
+def test_what_cannot_be_written_is_said_before_the_long_work(arguments: str, message: str, tmp_path: Path) -> None:
+    taken = tmp_path / "taken"
+    taken.write_text("a file")
+    result = runner.invoke(app, arguments.format(taken=taken, folder=tmp_path).split())
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1
+    assert message in result.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
