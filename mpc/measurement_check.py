@@ -9,6 +9,8 @@ from models.interface import FloatArray
 
 # A variance of a square kilometre says nothing about a robot, and would overflow the filter before long.
 _LARGEST_VARIANCE = 1e6
+# Share by which two mirrored entries may differ: rounding on the way here.
+_ASYMMETRY = 1e-6
 
 
 def numbers(value: ArrayLike | None, count: int) -> FloatArray | None:
@@ -26,8 +28,13 @@ def covariance(value: ArrayLike, size: int) -> FloatArray | None:
     if entries is None or np.abs(entries).max() > _LARGEST_VARIANCE:
         return None
     matrix = entries.reshape(size, size)
-    symmetric = np.allclose(matrix, matrix.T, rtol=1e-6, atol=0.0)
-    return matrix if symmetric and np.linalg.eigvalsh(matrix).min() > 0 else None
+    if (np.abs(matrix - matrix.T) > _ASYMMETRY * np.abs(matrix)).any():
+        return None
+    try:
+        np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        return None
+    return matrix
 
 
 # Clocks of one robot agree to better than this; a stamp further ahead of the tick is a fault [s].
