@@ -15,7 +15,7 @@ from models.velocity_model import VelocityModel
 from mpc.bounds import clip_command
 from mpc.config import ControllerConfig
 from mpc.config_file import replace_values
-from mpc.estimator import StateEstimator
+from mpc.estimator import Estimate, StateEstimator
 from mpc.planner import Plan, Planner
 from mpc.reference_check import check_speeds
 from mpc.solver_report import SolverReport, SolverStatus
@@ -168,7 +168,7 @@ class Controller:
             outcome = self._tick(t, measurement, self._reference, notes)
             self._estimator.commands.append(outcome.command)
         else:
-            outcome = self._lost_time(kind)
+            outcome = self._lost_time(kind, notes)
             # No interval of the model begins here: the command in force since the last tick has changed.
             self._estimator.commands.correct_last(outcome.command)
         self._last = outcome.command
@@ -191,9 +191,9 @@ class Controller:
         self._config, self._pending = self._pending, None
         self._planner = Planner(self._config, self._model)
 
-    def _lost_time(self, kind: TickKind) -> _Outcome:
+    def _lost_time(self, kind: TickKind, notes: list[str]) -> _Outcome:
         """Brake: this tick tells nothing. Where the clock leapt, stand: a base without commands has stopped itself."""
-        outcome = self._brake()
+        outcome = self._brake(notes)
         if kind is TickKind.PAUSED:
             self._estimator.forget()
             self._estimator.commands.clear()
@@ -218,7 +218,7 @@ class Controller:
             return self._brake(notes, f"no pose was accepted for {estimate.pose_age:.2f} s")
         if self._latched:
             return self._brake(notes, "stopped after a failure; call start or reset to drive on")
-        if self._is_finished(t - self._t0, reference, notes):
+        if self._is_finished(estimate, t - self._t0, reference, notes):
             return _Outcome(self._ramp(), Mode.FINISHED)
         here = reference.sample([t - self._t0]).pose[0]
         distance = float(np.hypot(*(estimate.pose - here)[:2]))
@@ -226,11 +226,10 @@ class Controller:
             return self._brake(
                 notes, f"{distance:.2f} m from the reference; the limit is {failure.max_position_error} m"
             )
-        return self._track(t, reference, notes)
+        return self._track(estimate, t - self._t0, reference, notes)
 
-    def _track(self, t: float, reference: Reference, notes: list[str]) -> _Outcome:
-        past, estimate = self._estimator.commands.recent, self._estimator.estimate
-        plan, report = self._planner.plan(estimate, past, self._last, reference, t - self._t0)
+    def _track(self, estimate: Estimate, since_start: float, reference: Reference, notes: list[str]) -> _Outcome:
+        plan, report = self._planner.plan(estimate, self._estimator.commands.recent, self._last, reference, since_start)
         if plan is not None:
             self._plan, self._plan_age = plan, 0
             return _Outcome(self._inside(plan.commands[0]), Mode.TRACKING, report, plan)
@@ -240,11 +239,10 @@ class Controller:
         if self._plan is not None and self._plan_age <= usable:
             command = self._inside(self._plan.commands[self._plan_age])
             return _Outcome(command, Mode.REUSED_PLAN, report, self._plan)
-        return replace(self._brake(), solver=report)
+        return replace(self._brake(notes), solver=report)
 
-    def _brake(self, notes: list[str] | None = None, reason: str = "") -> _Outcome:
-        if notes is not None:
-            notes.append(reason)
+    def _brake(self, notes: list[str], *reasons: str) -> _Outcome:
+        notes.extend(reasons)
         self._plan = None
         self._planner.reset()
         # Waiting for the first pose is no failure to be latched.
@@ -270,10 +268,10 @@ class Controller:
             return False
         return self._estimator.restart_elsewhere()
 
-    def _is_finished(self, since_start: float, reference: Reference, notes: list[str]) -> bool:
+    def _is_finished(self, estimate: Estimate, since_start: float, reference: Reference, notes: list[str]) -> bool:
         if self._finished or since_start < reference.duration:
             return self._finished
-        finish, estimate = self._config.finish, self._estimator.estimate
+        finish = self._config.finish
         end = reference.sample([reference.duration]).pose[0]
         distance = float(np.hypot(*(estimate.pose - end)[:2]))
         settled = distance <= finish.position and (np.abs(estimate.twist) <= finish.speed).all()

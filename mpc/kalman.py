@@ -50,7 +50,7 @@ class VelocityPoseFilter:
         Its speed is as uncertain as if it might as well stand; that of a robot at rest is certain.
         """
         model, n = self._model, self._n
-        recent, older = commands.acting(commands.oldest)
+        _, older = commands.acting(commands.oldest)
         state = model.settled_state(older)
         for ticks_ago in range(commands.oldest, -1, -1):
             recent, older = commands.acting(ticks_ago)

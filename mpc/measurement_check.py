@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -11,9 +13,11 @@ from models.interface import FloatArray
 _LARGEST_VARIANCE = 1e6
 # Share by which two mirrored entries may differ: rounding on the way here.
 _ASYMMETRY = 1e-6
+# Clocks of one robot agree to better than this; a stamp further ahead of the tick is a fault [s].
+_FUTURE = 1e-3
 
 
-def numbers(value: ArrayLike | None, count: int) -> FloatArray | None:
+def numbers(value: Any, count: int) -> FloatArray | None:  # noqa: ANN401 - whatever arrives
     """`value` as `count` finite numbers, or None if it is anything else."""
     try:
         array = np.asarray(value, dtype=float).ravel()
@@ -37,17 +41,13 @@ def covariance(value: ArrayLike, size: int) -> FloatArray | None:
     return matrix
 
 
-# Clocks of one robot agree to better than this; a stamp further ahead of the tick is a fault [s].
-FUTURE = 1e-3
-
-
 def stamp_fault(stamp: object, t: float, last: float, history: float) -> str:
     """What is wrong with a stamp at tick `t` [s], after one at `last` [s]; empty if nothing is."""
-    time = numbers(stamp, 1)  # type: ignore[arg-type]  # whatever it is
+    time = numbers(stamp, 1)
     if time is None:
         return "its stamp is not a finite number"
     age = t - float(time[0])
-    if age < -FUTURE:
+    if age < -_FUTURE:
         return f"its stamp lies {-age:.3f} s in the future"
     if time[0] <= last:
         return "its stamp is not newer than that of the one before"
