@@ -13,7 +13,7 @@ def slew_step(limits: Limits, dt: float) -> FloatArray:
     return np.array([limits.v_slew, limits.omega_slew]) * dt
 
 
-def command_box(limits: Limits, dt: float, last_command: FloatArray, steps: int) -> FloatArray:
+def command_box(limits: Limits, dt: float, last_command: FloatArray, steps: int, share: float = 1.0) -> FloatArray:
     """Bounds on |command| for the next steps.
 
     A limit that was tightened below the last command is reached at the slew limit: until then the bound is what the
@@ -25,12 +25,14 @@ def command_box(limits: Limits, dt: float, last_command: FloatArray, steps: int)
         (steps, 2) [m/s, rad/s].
     """
     reachable = np.abs(last_command) - slew_step(limits, dt) * np.arange(1, steps + 1)[:, None]
-    return np.asarray(np.maximum(reachable, [limits.v, limits.omega]))
+    return np.asarray(np.maximum(reachable, [share * limits.v, share * limits.omega]))
 
 
-def clip_command(command: FloatArray, limits: Limits, dt: float, last_command: FloatArray) -> FloatArray:
-    """The nearest command (2,) inside range and slew: a solver meets its bounds only to its tolerance."""
-    box = command_box(limits, dt, last_command, 1)[0]
+def clip_command(
+    command: FloatArray, limits: Limits, dt: float, last_command: FloatArray, share: float = 1.0
+) -> FloatArray:
+    """The nearest command (2,) inside `share` of range, and slew: a solver meets its bounds only to its tolerance."""
+    box = command_box(limits, dt, last_command, 1, share)[0]
     step = slew_step(limits, dt)
     lower = np.maximum(last_command - step, -box)
     upper = np.minimum(last_command + step, box)

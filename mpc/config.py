@@ -140,6 +140,42 @@ class Failure(_Group):
     resume: bool = Field(True, description="drive on when poses and solves are good again after a stop [-]")
 
 
+class Reentry(_Group):
+    """How a robot that is off its path rejoins it, and how far the reference's clock waits for it."""
+
+    enabled: bool = Field(True, description="rejoin on a smooth path and let the reference wait; false: chase it [-]")
+    band: Positive = Field(0.05, description="further than this from the path to either side, it is rejoined [m]")
+    heading_band: Positive = Field(0.6, description="turned by more than this from the reference, it is rejoined [rad]")
+    wait: Positive = Field(
+        0.1, description="lag along the path from which the reference slows down; at twice this it stands [m]"
+    )
+    heading_wait: Positive = Field(0.3, description="the same for a lag in turning on the spot [rad]")
+    max_progress: Annotated[float, Field(gt=1, le=2)] = Field(
+        1.25, description="fastest rate of the reference's clock while it catches up, and of driving back to it [-]"
+    )
+    progress_ramp: Positive = Field(1.0, description="rate of change of the progress rate [1/s]")
+    look_ahead_min: Positive = Field(0.2, description="least distance along the path to where it is rejoined [m]")
+    look_ahead_max: Positive = Field(2.0, description="largest distance along the path to where it is rejoined [m]")
+    window: Annotated[float, Field(gt=0, le=60)] = Field(
+        6.0, description="how far around its time the reference is searched [s]"
+    )
+    v_acceleration: Positive = Field(
+        _ROBOT.reference_acceleration.v, description="largest forward acceleration of the way back [m/s^2]"
+    )
+    omega_acceleration: Positive = Field(
+        _ROBOT.reference_acceleration.omega, description="largest yaw acceleration of the way back [rad/s^2]"
+    )
+    effort: Annotated[float, Field(gt=0, le=1)] = Field(
+        0.75, description="share of the hard limits of v and omega that the way back may use [-]"
+    )
+    blocked_after: Positive = Field(
+        0.5, description="a robot that does not move for so long while the reference waits is blocked [s]"
+    )
+    blocked_share: Annotated[float, Field(gt=0, le=1)] = Field(
+        0.4, description="share of the hard limits of v and omega that a blocked robot is asked for at most [-]"
+    )
+
+
 class Finish(_Group):
     """When the end of the reference counts as reached."""
 
@@ -165,4 +201,5 @@ class ControllerConfig(_Group):
     solver: Solver = Solver()
     estimator: Estimator = Estimator()
     failure: Failure = Failure()
+    reentry: Reentry = Reentry()
     finish: Finish = Finish()

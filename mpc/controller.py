@@ -17,6 +17,7 @@ from mpc.config import ControllerConfig
 from mpc.config_file import replace_values
 from mpc.estimator import Estimate, StateEstimator
 from mpc.planner import Plan, Planner
+from mpc.pursuit import Pursuit, Target, TooFar
 from mpc.reference_check import check_speeds
 from mpc.solver_report import SolverReport, SolverStatus
 from mpc.step_result import Mode, StepResult
@@ -63,6 +64,7 @@ class Controller:
         self._pending: ControllerConfig | None = None
         self._estimator = StateEstimator(self._model.discretise(config.sample_time), config.estimator)
         self._planner = Planner(config, self._model)
+        self._pursuit = Pursuit(config)
         self._clock = TickClock(config.sample_time, self._estimator.longest_pause)
         self._reference: Reference | None = None
         self._t0 = 0.0
@@ -99,6 +101,7 @@ class Controller:
         check_speeds(reference, self._config.limits, self._config.sample_time)
         self._forget()
         self._reference, self._t0 = reference, t0
+        self._pursuit.start(reference)
 
     def reset(self) -> None:
         """Be as new, for a robot that stands still: forget estimate, plan and commands. The reference stays."""
@@ -109,6 +112,7 @@ class Controller:
     def _forget(self) -> None:
         self._estimator.forget()
         self._planner.reset()
+        self._pursuit.restart()
         self._clock.restart()
         self._plan: Plan | None = None
         self._plan_age = 0
@@ -180,6 +184,9 @@ class Controller:
             solver=outcome.solver,
             plan=None if outcome.plan is None else outcome.plan.poses,
             planned_commands=None if outcome.plan is None else outcome.plan.commands,
+            reference=None if outcome.plan is None else outcome.plan.reference,
+            progress=self._pursuit.progress,
+            reference_delay=self._pursuit.delay,
             estimate=self._estimator.estimate if self._estimator.ready else None,
             step_time=time.perf_counter() - started,
         )
@@ -190,6 +197,7 @@ class Controller:
             return
         self._config, self._pending = self._pending, None
         self._planner = Planner(self._config, self._model)
+        self._pursuit.configure(self._config)
 
     def _lost_time(self, kind: TickKind, notes: list[str]) -> _Outcome:
         """Brake: this tick tells nothing. Where the clock leapt, stand: a base without commands has stopped itself."""
@@ -201,6 +209,7 @@ class Controller:
 
     def _tick(self, t: float, measurement: Measurement, reference: Reference, notes: list[str]) -> _Outcome:
         estimator, failure = self._estimator, self._config.failure
+        reference_time = self._pursuit.advance(t - self._t0)
         notes.extend(estimator.correct_sent(measurement.sent))
         if measurement.sent is not None:
             self._last = self._slew_base()
@@ -218,21 +227,26 @@ class Controller:
             return self._brake(notes, f"no pose was accepted for {estimate.pose_age:.2f} s")
         if self._latched:
             return self._brake(notes, "stopped after a failure; call start or reset to drive on")
-        if self._is_finished(estimate, t - self._t0, reference, notes):
+        if self._is_finished(estimate, reference_time, reference, notes):
             return _Outcome(self._ramp(), Mode.FINISHED)
-        here = reference.sample([t - self._t0]).pose[0]
-        distance = float(np.hypot(*(estimate.pose - here)[:2]))
-        if distance > failure.max_position_error:
+        target = self._pursuit.target(t - self._t0, reference_time, estimate)
+        if isinstance(target, TooFar):
             return self._brake(
-                notes, f"{distance:.2f} m from the reference; the limit is {failure.max_position_error} m"
+                notes, f"{target.distance:.2f} m from the reference; the limit is {failure.max_position_error} m"
             )
-        return self._track(estimate, t - self._t0, reference, notes)
+        if target.message:
+            notes.append(target.message)
+        return self._track(estimate, target, notes)
 
-    def _track(self, estimate: Estimate, since_start: float, reference: Reference, notes: list[str]) -> _Outcome:
-        plan, report = self._planner.plan(estimate, self._estimator.commands.recent, self._last, reference, since_start)
+    def _track(self, estimate: Estimate, target: Target, notes: list[str]) -> _Outcome:
+        plan, report = self._planner.plan(
+            estimate, self._estimator.commands.recent, self._last, target.reference, target.time
+        )
         if plan is not None:
             self._plan, self._plan_age = plan, 0
-            return _Outcome(self._inside(plan.commands[0]), Mode.TRACKING, report, plan)
+            # A base that is held must not be asked for more and more: let go, it would leap.
+            share = self._config.reentry.blocked_share if target.blocked else 1.0
+            return _Outcome(self._inside(plan.commands[0], share), Mode.TRACKING, report, plan)
         notes.append(f"solve failed: {report.status}")
         self._plan_age += 1
         usable = min(self._config.failure.max_reused_ticks, self._config.horizon - 1)
@@ -253,8 +267,8 @@ class Controller:
     def _ramp(self) -> FloatArray:
         return self._inside(np.zeros(2))
 
-    def _inside(self, command: FloatArray) -> FloatArray:
-        return clip_command(command, self._config.limits, self._config.sample_time, self._last)
+    def _inside(self, command: FloatArray, share: float = 1.0) -> FloatArray:
+        return clip_command(command, self._config.limits, self._config.sample_time, self._last, share)
 
     def _slew_base(self) -> FloatArray:
         """What the robot really got, as far as it lies inside the limits: from outside them there is no slew back."""

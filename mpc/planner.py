@@ -29,10 +29,13 @@ class Plan:
         (N, 2) v_ref [m/s], omega_ref [rad/s].
     poses
         (N + 1, 3) the poses that they lead to.
+    reference
+        (N + 1, 3) the poses that it tracks; theta on the turn that the estimate is on.
     """
 
     commands: FloatArray
     poses: FloatArray
+    reference: FloatArray
 
 
 class Planner:
@@ -92,6 +95,6 @@ class Planner:
         if not (solution.report.status.usable and np.isfinite(solution.plan).all()):
             self.reset()
             return None, solution.report
-        plan = Plan(solution.plan, self._condenser.poses(tick, solution.plan))
+        plan = Plan(solution.plan, self._condenser.poses(tick, solution.plan), tick.reference)
         self._guess = np.vstack([solution.plan[1:], solution.plan[-1:]])
         return plan, solution.report

@@ -36,13 +36,19 @@ class StepResult:
     mode
         What the controller is doing.
     message
-        Why, in words; empty when tracking and nothing was rejected.
+        Why, in words; empty when tracking on time and nothing was rejected.
     solver
         Status, residuals and iterations of the solve; its status says so if none was run.
     plan
         (N + 1, 3) predicted poses of the plan that the command comes from; None while braking or stopped.
     planned_commands
         (N, 2) the commands of that plan.
+    reference
+        (N + 1, 3) the poses that this plan tracks: the reference, or the way back to it.
+    progress
+        Rate of the reference's clock now: 1 on time, 0 while it waits [-].
+    reference_delay
+        How far the reference's clock is behind the controller's [s]; negative where the robot was carried ahead.
     estimate
         The estimate that the command is based on; None before the first pose.
     step_time
@@ -55,5 +61,8 @@ class StepResult:
     solver: SolverReport
     plan: FloatArray | None
     planned_commands: FloatArray | None
+    reference: FloatArray | None
+    progress: float
+    reference_delay: float
     estimate: Estimate | None
     step_time: float

@@ -72,7 +72,7 @@ def test_it_drives_on_when_poses_return():
     def lose(k, m):
         return with_pose(m, None) if 100 <= k < 160 else m
 
-    results, poses, times = drive(controller(), robot(), REFERENCE, 9.0, change=lose)
+    results, poses, times = drive(controller(), robot(), REFERENCE, 12.0, change=lose)
     assert modes(results) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED, Mode.TRACKING]
     assert np.abs((poses - REFERENCE.sample(times).pose)[-50:, :2]).max() < 0.02
 

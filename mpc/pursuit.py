@@ -1,0 +1,256 @@
+"""What the planner is to track at each tick: the reference on time, the reference that waits, or the way back to it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.interface import Reference
+from models.pose import wrap_angle
+from mpc.blocked import BlockedWatch
+from mpc.config import ControllerConfig
+from mpc.estimator import Estimate
+from mpc.path_window import STANDING, TURNING, PathWindow, in_path
+from mpc.reentry import rejoin
+from mpc.reentry_options import Course
+from mpc.reference_clock import ReferenceClock
+from mpc.rejoin import Rejoin
+from mpc.trajectories.limits import TrajectoryLimits
+
+# The reference never leaves the robot behind by more than twice `wait`: further off, the robot was moved.
+_DISPLACED = 3.0
+# Steps of the window in samples of the controller.
+_WINDOW_STEP = 2.5
+_MOST_SAMPLES = 5000
+
+
+@dataclass(frozen=True)
+class Target:
+    """What to track now.
+
+    Attributes
+    ----------
+    reference, time
+        A reference and the time at which it stands now [s].
+    message
+        In words, what is out of the ordinary; empty when the robot is on its path and on time.
+    blocked
+        Whether the robot does not move although it is asked to.
+    """
+
+    reference: Reference
+    time: float
+    message: str = ""
+    blocked: bool = False
+
+
+@dataclass(frozen=True)
+class TooFar:
+    """The robot is further from its path than allowed: `distance` [m]."""
+
+    distance: float
+
+
+@dataclass(frozen=True)
+class _Deviation:
+    """Of the robot from the pose that it follows, whose twist is `v` [m/s], `omega` [rad/s]."""
+
+    along: float
+    across: float
+    heading: float
+    v: float
+    omega: float
+
+
+class Pursuit:
+    """Follows one reference; holds its clock and the way back, if there is one.
+
+    Parameters
+    ----------
+    config
+        Limits, and the groups `reentry` and `failure`.
+    """
+
+    def __init__(self, config: ControllerConfig) -> None:
+        self._clock = ReferenceClock(config.reentry.max_progress, config.reentry.progress_ramp)
+        self._blocked = BlockedWatch(config.reentry.blocked_after)
+        self._reference: Reference | None = None
+        self._top = (0.0, 0.0)
+        self.configure(config)
+        self.restart()
+
+    def configure(self, config: ControllerConfig) -> None:
+        """Use other limits from now on."""
+        self._config, self._settings = config, config.reentry
+
+    def start(self, reference: Reference) -> None:
+        """Follow `reference` from now on."""
+        self._reference = reference
+        samples = min(int(reference.duration / self._config.sample_time) + 2, _MOST_SAMPLES)
+        twist = reference.sample(np.linspace(0.0, reference.duration, samples)).twist
+        v, omega = np.abs(twist).max(axis=0).tolist()
+        self._top = (v, omega)
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew with the same reference, on time."""
+        self._clock.restart()
+        self._blocked.restart()
+        self._way_back: Rejoin | None = None
+        self._reason = ""
+        self._driving, self._resumes = True, False
+        self._time = -math.inf
+
+    @property
+    def progress(self) -> float:
+        """Rate of the reference's clock [-]."""
+        return self._clock.rate if self._driving else 0.0
+
+    @property
+    def delay(self) -> float:
+        """How far the reference's clock is behind the controller's [s]."""
+        return self._clock.delay
+
+    def advance(self, since_start: float) -> float:
+        """Go on to `since_start` [s] of the controller; returns the reference's time [s].
+
+        The reference stands for as long as `target` is not called: the robot does not follow it then.
+        """
+        if not self._settings.enabled:
+            return since_start
+        self._time = self._clock.advance(since_start, driving=self._driving or self._ended)
+        self._resumes, self._driving = not self._driving, False
+        return self._time
+
+    @property
+    def _ended(self) -> bool:
+        return self._reference is not None and self._time >= self._reference.duration
+
+    def target(self, since_start: float, time: float, estimate: Estimate) -> Target | TooFar:
+        """What to track at `since_start` [s], where `time` [s] is what `advance` returned."""
+        reference = self._reference
+        assert reference is not None
+        if not self._settings.enabled or since_start < 0.0:
+            return self._chase(reference, time, estimate)
+        if self._way_back is not None and time >= self._way_back.joins:
+            self._way_back = None
+        followed: Reference = self._way_back or reference
+        off = _deviation(followed, time, estimate)
+        if self._outside(off):
+            found = self._return(reference, time, since_start, estimate)
+            if isinstance(found, TooFar):
+                return found
+            if found is not None:
+                self._way_back = followed = found
+                time = found.begins
+                self._clock.set(since_start - time, 1.0)
+                off = _deviation(followed, time, estimate)
+        elif self._resumes and abs(off.v) > STANDING:
+            self._clock.set(self._clock.delay, min(1.0, max(0.0, float(estimate.twist[0]) / off.v)))
+        self._driving = True
+        late = self._lateness(off)
+        self._clock.plan(self._fastest() * min(1.0, max(0.0, 2.0 - late)), catch_up=self._way_back is None)
+        if late <= 1.0 and self._way_back is None:
+            self._blocked.restart()
+            if self._clock.on_time:
+                return Target(followed, time)
+        still = self._blocked.look(since_start, estimate.pose) if late > 1.0 or self._way_back else 0.0
+        return Target(self._clock.clocked(followed), since_start, self._words(still), still > 0.0)
+
+    def _chase(self, reference: Reference, time: float, estimate: Estimate) -> Target | TooFar:
+        """The reference on time, whatever the robot does."""
+        here = reference.sample([time]).pose[0]
+        distance = float(np.hypot(*(estimate.pose - here)[:2]))
+        self._driving = distance <= self._config.failure.max_position_error
+        return Target(reference, time) if self._driving else TooFar(distance)
+
+    def _outside(self, off: _Deviation) -> bool:
+        settings = self._settings
+        return (
+            abs(off.across) > settings.band
+            or abs(off.heading) > settings.heading_band
+            or abs(off.along) > _DISPLACED * settings.wait
+        )
+
+    def _return(
+        self, reference: Reference, time: float, since_start: float, estimate: Estimate
+    ) -> Rejoin | TooFar | None:
+        """A way back; None if the robot is on its path after all, only earlier or later than the reference."""
+        settings = self._settings
+        window = PathWindow.around(reference, time, settings.window, _WINDOW_STEP * self._config.sample_time)
+        here = window.nearest(estimate.pose, time)
+        along, across = window.beside(estimate.pose, here)
+        distance = math.hypot(along, across)
+        if distance > self._config.failure.max_position_error:
+            return TooFar(distance)
+        turned = abs(float(wrap_angle(estimate.pose[2] - window.pose[here, 2])))
+        moved = float(window.arc_length[here] - np.interp(time, window.times, window.arc_length))
+        beside, aside = distance > settings.band, turned > settings.heading_band
+        displaced = abs(moved) > _DISPLACED * settings.wait
+        if self._way_back is None and not (beside or aside or displaced):
+            return None
+        found = rejoin(
+            reference,
+            window,
+            here,
+            Course(estimate.pose, float(estimate.twist[0]), float(estimate.twist[1])),
+            since_start,
+            (settings.look_ahead_min, settings.look_ahead_max),
+            self._limits(),
+        )
+        if beside or not (aside or displaced):
+            reason = f"outside the band by {max(0.0, distance - settings.band):.2f} m"
+        else:
+            reason = f"turned by {turned:.1f} rad" if aside else f"carried {moved:+.2f} m along the path"
+        self._reason = f"{reason}: rejoining {found.ahead:.2f} m ahead"
+        return found
+
+    def _lateness(self, off: _Deviation) -> float:
+        """Lag behind the followed pose, in units of the lag from which it waits."""
+        settings = self._settings
+        if abs(off.v) > STANDING:
+            return math.copysign(off.along, -off.along * off.v) / settings.wait
+        # It stands, or turns on the spot: then the robot has to arrive first.
+        turning = -math.copysign(1.0, off.omega) * off.heading if abs(off.omega) > TURNING else 0.0
+        return max(math.hypot(off.along, off.across) / settings.wait, turning / settings.heading_wait)
+
+    def _fastest(self) -> float:
+        """Progress rate at which the reference stays inside the limits of the command."""
+        limits, (v, omega) = self._config.limits, self._top
+        within = min(limits.v / max(v, STANDING), limits.omega / max(omega, TURNING))
+        return max(1.0, min(self._settings.max_progress, within))
+
+    def _limits(self) -> TrajectoryLimits:
+        """Limits of the way back: not much faster than the reference itself."""
+        settings, limits = self._settings, self._config.limits
+        cruise = settings.max_progress * self._top[0] if self._top[0] > STANDING else limits.v
+        return TrajectoryLimits(
+            v=min(cruise, settings.effort * limits.v),
+            omega=settings.effort * limits.omega,
+            v_acceleration=settings.v_acceleration,
+            omega_acceleration=settings.omega_acceleration,
+        )
+
+    def _words(self, still: float) -> str:
+        words = [f"blocked for {still:.1f} s"] if still else []
+        if self._way_back is not None:
+            words.append(self._reason)
+        rate, delay = self._clock.rate, self._clock.delay
+        if rate < 1.0 and delay >= 0.0:
+            words.append(f"the reference waits, {delay:.2f} s late")
+        elif delay > 0.0:
+            words.append(f"the reference is {delay:.2f} s late")
+        elif delay < 0.0:
+            words.append(f"the reference is {-delay:.2f} s early")
+        return "; ".join(words)
+
+
+def _deviation(followed: Reference, time: float, estimate: Estimate) -> _Deviation:
+    sample = followed.sample([time])
+    x, y, theta = sample.pose[0].tolist()
+    at_x, at_y, at_theta = estimate.pose.tolist()
+    v, omega = sample.twist[0].tolist()
+    along, across = in_path(at_x - x, at_y - y, theta)
+    return _Deviation(along, across, math.remainder(at_theta - theta, math.tau), v, omega)

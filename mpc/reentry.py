@@ -1,0 +1,107 @@
+"""How a robot that is off its path rejoins it: the choice of a point ahead and of a smooth motion to it.
+
+The idea of a look-ahead point and a smooth reconnection is that of Guffanti et al. 2026 (PMC12845739), of which only
+the abstract is known. Here many points on the reference ahead are tried, each with several motions that keep to the
+limits, and the cheapest is taken: in time, in delay of the reference's clock, and in distance from the path meanwhile.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models.interface import FloatArray, Reference
+from mpc.path_window import PathWindow
+from mpc.reentry_motion import SAME_PLACE, MotionLine, turning_times
+from mpc.reentry_options import Course, Options, all_options
+from mpc.reentry_path import Paths, quintic_paths
+from mpc.reentry_timing import path_speeds, travel_times
+from mpc.rejoin import Rejoin
+from mpc.trajectories.limits import TrajectoryLimits
+
+_NODES = 33
+# Between two nodes no path turns further than this [rad], unless by a cusp.
+_CUSP = 1.0
+# Paces that are tried, as shares of the highest speed: a robot inside a curve, or ahead, must not arrive too soon.
+_SHARES = np.array([1.0, 0.8, 0.5])
+# Prices in seconds: of each second by which the reference is skipped; of a jump of the speed where a connection begins
+# or ends [per m/s] and of one of the yaw rate [per rad/s]; of distance from the path, and of that on the other side of
+# it [per m s].
+_EARLY = 2.0
+_SPEED_JUMP = 10.0
+_YAW_JUMP = 0.25
+_AWAY = 5.0
+_ACROSS = 20.0
+
+
+def rejoin(
+    reference: Reference,
+    window: PathWindow,
+    here: int,
+    course: Course,
+    since_start: float,
+    look_ahead: tuple[float, float],
+    limits: TrajectoryLimits,
+) -> Rejoin:
+    """Connect the robot to `reference`.
+
+    Parameters
+    ----------
+    reference, window, here
+        The reference, its samples around now, and the index of the sample nearest to the robot.
+    course
+        Where the robot is and how it moves.
+    since_start
+        The controller's time [s], against which the delay counts.
+    look_ahead
+        Least and largest distance along the path to the point of rejoining [m].
+    limits
+        Speed and acceleration limits of the connection.
+    """
+    options = all_options(window, here, course, look_ahead, limits)
+    paths = quintic_paths(options.start, options.start_curvature, options.end, options.end_curvature, _NODES)
+    speed = path_speeds(paths, options.enter, options.leave, limits, _SHARES)
+    times = travel_times(paths, speed)
+    before = options.brake + turning_times(options.first_turn, limits)
+    duration = before + times[..., -1] + turning_times(options.last_turn, limits)
+    delay = since_start + duration - window.times[options.sample]
+    jumps = (options.enter - speed[..., 0]) + (options.leave - speed[..., -1])
+    jumps = jumps + options.speed_jump
+    cost = duration + np.maximum(delay, -_EARLY * delay) + _SPEED_JUMP * jumps + _YAW_JUMP * options.yaw_jump
+    cost += _price_of_distance(window, here, options, paths, times, before)
+    # Only turning leads to a point that is reached already, and no robot drives round a cusp.
+    gap = options.end[:, :2] - options.start[:, :2]
+    reached = np.hypot(gap[:, 0], gap[:, 1]) <= SAME_PLACE
+    cusp = np.abs(np.diff(paths.heading, axis=1)).max(axis=1) > _CUSP
+    cost[:, (reached | cusp) & ~options.stops] = np.inf
+    pace, best = (int(index) for index in np.unravel_index(np.argmin(cost), cost.shape))
+
+    line = MotionLine(course.pose)
+    if options.brake[best] > 0.0:
+        line.brake(course.v, course.omega, float(options.brake[best]))
+    line.turn(float(options.first_turn[best]), limits)
+    line.drive(paths, best, speed[pace, best], times[pace, best], float(options.travel[best]))
+    line.turn(float(options.last_turn[best]), limits)
+    end = int(options.sample[best])
+    connection = line.trajectory(reference.name, float(window.pose[end, 2]))
+    length = float(connection.sample([connection.duration]).arc_length[0])
+    return Rejoin(connection, reference, float(window.times[end]), length)
+
+
+def _price_of_distance(
+    window: PathWindow, here: int, options: Options, paths: Paths, times: FloatArray, before: FloatArray
+) -> FloatArray:
+    """(S, C) price of the distance from the path along each motion, at S paces [s].
+
+    A node of a connection is taken to lie beside the point of the reference that is the same share of the way ahead.
+    """
+    gone = np.concatenate([np.zeros((before.size, 1)), np.cumsum(paths.lengths, axis=1)], axis=1)
+    first, last = window.arc_length[here], window.arc_length[options.sample]
+    arc = first + (last - first)[:, None] * (gone / gone[:, -1:])
+    beside = np.minimum(np.searchsorted(window.arc_length, arc), window.times.size - 1)
+    offset = paths.points - window.pose[beside, :2]
+    heading = window.pose[beside, 2]
+    across = np.cos(heading) * offset[..., 1] - np.sin(heading) * offset[..., 0]
+    side = np.sign(across[:, :1])
+    price = _AWAY * np.abs(across) + _ACROSS * np.maximum(0.0, -side * across)
+    integral = np.sum(0.5 * (price[:, 1:] + price[:, :-1]) * np.diff(times, axis=-1), axis=-1)
+    return np.asarray(integral + before * price[:, 0])

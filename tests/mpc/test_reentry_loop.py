@@ -1,0 +1,270 @@
+"""Pushed off the path: the robot comes back smoothly, the reference waits for it, and in the band nothing changes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ideal_robot import IdealRobot
+
+from models import load_model
+from models.pose import wrap_angle
+from mpc import Controller, Mode, load_config, load_trajectory
+from mpc.trajectories import TrajectoryLimits
+from mpc.trajectories.segments import Segment, lay_segments
+
+DT = 0.0202
+MODEL = load_model("ssm").discretise(DT)
+BAND = 0.05
+SLEW = np.array([2.0, 6.0]) * DT
+
+
+def drive(reference, seconds, *, start=(0.0, 0.0), noise=0.0, false=None, held=None, move=None, **overrides):
+    """Run the loop with a robot that starts `start` (across [m], turned [rad]) beside the reference.
+
+    `false` = (from, to, twist): the base obeys `twist` and nobody says so. `held` = (from, to): it does not move.
+    `move(k, pose)` may put it elsewhere. Returns results, true poses and times.
+    """
+    exact = {"extra_dead_time.v": 0.0, "extra_dead_time.omega": 0.0}
+    controller = Controller(load_config("ssm", exact | overrides))
+    pose = beside(reference, 0.0, *start)
+    robot = IdealRobot(MODEL, pose, noise=noise)
+    controller.start(reference, 0.0)
+    results, poses, times, told = [], [], [], None
+    for k in range(round(seconds / DT)):
+        t = robot.time
+        if move is not None and (elsewhere := move(k, robot.pose)) is not None:
+            robot.poses = [elsewhere] * (robot.late + 1)
+        measurement = robot.measure()
+        if told is not None:
+            measurement = replace(measurement, sent=told)
+        result = controller.step(t, measurement)
+        results.append(result)
+        poses.append(robot.pose.copy())
+        times.append(t)
+        told = tuple(result.command)
+        if held is not None and held[0] <= t < held[1]:
+            robot.state[:] = 0.0
+            robot.line.append(np.zeros(2))
+            robot.poses.append(robot.pose.copy())
+            robot.k += 1
+        else:
+            lies = false is not None and false[0] <= t < false[1]
+            robot.advance(np.array(false[2]) if lies else result.command)
+    return results, np.array(poses), np.array(times)
+
+
+def beside(reference, time, across, turned):
+    pose = reference.sample([time]).pose[0]
+    return pose + [-across * np.sin(pose[2]), across * np.cos(pose[2]), turned]
+
+
+def lateral(reference, results, poses, times):
+    """Signed distance from the path near where the reference is, positive to its left."""
+    fine = np.linspace(0.0, reference.duration, 6000)
+    path = reference.sample(fine).pose
+    out = []
+    for result, pose, t in zip(results, poses, times, strict=True):
+        near = np.abs(fine - (t - result.reference_delay)) < 2.0
+        offset = pose[:2] - path[near, :2]
+        at = int(np.argmin(np.hypot(*offset.T)))
+        heading = path[near][at, 2]
+        out.append(
+            np.copysign(np.hypot(*offset[at]), np.cos(heading) * offset[at, 1] - np.sin(heading) * offset[at, 0])
+        )
+    return np.array(out)
+
+
+def back_and_overshoot(away, times, since):
+    """Time [s] after `since` from which the robot stays in the band, and how far it then swings to the other side."""
+    after = times >= since
+    outside = np.flatnonzero(after & (np.abs(away) > BAND))
+    worst = np.flatnonzero(after)[np.argmax(np.abs(away[after]))]
+    return times[outside[-1]] - since, float(np.max(-np.sign(away[worst]) * away[worst:]))
+
+
+def smooth(results):
+    return (np.abs(np.diff([r.command for r in results], axis=0)) <= SLEW + 1e-9).all()
+
+
+@pytest.mark.parametrize("name", ["circle", "square", "s", "cane"])
+def test_in_the_band_nothing_changes_to_the_last_bit(name):
+    reference = load_trajectory(name)
+    with_it, poses, _ = drive(reference, 6.0, noise=1.0)
+    without, plain, _ = drive(reference, 6.0, noise=1.0, **{"reentry.enabled": False})
+    assert (poses == plain).all()
+    assert all((a.command == b.command).all() for a, b in zip(with_it, without, strict=True))
+    assert {(r.progress, r.reference_delay, r.message) for r in with_it} == {(1.0, 0.0, "")}
+
+
+@pytest.mark.parametrize("name", ["circle", "square", "s", "cane"])
+@pytest.mark.parametrize(("across", "turned"), [(0.2, 0.35), (0.2, -0.35), (-0.2, 0.35), (-0.2, -0.35)])
+def test_started_beside_it_is_back_in_time_without_swinging_over(name, across, turned):
+    reference = load_trajectory(name)
+    results, poses, times = drive(reference, 6.0, start=(across, turned), noise=1.0)
+    away = lateral(reference, results, poses, times)
+    back, over = back_and_overshoot(away, times, 0.0)
+    assert back <= 3.0
+    assert over <= BAND
+    assert {r.mode for r in results} == {Mode.TRACKING}
+    assert smooth(results)
+    # Not at full command: little more than the reference's own speed.
+    assert np.max([abs(r.command[0]) for r in results]) < 0.5 * 1.25 + 0.15
+    assert "outside the band" in results[0].message
+    assert "rejoining" in results[0].message
+
+
+@pytest.mark.parametrize("name", ["circle", "square", "s", "cane"])
+@pytest.mark.parametrize("omega", [1.5, -1.5])
+def test_a_false_command_is_recovered_from(name, omega):
+    reference = load_trajectory(name)
+    at = 0.5 * reference.duration
+    results, poses, times = drive(reference, at + 5.0, noise=1.0, false=(at, at + 0.5, (0.5, omega)))
+    away = lateral(reference, results, poses, times)
+    if np.abs(away).max() > BAND:
+        back, over = back_and_overshoot(away, times, at + 0.5)
+        assert back <= 3.0
+        assert over <= BAND
+    assert {r.mode for r in results} == {Mode.TRACKING}
+
+
+def test_kidnapped_and_turned_round_it_turns_first_and_then_drives_back():
+    reference = load_trajectory("circle")
+
+    def kidnap(k, pose):
+        return pose + [-0.8 * np.sin(pose[2]), 0.8 * np.cos(pose[2]), np.pi] if k == 200 else None
+
+    results, poses, times = drive(reference, 13.0, move=kidnap)
+    away = lateral(reference, results, poses, times)
+    sequence = [r.mode for k, r in enumerate(results) if k == 0 or r.mode != results[k - 1].mode]
+    assert sequence == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED, Mode.TRACKING]
+    on_the_way = [k for k, r in enumerate(results) if "rejoining" in r.message]
+    assert smooth(results[on_the_way[0] :])
+    # It does not drive as long as it faces the other way.
+    tangent = np.array([results[k].reference[-1, 2] for k in on_the_way])
+    astray = np.abs(wrap_angle(poses[on_the_way, 2] - tangent)) > 0.6 * np.pi
+    speed = np.hypot(*np.diff(poses[:, :2], axis=0).T)[np.array(on_the_way)] / DT
+    assert speed[astray][20:].max(initial=0.0) < 0.2
+    assert np.abs(away[-100:]).max() < 0.02
+    assert results[-1].reference_delay > 0
+
+
+def test_blocked_the_reference_waits_and_the_command_stays_gentle():
+    reference = load_trajectory("s")
+    results, poses, times = drive(reference, 14.0, held=(5.0, 8.0))
+    within = (times > 6.5) & (times < 8.0)
+    asked = np.array([r.command for r in results])
+    delays = np.array([r.reference_delay for r in results])
+    assert (np.abs(asked[within]) <= 0.4 * np.array([1.5, 2.0]) + 1e-9).all()
+    assert all("blocked for" in r.message for r, w in zip(results, within, strict=True) if w)
+    assert {r.progress for r, w in zip(results, within, strict=True) if w} == {0.0}
+    # Let go, it neither leaps nor leaves the path; the reference catches up no faster than it may.
+    assert 2.0 < delays.max() < 3.5
+    assert np.abs(lateral(reference, results, poses, times)[times > 8.0]).max() < BAND
+    speed = np.hypot(*np.diff(poses[:, :2], axis=0).T) / DT
+    assert speed[times[1:] > 8.0].max() < 1.0
+    assert (np.diff(delays) >= -0.25 * DT - 1e-9).all()
+    assert delays[-1] < delays.max() - 0.5
+    assert {r.mode for r in results} == {Mode.TRACKING}
+
+
+def test_blocked_while_it_turns_on_the_spot():
+    reference = lay_segments(
+        [Segment(v=0.0, omega=0.8, duration=5.0)], TrajectoryLimits.of_robot(), name="turning on the spot"
+    )
+    results, poses, times = drive(reference, 9.0, held=(2.0, 4.0))
+    held = (times > 3.2) & (times < 4.0)
+    assert all("blocked" in r.message for r, h in zip(results, held, strict=True) if h)
+    assert poses[-1, 2] == pytest.approx(4.0, abs=0.03)
+    assert np.hypot(*poses[-1, :2]) < 0.02
+
+
+def test_at_the_end_of_the_reference_it_still_arrives():
+    """Pushed sideways just before the end: the reference ends later, and so does the finish."""
+    reference = load_trajectory("cane")
+    at = round((reference.duration - 0.8) / DT)
+
+    def push(k, pose):
+        return pose + [-0.2 * np.sin(pose[2]), 0.2 * np.cos(pose[2]), 0.0] if k == at else None
+
+    results, poses, _ = drive(reference, reference.duration + 8.0, move=push)
+    assert results[-1].mode is Mode.FINISHED
+    assert "not at rest" not in results[-1].message
+    end = reference.sample([reference.duration]).pose[0]
+    assert np.hypot(*(poses[-1] - end)[:2]) < 0.03
+    assert abs(wrap_angle(poses[-1, 2] - end[2])) < 0.06
+    delays = {round(r.reference_delay, 9) for r in results if r.mode is Mode.FINISHED}
+    assert len(delays) == 1
+
+
+def test_a_late_reference_finishes_late():
+    """The clock of the finish, its timeout too, is the reference's."""
+    reference = load_trajectory("cane")
+    results, _, times = drive(reference, reference.duration + 8.0, held=(7.0, 10.5))
+    finished = next(k for k, r in enumerate(results) if r.mode is Mode.FINISHED)
+    assert times[finished] > reference.duration + results[finished].reference_delay - DT
+    assert results[finished].reference_delay > 1.0
+    assert "not at rest" not in results[finished].message
+
+
+def test_a_reference_that_goes_backwards_is_rejoined_backwards():
+    reference = lay_segments([Segment(v=-0.4, omega=0.2, duration=9.0)], TrajectoryLimits.of_robot(), name="backwards")
+    results, poses, times = drive(reference, 7.0, start=(0.2, 0.2), noise=1.0)
+    back, over = back_and_overshoot(lateral(reference, results, poses, times), times, 0.0)
+    assert back <= 3.0
+    assert over <= BAND
+    assert np.mean([r.command[0] for r in results]) < -0.2
+
+
+def test_carried_ahead_the_robot_waits_for_the_reference_instead_of_reversing():
+    reference = load_trajectory("circle")
+
+    def carry(k, pose):
+        ahead = reference.sample([k * DT + 0.5]).pose[0]
+        return ahead if k == 200 else None
+
+    results, poses, times = drive(reference, 12.0, move=carry, **{"estimator.max_position_jump": 0.6})
+    after = times > 200 * DT
+    assert np.min([r.command[0] for r, a in zip(results, after, strict=True) if a]) > -0.05
+    assert np.abs(lateral(reference, results, poses, times)).max() < BAND
+    assert results[-1].reference_delay == 0.0
+
+
+def test_a_pause_in_tracking_stops_the_reference():
+    reference = load_trajectory("circle")
+
+    driver = Controller(load_config("ssm"))
+    robot = IdealRobot(MODEL, reference.sample([0.0]).pose[0])
+    driver.start(reference, 0.0)
+    delays = []
+    for k in range(300):
+        measurement = robot.measure()
+        if 100 <= k < 200:
+            measurement = replace(measurement, pose=None)
+        result = driver.step(robot.time, measurement)
+        delays.append(result.reference_delay)
+        robot.advance(result.command)
+    braking = slice(130, 200)
+    assert np.diff(delays[braking]) == pytest.approx(DT)
+    assert delays[-1] > 0
+
+
+def test_the_result_says_what_is_tracked():
+    reference = load_trajectory("circle")
+    results, poses, _ = drive(reference, 2.0, start=(0.2, 0.0))
+    first = results[0]
+    assert first.reference.shape == first.plan.shape
+    assert first.reference[0] == pytest.approx(poses[0], abs=1e-6)
+    assert np.hypot(*(first.reference[0] - reference.sample([0.0]).pose[0])[:2]) == pytest.approx(0.2, abs=1e-6)
+
+
+def test_too_far_it_brakes_and_names_the_distance():
+    results, _, _ = drive(load_trajectory("circle"), 0.5, start=(-1.4, 0.0))
+    assert {r.mode for r in results} == {Mode.STOPPED}
+    assert "1.40 m from the reference; the limit is 1.0 m" in results[-1].message
+
+
+def test_two_runs_off_the_path_are_equal_bit_for_bit():
+    reference = load_trajectory("square")
+    first, _, _ = drive(reference, 3.0, start=(0.2, 0.3), noise=1.0)
+    second, _, _ = drive(reference, 3.0, start=(0.2, 0.3), noise=1.0)
+    assert all((a.command == b.command).all() for a, b in zip(first, second, strict=True))
