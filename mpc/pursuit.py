@@ -19,8 +19,9 @@ from mpc.reference_clock import ReferenceClock
 from mpc.rejoin import Rejoin
 from mpc.trajectories.limits import TrajectoryLimits
 
-# The reference never leaves the robot behind by more than twice `wait`: further off, the robot was moved.
-_DISPLACED = 3.0
+# The reference leaves the robot behind by no more than twice `wait`, and the robot never gets far ahead of it: beyond
+# these multiples of `wait` it was moved.
+_BEHIND, _AHEAD = 3.0, 1.5
 # Steps of the window in samples of the controller.
 _WINDOW_STEP = 2.5
 _MOST_SAMPLES = 5000
@@ -120,13 +121,12 @@ class Pursuit:
         """
         if not self._settings.enabled:
             return since_start
-        self._time = self._clock.advance(since_start, driving=self._driving or self._ended)
+        ended = self._reference is not None and self._time >= self._reference.duration
+        if ended and not self._driving:
+            self._clock.run_on()
+        self._time = self._clock.advance(since_start, driving=self._driving or ended)
         self._resumes, self._driving = not self._driving, False
         return self._time
-
-    @property
-    def _ended(self) -> bool:
-        return self._reference is not None and self._time >= self._reference.duration
 
     def target(self, since_start: float, time: float, estimate: Estimate) -> Target | TooFar:
         """What to track at `since_start` [s], where `time` [s] is what `advance` returned."""
@@ -171,8 +171,12 @@ class Pursuit:
         return (
             abs(off.across) > settings.band
             or abs(off.heading) > settings.heading_band
-            or abs(off.along) > _DISPLACED * settings.wait
+            or self._displaced(math.copysign(off.along, off.along * off.v))
         )
+
+    def _displaced(self, ahead: float) -> bool:
+        """Whether `ahead` [m] along the path, negative behind, is more than the reference's waiting explains."""
+        return not -_BEHIND * self._settings.wait <= ahead <= _AHEAD * self._settings.wait
 
     def _return(
         self, reference: Reference, time: float, since_start: float, estimate: Estimate
@@ -188,7 +192,7 @@ class Pursuit:
         turned = abs(float(wrap_angle(estimate.pose[2] - window.pose[here, 2])))
         moved = float(window.arc_length[here] - np.interp(time, window.times, window.arc_length))
         beside, aside = distance > settings.band, turned > settings.heading_band
-        displaced = abs(moved) > _DISPLACED * settings.wait
+        displaced = self._displaced(moved)
         if self._way_back is None and not (beside or aside or displaced):
             return None
         found = rejoin(

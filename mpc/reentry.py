@@ -24,10 +24,11 @@ _CUSP = 1.0
 # Paces that are tried, as shares of the highest speed: a robot inside a curve, or ahead, must not arrive too soon.
 _SHARES = np.array([1.0, 0.8, 0.5])
 # Prices in seconds: of each second by which the reference is skipped; of a jump of the speed where a connection begins
-# or ends [per m/s] and of one of the yaw rate [per rad/s]; of distance from the path, and of that on the other side of
-# it [per m s].
+# [per m/s], where the robot has to be slowed down anyway, and where it ends [per (m/s)^2]; of one of the yaw rate [per
+# rad/s]; of distance from the path, and of that on its other side [per m s].
 _EARLY = 2.0
-_SPEED_JUMP = 10.0
+_FIRST_JUMP = 4.0
+_LAST_JUMP = 150.0
 _YAW_JUMP = 0.25
 _AWAY = 5.0
 _ACROSS = 20.0
@@ -64,9 +65,9 @@ def rejoin(
     before = options.brake + turning_times(options.first_turn, limits)
     duration = before + times[..., -1] + turning_times(options.last_turn, limits)
     delay = since_start + duration - window.times[options.sample]
-    jumps = (options.enter - speed[..., 0]) + (options.leave - speed[..., -1])
-    jumps = jumps + options.speed_jump
-    cost = duration + np.maximum(delay, -_EARLY * delay) + _SPEED_JUMP * jumps + _YAW_JUMP * options.yaw_jump
+    cost = duration + np.maximum(delay, -_EARLY * delay) + _YAW_JUMP * options.yaw_jump
+    cost += _FIRST_JUMP * (options.enter - speed[..., 0])
+    cost += _LAST_JUMP * (options.leave - speed[..., -1] + options.speed_jump) ** 2
     cost += _price_of_distance(window, here, options, paths, times, before)
     # Only turning leads to a point that is reached already, and no robot drives round a cusp.
     gap = options.end[:, :2] - options.start[:, :2]

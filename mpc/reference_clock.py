@@ -133,6 +133,10 @@ class ReferenceClock:
         """Continue with this delay [s] and progress rate [-]."""
         self.delay, self.rate = delay, rate
 
+    def run_on(self) -> None:
+        """Keep the present delay from now on."""
+        self.rate, self._profile = 1.0, _held(1.0)
+
     def plan(self, most: float, *, catch_up: bool) -> None:
         """Decide the progress rate from now on.
 

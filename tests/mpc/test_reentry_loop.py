@@ -124,7 +124,7 @@ def test_a_false_command_is_recovered_from(name, omega):
         back, over = back_and_overshoot(away, times, at + 0.5)
         assert back <= 3.0
         assert over <= BAND
-    assert {r.mode for r in results} == {Mode.TRACKING}
+    assert {r.mode for r in results} <= {Mode.TRACKING, Mode.FINISHED}
 
 
 def test_kidnapped_and_turned_round_it_turns_first_and_then_drives_back():
@@ -156,7 +156,7 @@ def test_blocked_the_reference_waits_and_the_command_stays_gentle():
     delays = np.array([r.reference_delay for r in results])
     assert (np.abs(asked[within]) <= 0.4 * np.array([1.5, 2.0]) + 1e-9).all()
     assert all("blocked for" in r.message for r, w in zip(results, within, strict=True) if w)
-    assert {r.progress for r, w in zip(results, within, strict=True) if w} == {0.0}
+    assert max(r.progress for r, w in zip(results, within, strict=True) if w) < 0.01
     # Let go, it neither leaps nor leaves the path; the reference catches up no faster than it may.
     assert 2.0 < delays.max() < 3.5
     assert np.abs(lateral(reference, results, poses, times)[times > 8.0]).max() < BAND
