@@ -26,10 +26,10 @@ class Recovery:
         of the reference. 0 where it never leaves the band after that change, infinity where it ends outside.
         NaN without a disturbance, or where the lateral error is not finite.
     overshoot_m
-        Largest distance from the path on the other side than the excursion, after the first crossing of the path that
-        follows both the excursion and the last change of the disturbance. The excursion is the last tick outside the
-        band between the first and the last change, or else the first one after that. 0 without excursion or without
-        crossing; NaN as above. Ordinary tracking errors after the crossing are part of it.
+        Largest distance from the path on the other side than the excursion, from when both the excursion and the last
+        change of the disturbance have been. The excursion is the last tick outside the band between the first and the
+        last change, or else the first one after that. 0 without excursion, or where the robot never gets to the other
+        side; NaN as above. Ordinary tracking errors on the other side are part of it.
     lateral_max_m
         Largest |lateral| of the run.
     command_energy_v, command_energy_omega
@@ -95,6 +95,6 @@ def _overshoot(
         return 0.0
     excursion = int(during[-1]) if during.size else int(after[0])
     beyond = -np.sign(lateral[excursion]) * lateral
-    # Before the first crossing the robot is nowhere on the other side, so the largest value needs no search for it.
+    # Before the path is crossed nothing lies beyond it: the crossing need not be searched for.
     counted = beyond[(np.arange(len(time)) > excursion) & (time >= last)]
     return float(max(0.0, np.max(counted, initial=0.0)))
