@@ -14,6 +14,9 @@ from sim import Plant, Run, make_plant, simulate
 Overrides = tuple[tuple[str, object], ...]
 """Configuration values by dotted key."""
 
+NO_SCENARIO = "none"
+"""The scenario in which nothing happens."""
+
 
 @dataclass(frozen=True)
 class Case:
@@ -33,6 +36,8 @@ class Case:
         Controller configuration file; None for the shipped one of the model.
     overrides
         Values that replace those of the configuration.
+    scenario
+        What happens to the robot: a name or path, as `make_plant` takes it.
     """
 
     controller: str
@@ -44,6 +49,7 @@ class Case:
     seed: int
     config: str | None = None
     overrides: Overrides = ()
+    scenario: str = NO_SCENARIO
 
     @property
     def horizon(self) -> int | None:
@@ -81,6 +87,8 @@ def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
     models.checked_yaml.ConfigError, ValueError
         If a name is unknown, a file has a mistake, or controller and plant have different sample times.
     """
+    if case.scenario != NO_SCENARIO:
+        raise ConfigError(f"unknown scenario '{case.scenario}'; known: {NO_SCENARIO}")
     controller = make_controller(case.controller, case.model, case.config, case.overrides)
     plant = make_plant(case.plant, surface=case.surface, sensors=case.sensors, seed=case.seed)
     if case.controller not in PEERS:

@@ -1,8 +1,8 @@
-"""A bound, not a controller to drive with: it knows the plant, its true pose and its slip, and thinks as long as it likes.
+"""A bound, not a controller to drive with: it knows the plant, its pose and its slip, and may think for long.
 
-It solves the predictive controller's problem (`mpc.problem`) with IPOPT to convergence at every tick: the same weights and
-hard limits, a longer horizon. What differs: the model is fitted to the plant itself, poses are true, side-slip is part of
-the prediction, and heading errors count from the heading that holds the path under side-slip. Soft limits are left out:
+It solves the predictive controller's problem (`mpc.problem`) with IPOPT to convergence at every tick: the same weights
+and hard limits, a longer horizon. The model is fitted to the plant itself, poses are true, slip is part of the
+prediction, and heading errors count from the heading that holds the path under side-slip. Soft limits are left out:
 they are not reached on references within the limits.
 """
 
