@@ -87,8 +87,6 @@ def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
     models.checked_yaml.ConfigError, ValueError
         If a name is unknown, a file has a mistake, or controller and plant have different sample times.
     """
-    if case.scenario != NO_SCENARIO:
-        raise ConfigError(f"unknown scenario '{case.scenario}'; known: {NO_SCENARIO}")
     controller = make_controller(case.controller, case.model, case.config, case.overrides)
     plant = make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario)
     if case.controller not in PEERS:

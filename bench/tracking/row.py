@@ -123,9 +123,7 @@ def _run_bound(case: Case, trajectories: tuple[str, ...]) -> Run:
 
 
 def _recovered(run: Run) -> Recovered:
-    figures = getattr(run, "recovery", None)
-    if figures is None:
-        return Recovered()
+    figures = run.recovery
     return Recovered(**{field.name: float(getattr(figures, field.name)) for field in fields(Recovered)})
 
 
