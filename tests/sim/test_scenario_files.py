@@ -51,8 +51,8 @@ def test_every_disturbance_is_over_well_before_the_shortest_trajectory(name: str
         assert all(patch.start + (patch.length or 0.0) <= length - 1.0 for patch in scenario.patches)
 
 
-def test_the_start_offset_is_exact_and_takes_every_sign() -> None:
-    drawn = [load_scenario("start_offset").draw(seed).start_offset for seed in range(40)]
+def test_the_start_offset_is_exact_and_the_first_seeds_take_every_sign() -> None:
+    drawn = [load_scenario("start_offset").draw(seed).start_offset for seed in range(4)]
     pairs = {(offset.across, round(np.degrees(offset.heading), 3)) for offset in drawn if offset}
     assert pairs == {(across, heading) for across in (-0.2, 0.2) for heading in (-20.0, 20.0)}
 
