@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -79,4 +80,6 @@ def test_simulate_shows_the_recovery_from_a_scenario() -> None:
     assert plain.exit_code == offset.exit_code == 0, offset.stderr
     assert "recovery" not in plain.stdout
     assert "recovery" in offset.stdout
-    assert "0.2000" in offset.stdout
+    # Starting turned away from the path it gets a little further off before it comes back.
+    largest = float(re.findall(r"start_offset.*", offset.stdout)[-1].split()[5])
+    assert 0.2 <= largest < 0.25
