@@ -11,7 +11,6 @@ import numpy as np
 from bench.peers.clairvoyant_settings import ClairvoyantSettings
 from bench.peers.known_plant import KnownPlant
 from models.interface import FloatArray, ReferenceSample
-from models.pose import arc_function
 from mpc.bounds import slew_step
 from mpc.config import ControllerConfig
 from sim.metric_settings import metric_settings
@@ -141,13 +140,14 @@ class ClairvoyantProgram:
         }
 
     def _moved(self, pose: ca.SX, twist: ca.SX, acceleration: ca.SX) -> ca.SX:
-        """The pose one sample later: a velocity to the left moves the robot along the arc of a robot turned left."""
-        v, omega = twist[0], twist[1]
+        """The pose one sample later, along the exact arc of `models.pose` with a lateral speed beside v."""
+        v, omega, dt = twist[0], twist[1], self._model.dt
         lateral = omega * (self._known.load_shift * acceleration - self._known.side_slip * v)
-        arc, dt = arc_function(), self._model.dt
-        ahead = arc(pose, v, omega, dt)
-        aside = arc(ca.vertcat(0, 0, pose[2] + np.pi / 2), lateral, omega, dt)
-        return ahead + ca.vertcat(aside[:2], 0)
+        half = omega * dt / 2
+        # sin(x) / x as a series: a robot turns by little in a sample.
+        length = dt * (1 - half**2 / 6 * (1 - half**2 / 20))
+        c, s = length * ca.cos(pose[2] + half), length * ca.sin(pose[2] + half)
+        return pose + ca.vertcat(c * v - s * lateral, s * v + c * lateral, omega * dt)
 
     def _cold_start(self, present: Present, reference: ReferenceSample, feed_forward: FloatArray) -> FloatArray:
         states = np.tile(present.state, self._steps)
