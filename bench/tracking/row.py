@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.case import Case, run_case
+from bench.case import Case, label, run_case
 from bench.controllers import controller_config
 from bench.peers.clairvoyant import ClairvoyantController
 from bench.peers.known_plant import know_plant
@@ -69,7 +69,7 @@ class Row:
         case = self.case
         values: dict[str, object] = {
             **case.labels,
-            "scenario": case.scenario,
+            "scenario": label(case.scenario),
             "seed": case.seed,
             "set": dict(case.overrides),
             "late_lateral_m": self.late_lateral_m,

@@ -20,6 +20,7 @@ from sim import Run, simulate
 COMMANDS = [
     ["simulate"],
     ["bench"],
+    ["tracking"],
     ["config", "show"],
     ["config", "check"],
     ["config", "schema"],
