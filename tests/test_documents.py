@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.documents import insert, summary
+from bench.documents import insert, summary, with_tracking
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
@@ -71,6 +71,12 @@ def test_the_readme_shows_the_committed_report():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     report = (ROOT / "docs" / "bench" / "bench.md").read_text(encoding="utf-8")
     assert insert(readme, summary(report)) == readme
+
+
+def test_the_tracking_page_shows_the_committed_report():
+    page = (ROOT / "docs" / "tracking.md").read_text(encoding="utf-8")
+    report = (ROOT / "docs" / "tracking" / "tracking.md").read_text(encoding="utf-8")
+    assert with_tracking(page, report) == page
 
 
 @pytest.mark.parametrize(
