@@ -2,6 +2,9 @@
 PYTHON ?= python3
 VENV ?= .venv
 OUT ?= out/bench
+TRACKING_OUT ?= out/tracking
+# Options of the tracking study: make tracking TRACKING=--quick
+TRACKING ?=
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
@@ -9,7 +12,7 @@ READY := $(VENV)/.ready
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench test lint types format models calibrate readme requirements clean
+.PHONY: help bench tracking test lint types format models calibrate readme requirements clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -23,6 +26,9 @@ $(READY): requirements.txt pyproject.toml
 
 bench: $(READY) ## models x trajectories x seeds and the horizon sweep: tables and figures in out/bench
 	$(BIN)/diffdrive-mpc bench --out $(OUT)
+
+tracking: $(READY) ## what the tracking reaches, what each part is worth, how much is left: tables and figures in out/tracking
+	$(BIN)/diffdrive-mpc tracking --out $(TRACKING_OUT) $(TRACKING)
 
 test: $(READY) ## all tests
 	$(BIN)/pytest -n 2
@@ -44,8 +50,8 @@ models: $(READY) ## identify MBM and SM again from experiments on the simulated 
 calibrate: $(READY) ## fit the simulated robot to the published SSM again
 	$(BIN)/diffdrive-mpc models calibrate
 
-readme: $(READY) ## copy the tables and figures of the last `make bench` into README and docs
-	$(BIN)/python -m bench.documents $(OUT)
+readme: $(READY) ## copy the tables and figures of the last `make bench` and `make tracking` into README and docs
+	$(BIN)/python -m bench.documents $(OUT) $(wildcard $(TRACKING_OUT))
 
 requirements: ## pin all dependencies anew (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \

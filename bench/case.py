@@ -14,6 +14,9 @@ from sim import Plant, Run, make_plant, simulate
 Overrides = tuple[tuple[str, object], ...]
 """Configuration values by dotted key."""
 
+NO_SCENARIO = "none"
+"""The scenario in which nothing happens."""
+
 
 @dataclass(frozen=True)
 class Case:
@@ -33,6 +36,8 @@ class Case:
         Controller configuration file; None for the shipped one of the model.
     overrides
         Values that replace those of the configuration.
+    scenario
+        What happens to the robot: a name or path, as `make_plant` takes it.
     """
 
     controller: str
@@ -44,6 +49,7 @@ class Case:
     seed: int
     config: str | None = None
     overrides: Overrides = ()
+    scenario: str = NO_SCENARIO
 
     @property
     def horizon(self) -> int | None:
@@ -55,7 +61,7 @@ class Case:
     @property
     def labels(self) -> dict[str, str]:
         """Names for tables and files; of a path only the stem, which says nothing of the machine."""
-        names = ("controller", "model", "trajectory", "plant", "surface", "sensors")
+        names = ("controller", "model", "trajectory", "plant", "surface", "sensors", "scenario")
         return {name: label(getattr(self, name)) for name in names}
 
     def with_override(self, key: str, value: object) -> Case:
@@ -82,7 +88,7 @@ def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
         If a name is unknown, a file has a mistake, or controller and plant have different sample times.
     """
     controller = make_controller(case.controller, case.model, case.config, case.overrides)
-    plant = make_plant(case.plant, surface=case.surface, sensors=case.sensors, seed=case.seed)
+    plant = make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario)
     if case.controller not in PEERS:
         asked = controller_config(case.model, case.config, case.overrides).sample_time
         if asked != plant.sample_time:

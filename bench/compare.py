@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.atomic import staged
-from bench.case import Case
+from bench.case import NO_SCENARIO, Case
 from bench.commands.options import parse_seeds, split_names, split_numbers
 from bench.console import output_console
 from bench.controllers import PEERS, default_model
@@ -27,6 +27,7 @@ _NAME_LISTS = {
     "plants": "--plant",
     "surfaces": "--surface",
     "sensors": "--sensors",
+    "scenarios": "--scenario",
 }
 """Dimensions that are lists of names, and their options."""
 
@@ -46,6 +47,7 @@ class Choices:
     config: Path | None = None
     settings: Sequence[str] = ()
     quick: bool = False
+    scenarios: str | None = None
 
     def experiment(self) -> Experiment:
         """The experiment that these options ask for; raises ConfigError or ValueError when one cannot be used."""
@@ -80,7 +82,7 @@ class Choices:
     def _horizons(self, default: Experiment) -> tuple[int, ...]:
         swept = any(setting.partition("=")[0].strip() == "horizon" for setting in self.settings)
         if self.horizons is None:
-            return () if self.quick or self.settings else default.horizons
+            return () if self.quick or self.settings or self.scenarios else default.horizons
         if self.horizons.strip().lower() == "none":
             return ()
         if swept:
@@ -134,6 +136,7 @@ def incomplete(results: Results) -> str | None:
         return None
     labels = failed[0].labels
     first = f"{labels['model']} on {labels['trajectory']}, horizon {failed[0].horizon}, seed {failed[0].seed}"
+    first += f", scenario {labels['scenario']}" if failed[0].scenario != NO_SCENARIO else ""
     return f"{len(failed)} of {len(ours)} runs of mpc did not complete, the first: {first}; bench.json lists them"
 
 

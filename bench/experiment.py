@@ -30,6 +30,7 @@ class Experiment(StrictModel):
     plants: Names
     surfaces: Names
     sensors: Names
+    scenarios: Names
     horizons: tuple[Steps, ...] = Field((), description="horizons of the sweep [steps]; empty for none")
     config: str | None = Field(None, description="controller configuration file in place of the shipped ones")
     settings: tuple[Overrides, ...] = Field(((),), description="combinations of swept configuration values")
@@ -42,9 +43,9 @@ class CasePlan:
     Attributes
     ----------
     main
-        Models x trajectories x seeds x plants x settings.
+        Models x trajectories x seeds x plants x scenarios x settings.
     horizon
-        Models x horizons x trajectories with the first seed, plant, surface, sensors and setting.
+        Models x horizons x trajectories with the first seed, plant, surface, sensors, scenario and setting.
     """
 
     main: tuple[Case, ...]
@@ -68,8 +69,8 @@ def plan_cases(experiment: Experiment) -> CasePlan:
     Raises
     ------
     models.checked_yaml.ConfigError, ValueError
-        If a controller, model, trajectory, plant, surface, sensor set or configuration value cannot be used, or two
-        of them would have the same name in tables and figures.
+        If a controller, model, trajectory, plant, surface, sensor set, scenario or configuration value cannot be used,
+        or two of them would have the same name in tables and figures.
     """
     e = experiment
     unknown = [name for name in e.controllers if name not in CONTROLLERS]
@@ -79,14 +80,17 @@ def plan_cases(experiment: Experiment) -> CasePlan:
     who = [pair for controller in e.controllers for pair in _drivers(controller, e)]
     where = list(itertools.product(e.plants, e.surfaces, e.sensors))
     main = [
-        Case(controller, model, trajectory, *place, seed, e.config, overrides)
+        Case(controller, model, trajectory, *place, seed, e.config, overrides, scenario)
         for controller, model, overrides in who
         for place in where
+        for scenario in e.scenarios
         for trajectory in e.trajectories
         for seed in e.seeds
     ]
     horizon = [
-        _at_horizon(Case("mpc", model, trajectory, *where[0], e.seeds[0], e.config, e.settings[0]), steps)
+        _at_horizon(
+            Case("mpc", model, trajectory, *where[0], e.seeds[0], e.config, e.settings[0], e.scenarios[0]), steps
+        )
         for model in (e.models if "mpc" in e.controllers else ())
         for steps in e.horizons
         for trajectory in e.trajectories
@@ -121,6 +125,7 @@ def _check_labels(experiment: Experiment) -> None:
         "plants": e.plants,
         "surfaces": e.surfaces,
         "sensors": e.sensors,
+        "scenarios": e.scenarios,
     }
     for dimension, names in dimensions.items():
         seen: dict[str, str] = {}
@@ -136,6 +141,6 @@ def _check_labels(experiment: Experiment) -> None:
 def _check(plan: CasePlan) -> None:
     for trajectory in dict.fromkeys(case.trajectory for case in plan.all):
         load_trajectory(trajectory)
-    pairs = {(c.controller, c.model, c.overrides, c.plant, c.surface, c.sensors): c for c in plan.all}
+    pairs = {(c.controller, c.model, c.overrides, c.plant, c.surface, c.sensors, c.scenario): c for c in plan.all}
     for case in pairs.values():
         build(case)

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+from bench.case import NO_SCENARIO
 from bench.figures.draw import draw_all
 from bench.results import Results, chosen_configuration
 from bench.tables import report_tables
@@ -45,12 +46,14 @@ def _introduction(results: Results) -> str:
     packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
     revision = f", revision {meta['revision']}" if meta["revision"] else ""
     runs = len(results.all)
+    disturbed = asked["scenarios"] != [NO_SCENARIO]
+    scenarios = f"scenarios {', '.join(asked['scenarios'])}, " if disturbed else ""
     chosen = chosen_configuration(results.experiment)
     return "\n".join(
         [
             f"* {runs} runs in {meta['wall_time_s']} s; plant {', '.join(asked['plants'])}, "
             f"surface {', '.join(asked['surfaces'])}, sensors {', '.join(asked['sensors'])}, "
-            f"seeds {', '.join(map(str, asked['seeds']))}.",
+            f"{scenarios}seeds {', '.join(map(str, asked['seeds']))}.",
             *([f"* Configuration: {chosen}."] if chosen else []),
             f"* diffdrive-mpc {meta['version']}{revision}, {meta['date']}.",
             f"* {machine['cpu']}, {machine['cores']} cores, {machine['os']}, Python {machine['python']}, {packages}.",

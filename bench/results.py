@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.case import label
+from bench.case import NO_SCENARIO, label
 from bench.controllers import PEERS, controller_config
 from bench.experiment import Experiment
 from bench.machine import describe_machine, git_revision, project_version
@@ -51,12 +51,23 @@ class Results:
 
     def as_json(self) -> dict[str, object]:
         """`{"meta": ..., "runs": [...]}` of plain values; what could not be computed is None."""
-        swept = any(self.experiment.settings)
-        return {"meta": self.meta, "runs": [row(outcome, with_settings=swept) for outcome in self.all]}
+        swept, disturbed = any(self.experiment.settings), self.experiment.scenarios != (NO_SCENARIO,)
+        runs = [row(outcome, with_settings=swept, with_scenario=disturbed) for outcome in self.all]
+        return {"meta": self.meta, "runs": runs}
 
 
-def row(outcome: Outcome, *, with_settings: bool = False) -> dict[str, object]:
-    """One run as plain values; `with_settings` adds the swept configuration values under "set"."""
+def row(outcome: Outcome, *, with_settings: bool = False, with_scenario: bool = False) -> dict[str, object]:
+    """One run as plain values.
+
+    Parameters
+    ----------
+    outcome
+        The run.
+    with_settings
+        Add the swept configuration values under "set".
+    with_scenario
+        Add the scenario's name, the time of its disturbance [s] and the figures of the recovery from it.
+    """
     case = outcome.case
     values: dict[str, object] = {
         "controller": case.labels["controller"],
@@ -71,6 +82,9 @@ def row(outcome: Outcome, *, with_settings: bool = False) -> dict[str, object]:
     values |= {name: _plain(value) for name, value in asdict(outcome.run.metrics).items()}
     if with_settings:
         values["set"] = dict(case.overrides)
+    if with_scenario:
+        values |= {"scenario": case.labels["scenario"], "disturbance_s": outcome.run.disturbance}
+        values |= {name: _plain(value) for name, value in asdict(outcome.run.recovery).items()}
     return values
 
 
@@ -87,7 +101,7 @@ def describe(experiment: Experiment, wall_time: float, cpu_share: float) -> dict
         Processor time over elapsed time of the timing pass [-].
     """
     asked = experiment.model_dump(mode="json", exclude={"config", "settings"})
-    for name in ("controllers", "models", "trajectories", "plants", "surfaces", "sensors"):
+    for name in ("controllers", "models", "trajectories", "plants", "surfaces", "sensors", "scenarios"):
         asked[name] = [label(text) for text in asked[name]]
     ours = not set(experiment.controllers) <= set(PEERS)
     if not ours:
@@ -157,17 +171,24 @@ def worst(outcomes: Iterable[Outcome], field: str) -> float:
     return float(np.max([getattr(outcome.run.metrics, field) for outcome in outcomes]))
 
 
+def recoveries(outcomes: Iterable[Outcome], field: str) -> FloatArray:
+    """(runs,) one figure of the recovery from the disturbance."""
+    return np.array([getattr(outcome.run.recovery, field) for outcome in outcomes])
+
+
 def step_times(outcomes: Iterable[Outcome]) -> FloatArray:
     """Step times of all counted ticks of several runs [s]."""
     return np.concatenate([outcome.run.step_time[outcome.run.counted] for outcome in outcomes])
 
 
 def groups(outcomes: Sequence[Outcome]) -> dict[str, list[Outcome]]:
-    """Outcomes by what is compared: controller and model, and plant, surface, sensors and settings where they vary.
+    """Outcomes by what is compared: controller and model, and place, sensors, scenario and settings where they vary.
 
     The names of a dimension that does not vary are left out, and so is "mpc" beside the name of its model.
     """
-    varying = [name for name in ("plant", "surface", "sensors") if len({o.case.labels[name] for o in outcomes}) > 1]
+    varying = [
+        name for name in ("plant", "surface", "sensors", "scenario") if len({o.case.labels[name] for o in outcomes}) > 1
+    ]
     several = len({outcome.case.overrides for outcome in outcomes if outcome.case.controller == "mpc"}) > 1
     grouped: dict[str, list[Outcome]] = {}
     for outcome in outcomes:
@@ -198,6 +219,14 @@ def by_trajectory(outcomes: Sequence[Outcome]) -> dict[str, list[Outcome]]:
     grouped: dict[str, list[Outcome]] = {}
     for outcome in outcomes:
         grouped.setdefault(outcome.case.labels["trajectory"], []).append(outcome)
+    return grouped
+
+
+def by_scenario(outcomes: Sequence[Outcome]) -> dict[str, list[Outcome]]:
+    """Outcomes by scenario, in the order of their first appearance."""
+    grouped: dict[str, list[Outcome]] = {}
+    for outcome in outcomes:
+        grouped.setdefault(outcome.case.labels["scenario"], []).append(outcome)
     return grouped
 
 

@@ -7,14 +7,14 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from bench.atomic import staged
-from bench.case import Case, build
+from bench.case import NO_SCENARIO, Case, build
 from bench.console import output_console
 from bench.controllers import NO_MODEL, PEERS, default_model
 from bench.progress import ProgressBar
 from bench.results import groups
 from bench.runner import Outcome
 from bench.sweep import single_settings
-from bench.tables import error_table, path_table, summary_table
+from bench.tables import error_table, path_table, scenario_table, summary_table
 from models.checked_yaml import ConfigError
 from sim import simulate
 from sim.log_csv import write_rows
@@ -31,6 +31,7 @@ def simulate_one(
     plant: str,
     surface: str,
     sensors: str,
+    scenario: str,
     seed: int,
     config: Path | None,
     settings: Sequence[str],
@@ -59,6 +60,7 @@ def simulate_one(
         seed,
         None if config is None else str(config),
         single_settings(settings),
+        scenario,
     )
     parts = build(case)
     with ExitStack() as stack:
@@ -86,7 +88,10 @@ def _log_file(log: Path) -> Iterator[Path]:
 
 def _print(outcome: Outcome) -> None:
     console = output_console()
-    for table in (summary_table([outcome]), error_table([outcome]), path_table([outcome])):
+    tables = [summary_table([outcome]), error_table([outcome]), path_table([outcome])]
+    if outcome.case.scenario != NO_SCENARIO:
+        tables.append(scenario_table([outcome]))
+    for table in tables:
         console.print(table.rich())
     said = [message for message in dict.fromkeys(outcome.run.messages) if message]
     for message in said[:_MESSAGES_SHOWN]:

@@ -7,7 +7,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.results import Results, by_horizon, by_model, by_trajectory, groups, mean, step_times, worst
+from bench.case import NO_SCENARIO
+from bench.results import (
+    Results,
+    by_horizon,
+    by_model,
+    by_scenario,
+    by_trajectory,
+    groups,
+    mean,
+    recoveries,
+    step_times,
+    worst,
+)
 from bench.runner import Outcome
 from bench.table import Table
 from models.interface import FloatArray
@@ -18,13 +30,15 @@ _PATH = ("course_rmse_rad", "lateral_rmse_m", "lateral_mae_m", "lateral_p95_m", 
 
 
 def report_tables(results: Results) -> list[Table]:
-    """Every table of a report, in order; the horizon table only where horizons were swept."""
+    """Every table of a report, in order; those of horizons and scenarios only where there are any."""
     tables = [
         summary_table(results.main),
         error_table(results.main),
         path_table(results.main),
         time_table(results.main),
     ]
+    if results.experiment.scenarios != (NO_SCENARIO,):
+        tables.append(scenario_table(results.main))
     return tables + ([horizon_table(results.horizon)] if results.horizon else [])
 
 
@@ -97,6 +111,42 @@ def path_table(outcomes: Sequence[Outcome]) -> Table:
     return Table("Error against the path", columns, rows, text_columns=2, note=note)
 
 
+def scenario_table(outcomes: Sequence[Outcome]) -> Table:
+    """How the controllers come back from the disturbances, by scenario."""
+    rows = []
+    for scenario, runs in by_scenario(outcomes).items():
+        for name, group in groups(runs).items():
+            times = recoveries(group, "recovery_time_s")
+            rows.append(
+                (
+                    scenario,
+                    name,
+                    _number(float(np.mean(times)), 2),
+                    _number(float(np.max(times)), 2),
+                    _number(float(np.max(recoveries(group, "overshoot_m")))),
+                    _number(worst(group, "lateral_max_m")),
+                    _number(float(np.mean(recoveries(group, "command_energy_v"))), 2),
+                    _number(float(np.mean(recoveries(group, "command_energy_omega"))), 2),
+                    "-" if np.isnan(times).all() else f"{np.count_nonzero(np.isfinite(times))}/{len(group)}",
+                )
+            )
+    columns = (
+        "scenario",
+        "controller",
+        "recovery mean [s]",
+        "recovery max [s]",
+        "overshoot max [m]",
+        "lateral max [m]",
+        "v_ref² [m²/s]",
+        "omega_ref² [rad²/s]",
+        "recovered",
+    )
+    note = (
+        "Recovery: until the robot stays in the band. Overshoot: beyond the path. v_ref², omega_ref²: integrals, means."
+    )
+    return Table("Scenarios", columns, tuple(rows), text_columns=2, note=note)
+
+
 def time_table(outcomes: Sequence[Outcome]) -> Table:
     """Percentiles of the step time over all ticks of a controller."""
     rows = []
@@ -144,6 +194,7 @@ def _place(outcome: Outcome) -> str:
     """Where all runs of the horizon sweep took place: only the first of each dimension is swept."""
     case = outcome.case
     parts = [f"{name} {case.labels[name]}" for name in ("plant", "surface", "sensors")]
+    parts += [f"scenario {case.labels['scenario']}"] if case.scenario != NO_SCENARIO else []
     parts += [f"{key}={value}" for key, value in case.overrides if key != "horizon"]
     return ", ".join([*parts, f"seed {case.seed}"])
 

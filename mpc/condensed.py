@@ -63,34 +63,33 @@ class Condenser:
         difference = np.eye(2 * N) - np.eye(2 * N, k=-2)
         increments = np.tile(self._first_increment, N)
         weighted_heading = self._heading_weights[:, None] * self._heading[1:]
-        self._constant_hessian = (
-            np.diag(command_weights)
-            + difference.T @ (increments[:, None] * difference)
-            + self._heading[1:].T @ weighted_heading
-        )
+        self._constant_hessian = np.diag(command_weights) + difference.T @ (increments[:, None] * difference)
+        self._heading_hessian = self._heading[1:].T @ weighted_heading
         self._heading_gradient = weighted_heading.T
-        self._twist_rows = problem.twist_rows()
         by_channel = self._from_plan[2:].reshape(N, 2, 2 * N)
+        self._by_plan = np.ascontiguousarray(by_channel.transpose(1, 0, 2))
         self._soft = np.empty((5, N, 2 * N))
-        self._soft[:4] = np.einsum("rc,kcu->rku", self._twist_rows, by_channel)
+        # Speeds at the rim are those of the model's twist: no gain changes them.
+        self._soft[2:4] = np.einsum("rc,kcu->rku", problem.twist_rows(np.ones(2))[2:], by_channel)
         self._stack = np.empty((2 * N, 2 * N))
-        self._arcs_in = np.empty((3, N))
+        self._arcs_in = np.empty((4, N))
         self._arcs_out = np.empty((N, 8))
         self._arc_buffer, self._arc_call = arc_derivatives(N, self._dt).buffer()
-        for row in range(3):
+        for row in range(4):
             self._arc_buffer.set_arg(row, memoryview(self._arcs_in[row]))  # type: ignore[call-arg]  # wrong in casadi's stubs
         self._arc_buffer.set_res(0, memoryview(self._arcs_out))  # type: ignore[call-arg, arg-type]
 
     def poses(self, tick: Tick, plan: FloatArray) -> FloatArray:
         """(N + 1, 3) poses that follow from `plan` (N, 2), by exact arcs; fills the arcs' derivatives on the way."""
-        twist = tick.free_twist + (self._from_plan @ plan.ravel()).reshape(-1, 2)
+        twist = tick.free_twist + tick.gains * (self._from_plan @ plan.ravel()).reshape(-1, 2)
         mean = 0.5 * (twist[:-1] + twist[1:])
         poses = np.empty_like(tick.reference)
         poses[0] = tick.pose
         np.cumsum(self._dt * mean[:, 1], out=poses[1:, 2])
         poses[1:, 2] += tick.pose[2]
         self._arcs_in[0] = poses[:-1, 2]
-        self._arcs_in[1:] = mean.T
+        self._arcs_in[1:3] = mean.T
+        self._arcs_in[3] = tick.side_slip
         self._arc_call()
         np.cumsum(self._arcs_out[:, :2], axis=0, out=poses[1:, :2])
         poses[1:, :2] += tick.pose[:2]
@@ -100,18 +99,21 @@ class Condenser:
         """Linearise along `plan` (N, 2) and condense."""
         problem, N = self._problem, self._problem.steps
         poses = self.poses(tick, plan)
-        arcs = self._arcs_out
+        v_gain, omega_gain = tick.gains.tolist()
+        # The derivatives by v, omega and theta, each with the gain between the model's twist and the body's.
+        by_twist = self._arcs_out[:, 2:] * np.tile([v_gain, omega_gain, omega_gain], 2)
         headings = self._heading[:-1]
         moves = [
             np.cumsum(
-                arcs[:, i, None] * self._mean_v
-                + arcs[:, i + 1, None] * self._mean_omega
-                + arcs[:, i + 2, None] * headings,
+                by_twist[:, i, None] * self._mean_v
+                + by_twist[:, i + 1, None] * self._mean_omega
+                + by_twist[:, i + 2, None] * headings,
                 axis=0,
             )
-            for i in (2, 5)
+            for i in (0, 3)
         ]
         error = poses[1:] - tick.reference[1:]
+        turned = poses[1:, 2] - tick.heading[1:]
         direction = tick.reference[1:, 2]
         c, s = np.cos(direction), np.sin(direction)
         across = c[:, None] * moves[1] - s[:, None] * moves[0]
@@ -124,14 +126,16 @@ class Condenser:
         residual = np.concatenate(
             [self._root_weights[:, 0] * (c * error[:, 0] + s * error[:, 1]), self._root_weights[:, 1] * across_error]
         )
-        H = stack.T @ stack + self._constant_hessian
+        H = stack.T @ stack + self._constant_hessian + omega_gain**2 * self._heading_hessian
         g = stack.T @ (residual - stack @ flat)
-        g += self._heading_gradient @ (error[:, 2] - self._heading[1:] @ flat)
+        g += omega_gain * (self._heading_gradient @ (turned - omega_gain * (self._heading[1:] @ flat)))
         g -= self._command_weights * tick.feed_forward.ravel()
         g[:2] -= self._first_increment * tick.last_command
 
+        np.multiply(self._by_plan, tick.gains[:, None, None], out=self._soft[:2])
         self._soft[4] = across
-        offset = np.vstack([self._twist_rows @ tick.free_twist[1:].T, across_error - across @ flat])
+        rows = problem.twist_rows(tick.gains)
+        offset = np.vstack([rows @ tick.free_twist[1:].T, across_error - across @ flat])
         soft_limits = problem.soft_limits(tick)[:, None]
         limits = problem.config.limits
         return QuadraticProgram(

@@ -35,10 +35,10 @@ class ExtraDeadTime(_Group):
 class Weights(_Group):
     """Weights of the quadratic cost, each summed over the steps of the horizon."""
 
-    along: NotNegative = Field(100.0, description="squared position error along the path [1/m^2]")
-    across: NotNegative = Field(300.0, description="squared position error across the path [1/m^2]")
-    heading: NotNegative = Field(6.0, description="squared heading error [1/rad^2]")
-    v: NotNegative = Field(1.0, description="squared deviation of v_ref from its feed-forward [s^2/m^2]")
+    along: NotNegative = Field(150.0, description="squared position error along the path [1/m^2]")
+    across: NotNegative = Field(500.0, description="squared position error across the path [1/m^2]")
+    heading: NotNegative = Field(28.0, description="squared heading error [1/rad^2]")
+    v: NotNegative = Field(20.0, description="squared deviation of v_ref from its feed-forward [s^2/m^2]")
     omega: NotNegative = Field(2.0, description="squared deviation of omega_ref from its feed-forward [s^2/rad^2]")
     v_increment: Positive = Field(20.0, description="squared increment of v_ref from tick to tick [s^2/m^2]")
     omega_increment: Positive = Field(4.0, description="squared increment of omega_ref from tick to tick [s^2/rad^2]")
@@ -66,12 +66,15 @@ class Limits(_Group):
 
 
 class Wheels(_Group):
-    """What turns the predicted twist into wheel speeds."""
+    """What turns a twist into wheel speeds, and back."""
 
     track: Positive = Field(
         0.4,
         description="track by which the robot's firmware turns a yaw rate into wheel speeds; on a skid-steer it is "
         "wider than the geometric one [m]",
+    )
+    encoder_track: Positive = Field(
+        _ROBOT.track, description="track by which the encoders' yaw rate was computed, the geometric one [m]"
     )
 
 
@@ -93,19 +96,46 @@ class Solver(_Group):
     )
 
 
+class Compensation(_Group):
+    """What the controller makes up for. All of it in practice; one at a time left out shows what it is worth."""
+
+    dead_time: bool = Field(True, description="predict over the dead time of model file and extra_dead_time [-]")
+    v_offset: bool = Field(True, description="estimate forward speed that the model does not explain [-]")
+    yaw_gain: bool = Field(True, description="estimate how much the robot turns for what is commanded [-]")
+    side_slip: bool = Field(True, description="estimate side-slip, and lean into the curve against it [-]")
+
+
 class Estimator(_Group):
     """Noise that the Kalman filter assumes (standard deviations), and what it rejects."""
 
     wheel_speed_noise: Positive = Field(0.01, description="forward speed from the encoders [m/s]")
+    wheel_yaw_rate_noise: Positive = Field(0.05, description="yaw rate from the encoders [rad/s]")
     yaw_rate_noise: Positive = Field(0.02, description="yaw rate of the gyro [rad/s]")
     position_noise: Positive = Field(0.005, description="position, where the pose states no covariance [m]")
     heading_noise: Positive = Field(0.0052, description="heading, where the pose states no covariance [rad]")
     v_input_noise: Positive = Field(0.05, description="what the model gets wrong, as noise on v_ref [m/s]")
-    omega_input_noise: Positive = Field(0.1, description="what the model gets wrong, as noise on omega_ref [rad/s]")
-    v_offset_drift: Positive = Field(0.1, description="random walk of the v offset [m/s per sqrt(s)]")
-    omega_offset_drift: Positive = Field(0.1, description="random walk of the omega offset [rad/s per sqrt(s)]")
-    position_drift: Positive = Field(0.02, description="random walk of the position beside the model [m per sqrt(s)]")
-    heading_drift: Positive = Field(0.005, description="random walk of the heading beside the model [rad per sqrt(s)]")
+    omega_input_noise: Positive = Field(0.6, description="what the model gets wrong, as noise on omega_ref [rad/s]")
+    v_offset_uncertainty: Positive = Field(0.03, description="v offset at the start [m/s]")
+    v_offset_drift: Positive = Field(0.02, description="random walk of the v offset [m/s per sqrt(s)]")
+    omega_gain_uncertainty: Positive = Field(0.01, description="yaw rate of wheels over model, at the start [-]")
+    omega_gain_drift: Positive = Field(0.001, description="random walk of that gain [1 per sqrt(s)]")
+    longitudinal_gain_uncertainty: Positive = Field(0.01, description="speed of body over wheels, at the start [-]")
+    longitudinal_gain_drift: Positive = Field(0.002, description="random walk of that gain [1 per sqrt(s)]")
+    yaw_gain_uncertainty: Positive = Field(0.1, description="yaw rate of body over wheels, at the start [-]")
+    yaw_gain_drift: Positive = Field(0.015, description="random walk of that gain [1 per sqrt(s)]")
+    side_slip_uncertainty: Positive = Field(0.05, description="lateral speed over v omega, at the start [s]")
+    side_slip_drift: Positive = Field(0.02, description="random walk of the side-slip [s per sqrt(s)]")
+    gyro_bias_uncertainty: Positive = Field(0.003, description="bias of the gyro, at the start [rad/s]")
+    gyro_bias_drift: Positive = Field(0.0003, description="random walk of that bias [rad/s per sqrt(s)]")
+    least_yaw_rate: Positive = Field(0.1, description="turning more slowly, the gains of omega stay frozen [rad/s]")
+    least_speed: Positive = Field(0.1, description="driving more slowly, gain and slip do not grow uncertain [m/s]")
+    surprise: Annotated[float, Field(ge=4)] = Field(
+        16.0,
+        description="squared innovation over its variance beyond which something other than slip is at work: nothing "
+        "is learned of slip [-]",
+    )
+    position_drift: Positive = Field(0.01, description="random walk of the position beside the model [m per sqrt(s)]")
+    heading_drift: Positive = Field(0.002, description="random walk of the heading beside the model [rad per sqrt(s)]")
     history: Annotated[float, Field(ge=0.05, le=5)] = Field(
         0.4, description="how late a pose may arrive and still be applied at its stamp [s]"
     )
@@ -199,6 +229,7 @@ class ControllerConfig(_Group):
     limits: Limits = Limits()
     wheels: Wheels = Wheels()
     solver: Solver = Solver()
+    compensation: Compensation = Compensation()
     estimator: Estimator = Estimator()
     failure: Failure = Failure()
     reentry: Reentry = Reentry()

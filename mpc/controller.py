@@ -60,9 +60,12 @@ class Controller:
             self._model = load_model(config.model).with_extra_dead_time([extra.v, extra.omega])
         else:
             self._model = model if isinstance(model, VelocityModel) else load_model(model)
+        if not config.compensation.dead_time:
+            self._model = replace(self._model, dead_time=np.zeros(2))
         self._config = config
         self._pending: ControllerConfig | None = None
-        self._estimator = StateEstimator(self._model.discretise(config.sample_time), config.estimator)
+        sampled = self._model.discretise(config.sample_time)
+        self._estimator = StateEstimator(sampled, config.estimator, config.compensation, config.wheels)
         self._planner = Planner(config, self._model)
         self._pursuit = Pursuit(config)
         self._clock = TickClock(config.sample_time, self._estimator.longest_pause)

@@ -1,4 +1,4 @@
-"""Estimate pose, twist and velocity offset from measurements that arrive at several rates and late.
+"""Estimate pose, twist and slip from measurements that arrive at several rates and late.
 
 A short history of beliefs is kept. A late measurement is entered at its stamp and everything after it is computed
 again, so that it counts as if it had come in time.
@@ -6,6 +6,7 @@ again, so that it counts as if it had come in time.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,10 +14,11 @@ import numpy as np
 from models.discrete_model import DiscreteModel
 from models.interface import FloatArray, Measurement
 from mpc.command_line import CommandLine
-from mpc.config import Estimator
-from mpc.kalman import Belief, VelocityPoseFilter
+from mpc.config import Compensation, Estimator, Wheels
+from mpc.kalman import Belief, SlipFilter
 from mpc.measurement_check import numbers
 from mpc.pose_gate import CheckedPose, PoseGate
+from mpc.slip import Slip
 from mpc.twist_gate import CheckedTwist, TwistGate
 
 
@@ -31,13 +33,17 @@ class Estimate:
     pose
         (3,) x [m], y [m], theta [rad, unwrapped].
     twist
-        (2,) v [m/s], omega [rad/s], offset included.
-    offset
-        (2,) part of the twist that the model does not explain [m/s, rad/s].
+        (2,) v [m/s], omega [rad/s] of the body, slip included.
+    slip
+        What lies between the model's twist and that of the body.
+    gyro_bias
+        Bias of the gyro [rad/s].
     state
         (n,) states of the velocity model.
-    pose_deviation, offset_deviation
-        (3,) and (2,) standard deviations.
+    pose_deviation, twist_deviation, slip_deviation, gyro_bias_deviation
+        Standard deviations of the above, in the same shapes and units.
+    innovations
+        By sensor, the newest squared innovation over its variance: 1 on average where the assumptions hold [-].
     pose_age
         Time since the stamp of the last accepted pose [s].
     """
@@ -45,10 +51,14 @@ class Estimate:
     time: float
     pose: FloatArray
     twist: FloatArray
-    offset: FloatArray
+    slip: Slip
+    gyro_bias: float
     state: FloatArray
     pose_deviation: FloatArray
-    offset_deviation: FloatArray
+    twist_deviation: FloatArray
+    slip_deviation: Slip
+    gyro_bias_deviation: float
+    innovations: Mapping[str, float]
     pose_age: float
 
 
@@ -72,13 +82,31 @@ class StateEstimator:
         The sampled velocity model with its dead time.
     settings
         Noise, history and rejection limits.
+    compensation
+        What is estimated; by default all of it.
+    wheels
+        Tracks of firmware and encoders.
     """
 
-    def __init__(self, model: DiscreteModel, settings: Estimator) -> None:
+    def __init__(
+        self,
+        model: DiscreteModel,
+        settings: Estimator,
+        compensation: Compensation | None = None,
+        wheels: Wheels | None = None,
+    ) -> None:
         self._model = model
         self._settings = settings
+        wheels = wheels or Wheels()
+        # Per unit of omega_ref the wheels turn with the ratio of the tracks, and the model with its steady gain.
+        ratio = wheels.track / wheels.encoder_track / float(model.dc_gain[1, 1])
         self._length = int(np.ceil(settings.history / model.dt)) + 1
-        self._filter = VelocityPoseFilter(model, settings)
+        self._filter = SlipFilter(model, settings, compensation or Compensation(), ratio)
+        self._corrections = {
+            "wheel_speed": self._filter.correct_wheel_speed,
+            "wheel_yaw_rate": self._filter.correct_wheel_yaw_rate,
+            "yaw_rate": self._filter.correct_yaw_rate,
+        }
         self._poses = PoseGate(settings)
         self._twists = TwistGate(settings)
         self.commands = CommandLine(model, self._length)
@@ -87,6 +115,7 @@ class StateEstimator:
     def forget(self) -> None:
         """Drop the estimate, as before the first pose. Commands on their way stay: they are still on their way."""
         self._nodes: list[_Node] = []
+        self._innovations: dict[str, float] = {}
         self._poses.reset()
         self._twists.reset()
 
@@ -113,12 +142,16 @@ class StateEstimator:
         deviation = np.sqrt(np.maximum(np.diag(node.posterior.covariance), 0.0))
         return Estimate(
             time=node.time,
-            pose=mean[n + 2 :].copy(),
+            pose=mean[-3:].copy(),
             twist=self._filter.twist(mean),
-            offset=mean[n : n + 2].copy(),
+            slip=self._filter.slip(mean),
+            gyro_bias=float(mean[-4]),
             state=mean[:n].copy(),
-            pose_deviation=deviation[n + 2 :],
-            offset_deviation=deviation[n : n + 2],
+            pose_deviation=deviation[-3:],
+            twist_deviation=self._filter.twist_deviation(node.posterior),
+            slip_deviation=self._filter.slip(deviation),
+            gyro_bias_deviation=float(deviation[-4]),
+            innovations=dict(self._innovations),
             pose_age=node.time - self._poses.accepted_stamp,
         )
 
@@ -200,14 +233,11 @@ class StateEstimator:
             if index > first:
                 ticks_ago = newest - index
                 node.prior = self._filter.predict(self._nodes[index - 1].posterior, *self.commands.acting(ticks_ago))
-            belief = node.prior
-            if node.twists:
-                belief = self._filter.correct_twist(
-                    belief,
-                    np.array([twist.value for twist in node.twists]),
-                    np.array([twist.variance for twist in node.twists]),
-                    [twist.row for twist in node.twists],
-                )
+            belief, seen = node.prior, self._innovations
+            for twist in node.twists:
+                correct = self._corrections[twist.sensor]
+                belief, seen[twist.sensor] = correct(belief, twist.value, twist.variance)
             for pose in node.poses:
-                belief = self._filter.correct_pose(belief, pose.value, pose.covariance, pose.stamp - node.time)
+                ahead = pose.stamp - node.time
+                belief, seen["pose"] = self._filter.correct_pose(belief, pose.value, pose.covariance, ahead)
             node.posterior = belief

@@ -6,13 +6,14 @@ import numpy as np
 
 from models.interface import FloatArray
 from models.velocity_model import VelocityModel
+from mpc.slip import Slip
 
 
 class FeedForward:
     """Commands for the next N ticks from the reference's twists.
 
     A command shows its effect one lag later (dead time and dynamics), so it answers to the twist that the reference
-    has then. The estimated offset is taken off: the command makes up for it.
+    has then. The estimated slip is inverted: the command makes up for it.
     """
 
     def __init__(self, model: VelocityModel, dt: float, steps: int) -> None:
@@ -25,8 +26,8 @@ class FeedForward:
         self.samples = int(self._rows.max()) + 2
         """Samples of the reference's twist that `commands` needs, from now on."""
 
-    def commands(self, twist: FloatArray, offset: FloatArray) -> FloatArray:
-        """(N, 2) commands for reference twists (samples, 2) and the offset (2,) [m/s, rad/s]."""
+    def commands(self, twist: FloatArray, slip: Slip) -> FloatArray:
+        """(N, 2) commands for reference twists (samples, 2) under `slip`."""
         now, after = twist[self._rows, [0, 1]], twist[self._rows + 1, [0, 1]]
-        wanted = now + self._rest * (after - now) - offset
+        wanted = (now + self._rest * (after - now)) / slip.gains - slip.offset
         return np.asarray(wanted @ self._inverse_gain.T)

@@ -1,8 +1,13 @@
-"""The extended Kalman filter's two steps for velocity states, velocity offset and pose."""
+"""The extended Kalman filter's two steps for velocity states, slip, gyro bias and pose.
+
+The state is z = (x, v_offset, omega_gain, longitudinal_gain, yaw_gain, side_slip, gyro_bias, pose): the n states of the
+velocity model, what lies between the model's twist and the true one (see `mpc.slip`), the gyro's bias [rad/s] and
+x, y [m], theta [rad].
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,39 +15,72 @@ from models.discrete_model import DiscreteModel
 from models.interface import FloatArray
 from models.pose import linearised_arc, wrap_angle
 from mpc.command_line import CommandLine
-from mpc.config import Estimator
+from mpc.config import Compensation, Estimator
+from mpc.slip import Slip
+
+# Places after the n velocity states.
+_V_OFFSET, _OMEGA_GAIN, _LONGITUDINAL_GAIN, _YAW_GAIN, _SIDE_SLIP, _GYRO_BIAS, _POSE = range(7)
 
 
-@dataclass(frozen=True, slots=True)
-class Belief:
-    """Mean and covariance of the filter's state: n velocity states, offset of v and omega, x, y, theta.
-
-    The robot's twist is C x + offset; the offset is what the model does not explain, and makes tracking offset-free.
-    """
+class Belief(NamedTuple):
+    """Mean (n + 9,) and covariance (n + 9, n + 9) of the filter's state."""
 
     mean: FloatArray
     covariance: FloatArray
 
 
-class VelocityPoseFilter:
-    """Prediction and correction over one sample of a velocity model."""
+class SlipFilter:
+    """Prediction and correction over one sample of a velocity model.
 
-    def __init__(self, model: DiscreteModel, settings: Estimator) -> None:
+    Parameters
+    ----------
+    model
+        The sampled velocity model.
+    settings
+        Noise that is assumed, and limits of what is believed.
+    compensation
+        What is estimated at all; the rest keeps the value of a robot without slip.
+    wheel_yaw_ratio
+        Yaw rate by encoders and geometric track over that of the model, where omega_gain is 1.
+    """
+
+    def __init__(
+        self, model: DiscreteModel, settings: Estimator, compensation: Compensation, wheel_yaw_ratio: float
+    ) -> None:
         n, dt = model.order, model.dt
-        self._model, self._n = model, n
-        self._twist = np.hstack([model.C, np.eye(2), np.zeros((2, 3))])
-        self._mean_twist = np.hstack([0.5 * model.C @ (np.eye(n) + model.A), np.eye(2)])
-        self._transition = np.eye(n + 5)
+        self._model, self._settings, self._n, self._ratio = model, settings, n, wheel_yaw_ratio
+        self._mean_output = 0.5 * model.C @ (np.eye(n) + model.A)
+        self._settled = np.column_stack([model.settled_state(unit) for unit in np.eye(2)])
+        self._transition = np.eye(n + 9)
         self._transition[:n, :n] = model.A
+        on, s = compensation, settings
+        estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, on.side_slip, True])
+        uncertainty = [
+            s.v_offset_uncertainty,
+            s.omega_gain_uncertainty,
+            s.longitudinal_gain_uncertainty,
+            s.yaw_gain_uncertainty,
+            s.side_slip_uncertainty,
+            s.gyro_bias_uncertainty,
+        ]
+        drift = [
+            s.v_offset_drift,
+            s.omega_gain_drift,
+            s.longitudinal_gain_drift,
+            s.yaw_gain_drift,
+            s.side_slip_drift,
+            s.gyro_bias_drift,
+        ]
+        self._uncertainty = estimated * np.array(uncertainty)
+        self._drift = dt * np.square(estimated * np.array(drift))
         drive = model.B0 + model.B1
-        noise = np.zeros((n + 5, n + 5))
-        inputs = np.array([settings.v_input_noise, settings.omega_input_noise])
+        noise = np.zeros((n + 9, n + 9))
+        inputs = np.array([s.v_input_noise, s.omega_input_noise])
         noise[:n, :n] = (drive * inputs**2) @ drive.T
-        self._offset_drift = [settings.v_offset_drift, settings.omega_offset_drift]
-        drift = list(self._offset_drift)
-        drift += [settings.position_drift, settings.position_drift, settings.heading_drift]
-        noise[n:, n:] = np.diag(np.square(drift) * dt)
+        pose = np.square([s.position_drift, s.position_drift, s.heading_drift])
+        noise[n + _POSE :, n + _POSE :] = np.diag(pose * dt)
         self._noise = noise
+        self._diagonal = np.arange(n, n + _POSE)
 
     def moving(self, commands: CommandLine) -> Belief:
         """A robot that obeys the commands sent so far as the model says, somewhere.
@@ -55,62 +93,165 @@ class VelocityPoseFilter:
         for ticks_ago in range(commands.oldest, -1, -1):
             recent, older = commands.acting(ticks_ago)
             state = model.A @ state + model.B0 @ recent + model.B1 @ older
-        settled = np.column_stack([model.settled_state(unit) for unit in np.eye(2)])
-        P = np.zeros((n + 5, n + 5))
-        P[:n, :n] = (settled * np.square(model.C @ state)) @ settled.T
-        # The offset is as uncertain as a second of its drift leaves it.
-        P[n : n + 2, n : n + 2] = np.diag(np.square(self._offset_drift))
-        return Belief(np.concatenate([state, np.zeros(5)]), P)
+        P = np.zeros((n + 9, n + 9))
+        P[:n, :n] = (self._settled * np.square(model.C @ state)) @ self._settled.T
+        P[self._diagonal, self._diagonal] = np.square(self._uncertainty)
+        mean = np.zeros(n + 9)
+        mean[:n] = state
+        mean[n + _OMEGA_GAIN : n + _SIDE_SLIP] = 1.0
+        return Belief(mean, P)
 
     def placed(self, motion: Belief, pose: FloatArray, covariance: FloatArray) -> Belief:
         """The motion of `motion` at another `pose` (3,), known to `covariance` (3, 3)."""
-        n, P = self._n, motion.covariance.copy()
-        P[n + 2 :, :] = 0.0
-        P[:, n + 2 :] = 0.0
-        P[n + 2 :, n + 2 :] = covariance
-        return Belief(np.concatenate([motion.mean[: n + 2], pose]), P)
+        at, P, mean = self._n + _POSE, motion.covariance.copy(), motion.mean.copy()
+        P[at:, :] = 0.0
+        P[:, at:] = 0.0
+        P[at:, at:] = covariance
+        mean[at:] = pose
+        return Belief(mean, P)
+
+    def slip(self, mean: FloatArray) -> Slip:
+        """The slip in a state (n + 9,), or of its standard deviations."""
+        return Slip(*mean[self._n : self._n + _GYRO_BIAS].tolist())
 
     def twist(self, mean: FloatArray) -> FloatArray:
-        """(2,) v [m/s], omega [rad/s]."""
-        return self._twist @ mean
+        """(2,) v [m/s], omega [rad/s] of the body."""
+        v, omega, _, _ = self._twist(mean, self._model.C @ mean[: self._n])
+        return np.array([v, omega])
+
+    def twist_deviation(self, belief: Belief) -> FloatArray:
+        """(2,) standard deviations of v [m/s] and omega [rad/s]."""
+        T = self._twist_gradient(belief.mean, self._model.C)
+        return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", T, belief.covariance, T), 0.0)))
 
     def predict(self, belief: Belief, recent: FloatArray, older: FloatArray) -> Belief:
         """One sample ahead under the delayed commands `recent` and `older` (2,)."""
-        model, n, z = self._model, self._n, belief.mean
+        model, n, z, s = self._model, self._n, belief.mean, self._settings
+        at = n + _POSE
         state = model.A @ z[:n] + model.B0 @ recent + model.B1 @ older
-        offset = z[n : n + 2]
-        v, omega = 0.5 * (model.C @ (z[:n] + state)) + offset
-        pose, by_pose, by_twist = linearised_arc(z[n + 2 :], v, omega, model.dt)
+        output = 0.5 * model.C @ (z[:n] + state)
+        v, omega, _, _ = self._twist(z, output)
+        pose, by_pose, by_twist = linearised_arc(z[at:], v, omega, model.dt, z[n + _SIDE_SLIP])
         F = self._transition
-        F[n + 2 :, : n + 2] = by_twist @ self._mean_twist
-        F[n + 2 :, n + 2 :] = by_pose
-        mean = np.concatenate([state, offset, pose])
-        return Belief(mean, F @ belief.covariance @ F.T + self._noise)
+        T = self._twist_gradient(z, self._mean_output, output)
+        F[at:, :at] = by_twist[:, :2] @ T[:, :at]
+        F[at:, n + _SIDE_SLIP] += by_twist[:, 2]
+        F[at:, at:] = by_pose
+        P = F @ belief.covariance @ F.T + self._noise
+        # A gain shows only while its channel moves: without news its uncertainty must not grow.
+        turning, driving = abs(omega) >= s.least_yaw_rate, abs(v) >= s.least_speed
+        moving = np.array([True, turning, driving, turning, turning and driving, True])
+        P[self._diagonal, self._diagonal] += self._drift * moving
+        mean = z.copy()
+        mean[:n], mean[at:] = state, pose
+        return Belief(mean, P)
 
-    def correct_twist(self, belief: Belief, values: FloatArray, variances: FloatArray, rows: list[int]) -> Belief:
-        """Take in v (row 0) and, or, omega (row 1)."""
-        H = self._twist[rows]
-        return _correct(belief, H, values - H @ belief.mean, np.diag(variances))
+    def correct_wheel_speed(self, belief: Belief, value: float, variance: float) -> tuple[Belief, float]:
+        """Take in the forward speed of the wheels [m/s]; returns the normalised innovation too."""
+        n = self._n
+        h = np.zeros(n + 9)
+        h[:n] = self._model.C[0]
+        h[n + _V_OFFSET] = 1.0
+        return self._correct_scalar(belief, 0, h, value - float(h @ belief.mean), variance)
+
+    def correct_wheel_yaw_rate(self, belief: Belief, value: float, variance: float) -> tuple[Belief, float]:
+        """Take in the yaw rate by encoders and geometric track [rad/s], which tells of the wheels, not of the body."""
+        n, z = self._n, belief.mean
+        output, gain = float(self._model.C[1] @ z[:n]), float(z[n + _OMEGA_GAIN])
+        h = np.zeros(n + 9)
+        h[:n] = self._ratio * gain * self._model.C[1]
+        h[n + _OMEGA_GAIN] = self._ratio * output
+        return self._correct_scalar(belief, 1, h, value - self._ratio * gain * output, variance)
+
+    def correct_yaw_rate(self, belief: Belief, value: float, variance: float) -> tuple[Belief, float]:
+        """Take in the gyro's yaw rate [rad/s]: the body's, and a bias."""
+        n, z = self._n, belief.mean
+        h = self._twist_gradient(z, self._model.C)[1]
+        h[n + _GYRO_BIAS] = 1.0
+        innovation = value - float(self.twist(z)[1] + z[n + _GYRO_BIAS])
+        return self._correct_scalar(belief, 1, h, innovation, variance)
 
     def pose_at(self, belief: Belief, ahead: float) -> FloatArray:
         """(3,) the pose `ahead` seconds after the belief, at constant twist."""
-        v, omega = self._twist @ belief.mean
-        return linearised_arc(belief.mean[-3:], v, omega, ahead)[0]
+        v, omega = self.twist(belief.mean)
+        return linearised_arc(belief.mean[-3:], v, omega, ahead, belief.mean[self._n + _SIDE_SLIP])[0]
 
-    def correct_pose(self, belief: Belief, pose: FloatArray, covariance: FloatArray, ahead: float) -> Belief:
-        """Take in a pose (3,) that was true `ahead` seconds after the belief."""
-        n = self._n
-        v, omega = self._twist @ belief.mean
-        expected, by_pose, by_twist = linearised_arc(belief.mean[n + 2 :], v, omega, ahead)
-        H = by_twist @ self._twist
-        H[:, n + 2 :] = by_pose
+    def correct_pose(
+        self, belief: Belief, pose: FloatArray, covariance: FloatArray, ahead: float
+    ) -> tuple[Belief, float]:
+        """Take in a pose (3,) that was true `ahead` seconds after the belief; returns the normalised innovation too.
+
+        A pose that the belief cannot explain says that something moved the robot: then the pose is believed, and
+        nothing is learned from it about slip.
+        """
+        n, z, P = self._n, belief.mean, belief.covariance
+        at = n + _POSE
+        v, omega = self.twist(z)
+        expected, by_pose, by_twist = linearised_arc(z[at:], v, omega, ahead, z[n + _SIDE_SLIP])
+        H = by_twist[:, :2] @ self._twist_gradient(z, self._model.C)
+        H[:, n + _SIDE_SLIP] += by_twist[:, 2]
+        H[:, at:] = by_pose
         innovation = pose - expected
         innovation[2] = wrap_angle(innovation[2])
-        return _correct(belief, H, innovation, covariance)
+        PHt = P @ H.T
+        S = H @ PHt + covariance
+        normalised = float(innovation @ np.linalg.solve(S, innovation)) / 3
+        if normalised > self._settings.surprise:
+            P = P.copy()
+            P[at:, at:] += np.diag(np.square(innovation))
+            PHt = P @ H.T
+            S = H @ PHt + covariance
+        gain = np.asarray(np.linalg.solve(S, PHt.T).T, dtype=float)
+        gain[self._frozen(z, normalised)] = 0.0
+        return _corrected(belief.mean + gain @ innovation, P, gain, PHt, S), normalised
+
+    def _twist(self, z: FloatArray, output: FloatArray) -> tuple[float, float, float, float]:
+        """Forward speed and yaw rate of the body for the model's `output` (2,), v of the wheels, gain of omega."""
+        v_offset, omega_gain, longitudinal_gain, yaw_gain = z[self._n : self._n + _SIDE_SLIP].tolist()
+        wheels, gain = float(output[0]) + v_offset, omega_gain * yaw_gain
+        return longitudinal_gain * wheels, gain * float(output[1]), wheels, gain
+
+    def _twist_gradient(self, z: FloatArray, C: FloatArray, output: FloatArray | None = None) -> FloatArray:
+        """(2, n + 9) gradient of the body's twist for an output `C` x."""
+        n = self._n
+        output = C @ z[:n] if output is None else output
+        _, _, wheels, gain = self._twist(z, output)
+        T = np.zeros((2, n + 9))
+        T[0, :n], T[1, :n] = z[n + _LONGITUDINAL_GAIN] * C[0], gain * C[1]
+        T[0, n + _V_OFFSET], T[0, n + _LONGITUDINAL_GAIN] = z[n + _LONGITUDINAL_GAIN], wheels
+        T[1, n + _OMEGA_GAIN], T[1, n + _YAW_GAIN] = z[n + _YAW_GAIN] * output[1], z[n + _OMEGA_GAIN] * output[1]
+        return T
+
+    def _correct_scalar(
+        self, belief: Belief, channel: int, h: FloatArray, innovation: float, variance: float
+    ) -> tuple[Belief, float]:
+        """Correct with gradient `h` (n + 9,) of what was measured in `channel`, 0 for v and 1 for omega."""
+        n, P = self._n, belief.covariance
+        PHt = P @ h
+        normalised = innovation * innovation / (float(h @ PHt) + variance)
+        if normalised > self._settings.surprise:
+            P = P.copy()
+            P[:n, :n] += innovation**2 * np.outer(self._settled[:, channel], self._settled[:, channel])
+            PHt = P @ h
+        S = float(h @ PHt) + variance
+        gain = PHt / S
+        gain[self._frozen(belief.mean, normalised)] = 0.0
+        mean = belief.mean + gain * innovation
+        return _corrected(mean, P, gain[:, None], PHt[:, None], np.array([[S]])), normalised
+
+    def _frozen(self, z: FloatArray, normalised: float) -> list[int]:
+        """Places of the states that a measurement with this normalised innovation may not change."""
+        n = self._n
+        if normalised > self._settings.surprise:
+            # The robot does not do as told, for a reason that is none of slip: velocity and pose take it all.
+            return list(range(n, n + _POSE))
+        if abs(self.twist(z)[1]) < self._settings.least_yaw_rate:
+            return [n + _OMEGA_GAIN, n + _YAW_GAIN]
+        return []
 
 
-def _correct(belief: Belief, H: FloatArray, innovation: FloatArray, R: FloatArray) -> Belief:
-    PHt = belief.covariance @ H.T
-    gain = np.linalg.solve(H @ PHt + R, PHt.T).T
-    P = belief.covariance - gain @ PHt.T
-    return Belief(belief.mean + gain @ innovation, 0.5 * (P + P.T))
+def _corrected(mean: FloatArray, P: FloatArray, gain: FloatArray, PHt: FloatArray, S: FloatArray) -> Belief:
+    """Belief after a correction with any gain, optimal or not (Joseph's form)."""
+    step = gain @ PHt.T
+    P = P - step - step.T + gain @ S @ gain.T
+    return Belief(mean, 0.5 * (P + P.T))

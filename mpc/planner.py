@@ -13,6 +13,7 @@ from mpc.condensed import Condenser
 from mpc.config import ControllerConfig
 from mpc.estimator import Estimate
 from mpc.feed_forward import FeedForward
+from mpc.lean import lean
 from mpc.osqp_solver import OsqpSolver
 from mpc.problem import TrackingProblem
 from mpc.solver_report import SolverReport
@@ -74,12 +75,17 @@ class Planner:
         poses = sample.pose[: self._config.horizon + 1].copy()
         # The estimate counts its turns itself: meet it on the turn it is on.
         poses[:, 2] += 2 * np.pi * np.round((estimate.pose[2] - poses[0, 2]) / (2 * np.pi))
-        free = self._problem.prediction.free_twists(estimate.state, past).reshape(-1, 2) + estimate.offset
+        slip = estimate.slip
+        aim, heading = lean(poses, sample.twist[: len(poses)], slip.side_slip, self._config.weights)
+        free = self._problem.prediction.free_twists(estimate.state, past).reshape(-1, 2)
         return Tick(
             pose=estimate.pose,
-            free_twist=free,
-            reference=poses,
-            feed_forward=self._feed_forward.commands(sample.twist, estimate.offset),
+            free_twist=slip.gains * (free + slip.offset),
+            gains=slip.gains,
+            side_slip=slip.side_slip,
+            reference=aim,
+            heading=heading,
+            feed_forward=self._feed_forward.commands(sample.twist, slip),
             last_command=last_command,
         )
 

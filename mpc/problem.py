@@ -2,12 +2,12 @@
 
 With U = (u_0, ..., u_{N-1}), u = (v_ref, omega_ref), the cost is half the weighted sum of squares of
 
-* the position error along and across the reference's heading and the heading error, at the samples 1 to N,
-  the last one weighted `terminal` times,
+* the position error along and across the reference's heading and the error of the heading, a lead against side-slip
+  included, at the samples 1 to N, the last one weighted `terminal` times,
 * the deviation of each u_k from its feed-forward, and the increments u_k - u_{k-1}, u_{-1} being the last command sent,
 
 plus an exact penalty on each soft limit that is exceeded. Poses follow from the mean twist over each sample by exact
-arcs; twists are linear in U.
+arcs with side-slip; twists are linear in U.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from mpc.tick import Tick
 def arc_derivatives(steps: int, dt: float) -> ca.Function:
     """Displacement of each of `steps` arcs with its gradient, in one call.
 
-    Maps theta, v, omega, each (1, steps), to (8, steps): dx, dy, then the derivatives of dx and of dy with respect to
-    v, omega and theta.
+    Maps theta, v, omega, side-slip, each (1, steps), to (8, steps): dx, dy, then the derivatives of dx and of dy with
+    respect to v, omega and theta.
     """
-    theta, v, omega = ca.SX.sym("theta"), ca.SX.sym("v"), ca.SX.sym("omega")
-    move = arc_function()(ca.vertcat(0, 0, theta), v, omega, dt)[:2]
+    theta, v, omega, side_slip = (ca.SX.sym(name) for name in ("theta", "v", "omega", "side_slip"))
+    move = arc_function()(ca.vertcat(0, 0, theta), v, omega, dt, side_slip)[:2]
     gradient = ca.jacobian(move, ca.vertcat(v, omega, theta))
-    single = ca.Function("arc_derivatives", [theta, v, omega], [ca.vertcat(move, gradient[0, :].T, gradient[1, :].T)])
-    return single.map(steps)
+    columns = ca.vertcat(move, gradient[0, :].T, gradient[1, :].T)
+    return ca.Function("arc_derivatives", [theta, v, omega, side_slip], [columns]).map(steps)
 
 
 class TrackingProblem:
@@ -78,10 +78,15 @@ class TrackingProblem:
         table[-1] *= w.terminal
         return table
 
-    def twist_rows(self) -> FloatArray:
-        """(4, 2) map from a twist to what has soft limits: v, omega, right and left speed at the rim [m/s, rad/s]."""
+    def twist_rows(self, gains: FloatArray) -> FloatArray:
+        """(4, 2) map from a twist of the body to what has soft limits [m/s, rad/s].
+
+        These are v, omega, and the right and left speed at the rim: the wheels do not slip as the body does,
+        so there the `gains` (2,) are undone.
+        """
         half = 0.5 * self.config.wheels.track
-        return np.array([[1.0, 0.0], [0.0, 1.0], [1.0, half], [1.0, -half]])
+        (v, omega) = 1 / gains
+        return np.array([[1.0, 0.0], [0.0, 1.0], [v, half * omega], [v, -half * omega]])
 
     def soft_limits(self, tick: Tick) -> FloatArray:
         """(5,) limits of the rows of `twist_rows`, and of the distance across the path.
@@ -93,7 +98,7 @@ class TrackingProblem:
         limits = np.array([lim.predicted_v, lim.predicted_omega, lim.wheel_speed, lim.wheel_speed, lim.corridor])
         x, y, theta = tick.reference[0]
         across = np.cos(theta) * (tick.pose[1] - y) - np.sin(theta) * (tick.pose[0] - x)
-        now = np.append(self.twist_rows() @ tick.free_twist[0], across)
+        now = np.append(self.twist_rows(tick.gains) @ tick.free_twist[0], across)
         return np.asarray(np.maximum(limits, np.abs(now)))
 
     def nonlinear_program(self, tick: Tick) -> tuple[dict[str, ca.MX], dict[str, FloatArray]]:
@@ -108,22 +113,24 @@ class TrackingProblem:
         """
         N, dt, w = self.steps, self.model.dt, self.config.weights
         U, p, m = ca.MX.sym("U", 2, N), ca.MX.sym("p", 5, N), ca.MX.sym("m", 5, N)
-        twist = tick.free_twist.T + ca.reshape(ca.DM(self.prediction.from_plan) @ ca.vec(U), 2, N + 1)
+        by_plan = ca.reshape(ca.DM(self.prediction.from_plan) @ ca.vec(U), 2, N + 1)
+        twist = tick.free_twist.T + ca.diag(tick.gains) @ by_plan
         mean = (twist[:, :-1] + twist[:, 1:]) / 2
         arc, pose, cost, across = arc_function(), ca.MX(tick.pose), ca.MX(0), []
         for k, weights in enumerate(self.pose_weights()):
-            pose = arc(pose, mean[0, k], mean[1, k], dt)
+            pose = arc(pose, mean[0, k], mean[1, k], dt, tick.side_slip)
             reference = tick.reference[k + 1]
             c, s = np.cos(reference[2]), np.sin(reference[2])
             error = pose - reference
-            in_path = ca.vertcat(c * error[0] + s * error[1], c * error[1] - s * error[0], error[2])
+            turned = pose[2] - tick.heading[k + 1]
+            in_path = ca.vertcat(c * error[0] + s * error[1], c * error[1] - s * error[0], turned)
             across.append(in_path[1])
             cost += ca.dot(weights, in_path**2) / 2
         increment = U - ca.horzcat(tick.last_command, U[:, :-1])
         cost += ca.dot([w.v, w.omega], ca.sum2((U - tick.feed_forward.T) ** 2)) / 2
         cost += ca.dot([w.v_increment, w.omega_increment], ca.sum2(increment**2)) / 2
         cost += w.soft * ca.sum1(ca.vec(p + m)) + w.soft_quadratic * (ca.sumsqr(p) + ca.sumsqr(m)) / 2
-        soft = ca.vertcat(ca.DM(self.twist_rows()) @ twist[:, 1:], ca.horzcat(*across)) - p + m
+        soft = ca.vertcat(ca.DM(self.twist_rows(tick.gains)) @ twist[:, 1:], ca.horzcat(*across)) - p + m
 
         box = command_box(self.config.limits, dt, tick.last_command, N).ravel()
         slew, limit = np.tile(slew_step(self.config.limits, dt), N), np.tile(self.soft_limits(tick), N)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from models.interface import FloatArray
 from models.robot import Robot
+from sim.scenario import Payload, Slope
 from sim.twin_parameters import TwinParameters
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
@@ -29,21 +30,36 @@ class Chassis:
         Sliding friction coefficient.
     step
         Physics step [s].
+    payload
+        A load on the body.
+    slope
+        Tilt of the floor; positions and headings stay those in its plane.
     """
 
-    def __init__(self, robot: Robot, twin: TwinParameters, friction: float, step: float) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        twin: TwinParameters,
+        friction: float,
+        step: float,
+        payload: Payload | None = None,
+        slope: Slope | None = None,
+    ) -> None:
         import mujoco  # noqa: PLC0415 - an optional dependency, needed by this plant only
 
         self._advance = mujoco.mj_step
         self._forward = mujoco.mj_forward
         self._restart = mujoco.mj_resetData
-        self._model: Any = mujoco.MjModel.from_xml_string(_mjcf(robot, twin, friction, step))
+        self._model: Any = mujoco.MjModel.from_xml_string(_mjcf(robot, twin, friction, step, payload))
         self._data: Any = mujoco.MjData(self._model)
         self._torque = self._data.qfrc_applied[6:10]
         self._position, self._velocity = self._data.qpos, self._data.qvel
         for _ in range(round(_SETTLING_TIME / step)):
             self._advance(self._model, self._data)
         self._resting_height = float(self._position[2])
+        if slope is not None:
+            # Only now: while it settles, the robot has no motors to hold it.
+            self._model.opt.gravity[:] = _tilted(self._model.opt.gravity, slope)
         self.reset(np.zeros(3))
 
     def reset(self, pose: ArrayLike) -> None:
@@ -63,6 +79,24 @@ class Chassis:
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         self._yaw += math.remainder(yaw - self._yaw, 2 * math.pi)
 
+    def set_friction(self, friction: FloatArray) -> None:
+        """Change the sliding friction coefficient under each wheel (4,); it outlasts a reset."""
+        self._model.pair_friction[:, :2] = friction[:, None]
+
+    def release(self) -> None:
+        """End all pushes."""
+        self._data.xfrc_applied[1] = 0.0
+
+    def push(self, forward: float, left: float, yaw_torque: float, height: float) -> None:
+        """Push the body from now on, beside other pushes: forces [N] in its own directions and a torque [N m].
+
+        The forces meet the vertical through its centre of mass at `height` above the floor [m].
+        """
+        c, s = math.cos(self._yaw), math.sin(self._yaw)
+        x, y = c * forward - s * left, s * forward + c * left
+        lever = height - float(self._data.xipos[1, 2])
+        self._data.xfrc_applied[1] += [x, y, 0.0, -lever * y, lever * x, yaw_torque]
+
     @property
     def pose(self) -> FloatArray:
         """(3,) x, y [m] midway between the wheels, theta [rad], unwrapped."""
@@ -74,6 +108,12 @@ class Chassis:
         vx, vy = float(self._velocity[0]), float(self._velocity[1])
         c, s = math.cos(self._yaw), math.sin(self._yaw)
         return np.array([c * vx + s * vy, c * vy - s * vx, self._velocity[5]])
+
+    @property
+    def lean(self) -> float:
+        """Angle between the body's vertical and the floor's [rad]."""
+        _, x, y, _ = self._position[3:7].tolist()
+        return math.acos(max(-1.0, 1.0 - 2.0 * (x * x + y * y)))
 
     @property
     def wheel_angles(self) -> FloatArray:
@@ -91,6 +131,18 @@ class Chassis:
         return int(self._data.ncon)
 
     @property
+    def wheel_loads(self) -> FloatArray:
+        """(4,) force of the floor on each wheel, normal to it [N]."""
+        import mujoco  # noqa: PLC0415 - see above
+
+        loads, force = np.zeros(len(WHEELS)), np.zeros(6)
+        for i in range(self._data.ncon):
+            mujoco.mj_contactForce(self._model, self._data, i, force)
+            name = mujoco.mj_id2name(self._model, mujoco.mjtObj.mjOBJ_GEOM, self._data.contact[i].geom2)
+            loads[WHEELS.index(name)] += force[0]
+        return loads
+
+    @property
     def energy(self) -> float:
         """Kinetic energy of body, wheels and rotors [J]."""
         import mujoco  # noqa: PLC0415 - see above
@@ -100,7 +152,14 @@ class Chassis:
         return float(0.5 * self._velocity @ momentum)
 
 
-def _mjcf(robot: Robot, twin: TwinParameters, friction: float, step: float) -> str:
+def _tilted(gravity: FloatArray, slope: Slope) -> FloatArray:
+    """(3,) gravity [m/s^2] in the frame of a floor tilted by `slope`."""
+    down, along = math.cos(slope.angle), math.sin(slope.angle)
+    direction = np.array([along * math.cos(slope.downhill), along * math.sin(slope.downhill), -down])
+    return np.asarray(np.linalg.norm(gravity) * direction)
+
+
+def _mjcf(robot: Robot, twin: TwinParameters, friction: float, step: float, payload: Payload | None) -> str:
     """The model in MuJoCo's XML format."""
     chassis, tyre, radius = twin.chassis, twin.tyre, robot.wheel_radius
     half_base, half_track = chassis.wheel_base / 2, robot.track / 2
@@ -119,11 +178,17 @@ def _mjcf(robot: Robot, twin: TwinParameters, friction: float, step: float) -> s
     )
     length, width, height = (size / 2 for size in chassis.body_size)
     body_mass = robot.mass - 4 * chassis.wheel_mass
+    load = ""
+    if payload is not None:
+        load = (
+            f'<geom type="sphere" size="{payload.radius}" pos="{payload.x} {payload.y} {payload.z}"'
+            f' mass="{payload.mass}"/>'
+        )
     return (
         f'<mujoco><option timestep="{step!r}" cone="elliptic" impratio="{tyre.creep_stiffness}"'
         ' integrator="implicitfast"/><default><geom contype="0" conaffinity="0"/></default>'
         '<worldbody><geom name="floor" type="plane" size="0 0 1"/>'
         f'<body pos="0 0 {radius}"><freejoint/><geom type="box" size="{length} {width} {height}"'
-        f' pos="0 0 {chassis.body_height}" mass="{body_mass}"/>{wheels}</body></worldbody>'
+        f' pos="0 0 {chassis.body_height}" mass="{body_mass}"/>{load}{wheels}</body></worldbody>'
         f"<contact>{contacts}</contact></mujoco>"
     )

@@ -62,6 +62,11 @@ class VelocityLoops:
         Angle of one encoder count [rad].
     step
         Time between two calls [s].
+
+    Attributes
+    ----------
+    supply
+        Supply voltage over nominal [-]; the driver does not know it.
     """
 
     def __init__(self, driver: Driver, motor: Motor, pulse: float, step: float) -> None:
@@ -71,6 +76,7 @@ class VelocityLoops:
         # Slower than one count per control sample or so the counter cannot tell from rest.
         self._rest_speed = pulse / step / 10
         self._step = step
+        self.supply = 1.0
         self.reset()
 
     def reset(self) -> None:
@@ -103,4 +109,4 @@ class VelocityLoops:
         duty[resting] = 0.0
         # The integrators stand still while the duty is at its limit.
         self._integral += np.where(duty == wanted, self._step * self._driver.integral_gain * error, 0.0)
-        return np.asarray(self._stall_torque * (duty - speeds / self._no_load_speed))
+        return np.asarray(self._stall_torque * (self.supply * duty - speeds / self._no_load_speed))

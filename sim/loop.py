@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
+from sim.disturbed_plant import DisturbedPlant
 from sim.plant import Plant
 from sim.run import TIME_TOLERANCE, Run
 
@@ -19,7 +20,7 @@ def simulate(
     extra_time: float = 0.0,
     on_tick: Callable[[int, int], None] | None = None,
 ) -> Run:
-    """Drive `plant` along `reference`, starting on it and at rest.
+    """Drive `plant` along `reference`, starting at rest and on it, unless the plant's scenario says otherwise.
 
     Parameters
     ----------
@@ -78,6 +79,7 @@ def simulate(
         modes=tuple(str(step.mode) for step in steps),
         messages=tuple(step.message for step in steps),
         measurements=tuple(measurements),
+        disturbance=plant.disturbance if isinstance(plant, DisturbedPlant) else None,
     )
 
 

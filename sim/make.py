@@ -6,7 +6,10 @@ import math
 from pathlib import Path
 
 from models.checked_yaml import ConfigError
+from models.robot import load_robot
+from sim.disturbed_plant import DisturbedPlant
 from sim.plant import Plant
+from sim.scenario import load_scenario
 from sim.sensor_set import load_sensor_set
 from sim.surface import load_surface
 
@@ -20,6 +23,7 @@ def make_plant(
     seed: int = 0,
     *,
     extra_dead_time: float = 0.0,
+    scenario: str | Path = "none",
 ) -> Plant:
     """Build a plant.
 
@@ -38,6 +42,9 @@ def make_plant(
     extra_dead_time
         For "model:" plants: dead time on top of the model's own and of that in `name` [s]. The physics has its own in
         its parameter file.
+    scenario
+        Name of a shipped scenario or path of a scenario file: what happens to the robot during a run. Its random values
+        are drawn from `seed`, in a stream of their own. "model:" plants take those without mass, wheels and motors.
 
     Raises
     ------
@@ -49,6 +56,7 @@ def make_plant(
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ConfigError(f"seed {seed!r}: give an integer that is not negative")
     floor, sensor_set = load_surface(surface), load_sensor_set(sensors)
+    happening = load_scenario(scenario).draw(seed)
     if name == "mujoco":
         if floor.friction is None:
             raise ConfigError(f"surface '{surface}' has no friction: it is for 'model:' plants; wheels need it to push")
@@ -58,7 +66,10 @@ def make_plant(
             )
         from sim.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
 
-        return MujocoPlant(floor.friction, sensor_set, seed)
+        if not happening.kinds:
+            return MujocoPlant(floor.friction, sensor_set, seed)
+        robot = MujocoPlant(floor.friction, sensor_set, seed, scenario=happening if happening.physical else None)
+        return DisturbedPlant(robot, happening, load_robot().limits, lambda: robot.crossed)
     if name.startswith(_MODEL_PREFIX):
         from models.load import load_model  # noqa: PLC0415 - only this plant needs it
         from sim.model_plant import ModelPlant  # noqa: PLC0415
@@ -67,7 +78,13 @@ def make_plant(
             raise ConfigError(f"extra_dead_time {extra_dead_time} s: it must not be negative")
         model, named_dead_time = _split(name.removeprefix(_MODEL_PREFIX))
         extra_dead_time += named_dead_time
-        return ModelPlant(load_model(model), floor.slip, sensor_set, seed, extra_dead_time=extra_dead_time)
+        if happening.physical:
+            raise ConfigError(
+                f"scenario '{scenario}' needs a plant with mass, wheels and motors ({', '.join(happening.physical)}): "
+                f"'{name}' has none; use 'mujoco'"
+            )
+        plant = ModelPlant(load_model(model), floor.slip, sensor_set, seed, extra_dead_time=extra_dead_time)
+        return DisturbedPlant(plant, happening, load_robot().limits) if happening.kinds else plant
     raise ConfigError(
         f"unknown plant '{name}': give 'mujoco' or 'model:NAME' (mbm, sm, ssm or the path of a model file), with more "
         "dead time 'model:NAME+SECONDS'"

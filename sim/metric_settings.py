@@ -19,6 +19,7 @@ class MetricSettings(StrictModel):
     end_error: Positive = Field(description="largest distance from the end of a completed run [m]")
     path_window: Positive = Field(description="arc length searched on both sides of the reference [m]")
     path_spacing: Positive = Field(description="spacing of the path's polyline [m]")
+    settled_arc: Positive = Field(description="time of constant twist after which an arc counts as steady [s]")
 
 
 @cache

@@ -9,9 +9,11 @@ from models.interface import FloatArray, Measurement
 from models.robot import Robot, load_robot
 from models.wheels import WheelKinematics
 from sim.chassis import Chassis
+from sim.disturbances import Disturbances
 from sim.drivetrain import SpeedObserver, VelocityLoops
 from sim.firmware import CommandShaper
 from sim.link import DelayLine, clip_command
+from sim.scenario import Scenario, Span
 from sim.sensor_set import SensorSet
 from sim.sensors import Sensors
 from sim.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
@@ -33,6 +35,8 @@ class MujocoPlant:
         Seed of all noise, not negative.
     robot, twin, firmware
         Other robots than the shipped one.
+    scenario
+        What happens to chassis and motors; the rest of it is for `sim.disturbed_plant.DisturbedPlant`.
     """
 
     def __init__(
@@ -44,6 +48,7 @@ class MujocoPlant:
         robot: Robot | None = None,
         twin: TwinParameters | None = None,
         firmware: Firmware | None = None,
+        scenario: Scenario | None = None,
     ) -> None:
         robot, twin = robot or load_robot(), twin or load_twin_parameters()
         self._robot = robot
@@ -51,11 +56,16 @@ class MujocoPlant:
         step = robot.sample_time / twin.substeps
         pulse = 2 * np.pi / robot.encoder_pulses
         phase = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_ENCODER_PHASE_KEY,))).random(4)
-        self._chassis = Chassis(robot, twin, friction, step)
+        load, slope = (scenario.payload, scenario.slope) if scenario else (None, None)
+        self._chassis = Chassis(robot, twin, friction, step, load, slope)
         self._line = DelayLine(twin.link.dead_time)
         self._shaper = CommandShaper(firmware or load_firmware(), robot, step)
         self._observer = SpeedObserver(twin.driver.observer_bandwidth, pulse, step, phase)
         self._loops = VelocityLoops(twin.driver, twin.motor, pulse, step)
+        self._disturbances: Disturbances | None = None
+        if scenario is not None:
+            base, torque = twin.chassis.wheel_base, twin.motor.stall_torque
+            self._disturbances = Disturbances(scenario, self._chassis, self._loops, friction, base, torque)
         self._exact_speeds = sensors.encoders.speed_sd == 0.0
         kinematics = WheelKinematics(robot.wheel_radius, robot.track)
         self._sensors = Sensors(sensors, kinematics, robot.sample_time, seed=seed, noisy_encoders=False)
@@ -86,6 +96,11 @@ class MujocoPlant:
         """The body in MuJoCo, for a look at energy, contacts and true wheel speeds."""
         return self._chassis
 
+    @property
+    def crossed(self) -> list[Span]:
+        """When the robot got onto and off each patch of the floor that it has met since the last reset [s]."""
+        return self._disturbances.crossed if self._disturbances else []
+
     def reset(self, pose: ArrayLike) -> None:
         """Put the robot at rest at `pose` (3,) at time 0 and restart the noise from the seed."""
         self._tick = 0
@@ -95,6 +110,8 @@ class MujocoPlant:
         self._shaper.reset()
         self._observer.reset()
         self._loops.reset()
+        if self._disturbances is not None:
+            self._disturbances.reset()
         self._sensors.reset(self._chassis.pose, np.zeros(4))
 
     def measure(self) -> Measurement:
@@ -108,10 +125,14 @@ class MujocoPlant:
         self._line.send(self.time, sent)
         edges = self.time + np.arange(self._substeps + 1) * (self.sample_time / self._substeps)
         edges[-1] = (self._tick + 1) * self.sample_time
-        chassis, observer = self._chassis, self._observer
+        chassis, observer, disturbances = self._chassis, self._observer, self._disturbances
         for start, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+            if disturbances is not None:
+                disturbances.before_step(start, end)
             set_points = self._shaper.set_points(self._line.mean(start, end))
             torques = self._loops.torque(set_points, observer.speed, chassis.wheel_speeds)
+            if disturbances is not None:
+                torques = disturbances.motors(torques, start)
             before = chassis.pose
             chassis.step(torques)
             observer.update(chassis.wheel_angles)

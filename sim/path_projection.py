@@ -43,7 +43,9 @@ class Polyline:
         arc_length
             (n,) where along the path each point is expected [m].
         window
-            Only segments within this arc length of the expected place are looked at [m].
+            Segments within this arc length of the expected place are looked at [m]. A robot far behind its reference is
+            none the less found on its own part of the path: also looked at is what lies between these segments and the
+            place where the point before was nearest, widened by twice the way from that point to this one.
 
         Returns
         -------
@@ -54,11 +56,21 @@ class Polyline:
         first = np.searchsorted(self.arc_end, arc_length - window)
         last = np.searchsorted(self.arc_start, arc_length + window, side="right")
         lateral = np.full(len(points), np.nan)
+        found, before = -1, points[:0]
         for i in np.flatnonzero(np.isfinite(points).all(axis=1)):
-            lateral[i] = self._nearest(points[i], slice(first[i], last[i]))
+            begin, end = int(first[i]), int(last[i])
+            if found >= 0:
+                # On the inside of a bend the nearest place is faster than the point; of a leap it makes no search.
+                reach = min(window, 2.0 * float(np.hypot(*(points[i] - before))))
+                begin = min(begin, int(np.searchsorted(self.arc_end, self.arc_start[found] - reach)))
+                end = max(end, int(np.searchsorted(self.arc_start, self.arc_end[found] + reach, side="right")))
+            lateral[i], found = self._nearest(points[i], begin, end)
+            before = points[i]
         return lateral
 
-    def _nearest(self, point: FloatArray, part: slice) -> float:
+    def _nearest(self, point: FloatArray, begin: int, end: int) -> tuple[float, int]:
+        """Signed distance [m] of `point` (2,) from the segments `begin` to `end`, and the first nearest of them."""
+        part = slice(begin, end)
         direction, offset = self.direction[part], point - self.start[part]
         along = np.clip(np.einsum("ij,ij->i", offset, direction), 0.0, self.length[part])
         gap = offset - along[:, None] * direction
@@ -66,7 +78,7 @@ class Polyline:
         least = np.min(distance)
         # At a vertex two segments are equally near, and each may see the point straight ahead: their sum decides.
         side = np.sum((direction[:, 0] * offset[:, 1] - direction[:, 1] * offset[:, 0])[distance <= least + 1e-12])
-        return float(np.copysign(least, side))
+        return float(np.copysign(least, side)), begin + int(np.argmin(distance))
 
 
 def path_polyline(reference: Reference, spacing: float, extension: float) -> Polyline:

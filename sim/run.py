@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from models.interface import FloatArray, Measurement, Reference, ReferenceSample, Stamped
+from sim.metric_settings import metric_settings
 from sim.metrics import Metrics, compute_metrics
+from sim.recovery import Recovery, compute_recovery
 from sim.tracking_errors import TrackingErrors, tracking_errors
 
 if TYPE_CHECKING:
@@ -48,6 +50,8 @@ class Run:
         Mode of the controller at each tick and its reason in words.
     measurements
         What the controller was given at each tick; enough to replay the run without the plant.
+    disturbance
+        When the first disturbance of the plant began, and when the last change of any was over [s]; None without one.
     """
 
     reference: Reference
@@ -63,6 +67,7 @@ class Run:
     modes: tuple[str, ...]
     messages: tuple[str, ...]
     measurements: tuple[Measurement, ...]
+    disturbance: tuple[float, float] | None = None
 
     @property
     def counted(self) -> NDArray[np.bool_]:
@@ -79,6 +84,13 @@ class Run:
     def metrics(self) -> Metrics:
         """Statistics from t = 0 to the end of the reference."""
         return compute_metrics(self)
+
+    @cached_property
+    def recovery(self) -> Recovery:
+        """How the run came back to its path after the disturbance, up to the end of the reference."""
+        counted, band = self.counted, metric_settings().band
+        lateral, command = self.errors.lateral[counted], self.command[counted]
+        return compute_recovery(self.time[counted], lateral, command, self.sample_time, self.disturbance, band)
 
     @property
     def wheel_twist(self) -> FloatArray:

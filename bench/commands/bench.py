@@ -39,6 +39,10 @@ def bench(
         ),
     ] = None,
     sensors: Annotated[str | None, typer.Option(help="Sensor sets.", show_default="default")] = None,
+    scenarios: Annotated[
+        str | None,
+        typer.Option("--scenario", help="Scenarios: names or paths of disturbances.", show_default="none"),
+    ] = None,
     config: ConfigFile = None,
     settings: Annotated[
         list[str] | None,
@@ -49,7 +53,7 @@ def bench(
         typer.Option(
             metavar="LIST|none",
             help="Horizons to sweep in steps.",
-            show_default="5,10,15,20,30,50; none with --set or --quick",
+            show_default="5,10,15,20,30,50; none with --set, --scenario or --quick",
         ),
     ] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes.", show_default="one for each core")] = None,
@@ -62,7 +66,18 @@ def bench(
     from bench.compare import Choices, compare, incomplete  # noqa: PLC0415 - --help and other commands do without it
 
     choices = Choices(
-        controllers, models, trajectories, seeds, plants, surfaces, sensors, horizons, config, settings or [], quick
+        controllers,
+        models,
+        trajectories,
+        seeds,
+        plants,
+        surfaces,
+        sensors,
+        horizons,
+        config,
+        settings or [],
+        quick,
+        scenarios,
     )
     complaint = incomplete(compare(choices, out, jobs))
     if complaint:

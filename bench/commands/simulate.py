@@ -24,6 +24,9 @@ def simulate(
     plant: Annotated[str, typer.Option(help="mujoco, model:NAME, or model:NAME+DEAD_TIME.")] = "mujoco",
     surface: Annotated[str, typer.Option(help="Floor of the mujoco plant, slip of a model: plant.")] = "default",
     sensors: Annotated[str, typer.Option(help="Sensor set.")] = "default",
+    scenario: Annotated[
+        str, typer.Option(help="What happens to the robot: none, push, ..., or the path of a file.")
+    ] = "none",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the noise; the same seed gives the same run.")] = 0,
     config: ConfigFile = None,
     settings: Annotated[
@@ -45,6 +48,7 @@ def simulate(
         plant=plant,
         surface=surface,
         sensors=sensors,
+        scenario=scenario,
         seed=seed,
         config=config,
         settings=settings or [],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -48,3 +49,37 @@ def test_simulate_draws_and_logs_the_same_run_every_time(tmp_path: Path) -> None
     for column, values in logs[0].items():
         assert np.array_equal(values, logs[1][column], equal_nan=True), column
     assert np.isfinite(logs[0]["wheel_fl_rad_s"][5:]).all()
+
+
+def test_scenarios_are_compared_and_replayed(tmp_path: Path) -> None:
+    arguments = "--quick --models ssm --trajectories cane --jobs 1 --scenario none,push"
+    result = runner.invoke(app, ["bench", "--out", str(tmp_path), *arguments.split()])
+    assert result.exit_code == 0, result.stderr
+    report = json.loads((tmp_path / "bench.json").read_text())
+    plain, pushed = report["runs"]
+    assert report["meta"]["experiment"]["scenarios"] == ["none", "push"]
+    assert (plain["scenario"], pushed["scenario"]) == ("none", "push")
+    assert plain["recovery_time_s"] is None
+    assert plain["disturbance_s"] is None
+    assert 4.0 <= pushed["disturbance_s"][0] < pushed["disturbance_s"][1] <= 5.25
+    assert pushed["lateral_max_m"] > 0.05 > plain["lateral_max_m"]
+    assert 0.0 < pushed["recovery_time_s"] < 3.0
+    assert pushed["overshoot_m"] >= 0.0
+    assert pushed["command_energy_v"] > 0.0 < pushed["command_energy_omega"]
+    text = (tmp_path / "bench.md").read_text()
+    assert "## Scenarios" in text
+    assert "| none | SSM | - | - | - |" in text
+    assert "scenarios none, push, seeds 0" in text
+
+
+def test_simulate_shows_the_recovery_from_a_scenario() -> None:
+    arguments = ["--trajectory", "cane", "--plant", "model:ssm"]
+    plain, offset = (
+        runner.invoke(app, ["simulate", *arguments, "--scenario", scenario]) for scenario in ("none", "start_offset")
+    )
+    assert plain.exit_code == offset.exit_code == 0, offset.stderr
+    assert "recovery" not in plain.stdout
+    assert "recovery" in offset.stdout
+    # Starting turned away from the path it gets a little further off before it comes back.
+    largest = float(re.findall(r"start_offset.*", offset.stdout)[-1].split()[5])
+    assert 0.2 <= largest < 0.25

@@ -60,6 +60,7 @@ def test_a_peer_has_no_model_and_no_settings() -> None:
         ({"trajectories": ("foo",)}, "unknown trajectory"),
         ({"plants": ("foo",)}, "unknown plant"),
         ({"sensors": ("foo",)}, "unknown sensor"),
+        ({"scenarios": ("none", "foo")}, "unknown scenario"),
         ({"settings": ((("horizn", 5),),)}, "did you mean 'horizon'"),
         ({"settings": ((("sample_time", 0.05),),)}, "0.0202"),
     ],
@@ -75,6 +76,7 @@ SHIPPED = {
     "surfaces": "sim/surfaces/ideal.yaml",
     "sensors": "sim/sensor_sets/perfect.yaml",
     "plants": "models/parameters/ssm.yaml",
+    "scenarios": "sim/scenarios/start_offset.yaml",
 }
 
 
@@ -120,6 +122,19 @@ def test_options_change_the_experiment() -> None:
     assert chosen.seeds == (3, 4)
     assert chosen.surfaces == ("default", "slippery")
     assert chosen.horizons == (5, 10)
+
+
+def test_scenarios_are_a_dimension_of_the_comparison_and_sweep_no_horizon_unless_asked() -> None:
+    chosen = Choices(scenarios="none,start_offset", models="ssm", trajectories="s", seeds="2").experiment()
+    assert chosen.horizons == ()
+    plan = plan_cases(experiment(scenarios=chosen.scenarios, trajectories=("s",), seeds=(0, 1), horizons=()))
+    assert [(case.scenario, case.seed) for case in plan.all] == [
+        ("none", 0),
+        ("none", 1),
+        ("start_offset", 0),
+        ("start_offset", 1),
+    ]
+    assert Choices(scenarios="push", horizons="5").experiment().horizons == (5,)
 
 
 def test_quick_is_one_seed_without_horizons() -> None:

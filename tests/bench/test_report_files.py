@@ -19,7 +19,7 @@ from bench.report import markdown, write_report
 from bench.results import Results, describe, groups, row
 from bench.runner import Outcome
 from bench.table import Table
-from bench.tables import error_table, horizon_table, report_tables, summary_table
+from bench.tables import error_table, horizon_table, report_tables, scenario_table, summary_table
 from models.checked_yaml import ConfigError
 from mpc import load_config
 
@@ -82,6 +82,25 @@ def test_a_row_has_exactly_the_published_fields(outcome: Outcome) -> None:
 def test_a_swept_value_is_added_to_its_row(outcome: Outcome) -> None:
     case = outcome.case.with_override("weights.across", 200.0)
     assert row(Outcome(case, outcome.run), with_settings=True)["set"] == {"weights.across": 200.0}
+
+
+def test_a_scenario_is_added_to_its_row_only_where_scenarios_were_asked_for(outcome: Outcome) -> None:
+    added = [name for name in row(outcome, with_scenario=True) if name not in FIELDS]
+    recovery = ["recovery_time_s", "overshoot_m", "command_energy_v", "command_energy_omega"]
+    assert added == ["scenario", "disturbance_s", *recovery]
+
+
+def test_scenarios_stand_in_table_and_groups_and_a_run_that_never_recovers_has_no_time(outcome: Outcome) -> None:
+    away = outcome.run.true_pose + np.array([0.0, 0.5, 0.0])
+    lost = replace(outcome.run, true_pose=away, disturbance=(1.0, 2.0))
+    held = replace(outcome.run, disturbance=(1.0, 2.0))
+    runs = [Outcome(replace(outcome.case, scenario="mine.yaml", seed=i), run) for i, run in enumerate((lost, held))]
+    assert list(groups([outcome, *runs])) == ["SSM, none", "SSM, mine"]
+    plain, mine = scenario_table([outcome, *runs]).rows
+    assert plain[:5] == ("none", "SSM", "-", "-", "-")
+    assert plain[-1] == "-"
+    assert mine[:4] == ("mine", "SSM", "-", "-")
+    assert mine[-1] == "1/2"
 
 
 def test_what_cannot_be_computed_is_null(outcome: Outcome) -> None:

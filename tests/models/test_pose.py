@@ -13,55 +13,59 @@ from models.pose import arc_function, linearised_arc, wrap_angle
 poses = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-10, 10)).map(np.array)
 speeds, times = st.floats(-2, 2), st.floats(1e-3, 0.5)
 # Around the switch to the series and around zero, where a sloppy formula shows.
+slips = st.floats(-0.2, 0.2)
 rates = st.one_of(st.floats(-3, 3), st.floats(-1e-6, 1e-6), st.floats(0.03, 0.05), st.just(0.0))
 
 
-@given(poses, speeds, rates, times)
-def test_matches_an_ode_solver(pose, v, omega, dt):
+@given(poses, speeds, rates, times, slips)
+def test_matches_an_ode_solver(pose, v, omega, dt, slip):
     def motion(_, p):
-        return [v * np.cos(p[2]), v * np.sin(p[2]), omega]
+        c, s, sideways = np.cos(p[2]), np.sin(p[2]), -slip * v * omega
+        return [v * c - sideways * s, v * s + sideways * c, omega]
 
     expected = solve_ivp(motion, (0, dt), pose, rtol=1e-11, atol=1e-12).y[:, -1]
-    assert integrate_pose(pose, v, omega, dt) == pytest.approx(expected, abs=1e-9)
+    assert integrate_pose(pose, v, omega, dt, slip) == pytest.approx(expected, abs=1e-9)
 
 
-@given(poses, speeds, rates, times)
-def test_casadi_agrees_with_numpy(pose, v, omega, dt):
-    assert np.array(arc_function()(pose, v, omega, dt)).ravel() == pytest.approx(
-        integrate_pose(pose, v, omega, dt), abs=1e-12
+@given(poses, speeds, rates, times, slips)
+def test_casadi_agrees_with_numpy(pose, v, omega, dt, slip):
+    assert np.array(arc_function()(pose, v, omega, dt, slip)).ravel() == pytest.approx(
+        integrate_pose(pose, v, omega, dt, slip), abs=1e-12
     )
 
 
-@given(poses, speeds, rates, times)
-def test_gradients_agree_with_finite_differences(pose, v, omega, dt):
-    after, by_pose, by_twist = linearised_arc(pose, v, omega, dt)
-    assert after == pytest.approx(integrate_pose(pose, v, omega, dt), abs=1e-13)
+@given(poses, speeds, rates, times, slips)
+def test_gradients_agree_with_finite_differences(pose, v, omega, dt, slip):
+    after, by_pose, by_twist = linearised_arc(pose, v, omega, dt, slip)
+    assert after == pytest.approx(integrate_pose(pose, v, omega, dt, slip), abs=1e-13)
     step = 1e-6
 
     def differences(function, at):
         columns = [(function(at + step * e) - function(at - step * e)) / (2 * step) for e in np.eye(len(at))]
         return np.column_stack(columns)
 
-    assert by_pose == pytest.approx(differences(lambda p: integrate_pose(p, v, omega, dt), pose), abs=1e-7)
-    twist = np.array([v, omega])
-    assert by_twist == pytest.approx(differences(lambda q: integrate_pose(pose, q[0], q[1], dt), twist), abs=1e-7)
+    assert by_pose == pytest.approx(differences(lambda p: integrate_pose(p, v, omega, dt, slip), pose), abs=1e-7)
+    twist = np.array([v, omega, slip])
+    expected = differences(lambda q: integrate_pose(pose, q[0], q[1], dt, q[2]), twist)
+    assert by_twist == pytest.approx(expected, abs=1e-7)
 
 
-@given(poses, speeds, rates, times)
-def test_casadi_derivatives_agree(pose, v, omega, dt):
+@given(poses, speeds, rates, times, slips)
+def test_casadi_derivatives_agree(pose, v, omega, dt, slip):
     arc = arc_function()
-    p, twist = ca.SX.sym("p", 3), ca.SX.sym("twist", 2)
-    jacobian = ca.Function("j", [p, twist], [ca.jacobian(arc(p, twist[0], twist[1], dt), ca.vertcat(p, twist))])
-    computed = np.array(jacobian(pose, [v, omega]))
+    p, twist = ca.SX.sym("p", 3), ca.SX.sym("twist", 3)
+    after = arc(p, twist[0], twist[1], dt, twist[2])
+    jacobian = ca.Function("j", [p, twist], [ca.jacobian(after, ca.vertcat(p, twist))])
+    computed = np.array(jacobian(pose, [v, omega, slip]))
     assert np.isfinite(computed).all()
-    assert computed == pytest.approx(np.hstack(linearised_arc(pose, v, omega, dt)[1:]), abs=1e-9)
+    assert computed == pytest.approx(np.hstack(linearised_arc(pose, v, omega, dt, slip)[1:]), abs=1e-9)
 
 
-@given(poses, speeds, rates, times, st.floats(0.05, 0.95))
-def test_an_arc_in_two_parts_is_the_same_arc(pose, v, omega, dt, share):
-    half_way = integrate_pose(pose, v, omega, share * dt)
-    assert integrate_pose(half_way, v, omega, (1 - share) * dt) == pytest.approx(
-        integrate_pose(pose, v, omega, dt), abs=1e-12
+@given(poses, speeds, rates, times, st.floats(0.05, 0.95), slips)
+def test_an_arc_in_two_parts_is_the_same_arc(pose, v, omega, dt, share, slip):
+    half_way = integrate_pose(pose, v, omega, share * dt, slip)
+    assert integrate_pose(half_way, v, omega, (1 - share) * dt, slip) == pytest.approx(
+        integrate_pose(pose, v, omega, dt, slip), abs=1e-12
     )
 
 

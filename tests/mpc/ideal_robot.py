@@ -6,6 +6,11 @@ import numpy as np
 
 from models import DiscreteModel, Measurement, Stamped, integrate_pose
 from models.interface import FloatArray
+from mpc.config import Wheels
+from mpc.slip import Slip
+
+# What encoders and geometric track make of the yaw rate that the firmware was asked for.
+WHEEL_YAW_RATIO = Wheels().track / Wheels().encoder_track
 
 
 class IdealRobot:
@@ -19,8 +24,10 @@ class IdealRobot:
         Where it stands at first.
     late
         Samples by which poses arrive late.
-    offset
-        (2,) added to the true twist.
+    slip
+        What the body makes of the model's twist.
+    gyro_bias
+        Bias of the gyro [rad/s].
     noise
         Scale of the measurement noise: 1 is 5 mm, 0.3 degrees, 5 mm/s and 0.01 rad/s.
     """
@@ -30,11 +37,13 @@ class IdealRobot:
         model: DiscreteModel,
         pose: FloatArray,
         late: int = 0,
-        offset: tuple[float, float] = (0.0, 0.0),
+        slip: Slip | None = None,
+        gyro_bias: float = 0.0,
         noise: float = 0.0,
         seed: int = 0,
     ) -> None:
-        self.model, self.late, self.offset, self.noise = model, late, np.array(offset), noise
+        self.model, self.late, self.slip, self.noise = model, late, slip or Slip(), noise
+        self.gyro_bias = gyro_bias
         self.rng = np.random.default_rng(seed)
         self.state = np.zeros(model.order)
         self.line = [np.zeros(2)] * (model.memory + 1)
@@ -50,9 +59,14 @@ class IdealRobot:
         return self.poses[-1]
 
     @property
-    def twist(self) -> FloatArray:
+    def wheels(self) -> FloatArray:
+        """v and omega of the wheels, as a floor without slip would show them."""
         moving = any(command.any() for command in self.line)
-        return self.model.C @ self.state + (self.offset if moving else 0.0)
+        return (self.model.C @ self.state + (self.slip.offset if moving else 0.0)) * [1.0, self.slip.omega_gain]
+
+    @property
+    def twist(self) -> FloatArray:
+        return self.wheels * [self.slip.longitudinal_gain, self.slip.yaw_gain]
 
     def measure(self) -> Measurement:
         scale, twist = self.noise * self.rng.normal(size=6), self.twist
@@ -60,8 +74,10 @@ class IdealRobot:
         pose[2] = (pose[2] + np.pi) % (2 * np.pi) - np.pi
         return Measurement(
             pose=Stamped(pose, self.time - self.late * self.model.dt),
-            wheel_twist=Stamped(twist + scale[3] * 0.005, self.time),
-            yaw_rate=Stamped(twist[1] + scale[4] * 0.01, self.time),
+            wheel_twist=Stamped(
+                self.wheels * [1.0, WHEEL_YAW_RATIO / self.model.dc_gain[1, 1]] + scale[3] * 0.005, self.time
+            ),
+            yaw_rate=Stamped(twist[1] + self.gyro_bias + scale[4] * 0.01, self.time),
         )
 
     def advance(self, command: FloatArray) -> None:
@@ -71,7 +87,7 @@ class IdealRobot:
         older = [self.line[-2 - self.model.delay[j]][j] for j in (0, 1)]
         self.state = self.model.A @ self.state + self.model.B0 @ recent + self.model.B1 @ older
         mean = 0.5 * (before + self.twist)
-        self.poses.append(integrate_pose(self.pose, mean[0], mean[1], self.model.dt))
+        self.poses.append(integrate_pose(self.pose, mean[0], mean[1], self.model.dt, self.slip.side_slip))
         self.k += 1
 
 

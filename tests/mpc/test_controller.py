@@ -7,6 +7,7 @@ from ideal_robot import IdealRobot, drive
 from models import ModelError, load_model
 from models.checked_yaml import ConfigError
 from mpc import Controller, Mode, load_config, load_trajectory
+from mpc.slip import Slip
 from mpc.solver_report import SolverStatus
 
 DT = 0.0202
@@ -37,13 +38,21 @@ def test_without_noise_the_model_is_tracked_closely(name):
     assert heading < 0.05
 
 
-def test_an_offset_leaves_no_lasting_error():
+def test_slip_leaves_no_lasting_error_beside_the_path():
     reference = load_trajectory("circle")
-    robot = robot_for(reference, offset=(-0.05, 0.08))
+    slip = Slip(v_offset=-0.03, longitudinal_gain=0.98, yaw_gain=0.8, side_slip=0.06)
+    robot = robot_for(reference, slip=slip)
     _, poses, times = drive(controller(), robot, reference, reference.duration)
-    error = (poses - reference.sample(times).pose)[200:500]
-    assert np.abs(error[:, :2]).max() < 0.003
-    assert np.abs(error[:, 2]).max() < 0.005
+    x, y, theta = reference.sample(times).pose[300:500].T
+    across = np.cos(theta) * (poses[300:500, 1] - y) - np.sin(theta) * (poses[300:500, 0] - x)
+    assert np.abs(across).max() < 0.003
+    # In time it lags by what weights.heading asks for, so that it need not turn all of the lead into the curve.
+    along = np.cos(theta) * (poses[300:500, 0] - x) + np.sin(theta) * (poses[300:500, 1] - y)
+    weights = controller().config.weights
+    lead = np.arctan(0.06 * 0.5)
+    expected = weights.heading * lead / (weights.along + weights.heading)
+    assert along == pytest.approx(-expected, abs=0.002)
+    assert poses[300:500, 2] - theta == pytest.approx(lead - expected, abs=0.004)
 
 
 @pytest.mark.parametrize("turns", [-2, 1, 3])
@@ -176,7 +185,7 @@ def test_what_the_robot_really_got_is_believed():
             result = driver.step(robot.time, measurement)
             sent = 0.5 * result.command
             robot.advance(sent)
-        offsets[told] = abs(result.estimate.offset[0])
+        offsets[told] = abs(result.estimate.slip.v_offset)
     assert offsets[True] < 1e-6
     assert offsets[False] > 0.01
 

@@ -1,18 +1,24 @@
 """The estimator: late data count as if in time, offsets are found, faults are rejected and named."""
 
+from dataclasses import astuple, fields
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from ideal_robot import IdealRobot
+from noisy_robot import NoisyRobot
+from scipy.stats import chi2
 
 from models import Measurement, Stamped, integrate_pose, load_model
-from mpc.config import Estimator
+from mpc.config import Compensation, Estimator
 from mpc.estimator import StateEstimator
+from mpc.slip import Slip
 
 DT = 0.0202
 MODEL = load_model("ssm").with_extra_dead_time([0.01, 0.03]).discretise(DT)
-COMMANDS = np.column_stack([0.5 + 0.2 * np.sin(np.arange(200) / 15), 0.8 * np.sin(np.arange(200) / 25)])
+TICKS = np.arange(1500)
+COMMANDS = np.column_stack([0.5 + 0.2 * np.sin(TICKS / 15), 0.8 * np.sin(TICKS / 25)])
 
 
 def run(estimator, robot, ticks=200, deliver=None):
@@ -35,7 +41,7 @@ def test_perfect_data_give_the_perfect_estimate():
     estimate = estimator.estimate
     assert messages == []
     assert estimate.pose == pytest.approx(robot.poses[-2], abs=1e-9)
-    assert estimate.offset == pytest.approx([0, 0], abs=1e-9)
+    assert astuple(estimate.slip) == pytest.approx(astuple(Slip()), abs=1e-9)
     assert estimate.pose_age == 0
 
 
@@ -61,7 +67,7 @@ def test_a_late_pose_counts_as_if_it_had_come_in_time(late):
     run(delayed, IdealRobot(MODEL, np.zeros(3), noise=1.0), 100, hold_back)
     run(in_time, IdealRobot(MODEL, np.zeros(3), noise=1.0), 100, stop_early)
     assert delayed.estimate.pose == pytest.approx(in_time.estimate.pose, abs=1e-12)
-    assert delayed.estimate.offset == pytest.approx(in_time.estimate.offset, abs=1e-12)
+    assert astuple(delayed.estimate.slip) == pytest.approx(astuple(in_time.estimate.slip), abs=1e-12)
     assert delayed.estimate.pose_deviation == pytest.approx(in_time.estimate.pose_deviation, abs=1e-12)
 
 
@@ -80,10 +86,95 @@ def test_a_pose_between_two_ticks_is_applied_at_its_stamp():
     assert estimator.estimate.pose[:2] == pytest.approx(robot.poses[-2][:2], abs=5e-4)
 
 
-def test_a_velocity_offset_is_found():
+SLIP = Slip(v_offset=0.04, longitudinal_gain=0.985, yaw_gain=0.85, side_slip=0.08)
+
+
+def test_every_kind_of_slip_is_found_and_the_gyros_bias_with_it():
     estimator = StateEstimator(MODEL, Estimator())
-    run(estimator, IdealRobot(MODEL, np.zeros(3), offset=(0.07, -0.11)))
-    assert estimator.estimate.offset == pytest.approx([0.07, -0.11], abs=5e-3)
+    run(estimator, IdealRobot(MODEL, np.zeros(3), slip=SLIP, gyro_bias=0.004), 1500)
+    found = estimator.estimate.slip
+    assert found.v_offset == pytest.approx(0.04, abs=3e-3)
+    assert found.longitudinal_gain == pytest.approx(0.985, abs=3e-3)
+    assert found.yaw_gain * found.omega_gain == pytest.approx(0.85, abs=0.01)
+    assert found.side_slip == pytest.approx(0.08, abs=5e-3)
+    assert estimator.estimate.gyro_bias == pytest.approx(0.004, abs=5e-4)
+
+
+def test_wheels_that_turn_less_are_not_taken_for_slip():
+    """Encoders see what the wheels do: their gain goes into omega_gain, not into yaw_gain."""
+    estimator = StateEstimator(MODEL, Estimator(omega_gain_uncertainty=0.1))
+    run(estimator, IdealRobot(MODEL, np.zeros(3), slip=Slip(omega_gain=0.9)), 600)
+    assert estimator.estimate.slip.omega_gain == pytest.approx(0.9, abs=0.01)
+    assert estimator.estimate.slip.yaw_gain == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("part", "names"),
+    [
+        ("v_offset", ["v_offset", "longitudinal_gain"]),
+        ("yaw_gain", ["omega_gain", "yaw_gain"]),
+        ("side_slip", ["side_slip"]),
+    ],
+)
+def test_what_is_not_compensated_stays_as_without_slip(part, names):
+    estimator = StateEstimator(MODEL, Estimator(), Compensation(**{part: False}))
+    run(estimator, IdealRobot(MODEL, np.zeros(3), slip=SLIP), 300)
+    for name in (field.name for field in fields(Slip)):
+        assert (getattr(estimator.estimate.slip, name) == getattr(Slip(), name)) == (name in names)
+
+
+def test_the_gains_of_omega_are_frozen_while_the_robot_hardly_turns():
+    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), slip=SLIP, noise=1.0)
+    for k in range(300):
+        estimator.advance(robot.time)
+        estimator.update(robot.time, robot.measure())
+        if k == 20:
+            before = estimator.estimate
+        estimator.commands.append(np.array([0.5, 0.03]))
+        robot.advance(np.array([0.5, 0.03]))
+    after = estimator.estimate
+    assert after.slip.yaw_gain == before.slip.yaw_gain
+    assert after.slip.omega_gain == before.slip.omega_gain
+    assert after.slip_deviation.yaw_gain <= before.slip_deviation.yaw_gain
+    assert after.slip.v_offset != before.slip.v_offset
+
+
+def test_a_false_command_is_not_learned_as_slip():
+    """Half a second in which the robot obeys somebody else: its motion is followed, its slip is not blamed."""
+    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), noise=1.0)
+    run(estimator, robot, 150)
+    before = estimator.estimate.slip
+    for _ in range(25):
+        estimator.advance(robot.time)
+        estimator.update(robot.time, robot.measure())
+        estimator.commands.append(np.array([0.5, 0.5]))
+        robot.advance(np.array([0.2, -1.5]))
+    after = estimator.estimate
+    assert after.twist == pytest.approx(robot.twist, abs=0.1)
+    assert after.pose == pytest.approx(robot.poses[-2], abs=0.05)
+    assert after.slip.yaw_gain == pytest.approx(before.yaw_gain, abs=0.1)
+    assert after.slip.side_slip == pytest.approx(before.side_slip, abs=0.05)
+
+
+@pytest.mark.parametrize("sensor", ["pose", "wheel_speed", "wheel_yaw_rate", "yaw_rate"])
+def test_innovations_are_as_large_as_the_filter_expects(sensor):
+    """On a robot that is as noisy as the filter assumes, the mean over seeds lies inside its 99.9 % interval.
+
+    Squared innovations over their variances, k numbers in each of n, are distributed as chi-squared with n k degrees
+    of freedom, over n k.
+    """
+    values, numbers = [], {"pose": 3}.get(sensor, 1)
+    for seed in range(20):
+        estimator, robot = StateEstimator(MODEL, Estimator()), NoisyRobot(MODEL, Estimator(), seed)
+        for k in range(150):
+            estimator.advance(robot.time)
+            estimator.update(robot.time, robot.measure())
+            if k >= 10:
+                values.append(estimator.estimate.innovations[sensor])
+            estimator.commands.append(COMMANDS[k])
+            robot.advance(COMMANDS[k])
+    low, high = chi2.interval(0.999, numbers * len(values))
+    assert low < numbers * np.sum(values) < high
 
 
 def test_errors_are_as_large_as_the_estimator_says():

@@ -2,26 +2,31 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from models import integrate_pose, load_model
-from mpc.config import Estimator
-from mpc.kalman import Belief, VelocityPoseFilter
+from mpc.config import Compensation, Estimator
+from mpc.kalman import Belief, SlipFilter
 
 DT = 0.0202
 MODEL = load_model("ssm").with_extra_dead_time([0.01, 0.03]).discretise(DT)
-FILTER = VelocityPoseFilter(MODEL, Estimator())
-SIZE = MODEL.order + 5
+# Nothing surprises it, and nothing is too slow: its corrections are those of the textbook.
+SETTINGS = Estimator(surprise=1e9, least_yaw_rate=1e-9, least_speed=1e-9)
+FILTER = SlipFilter(MODEL, SETTINGS, Compensation(), 1.1)
+N = MODEL.order
+SIZE = N + 9
 NONE = np.zeros((SIZE, SIZE))
 STEP = 1e-6
+NEUTRAL = np.concatenate([np.zeros(N), [0, 1, 1, 1, 0, 0], np.zeros(3)])
 
-means = st.lists(st.floats(-1.5, 1.5), min_size=SIZE, max_size=SIZE).map(np.array)
+means = st.lists(st.floats(-0.5, 0.5), min_size=SIZE, max_size=SIZE).map(lambda z: NEUTRAL + np.array(z))
 commands = st.lists(st.floats(-1, 1), min_size=2, max_size=2).map(np.array)
 
 
 def gradient(function, at):
-    return np.column_stack([(function(at + STEP * e) - function(at - STEP * e)) / (2 * STEP) for e in np.eye(len(at))])
+    columns = [(function(at + STEP * e) - function(at - STEP * e)) / (2 * STEP) for e in np.eye(len(at))]
+    return np.column_stack(columns) if np.ndim(columns[0]) else np.array(columns)
 
 
 @given(means, commands, commands)
@@ -37,50 +42,96 @@ def test_predicted_covariance_follows_the_gradient_of_the_prediction(mean, recen
 
 
 def test_the_noise_of_the_model_comes_in_through_its_inputs():
-    noise = FILTER.predict(Belief(np.zeros(SIZE), NONE), np.zeros(2), np.zeros(2)).covariance
+    noise = FILTER.predict(Belief(NEUTRAL, NONE), np.zeros(2), np.zeros(2)).covariance
     settings, drive = Estimator(), MODEL.B0 + MODEL.B1
     expected = drive @ np.diag(np.square([settings.v_input_noise, settings.omega_input_noise])) @ drive.T
-    assert noise[: MODEL.order, : MODEL.order] == pytest.approx(expected, rel=1e-9)
+    assert noise[:N, :N] == pytest.approx(expected, rel=1e-9)
 
 
 @given(means, commands)
 def test_prediction_moves_the_pose_by_the_mean_of_the_twists(mean, command):
     after = FILTER.predict(Belief(mean, NONE), command, command).mean
     v, omega = 0.5 * (FILTER.twist(mean) + FILTER.twist(after))
-    assert after[-3:] == pytest.approx(integrate_pose(mean[-3:], v, omega, DT), abs=1e-12)
+    side_slip = FILTER.slip(mean).side_slip
+    assert after[-3:] == pytest.approx(integrate_pose(mean[-3:], v, omega, DT, side_slip), abs=1e-12)
+
+
+def test_a_robot_at_rest_learns_nothing_of_its_gains_and_forgets_nothing():
+    before = Belief(NEUTRAL, np.diag(np.full(SIZE, 0.01)))
+    settled = SlipFilter(MODEL, Estimator(), Compensation(), 1.1).predict(before, np.zeros(2), np.zeros(2))
+    growth = np.diag(settled.covariance - before.covariance)[N : N + 6]
+    assert (growth[[0, 5]] > 0).all()
+    assert growth[1:5] == pytest.approx(0, abs=1e-15)
 
 
 @given(means, st.floats(0, 0.9 * DT))
 def test_a_pose_corrects_as_the_textbook_says(mean, ahead):
     """Mean and covariance of an extended Kalman filter whose gradient comes from finite differences."""
+    assume(abs(FILTER.twist(mean)[1]) > 1e-6)
     rng = np.random.default_rng(1)
     root = 0.1 * rng.normal(size=(SIZE, SIZE))
     P, R = root @ root.T, np.diag([1e-4, 2e-4, 3e-4])
-    pose = FILTER.pose_at(Belief(mean, P), ahead) + [0.01, -0.02, 0.03]
+    innovation = np.array([0.01, -0.02, 0.03])
+    pose = FILTER.pose_at(Belief(mean, P), ahead) + innovation
     H = gradient(lambda z: FILTER.pose_at(Belief(z, P), ahead), mean)
-    gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-    corrected = FILTER.correct_pose(Belief(mean, P), pose, R, ahead)
-    assert corrected.mean == pytest.approx(mean + gain @ [0.01, -0.02, 0.03], abs=1e-7)
-    assert corrected.covariance == pytest.approx(P - gain @ H @ P, abs=1e-7)
+    S = H @ P @ H.T + R
+    gain = P @ H.T @ np.linalg.inv(S)
+    corrected, normalised = FILTER.correct_pose(Belief(mean, P), pose, R, ahead)
+    assert corrected.mean == pytest.approx(mean + gain @ innovation, abs=1e-6)
+    assert corrected.covariance == pytest.approx(P - gain @ H @ P, abs=1e-6)
+    assert normalised == pytest.approx(innovation @ np.linalg.solve(S, innovation) / 3, rel=1e-4)
 
 
-@given(means)
-def test_twists_correct_as_the_textbook_says(mean):
+def wheel_speed(z):
+    return MODEL.C[0] @ z[:N] + z[N]
+
+
+def wheel_yaw_rate(z):
+    return 1.1 * z[N + 1] * (MODEL.C[1] @ z[:N])
+
+
+def gyro(z):
+    return FILTER.twist(z)[1] + z[N + 5]
+
+
+@pytest.mark.parametrize(
+    ("correct", "expected"),
+    [
+        (FILTER.correct_wheel_speed, wheel_speed),
+        (FILTER.correct_wheel_yaw_rate, wheel_yaw_rate),
+        (FILTER.correct_yaw_rate, gyro),
+    ],
+)
+@given(mean=means)
+def test_twists_correct_as_the_textbook_says(correct, expected, mean):
+    assume(abs(FILTER.twist(mean)[1]) > 1e-6)
     rng = np.random.default_rng(2)
     root = 0.1 * rng.normal(size=(SIZE, SIZE))
-    P, R = root @ root.T, np.diag([1e-4, 4e-4])
-    H = gradient(FILTER.twist, mean)
-    values = FILTER.twist(mean) + [0.05, -0.1]
-    gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-    corrected = FILTER.correct_twist(Belief(mean, P), values, np.diag(R), [0, 1])
-    assert corrected.mean == pytest.approx(mean + gain @ [0.05, -0.1], abs=1e-7)
-    one = FILTER.correct_twist(Belief(mean, P), values[1:], np.diag(R)[1:], [1])
-    assert abs(FILTER.twist(one.mean)[1] - values[1]) < abs(FILTER.twist(mean)[1] - values[1])
+    P, R = root @ root.T, 1e-4
+    h = gradient(expected, mean)
+    S = h @ P @ h + R
+    corrected, normalised = correct(Belief(mean, P), expected(mean) + 0.05, R)
+    assert corrected.mean == pytest.approx(mean + P @ h / S * 0.05, abs=1e-6)
+    assert corrected.covariance == pytest.approx(P - np.outer(P @ h, h @ P) / S, abs=1e-6)
+    assert normalised == pytest.approx(0.05**2 / S, rel=1e-4)
+
+
+def test_a_surprise_moves_the_robot_and_not_its_slip():
+    wary = SlipFilter(MODEL, Estimator(), Compensation(), 1.1)
+    mean = NEUTRAL.copy()
+    mean[:N] = MODEL.settled_state([0.5, 0.5])
+    P = np.diag(np.concatenate([np.full(N, 1e-5), np.full(6, 1e-4), np.full(3, 1e-5)]))
+    after, _ = wary.correct_yaw_rate(Belief(mean, P), 2.0, 1e-4)
+    assert after.mean[N : N + 6] == pytest.approx(mean[N : N + 6])
+    assert wary.twist(after.mean)[1] == pytest.approx(2.0, abs=0.05)
+    moved, _ = wary.correct_pose(Belief(mean, P), np.array([0.0, 0.2, 0.0]), 1e-5 * np.eye(3), 0.0)
+    assert moved.mean[N : N + 6] == pytest.approx(mean[N : N + 6])
+    assert moved.mean[-2] == pytest.approx(0.2, abs=0.01)
 
 
 def test_the_angle_between_two_poses_is_the_short_way_round():
-    mean = np.zeros(SIZE)
+    mean = NEUTRAL.copy()
     mean[-1] = 3.1
     P = 0.01 * np.eye(SIZE)
-    corrected = FILTER.correct_pose(Belief(mean, P), np.array([0.0, 0.0, -3.1]), 1e-4 * np.eye(3), 0.0)
+    corrected, _ = FILTER.correct_pose(Belief(mean, P), np.array([0.0, 0.0, -3.1]), 1e-4 * np.eye(3), 0.0)
     assert 3.1 < corrected.mean[-1] < 2 * np.pi - 3.1 + 1e-9

@@ -11,6 +11,7 @@ from mpc import load_config
 from mpc.condensed import Condenser
 from mpc.osqp_solver import OsqpSolver
 from mpc.problem import TrackingProblem
+from mpc.slip import Slip
 from mpc.solver_report import SolverStatus
 from mpc.tick import Tick
 
@@ -37,10 +38,15 @@ def setting(model_name, horizon=15, **overrides):
     heading = -0.3 if "limits.corridor" in overrides else 0.06
     theta = 0.5 * DT * np.arange(horizon + 1)
     reference = np.column_stack([np.sin(theta), 1 - np.cos(theta), theta])
+    slip = Slip(v_offset=0.01, omega_gain=1.05, longitudinal_gain=0.98, yaw_gain=0.9, side_slip=0.1)
+    free = problem.prediction.free_twists(state, past).reshape(-1, 2)
     tick = Tick(
         pose=np.array([0.02, -0.03, heading]),
-        free_twist=problem.prediction.free_twists(state, past).reshape(-1, 2) + [0.01, -0.02],
+        free_twist=slip.gains * (free + slip.offset),
+        gains=slip.gains,
+        side_slip=slip.side_slip,
         reference=reference,
+        heading=reference[:, 2] + 0.05,
         feed_forward=np.tile([0.5, 0.47], (horizon, 1)),
         last_command=past[-1],
     )

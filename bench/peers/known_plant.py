@@ -1,0 +1,108 @@
+"""What a clairvoyant knows of a plant: a velocity model fitted to the truth, and how the robot slips."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from models.identification import Experiment, identify_two_poles
+from models.interface import FloatArray
+from models.load import load_model
+from models.structures import TwoPoles
+from models.velocity_model import VelocityModel
+from mpc import load_trajectory
+from sim.log import Log, record
+from sim.make import make_plant
+from sim.surface import load_surface
+
+_PERFECT = "perfect"
+_MODEL_PREFIX = "model:"
+
+
+@dataclass(frozen=True)
+class KnownPlant:
+    """The truth about a plant, as far as a linear model and one coefficient can say it.
+
+    Attributes
+    ----------
+    model
+        From commands to the true (v, omega), dead time included.
+    side_slip, load_shift
+        Lateral speed is omega (load_shift dv/dt - side_slip v): outward in steady turns [s]; and inward while the robot
+        accelerates, since load on the rear wheels moves the centre of rotation back [s^2].
+    """
+
+    model: VelocityModel
+    side_slip: float
+    load_shift: float
+
+
+@cache
+def know_plant(plant: str, surface: str, trajectories: tuple[str, ...]) -> KnownPlant:
+    """Get to know a plant.
+
+    A plant that is a velocity model is known exactly. The physics is driven along `trajectories` with the references'
+    twists as commands, and two-pole models are fitted to its true motion: the very manoeuvres that are scored later.
+
+    Parameters
+    ----------
+    plant, surface
+        As `sim.make_plant` takes them; of "model:" plants those without dead time in their name.
+    trajectories
+        Names or paths.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError, ValueError
+        If a name is unknown, or no trajectory moves both channels.
+    """
+    if plant.startswith(_MODEL_PREFIX):
+        return _exact(load_model(plant.removeprefix(_MODEL_PREFIX)), surface)
+    logs = [_drive(plant, surface, trajectory) for trajectory in trajectories]
+    fits = [identify_two_poles(_experiments(logs, channel, output)) for channel, output in ((0, 0), (1, 2))]
+    A, B, C = _side_by_side([fit.transfer for fit in fits])
+    model = VelocityModel(f"{plant} on {surface}", "sm", A, B, C, np.array([fit.dead_time for fit in fits]))
+    side_slip, load_shift = _slip(logs)
+    return KnownPlant(model, side_slip, load_shift)
+
+
+def _exact(model: VelocityModel, surface: str) -> KnownPlant:
+    slip = load_surface(surface).slip
+    gains = np.array([[slip.longitudinal_gain], [slip.yaw_gain]])
+    known = VelocityModel(model.name, model.structure, model.A, model.B, gains * model.C, model.dead_time)
+    return KnownPlant(known, slip.side_slip, 0.0)
+
+
+def _drive(plant: str, surface: str, trajectory: str) -> Log:
+    robot, reference = make_plant(plant, surface, _PERFECT), load_trajectory(trajectory)
+    return record(robot, reference.sample(np.arange(0.0, reference.duration, robot.sample_time)).twist)
+
+
+def _experiments(logs: list[Log], channel: int, output: int) -> list[Experiment]:
+    return [
+        Experiment("reference", float(log.time[1] - log.time[0]), log.command[:, channel], log.true_twist[:, output])
+        for log in logs
+        if np.ptp(log.command[:, channel]) > 0
+    ]
+
+
+def _slip(logs: list[Log]) -> tuple[float, float]:
+    """Side-slip and load shift, by least squares."""
+    regressors, lateral = [], []
+    for log in logs:
+        v, sideways, omega = log.true_twist.T
+        regressors.append(np.column_stack([-v * omega, np.gradient(v, log.time) * omega]))
+        lateral.append(sideways)
+    side_slip, load_shift = np.linalg.lstsq(np.vstack(regressors), np.concatenate(lateral), rcond=None)[0]
+    return float(side_slip), float(load_shift)
+
+
+def _side_by_side(channels: list[TwoPoles]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    A, B, C = np.zeros((4, 4)), np.zeros((4, 2)), np.zeros((2, 4))
+    for i, channel in enumerate(channels):
+        own = slice(2 * i, 2 * i + 2)
+        a, b, c = channel.matrices()
+        A[own, own], B[own, i : i + 1], C[i : i + 1, own] = a, b, c
+    return A, B, C

@@ -1,0 +1,71 @@
+"""Run the tracking study for the command line: plan, run, report."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from bench.atomic import staged
+from bench.console import output_console
+from bench.machine import describe_machine, git_revision, project_version
+from bench.progress import ProgressBar
+from bench.results import STATISTICS
+from bench.runner import available_cores
+from bench.tracking.plan import check_plan, plan_study
+from bench.tracking.report import FIGURES, REPORT_FILES, write_report
+from bench.tracking.results import StudyResults, collect
+from bench.tracking.runner import run_rows
+from bench.tracking.study import PARTS, Study
+from bench.tracking.tables import study_tables
+
+
+def track(study: Study, out: Path, only: Sequence[str] = PARTS, jobs: int | None = None) -> StudyResults:
+    """Run some parts of a study, print the tables and write the report into `out`.
+
+    Parameters
+    ----------
+    study
+        What to run.
+    out
+        Folder of the report.
+    only
+        Names of parts.
+    jobs
+        Processes; by default one for each core.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError, ValueError, OSError
+        If the study names something that cannot be used or `out` cannot be written to; then `out` keeps what it held.
+    """
+    began = time.perf_counter()
+    plan = plan_study(study, only)
+    with staged(out, files=REPORT_FILES, folders=(FIGURES,)) as folder, ProgressBar("preparing") as bar:
+        check_plan(plan)
+        jobs = jobs or available_cores()
+        bar.begin(f"running, {jobs} at a time", len(plan.all))
+        rows = run_rows(plan.all, study.trajectories, jobs, bar.advance)
+        results = collect(study, plan, rows, _describe(study, only, time.perf_counter() - began))
+        write_report(results, folder)
+    console = output_console()
+    for tables in study_tables(results).values():
+        for table in tables:
+            console.print(table.rich())
+    console.print(f"{len(plan.all)} runs in {time.perf_counter() - began:.0f} s; report in {out}", highlight=False)
+    return results
+
+
+def _describe(study: Study, only: Sequence[str], wall_time: float) -> dict[str, object]:
+    return {
+        "project": "diffdrive-mpc",
+        "version": project_version(),
+        "revision": git_revision(),
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": describe_machine(),
+        "wall_time_s": round(wall_time, 1),
+        "statistics": STATISTICS,
+        "parts": [part for part in PARTS if part in only],
+        "study": study.model_dump(mode="json"),
+    }

@@ -1,0 +1,97 @@
+"""What the tracking study runs, read from `study.yaml` or, for a quick one, from `quick.yaml`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import Field, model_validator
+
+from models.checked_yaml import StrictModel, load_checked
+
+if TYPE_CHECKING:
+    from typing import Self
+
+Names = Annotated[tuple[str, ...], Field(min_length=1)]
+Seeds = Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)]
+Value = bool | int | float | str
+
+
+class Targets(StrictModel):
+    """Runs that show whether what was asked for is reached, with every model along every trajectory."""
+
+    seeds: Seeds
+    untuned_surfaces: Names = Field(description="floors that nothing was tuned on")
+    late_sensors: str = Field(description="sensor set with late and rare poses")
+    scenarios: Names = Field(description="disturbances that the robot has to recover from")
+
+
+class Ablation(StrictModel):
+    """The controller with parts left out."""
+
+    models: Names
+    surfaces: Names
+    # What differs from seed to seed is noise; it takes two to see any.
+    seeds: Annotated[Seeds, Field(min_length=2)]
+    variants: Annotated[dict[str, dict[str, Value]], Field(min_length=1)] = Field(
+        description="configuration values by dotted key, under the name of the variant"
+    )
+    drawn: Names = Field(description="variants that the figure of the sources of error shows")
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        unknown = [name for name in self.drawn if name not in self.variants]
+        if unknown:
+            raise ValueError(f"drawn: there is no variant '{unknown[0]}'; known: {', '.join(self.variants)}")
+        return self
+
+
+class Cross(StrictModel):
+    """Controllers of one model on plants of another."""
+
+    plants: Names = Field(description="velocity models that stand in for the robot")
+    seeds: Seeds
+
+
+class Surfaces(StrictModel):
+    """Every surface with every sensor set."""
+
+    surfaces: Names
+    sensors: Names
+    seeds: Seeds
+
+
+class Scenarios(StrictModel):
+    """Every disturbance."""
+
+    names: Names
+    trajectories: Names
+    seeds: Seeds
+
+
+class Bound(StrictModel):
+    """The clairvoyant controller."""
+
+    surfaces: Names
+
+
+class Study(StrictModel):
+    """All parts. `models` and `trajectories` hold for every part that does not name its own."""
+
+    models: Names
+    trajectories: Names
+    targets: Targets
+    ablation: Ablation
+    cross: Cross
+    surfaces: Surfaces
+    scenarios: Scenarios
+    bound: Bound
+
+
+PARTS = ("targets", "ablation", "cross", "surfaces", "scenarios", "bound")
+"""Names of the parts, in the order of the report."""
+
+
+def load_study(file: Path | None = None, *, quick: bool = False) -> Study:
+    """Read a study, by default the shipped one; raises ConfigError when the file has a mistake."""
+    return load_checked(Study, file or Path(__file__).parent / ("quick.yaml" if quick else "study.yaml"))

@@ -1,0 +1,47 @@
+"""What lies between the twist that the velocity model says and the one that the body has on its floor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.interface import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Slip:
+    """Offset and gains of a twist, and side-slip; the default is a robot that does as its model says.
+
+    The wheels turn with v + v_offset and omega_gain omega. The body moves with longitudinal_gain times that forward
+    speed, yaw_gain times that yaw rate, and the lateral speed -side_slip v omega, outward in a turn.
+
+    Attributes
+    ----------
+    v_offset
+        Forward speed of the wheels that the model does not explain [m/s].
+    omega_gain
+        Yaw rate of the wheels over that of the model [-].
+    longitudinal_gain
+        Forward speed of the body over that of the wheels [-].
+    yaw_gain
+        Yaw rate of the body over that of the wheels, relative to the floor that the model was identified on [-].
+    side_slip
+        Lateral speed of the body, outward, over v omega [s].
+    """
+
+    v_offset: float = 0.0
+    omega_gain: float = 1.0
+    longitudinal_gain: float = 1.0
+    yaw_gain: float = 1.0
+    side_slip: float = 0.0
+
+    @property
+    def gains(self) -> FloatArray:
+        """(2,) forward speed and yaw rate of the body over those of the model."""
+        return np.array([self.longitudinal_gain, self.omega_gain * self.yaw_gain])
+
+    @property
+    def offset(self) -> FloatArray:
+        """(2,) what is added to the twist of the model before the gains [m/s, rad/s]."""
+        return np.array([self.v_offset, 0.0])

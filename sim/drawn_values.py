@@ -1,0 +1,89 @@
+"""Values in a YAML file that a seed draws: `[low, high]` for a range, `{one_of: [...]}` for a choice.
+
+A choice may be one of several ranges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from models.checked_yaml import ConfigError
+
+_ONE_OF = "one_of"
+
+
+def drawn(data: object, stream: np.random.Generator) -> Any:  # noqa: ANN401 - plain YAML data, which a schema checks
+    """`data` with a value from `stream` in place of every range (uniform) and choice, in the order of the file."""
+    return _replaced(
+        data, lambda ends: float(stream.uniform(ends[0], ends[1])), lambda size: int(stream.integers(size))
+    )
+
+
+def extremes(data: object) -> list[Any]:
+    """Copies of `data` that between them hold both ends of every range and every value of every choice.
+
+    A schema whose limits are intervals accepts whatever is drawn from `data` if it accepts these.
+    """
+    longest = max((len(node[_ONE_OF]) for _, node in _random(data) if isinstance(node, Mapping)), default=1)
+
+    def copy(i: int) -> Any:  # noqa: ANN401 - as above
+        return _replaced(data, lambda ends: ends[i % 2], lambda size: i // 2 % size)
+
+    return [copy(i) for i in range(2 * longest)]
+
+
+def check_drawn(data: object, where: str) -> None:
+    """Check the ranges and choices in `data`; `where` names its source.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If a range goes from a higher to a lower value, or a choice has no values.
+    """
+    for place, node in _random(data):
+        if isinstance(node, list) and not node[0] <= node[1]:
+            raise ConfigError(f"{where}: {place}: a range goes from low to high (found {node})")
+        if isinstance(node, Mapping) and not (isinstance(node[_ONE_OF], list) and node[_ONE_OF]):
+            raise ConfigError(f"{where}: {place}: one_of takes a list of at least one value (found {node[_ONE_OF]!r})")
+
+
+def _replaced(data: object, from_range: Callable[[list[float]], float], from_choice: Callable[[int], int]) -> Any:  # noqa: ANN401
+    if _is_range(data):
+        return from_range(data)  # type: ignore[arg-type]
+    if _is_choice(data):
+        values = data[_ONE_OF]  # type: ignore[index]
+        return _replaced(values[from_choice(len(values))], from_range, from_choice)
+    if isinstance(data, Mapping):
+        return {key: _replaced(value, from_range, from_choice) for key, value in data.items()}
+    if isinstance(data, list):
+        return [_replaced(value, from_range, from_choice) for value in data]
+    return data
+
+
+def _random(data: object, place: str = "") -> Iterator[tuple[str, Any]]:
+    """Place and node of every range and choice."""
+    if _is_range(data) or _is_choice(data):
+        yield place, data
+    inner = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in inner:
+        # The list of a choice is none of the ranges, but may hold some.
+        if key == _ONE_OF and isinstance(value, list):
+            for i, item in enumerate(value):
+                yield from _random(item, f"{place}.{key}.{i}")
+        else:
+            yield from _random(value, f"{place}.{key}" if place else str(key))
+
+
+def _is_range(data: object) -> bool:
+    return (
+        isinstance(data, list)
+        and len(data) == 2
+        and all(isinstance(end, (int, float)) and not isinstance(end, bool) for end in data)
+    )
+
+
+def _is_choice(data: object) -> bool:
+    return isinstance(data, Mapping) and set(data) == {_ONE_OF}

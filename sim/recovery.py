@@ -1,0 +1,100 @@
+"""How a run comes back to its path after a disturbance, and what the command spends on it.
+
+Every error is that of the true pose, so it carries no measurement noise; ordinary tracking errors of a few millimetres
+are kept apart by the lateral band (Guffanti et al. 2026, PMC12845739): only what leaves the band is an excursion.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.interface import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """Figures of one run; the field names are those of `bench.json`, units in their endings.
+
+    Attributes
+    ----------
+    recovery_time_s
+        From the last change of the disturbance to the first tick from which |lateral| stays inside the band to the end
+        of the reference. 0 where it never leaves the band after that change, infinity where it ends outside.
+        NaN without a disturbance, or where the lateral error is not finite.
+    overshoot_m
+        Largest distance from the path on the other side than the excursion, from when both the excursion and the last
+        change of the disturbance have been. The excursion is the last tick outside the band between the first and the
+        last change, or else the first one after that. 0 without excursion, or where the robot never gets to the other
+        side; NaN as above. Ordinary tracking errors on the other side are part of it.
+    lateral_max_m
+        Largest |lateral| of the run.
+    command_energy_v, command_energy_omega
+        Integral of the squared command over the counted ticks, each held for one sample [m^2/s], [rad^2/s].
+    """
+
+    recovery_time_s: float
+    overshoot_m: float
+    lateral_max_m: float
+    command_energy_v: float
+    command_energy_omega: float
+
+
+def compute_recovery(
+    time: FloatArray,
+    lateral: FloatArray,
+    command: FloatArray,
+    sample_time: float,
+    disturbance: tuple[float, float] | None,
+    band: float,
+) -> Recovery:
+    """Recovery of a run of n counted ticks, whose definitions are those of `Recovery`.
+
+    Parameters
+    ----------
+    time
+        (n,) instants [s].
+    lateral
+        (n,) signed distance from the path [m].
+    command
+        (n, 2) v [m/s], omega [rad/s].
+    sample_time
+        How long each command is held [s].
+    disturbance
+        When the first disturbance began, and when the last change of any was over [s]; None without one.
+    band
+        Half width of the lateral band [m].
+    """
+    recovery_time = overshoot = math.nan
+    if disturbance is not None and np.isfinite(lateral).all():
+        outside = np.abs(lateral) > band
+        recovery_time = _recovery_time(time, outside, disturbance[1])
+        overshoot = _overshoot(time, lateral, outside, disturbance)
+    energy = sample_time * np.sum(np.square(command), axis=0)
+    return Recovery(recovery_time, overshoot, float(np.max(np.abs(lateral))), float(energy[0]), float(energy[1]))
+
+
+def _recovery_time(time: FloatArray, outside: NDArray[np.bool_], last: float) -> float:
+    late = np.flatnonzero(outside & (time >= last))
+    if not late.size:
+        return 0.0
+    back = int(late[-1]) + 1
+    return float(time[back] - last) if back < len(time) else math.inf
+
+
+def _overshoot(
+    time: FloatArray, lateral: FloatArray, outside: NDArray[np.bool_], disturbance: tuple[float, float]
+) -> float:
+    first, last = disturbance
+    during = np.flatnonzero(outside & (time >= first) & (time <= last))
+    after = np.flatnonzero(outside & (time > last))
+    if not during.size and not after.size:
+        return 0.0
+    excursion = int(during[-1]) if during.size else int(after[0])
+    beyond = -np.sign(lateral[excursion]) * lateral
+    # Before the path is crossed nothing lies beyond it: the crossing need not be searched for.
+    counted = beyond[(np.arange(len(time)) > excursion) & (time >= last)]
+    return float(max(0.0, np.max(counted, initial=0.0)))

@@ -1,0 +1,179 @@
+"""The report of the tracking study, from rows that were made up and from runs that were driven."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from tracking_parts import made_up, row, tiny_study
+from typer.testing import CliRunner
+
+from bench.cli import app
+from bench.documents import copy_tracking, tracking_sections, with_tracking
+from bench.tracking.plan import plan_study
+from bench.tracking.report import write_report
+from bench.tracking.results import collect
+from bench.tracking.tables import study_tables
+from models.checked_yaml import ConfigError
+
+runner = CliRunner()
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report")
+    write_report(made_up(), folder)
+    return folder
+
+
+def test_every_part_has_its_tables_and_every_cell_is_filled():
+    tables = {table.title: table for part in study_tables(made_up()).values() for table in part}
+    assert list(tables) == [
+        "Targets",
+        "Default surface and sensors",
+        "Ablation",
+        "Ablation by trajectory",
+        "Cross table",
+        "Surfaces and sensors",
+        "Scenarios",
+        "Bound",
+    ]
+    for table in tables.values():
+        assert table.rows
+        assert all(cell for cells in table.rows for cell in cells)
+
+
+def test_the_diagonal_of_the_cross_table_is_marked():
+    (table,) = study_tables(made_up())["cross"]
+    marked = {
+        (cells[0], column)
+        for cells in table.rows
+        for column, cell in zip(table.columns, cells, strict=True)
+        if "*" in cell
+    }
+    assert marked == {("SM", "plant SM [mm]"), ("SSM", "plant SSM [mm]")}
+    assert "proves little" in table.note
+
+
+def test_what_is_left_is_ours_minus_the_bound():
+    (table,) = study_tables(made_up())["bound"]
+    assert [cells[1] for cells in table.rows] == ["s", "cane", "mean"]
+    for cells in table.rows:
+        assert (cells[2], cells[-2], cells[-1]) == ("2.0", "8.0", "6.0")
+
+
+def test_the_ablation_has_every_variant_and_the_bound_on_every_surface():
+    results = made_up()
+    table, by_trajectory = study_tables(results)["ablation"]
+    variants = list(results.study.ablation.variants)
+    assert [cells[1] for cells in table.rows] == [*variants, "clairvoyant bound"]
+    assert [cells[1] for cells in by_trajectory.rows] == variants
+
+
+def test_a_variant_is_told_by_its_values():
+    """Each variant gets an error of its own; the table must give it back under the right name."""
+    results = made_up()
+    own = {name: 0.010 + 0.001 * k for k, name in enumerate(results.study.ablation.variants)}
+    by_values = {tuple(values.items()): name for name, values in results.study.ablation.variants.items()}
+    plan = plan_study(results.study, ["ablation"])
+    rows = {case: row(case, position_rmse_m=own[by_values[case.overrides]]) for case in plan.all}
+    table, _ = study_tables(collect(results.study, plan, rows, results.meta))["ablation"]
+    assert {cells[1]: float(cells[3]) for cells in table.rows} == pytest.approx({n: 1e3 * e for n, e in own.items()})
+
+
+def test_the_report_has_figures_and_every_run_once(report: Path):
+    data = json.loads((report / "tracking.json").read_text())
+    assert len(data["runs"]) == len(made_up().all)
+    assert data["meta"]["revision"] == "abc"
+    text = (report / "tracking.md").read_text()
+    for name in ("ablation.png", "error-sources.png"):
+        assert (report / "figures" / name).stat().st_size > 20_000
+        assert f"](figures/{name})" in text
+
+
+def test_figures_are_the_same_for_the_same_rows(report: Path, tmp_path: Path):
+    write_report(made_up(), tmp_path)
+    for name in ("ablation.png", "error-sources.png"):
+        assert (tmp_path / "figures" / name).read_bytes() == (report / "figures" / name).read_bytes()
+
+
+PAGE = """# Page
+<!-- tracking-runs:begin -->
+<!-- tracking-runs:end -->
+between
+<!-- tracking-figure-ablation:begin -->
+<!-- tracking-figure-ablation:end -->
+<!-- tracking-cross-table:begin -->
+old
+<!-- tracking-cross-table:end -->
+after
+"""
+
+
+def test_the_page_shows_every_part_of_the_report_between_its_markers(report: Path, tmp_path: Path):
+    copy_tracking(report, tmp_path / "tracking")
+    text = (tmp_path / "tracking" / "tracking.md").read_text()
+    page = with_tracking(PAGE, text)
+    assert "![ablation](tracking/ablation.png)" in page
+    assert "| SM | 8.0* | 8.0 |" in page
+    assert "old" not in page
+    assert "\nbetween\n" in page and page.endswith("\nafter\n")
+    assert with_tracking(page, text) == page
+    assert {path.name for path in (tmp_path / "tracking").iterdir()} == {
+        "tracking.md",
+        "ablation.png",
+        "error-sources.png",
+    }
+
+
+def test_parts_that_were_not_run_say_so_and_their_figures_go(report: Path, tmp_path: Path):
+    copy_tracking(report, tmp_path / "tracking")
+    results = made_up()
+    part = replace(results, parts={"bound": results.parts["bound"]})
+    (tmp_path / "out").mkdir()
+    write_report(part, tmp_path / "out")
+    copy_tracking(tmp_path / "out", tmp_path / "tracking")
+    text = (tmp_path / "tracking" / "tracking.md").read_text()
+    assert set(tracking_sections(text)) == {"tracking-runs", "tracking-bound"}
+    page = with_tracking(PAGE, text)
+    assert page.count("This part was not run.") == 2
+    assert [path.name for path in (tmp_path / "tracking").iterdir()] == ["tracking.md"]
+
+
+def test_without_a_report_nothing_is_copied(tmp_path: Path):
+    with pytest.raises(ConfigError, match="run `make tracking` first"):
+        copy_tracking(tmp_path, tmp_path / "docs")
+
+
+def test_the_command_drives_a_small_study_and_writes_its_report(tmp_path: Path):
+    out = tmp_path / "out"
+    study = str(tiny_study(tmp_path))
+    arguments = ["tracking", "--out", str(out), "--study", study, "--only", "ablation,cross,bound", "--jobs", "1"]
+    result = runner.invoke(app, arguments)
+    assert result.exit_code == 0, result.stderr
+    assert sorted(path.name for path in out.iterdir()) == ["figures", "tracking.json", "tracking.md"]
+    runs = json.loads((out / "tracking.json").read_text())["runs"]
+    assert len(runs) == 4 + 2 + 1
+    assert all(run["completed"] for run in runs)
+    error = {(run["controller"], run["plant"], bool(run["set"])): run["position_rmse_m"] for run in runs}
+    assert error["clairvoyant", "mujoco", False] < error["mpc", "mujoco", False] < error["mpc", "mujoco", True]
+    assert "Cross table" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--only", "cros"], "unknown part 'cros'"),
+        (["--quick", "--study", "mine.yaml"], "give one of them"),
+        (["--study", "missing.yaml"], "missing.yaml: cannot be read"),
+    ],
+)
+def test_bad_input_is_one_line_and_nothing_is_made(arguments: list[str], message: str, tmp_path: Path):
+    result = runner.invoke(app, ["tracking", "--out", str(tmp_path / "out"), *arguments])
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error: ")
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()

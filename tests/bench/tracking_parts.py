@@ -1,0 +1,97 @@
+"""Rows of a tracking study that were never driven, and a study small enough to drive in a test."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+
+from bench.case import Case
+from bench.tracking.plan import BOUND, plan_study
+from bench.tracking.results import StudyResults, collect
+from bench.tracking.row import Recovered, Row
+from bench.tracking.study import PARTS, Study, load_study
+from sim import Metrics
+
+TINY = """
+models: [ssm]
+trajectories: [cane]
+targets: {seeds: [20], untuned_surfaces: [slippery], late_sensors: slam, scenarios: [none]}
+ablation:
+  models: [ssm]
+  surfaces: [default]
+  seeds: [20, 21]
+  variants: {as shipped: {}, short sight: {horizon: 12}}
+  drawn: [short sight, as shipped]
+cross: {plants: [sm, ssm], seeds: [20]}
+surfaces: {surfaces: [default], sensors: [default], seeds: [20]}
+scenarios: {names: [none], trajectories: [cane], seeds: [20]}
+bound: {surfaces: [default]}
+"""
+
+
+def tiny_study(folder: Path) -> Path:
+    path = folder / "tiny.yaml"
+    path.write_text(TINY, encoding="utf-8")
+    return path
+
+
+def case(**changes: object) -> Case:
+    values: dict[str, object] = {
+        "controller": "mpc",
+        "model": "ssm",
+        "trajectory": "circle",
+        "plant": "mujoco",
+        "surface": "default",
+        "sensors": "default",
+        "seed": 20,
+    }
+    return Case(**{**values, **changes})  # type: ignore[arg-type]
+
+
+def metrics(**changes: float) -> Metrics:
+    """Every error well inside every target."""
+    values: dict[str, object] = {field.name: 0.001 for field in fields(Metrics)}
+    values |= {"steps": 100, "completed": True, "deadline_misses": 0, "fallbacks": 0, "in_band_percent": 100.0}
+    return Metrics(**{**values, **changes})  # type: ignore[arg-type]
+
+
+def row(
+    of: Case,
+    *,
+    arcs: tuple[float, ...] = (0.001,),
+    late_lateral_m: float = 0.01,
+    recovered: Recovered | None = None,
+    across: np.ndarray | None = None,
+    **changes: float,
+) -> Row:
+    """A row of 100 ticks, of which the second half is a steady arc; 1 mm to the left by default."""
+    n = 100
+    return Row(
+        case=of,
+        metrics=metrics(**changes),
+        arcs=arcs,
+        late_lateral_m=late_lateral_m,
+        recovered=recovered or Recovered(1.0, 0.01, 3.0, 2.0),
+        time=0.02 * np.arange(n),
+        along=np.zeros(n),
+        across=np.full(n, 0.001) if across is None else across,
+        steady=np.arange(n) >= n // 2,
+    )
+
+
+def made_up(study: Study | None = None) -> StudyResults:
+    """A whole study of rows that were never driven: 8 mm for the bound's peers, 2 mm for the bound."""
+    study = study or load_study(quick=True)
+    plan = plan_study(study, PARTS)
+    rows = {one: row(one, position_rmse_m=0.002 if one.controller == BOUND else 0.008) for one in plan.all}
+    meta: dict[str, object] = {
+        "machine": {"cpu": "c", "cores": 2, "os": "o", "python": "3", "packages": {"numpy": "2"}},
+        "revision": "abc",
+        "version": "1",
+        "date": "2026-01-01",
+        "wall_time_s": 1.0,
+        "statistics": "s",
+    }
+    return collect(study, plan, rows, meta)

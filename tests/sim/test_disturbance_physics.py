@@ -1,0 +1,247 @@
+"""Each disturbance of the physics plant against what mechanics says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from models.checked_yaml import check
+from models.robot import load_robot
+from sim.chassis import WHEELS, Chassis
+from sim.disturbances import Disturbances
+from sim.drivetrain import VelocityLoops
+from sim.log import record
+from sim.mujoco_plant import MujocoPlant
+from sim.scenario import Payload, Scenario, Slope
+from sim.sensor_set import load_sensor_set
+from sim.surface import load_surface
+from sim.twin_parameters import load_twin_parameters
+
+G = 9.81
+ROBOT, TWIN = load_robot(), load_twin_parameters()
+STEP = ROBOT.sample_time / TWIN.substeps
+FLOOR = load_surface("default").friction or 0.0
+SLIPPERY = load_surface("slippery").friction or 0.0
+ICE = 1e-5
+LEFT, RIGHT = ("front_left", "rear_left"), ("front_right", "rear_right")
+
+
+def _plant(friction: float = FLOOR, **parts: Any) -> MujocoPlant:
+    scenario = check(Scenario, {"description": "test", **parts}, "test")
+    return MujocoPlant(friction, load_sensor_set("perfect"), scenario=scenario)
+
+
+def _drive(plant: MujocoPlant, v: float, omega: float, seconds: float) -> None:
+    for _ in range(round(seconds / ROBOT.sample_time)):
+        plant.advance([v, omega])
+
+
+@pytest.mark.parametrize("direction", [0.7, 1.5708])
+def test_a_push_on_ice_gives_force_times_time(direction: float) -> None:
+    """The begin and end of the push fall between physics steps: the momentum is that of its exact duration."""
+    push = {"force": 20.0, "direction": direction, "height": 0.09, "start": 0.1013, "duration": 0.2507}
+    plant = _plant(ICE, pushes=[push])
+    plant.reset([1.0, 2.0, 0.5])
+    _drive(plant, 0.0, 0.0, 0.5)
+    v, lateral, omega = plant.true_twist
+    course = 0.5 + direction
+    moved = plant.true_pose[:2] - [1.0, 2.0]
+    assert ROBOT.mass * np.hypot(v, lateral) == pytest.approx(20.0 * 0.2507, rel=0.02)
+    assert np.arctan2(moved[1], moved[0]) == pytest.approx(course, abs=0.02)
+    assert abs(omega) < 0.02
+
+
+def test_a_push_at_yaw_on_ice_gives_torque_times_time() -> None:
+    plant = _plant(ICE, pushes=[{"yaw_torque": 0.5, "height": 0.09, "start": 0.1, "duration": 0.3}])
+    _drive(plant, 0.0, 0.0, 0.5)
+    omega = plant.true_twist[2]
+    # Angular momentum about the vertical, I omega, from the kinetic energy I omega^2 / 2: nothing else moves.
+    assert 2 * plant.chassis.energy / omega == pytest.approx(0.5 * 0.3, rel=0.02)
+
+
+def test_the_floor_holds_a_push_that_is_weaker_than_friction() -> None:
+    limit = FLOOR * ROBOT.mass * G
+    gone = []
+    for share in (0.8, 1.3):
+        push = {"force": share * limit, "direction": 1.5708, "height": 0.05, "start": 0.1, "duration": 0.3}
+        plant = _plant(pushes=[push])
+        _drive(plant, 0.0, 0.0, 1.0)
+        gone.append(abs(plant.true_pose[1]))
+    # Coulomb: accelerates with (share - 1) mu g while pushed, brakes with mu g after.
+    speed = 0.3 * FLOOR * G * 0.3
+    assert gone[1] == pytest.approx(0.5 * speed * 0.3 + speed**2 / (2 * FLOOR * G), rel=0.25)
+    assert gone[0] < 0.2 * gone[1]
+
+
+def test_a_payload_adds_its_weight_where_it_lies() -> None:
+    x, y, mass = 0.03, -0.05, 2.5
+    load = Payload(mass=mass, x=x, y=y, z=0.1, radius=0.05)
+    with_load, without = (Chassis(ROBOT, TWIN, FLOOR, STEP, payload) for payload in (load, None))
+    for chassis in (with_load, without):
+        for _ in range(round(1.0 / STEP)):
+            chassis.step(np.zeros(4))
+    assert without.wheel_loads.sum() == pytest.approx(ROBOT.mass * G, rel=1e-3)
+    assert with_load.wheel_loads.sum() == pytest.approx((ROBOT.mass + mass) * G, rel=1e-3)
+    front, left = (
+        sum(with_load.wheel_loads[i] for i, name in enumerate(WHEELS) if part in name) for part in ("front", "left")
+    )
+    # Moments about the rear axle and about the right wheels.
+    half = 0.5 * (ROBOT.mass + mass) * G
+    assert front == pytest.approx(half + mass * G * x / TWIN.chassis.wheel_base, rel=0.02)
+    assert left == pytest.approx(half + mass * G * y / ROBOT.track, rel=0.02)
+
+
+@pytest.mark.parametrize("downhill", [np.pi / 2, -np.pi / 2])
+def test_on_a_steep_slippery_slope_the_robot_slides_as_coulomb_says(downhill: float) -> None:
+    angle, friction = 0.3, 0.1
+    plant = _plant(friction, slope={"angle": angle, "downhill": downhill})
+    _drive(plant, 0.0, 0.0, 1.0)
+    seconds = plant.time
+    expected = G * (np.sin(angle) - friction * np.cos(angle)) * seconds
+    assert plant.true_twist[1] == pytest.approx(np.sign(downhill) * expected, rel=0.03)
+
+
+def test_on_a_gentle_slope_the_robot_stands_across_and_creeps_along_no_faster_than_its_brakes_allow() -> None:
+    across, along = (_plant(slope={"angle": 0.1, "downhill": downhill}) for downhill in (np.pi / 2, 0.0))
+    for plant in (across, along):
+        _drive(plant, 0.0, 0.0, 2.0)
+    # Tyres creep below the friction limit, as rubber does.
+    assert 0.0 <= across.true_twist[1] < 0.01
+    # At zero set-point the driver shorts the motor: it brakes by back-EMF, in proportion to the speed.
+    pull = ROBOT.mass * G * np.sin(0.1)
+    damping = 4 * TWIN.motor.stall_torque / TWIN.motor.no_load_speed / ROBOT.wheel_radius**2
+    assert 0.0 < along.true_twist[0] < 1.2 * pull / damping
+    assert along.true_pose[0] > 0.01
+
+
+def test_a_slope_keeps_the_weight_normal_to_the_floor() -> None:
+    chassis = Chassis(ROBOT, TWIN, FLOOR, STEP, None, Slope(angle=0.2, downhill=1.0))
+    for _ in range(round(0.3 / STEP)):
+        chassis.step(np.zeros(4))
+    assert chassis.wheel_loads.sum() == pytest.approx(ROBOT.mass * G * np.cos(0.2), rel=0.02)
+
+
+def test_dead_motors_do_not_drive_and_a_dead_side_turns_the_robot() -> None:
+    def dead(wheels: tuple[str, ...]) -> MujocoPlant:
+        plant = _plant(weak_motors=[{"wheel": wheel, "factor": 0.0, "start": 0.0} for wheel in wheels])
+        _drive(plant, 0.4, 0.0, 1.0)
+        return plant
+
+    assert abs(dead(WHEELS).true_pose[0]) < 1e-3
+    # Towards the side that is dragged along.
+    assert dead(LEFT).true_pose[2] > 0.03
+    assert dead(RIGHT).true_pose[2] < -0.03
+
+
+def test_a_weak_motor_gives_its_share_while_it_is_weak() -> None:
+    weak = {"wheel": "rear_left", "factor": 0.3, "start": 1.0, "duration": 2.0}
+    disturbances, _ = _disturbances(weak_motors=[weak])
+    for time, share in ((0.5, 1.0), (1.0, 0.3), (2.9, 0.3), (3.0, 1.0)):
+        torques = disturbances.motors(np.array([1.0, -2.0, 3.0, 4.0]), time)
+        np.testing.assert_allclose(torques, [1.0, -2.0, 3.0 * share, 4.0])
+
+
+def _disturbances(**parts: Any) -> tuple[Disturbances, VelocityLoops]:
+    scenario = check(Scenario, {"description": "test", **parts}, "test")
+    chassis = Chassis(ROBOT, TWIN, FLOOR, STEP)
+    loops = VelocityLoops(TWIN.driver, TWIN.motor, 2 * np.pi / ROBOT.encoder_pulses, STEP)
+    base, torque = TWIN.chassis.wheel_base, TWIN.motor.stall_torque
+    return Disturbances(scenario, chassis, loops, FLOOR, base, torque), loops
+
+
+def test_a_slipping_wheel_pushes_no_harder_than_its_friction() -> None:
+    """Under full throttle the sound side pulls ahead: the robot turns towards the slipping one."""
+    slipping = [{"wheel": wheel, "friction": 0.02, "start": 0.0, "duration": 1.0} for wheel in LEFT]
+    plant = _plant(slipping_wheels=slipping)
+    _drive(plant, 0.8, 0.0, 0.6)
+    assert plant.true_pose[2] > 0.05
+    all_slip = [{"wheel": wheel, "friction": 0.02, "start": 0.0, "duration": 1.0} for wheel in WHEELS]
+    plant = _plant(slipping_wheels=all_slip)
+    _drive(plant, 0.8, 0.0, 0.9)
+    moving = plant.time - 2 * TWIN.link.dead_time
+    assert 0.7 * moving < plant.true_twist[0] / (0.02 * G) < plant.time
+    assert plant.chassis.wheel_speeds.min() * ROBOT.wheel_radius > 0.7
+
+
+def test_sag_lowers_the_top_speed_in_proportion() -> None:
+    for after in (0.3, 0.5):
+        plant = _plant(battery={"start": 0.0, "duration": 0.1, "after": after})
+        _drive(plant, 1.5, 0.0, 3.0)
+        no_load = TWIN.motor.no_load_speed
+        # Without rolling resistance the no-load speed is the asymptote.
+        np.testing.assert_allclose(plant.chassis.wheel_speeds, after * no_load, rtol=1e-3)
+
+
+def test_sag_lowers_the_stall_torque_in_proportion_and_load_lowers_the_voltage() -> None:
+    disturbances, loops = _disturbances(battery={"start": 1.0, "duration": 2.0, "after": 0.5, "load_drop": 0.1})
+    stall = TWIN.motor.stall_torque * np.array(TWIN.motor.spread)
+    for time, voltage in ((0.0, 1.0), (1.0, 1.0), (2.0, 0.75), (3.0, 0.5), (9.0, 0.5)):
+        disturbances.motors(np.zeros(4), time)
+        disturbances.before_step(time, time + STEP)
+        full = loops.torque(np.full(4, 1e3), np.zeros(4), np.zeros(4))
+        np.testing.assert_allclose(full, voltage * stall)
+    disturbances.motors(TWIN.motor.stall_torque * np.array([1.0, -1.0, 1.0, -1.0]), 9.0)
+    disturbances.before_step(9.0, 9.0 + STEP)
+    assert loops.supply == pytest.approx(0.5 - 0.1)
+
+
+def test_on_a_patch_the_robot_slips_as_on_a_floor_of_that_kind() -> None:
+    lateral = {}
+    endless = {"start": 0.2, "friction": SLIPPERY}
+    for name, plant in {
+        "patch": _plant(patches=[endless]),
+        "slippery": _plant(SLIPPERY),
+        "default": _plant(),
+    }.items():
+        lateral[name] = record(plant, np.tile([0.5, 0.5], (250, 1))).true_twist[150:, 1].mean()
+    assert lateral["patch"] == pytest.approx(lateral["slippery"], rel=0.02)
+    assert lateral["patch"] < 2 * lateral["default"] < 0
+
+
+def test_a_patch_begins_and_ends_where_it_lies() -> None:
+    """The front wheels get onto it half a wheel base before the middle, the rear wheels leave it as much after."""
+    half = TWIN.chassis.wheel_base / 2
+    plant = _plant(patches=[{"start": 0.5, "length": 0.6, "friction": 0.5}, {"start": 50.0, "friction": 0.5}])
+    log = record(plant, np.tile([0.5, 0.0], (200, 1)))
+    ((on, off),) = plant.crossed
+    assert np.interp([on, off], log.time, log.true_pose[:, 0]) == pytest.approx([0.5 - half, 1.1 + half], abs=2e-3)
+
+
+def test_one_side_on_ice_lets_that_side_slip_only() -> None:
+    """A robot that accelerates hard with one side on ice turns towards the ice."""
+    turned = {}
+    for side in ("left", "right", "both"):
+        plant = _plant(patches=[{"start": 0.0, "friction": 0.02, "side": side}])
+        _drive(plant, 0.3, 0.0, 0.8)
+        before = plant.true_pose
+        assert before[0] > TWIN.chassis.wheel_base  # all wheels are on it
+        _drive(plant, 1.2, 0.0, 0.5)
+        turned[side] = plant.true_pose[2] - before[2]
+    assert turned["left"] > 0.05
+    assert turned["right"] < -0.05
+    assert abs(turned["both"]) < 0.01
+
+
+def test_a_blockade_holds_the_robot_and_lets_it_go() -> None:
+    hold = {"height": 0.02, "stiffness": 5e3, "damping": 260.0, "yaw_stiffness": 500.0, "yaw_damping": 11.0}
+    plant = _plant(blockades=[{"start": 1.0, "duration": 1.0, **hold}])
+    log = record(plant, np.tile([0.5, 0.3], (200, 1)))
+    held = (log.time > 1.0) & (log.time < 2.0)
+    start = log.true_pose[np.flatnonzero(held)[0]]
+    # All wheels skidding push no harder than friction, against the spring.
+    give = FLOOR * ROBOT.mass * G / 5e3 + 0.5 * np.sqrt(ROBOT.mass / 5e3)
+    assert np.hypot(*(log.true_pose[held] - start)[:, :2].T).max() < give
+    assert log.wheel_twist[held, 0][10:].mean() > 0.3
+    assert np.abs(log.true_twist[held, 0][10:]).mean() < 0.05
+    free = log.true_twist[log.time > 2.5]
+    assert free[:, 0].mean() == pytest.approx(0.5, rel=0.03)
+
+
+def test_a_robot_that_tips_over_ends_the_run_with_one_line() -> None:
+    push = {"force": 200.0, "direction": 1.5708, "height": 0.4, "start": 0.1, "duration": 1.0}
+    plant = _plant(pushes=[push])
+    with pytest.raises(ValueError, match=r"t = \d\.\d\d s: the robot has tipped over; lower the force") as caught:
+        _drive(plant, 0.0, 0.0, 2.0)
+    assert "\n" not in str(caught.value)
