@@ -16,8 +16,9 @@ from mpc.bounds import clip_command
 from mpc.config import ControllerConfig
 from mpc.config_file import replace_values
 from mpc.estimator import Estimate, StateEstimator
+from mpc.finish import FinishWatch
 from mpc.planner import Plan, Planner
-from mpc.pursuit import Pursuit, Target, TooFar
+from mpc.reentry import Pursuit, Target, TooFar
 from mpc.reference_check import check_speeds
 from mpc.solver_report import SolverReport, SolverStatus
 from mpc.step_result import Mode, StepResult
@@ -68,6 +69,7 @@ class Controller:
         self._estimator = StateEstimator(sampled, config.estimator, config.compensation, config.wheels)
         self._planner = Planner(config, self._model)
         self._pursuit = Pursuit(config)
+        self._finish = FinishWatch()
         self._clock = TickClock(config.sample_time, self._estimator.longest_pause)
         self._reference: Reference | None = None
         self._t0 = 0.0
@@ -122,7 +124,7 @@ class Controller:
         self._result: StepResult | None = None
         self._has_driven = False
         self._latched = False
-        self._finished = False
+        self._finish.restart()
 
     def update(
         self, weights: Mapping[str, float] | None = None, limits: Mapping[str, float] | None = None
@@ -230,7 +232,7 @@ class Controller:
             return self._brake(notes, f"no pose was accepted for {estimate.pose_age:.2f} s")
         if self._latched:
             return self._brake(notes, "stopped after a failure; call start or reset to drive on")
-        if self._is_finished(estimate, reference_time, reference, notes):
+        if self._finish.look(estimate, reference_time, reference, self._config.finish, notes):
             return _Outcome(self._ramp(), Mode.FINISHED)
         target = self._pursuit.target(t - self._t0, reference_time, estimate)
         if isinstance(target, TooFar):
@@ -284,16 +286,3 @@ class Controller:
         if self._estimator.commands.recent.any() or not self._config.failure.resume:
             return False
         return self._estimator.restart_elsewhere()
-
-    def _is_finished(self, estimate: Estimate, since_start: float, reference: Reference, notes: list[str]) -> bool:
-        if self._finished or since_start < reference.duration:
-            return self._finished
-        finish = self._config.finish
-        end = reference.sample([reference.duration]).pose[0]
-        distance = float(np.hypot(*(estimate.pose - end)[:2]))
-        settled = distance <= finish.position and (np.abs(estimate.twist) <= finish.speed).all()
-        late = since_start >= reference.duration + finish.timeout
-        if late and not settled:
-            notes.append(f"finished {distance:.3f} m from the end, not at rest within {finish.timeout} s")
-        self._finished = bool(settled or late)
-        return self._finished

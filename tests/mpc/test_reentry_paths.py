@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 
 from models.pose import wrap_angle
 from mpc import load_trajectory
-from mpc.path_window import PathWindow
-from mpc.reentry import rejoin
-from mpc.reentry_motion import MotionLine, turning_times
-from mpc.reentry_options import Course
-from mpc.reentry_path import quintic_paths
-from mpc.reentry_timing import path_speeds, travel_times
+from mpc.reentry.motion_line import MotionLine, turning_times
+from mpc.reentry.options import Course
+from mpc.reentry.path_speeds import path_speeds, travel_times
+from mpc.reentry.path_window import PathWindow
+from mpc.reentry.quintic_path import quintic_paths
+from mpc.reentry.way_back import rejoin
 from mpc.trajectories.limits import TrajectoryLimits
 from mpc.trajectories.segments import Segment, lay_segments
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mpc import load_trajectory
-from mpc.reference_clock import RateProfile, ReferenceClock, settling_profile
+from mpc.reentry.reference_clock import RateProfile, ReferenceClock, settling_profile
 
 DT = 0.02
 FASTEST, RAMP = 1.25, 1.0

@@ -10,12 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from models.interface import FloatArray, Reference
-from mpc.path_window import PathWindow
-from mpc.reentry_motion import SAME_PLACE, MotionLine, turning_times
-from mpc.reentry_options import Course, Options, all_options
-from mpc.reentry_path import Paths, quintic_paths
-from mpc.reentry_timing import path_speeds, travel_times
-from mpc.rejoin import Rejoin
+from mpc.reentry.motion_line import SAME_PLACE, MotionLine, turning_times
+from mpc.reentry.options import Course, Options, all_options
+from mpc.reentry.path_speeds import path_speeds, travel_times
+from mpc.reentry.path_window import PathWindow
+from mpc.reentry.quintic_path import Paths, quintic_paths
+from mpc.reentry.rejoin import Rejoin
 from mpc.trajectories.limits import TrajectoryLimits
 
 _NODES = 33

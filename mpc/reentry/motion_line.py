@@ -6,7 +6,7 @@ import numpy as np
 
 from models.interface import FloatArray
 from models.pose import integrate_pose
-from mpc.reentry_path import Paths
+from mpc.reentry.quintic_path import Paths
 from mpc.trajectories.limits import TrajectoryLimits
 from mpc.trajectories.spline import SplineTrajectory
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from models.interface import FloatArray
-from mpc.reentry_path import Paths
+from mpc.reentry.quintic_path import Paths
 from mpc.trajectories.limits import TrajectoryLimits
 
 

@@ -9,14 +9,15 @@ import numpy as np
 
 from models.interface import Reference
 from models.pose import wrap_angle
-from mpc.blocked import BlockedWatch
 from mpc.config import ControllerConfig
 from mpc.estimator import Estimate
-from mpc.path_window import STANDING, TURNING, PathWindow, in_path
-from mpc.reentry import rejoin
-from mpc.reentry_options import Course
-from mpc.reference_clock import ReferenceClock
-from mpc.rejoin import Rejoin
+from mpc.reentry.blocked import BlockedWatch
+from mpc.reentry.options import Course
+from mpc.reentry.path_window import STANDING, TURNING, PathWindow, in_path
+from mpc.reentry.reference_clock import ReferenceClock
+from mpc.reentry.rejoin import Rejoin
+from mpc.reentry.target import Target, TooFar
+from mpc.reentry.way_back import rejoin
 from mpc.trajectories.limits import TrajectoryLimits
 
 # The reference leaves the robot behind by no more than twice `wait`, and the robot never gets far ahead of it: beyond
@@ -25,33 +26,6 @@ _BEHIND, _AHEAD = 3.0, 1.5
 # Steps of the window in samples of the controller.
 _WINDOW_STEP = 2.5
 _MOST_SAMPLES = 5000
-
-
-@dataclass(frozen=True)
-class Target:
-    """What to track now.
-
-    Attributes
-    ----------
-    reference, time
-        A reference and the time at which it stands now [s].
-    message
-        In words, what is out of the ordinary; empty when the robot is on its path and on time.
-    blocked
-        Whether the robot does not move although it is asked to.
-    """
-
-    reference: Reference
-    time: float
-    message: str = ""
-    blocked: bool = False
-
-
-@dataclass(frozen=True)
-class TooFar:
-    """The robot is further from its path than allowed: `distance` [m]."""
-
-    distance: float
 
 
 @dataclass(frozen=True)
@@ -243,11 +217,11 @@ class Pursuit:
             words.append(self._reason)
         rate, delay = self._clock.rate, self._clock.delay
         if rate < 1.0 and delay >= 0.0:
-            words.append(f"the reference waits, {delay:.2f} s late")
-        elif delay > 0.0:
-            words.append(f"the reference is {delay:.2f} s late")
-        elif delay < 0.0:
-            words.append(f"the reference is {-delay:.2f} s early")
+            words.append(f"the reference waits, {delay:.1f} s late")
+        elif delay != 0.0 and self._way_back is None:
+            words.append(
+                "the reference is late and catches up" if delay > 0.0 else "the reference is early and slows down"
+            )
         return "; ".join(words)
 
 

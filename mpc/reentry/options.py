@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from models.interface import FloatArray
 from models.pose import integrate_pose, wrap_angle
-from mpc.path_window import STANDING, TURNING, PathWindow
-from mpc.reentry_motion import SAME_PLACE, braking_time
+from mpc.reentry.motion_line import SAME_PLACE, braking_time
+from mpc.reentry.path_window import STANDING, TURNING, PathWindow
 from mpc.trajectories.limits import TrajectoryLimits
 
 # Points on the reference that are tried.

@@ -1,0 +1,34 @@
+"""What the planner is given to track."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from models.interface import Reference
+
+
+@dataclass(frozen=True)
+class Target:
+    """What to track now.
+
+    Attributes
+    ----------
+    reference, time
+        A reference and the time at which it stands now [s].
+    message
+        In words, what is out of the ordinary; empty when the robot is on its path and on time.
+    blocked
+        Whether the robot does not move although it is asked to.
+    """
+
+    reference: Reference
+    time: float
+    message: str = ""
+    blocked: bool = False
+
+
+@dataclass(frozen=True)
+class TooFar:
+    """The robot is further from its path than allowed: `distance` [m]."""
+
+    distance: float
