@@ -80,6 +80,6 @@ def test_simulate_shows_the_recovery_from_a_scenario() -> None:
     assert plain.exit_code == offset.exit_code == 0, offset.stderr
     assert "recovery" not in plain.stdout
     assert "recovery" in offset.stdout
-    # Starting turned away from the path it gets a little further off before it comes back.
+    # Turned away from its path by 20 degrees, it gets a little further off before the smooth way back turns it in.
     largest = float(re.findall(r"start_offset.*", offset.stdout)[-1].split()[5])
-    assert 0.2 <= largest < 0.25
+    assert 0.2 <= largest < 0.3
