@@ -16,9 +16,9 @@ import numpy as np
 from pydantic import Field
 
 from models.checked_yaml import StrictModel, check, read_yaml
+from models.named_file import named_file
 from models.robot import Positive
 from sim.drawn_values import check_drawn, drawn, extremes
-from sim.named_file import named_file
 from sim.surface import NotNegative
 
 SCENARIOS = Path(__file__).parent / "scenarios"
