@@ -10,11 +10,12 @@ import pytest
 from models.checked_yaml import check
 from models.robot import load_robot
 from sim.chassis import WHEELS, Chassis
+from sim.disturbance_types import Payload, Slope
 from sim.disturbances import Disturbances
 from sim.drivetrain import VelocityLoops
 from sim.log import record
 from sim.mujoco_plant import MujocoPlant
-from sim.scenario import Payload, Scenario, Slope
+from sim.scenario import Scenario
 from sim.sensor_set import load_sensor_set
 from sim.surface import load_surface
 from sim.twin_parameters import load_twin_parameters
