@@ -51,6 +51,8 @@ class Chassis:
     ) -> None:
         import mujoco  # noqa: PLC0415 - an optional dependency, needed by this plant only
 
+        # It would write a log file into the working directory; divergence is found and told in `step`.
+        mujoco.set_mju_user_warning(_ignore)
         self._advance = mujoco.mj_step
         self._forward = mujoco.mj_forward
         self._restart = mujoco.mj_resetData
@@ -165,6 +167,10 @@ class Chassis:
         momentum = np.zeros(self._model.nv)
         mujoco.mj_mulM(self._model, self._data, momentum, self._velocity)
         return float(0.5 * self._velocity @ momentum)
+
+
+def _ignore(_warning: str) -> None:
+    pass
 
 
 def _tilted(gravity: FloatArray, slope: Slope) -> FloatArray:
