@@ -131,12 +131,14 @@ def compare(choices: Choices, out: Path, jobs: int | None = None) -> Results:
 def incomplete(results: Results) -> str | None:
     """One line about the runs of the predictive controller that did not complete; None where all did."""
     ours = [outcome for outcome in results.all if outcome.case.controller not in PEERS]
-    failed = [outcome.case for outcome in ours if not outcome.run.metrics.completed]
+    failed = [outcome for outcome in ours if not outcome.run.metrics.completed]
     if not failed:
         return None
-    labels = failed[0].labels
-    first = f"{labels['model']} on {labels['trajectory']}, horizon {failed[0].horizon}, seed {failed[0].seed}"
-    first += f", scenario {labels['scenario']}" if failed[0].scenario != NO_SCENARIO else ""
+    case, ended = failed[0].case, failed[0].run.ended
+    labels = case.labels
+    first = f"{labels['model']} on {labels['trajectory']}, horizon {case.horizon}, seed {case.seed}"
+    first += f", scenario {labels['scenario']}" if case.scenario != NO_SCENARIO else ""
+    first += f" ({ended})" if ended else ""
     return f"{len(failed)} of {len(ours)} runs of mpc did not complete, the first: {first}; bench.json lists them"
 
 

@@ -10,8 +10,8 @@ from bench.atomic import staged
 from bench.case import NO_SCENARIO, Case, build
 from bench.console import output_console
 from bench.controllers import NO_MODEL, PEERS, default_model
+from bench.groups import groups
 from bench.progress import ProgressBar
-from bench.results import groups
 from bench.runner import Outcome
 from bench.sweep import single_settings
 from bench.tables import error_table, path_table, scenario_table, summary_table
@@ -93,6 +93,8 @@ def _print(outcome: Outcome) -> None:
         tables.append(scenario_table([outcome]))
     for table in tables:
         console.print(table.rich())
+    if outcome.run.ended:
+        console.print(f"not completed: {outcome.run.ended}", markup=False, highlight=False)
     said = [message for message in dict.fromkeys(outcome.run.messages) if message]
     for message in said[:_MESSAGES_SHOWN]:
         console.print(f"controller: {message}", markup=False, highlight=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -82,6 +83,16 @@ class Table:
         for row in self.rows:
             table.add_row(*(Text(cell) for cell in row))
         return table
+
+
+def number(value: float, digits: int = 4) -> str:
+    """A cell for `value`; "-" where it could not be computed."""
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+
+
+def duration(seconds: float) -> str:
+    """A cell for a time [s]; "∞" for never, "-" where there is none."""
+    return "∞" if seconds == math.inf else number(seconds, 2)
 
 
 def _brief(heading: str) -> str:

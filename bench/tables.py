@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from bench.case import NO_SCENARIO
-from bench.results import (
-    Results,
+from bench.groups import (
     by_horizon,
     by_model,
     by_scenario,
@@ -20,8 +18,9 @@ from bench.results import (
     step_times,
     worst,
 )
+from bench.results import Results
 from bench.runner import Outcome
-from bench.table import Table
+from bench.table import Table, duration, number
 from models.interface import FloatArray
 
 _POSITION = ("position_rmse_m", "position_mean_m", "position_std_m", "position_max_m")
@@ -50,13 +49,13 @@ def summary_table(outcomes: Sequence[Outcome]) -> Table:
         rows.append(
             (
                 name,
-                _number(mean(group, "position_rmse_m")),
-                _number(worst(group, "position_max_m")),
-                _number(mean(group, "heading_rmse_rad")),
-                _number(mean(group, "lateral_rmse_m")),
-                _number(mean(group, "in_band_percent"), 1),
-                _number(1e3 * _percentile(times, 50), 2),
-                _number(1e3 * _percentile(times, 99), 2),
+                number(mean(group, "position_rmse_m")),
+                number(worst(group, "position_max_m")),
+                number(mean(group, "heading_rmse_rad")),
+                number(mean(group, "lateral_rmse_m")),
+                number(mean(group, "in_band_percent"), 1),
+                number(1e3 * _percentile(times, 50), 2),
+                number(1e3 * _percentile(times, 99), 2),
                 str(sum(outcome.run.metrics.deadline_misses for outcome in group)),
                 str(sum(outcome.run.metrics.fallbacks for outcome in group)),
                 f"{sum(outcome.run.metrics.completed for outcome in group)}/{len(group)}",
@@ -121,13 +120,14 @@ def scenario_table(outcomes: Sequence[Outcome]) -> Table:
                 (
                     scenario,
                     name,
-                    _number(float(np.mean(times)), 2),
-                    _number(float(np.max(times)), 2),
-                    _number(float(np.max(recoveries(group, "overshoot_m")))),
-                    _number(worst(group, "lateral_max_m")),
-                    _number(float(np.mean(recoveries(group, "command_energy_v"))), 2),
-                    _number(float(np.mean(recoveries(group, "command_energy_omega"))), 2),
+                    duration(float(np.mean(times))),
+                    duration(float(np.max(times))),
+                    number(float(np.max(recoveries(group, "overshoot_m")))),
+                    number(worst(group, "lateral_max_m")),
+                    number(float(np.mean(recoveries(group, "command_energy_v"))), 2),
+                    number(float(np.mean(recoveries(group, "command_energy_omega"))), 2),
                     "-" if np.isnan(times).all() else f"{np.count_nonzero(np.isfinite(times))}/{len(group)}",
+                    f"{sum(outcome.run.metrics.completed for outcome in group)}/{len(group)}",
                 )
             )
     columns = (
@@ -140,9 +140,11 @@ def scenario_table(outcomes: Sequence[Outcome]) -> Table:
         "v_ref² [m²/s]",
         "omega_ref² [rad²/s]",
         "recovered",
+        "completed",
     )
     note = (
-        "Recovery: until the robot stays in the band. Overshoot: beyond the path. v_ref², omega_ref²: integrals, means."
+        "Recovery: from the end of the disturbance until the robot stays in the band; -: it lasts; ∞: not back by the "
+        "end. Overshoot: beyond the path. v_ref², omega_ref²: integrals, means."
     )
     return Table("Scenarios", columns, tuple(rows), text_columns=2, note=note)
 
@@ -154,7 +156,7 @@ def time_table(outcomes: Sequence[Outcome]) -> Table:
         times = step_times(group)
         values = [*(_percentile(times, p) for p in (50, 95, 99)), float(np.max(times))]
         horizons = " ".join(str(steps) for steps in by_horizon(group)) or "-"
-        rows.append((name, horizons, str(times.size), *(_number(1e3 * value, 3) for value in values)))
+        rows.append((name, horizons, str(times.size), *(number(1e3 * value, 3) for value in values)))
     columns = ("controller", "horizon", "steps", "p50 [ms]", "p95 [ms]", "p99 [ms]", "max [ms]")
     return Table("Step time", columns, tuple(rows), note="Whole step, serial replay on one core with one BLAS thread.")
 
@@ -169,12 +171,12 @@ def horizon_table(outcomes: Sequence[Outcome]) -> Table:
                 (
                     name,
                     str(steps),
-                    _number(mean(runs, "position_rmse_m")),
-                    _number(worst(runs, "position_max_m")),
-                    _number(mean(runs, "heading_rmse_rad")),
-                    _number(mean(runs, "in_band_percent"), 1),
-                    _number(1e3 * _percentile(times, 50), 2),
-                    _number(1e3 * _percentile(times, 99), 2),
+                    number(mean(runs, "position_rmse_m")),
+                    number(worst(runs, "position_max_m")),
+                    number(mean(runs, "heading_rmse_rad")),
+                    number(mean(runs, "in_band_percent"), 1),
+                    number(1e3 * _percentile(times, 50), 2),
+                    number(1e3 * _percentile(times, 99), 2),
                 )
             )
     columns = (
@@ -207,14 +209,10 @@ def _by_trajectory(outcomes: Sequence[Outcome], fields: Sequence[str]) -> tuple[
             parts.append(("mean", group))
         for trajectory, runs in parts:
             digits = [1 if field.endswith("percent") else 4 for field in fields]
-            cells = [_number(mean(runs, field), d) for field, d in zip(fields, digits, strict=True)]
+            cells = [number(mean(runs, field), d) for field, d in zip(fields, digits, strict=True)]
             rows.append((name, trajectory, *cells))
     return tuple(rows)
 
 
 def _percentile(values: FloatArray, percent: float) -> float:
     return float(np.percentile(values, percent))
-
-
-def _number(value: float, digits: int = 4) -> str:
-    return f"{value:.{digits}f}" if math.isfinite(value) else "-"

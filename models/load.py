@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from models.checked_yaml import ConfigError, check, read_yaml
+from models.named_file import named_file
 from models.structures import STRUCTURES, ModelFile
 from models.velocity_model import ModelError, VelocityModel
 
@@ -49,15 +49,7 @@ def load_model(name: str | Path) -> VelocityModel:
 
 def model_path(name: str | Path) -> Path:
     """The parameter file behind `name`; raises ConfigError when there is none."""
-    text = str(name)
-    if text in MODEL_NAMES:
-        return PARAMETERS / f"{text}.yaml"
-    path = Path(name)
-    if path.is_file():
-        return path
-    near = difflib.get_close_matches(text, MODEL_NAMES, n=1, cutoff=0.3)
-    hint = f"; did you mean '{near[0]}'?" if near else ""
-    raise ConfigError(f"unknown model '{text}': give one of {', '.join(MODEL_NAMES)} or the path of a model file{hint}")
+    return named_file("model", PARAMETERS, name, MODEL_NAMES)
 
 
 def read_model_file(path: str | Path) -> ModelFile:

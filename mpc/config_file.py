@@ -8,6 +8,7 @@ from typing import Any
 
 from models.checked_yaml import ConfigError, check, read_yaml
 from models.load import MODEL_NAMES
+from models.named_file import named_file
 from mpc.config import ControllerConfig
 
 PARAMETERS = Path(__file__).parent / "parameters"
@@ -30,9 +31,7 @@ def load_config(source: str | Path = "ssm", overrides: Mapping[str, object] | No
         With one line that names the file, the key, the mistake and the remedy.
     """
     name = str(source)
-    path = PARAMETERS / f"{name}.yaml" if name in MODEL_NAMES else Path(source)
-    if not path.is_file():
-        raise ConfigError(f"no configuration '{name}': give one of {', '.join(MODEL_NAMES)} or the path of a YAML file")
+    path = named_file("configuration", PARAMETERS, source, MODEL_NAMES)
     data = read_yaml(path)
     if not isinstance(data, Mapping):
         raise ConfigError(f"{path}: expected keys and values; an example: diffdrive-mpc config show ssm")

@@ -13,9 +13,10 @@ import numpy as np
 
 from models.discrete_model import DiscreteModel
 from models.interface import FloatArray, Measurement
+from mpc.belief import Belief
 from mpc.command_line import CommandLine
 from mpc.config import Compensation, Estimator, Wheels
-from mpc.kalman import Belief, SlipFilter
+from mpc.kalman import SlipFilter
 from mpc.measurement_check import numbers
 from mpc.pose_gate import CheckedPose, PoseGate
 from mpc.slip import Slip

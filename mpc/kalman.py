@@ -7,26 +7,18 @@ x, y [m], theta [rad].
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from models.discrete_model import DiscreteModel
 from models.interface import FloatArray
 from models.pose import linearised_arc, wrap_angle
+from mpc.belief import Belief, corrected
 from mpc.command_line import CommandLine
 from mpc.config import Compensation, Estimator
 from mpc.slip import Slip
 
 # Places after the n velocity states.
 _V_OFFSET, _OMEGA_GAIN, _LONGITUDINAL_GAIN, _YAW_GAIN, _SIDE_SLIP, _GYRO_BIAS, _POSE = range(7)
-
-
-class Belief(NamedTuple):
-    """Mean (n + 9,) and covariance (n + 9, n + 9) of the filter's state."""
-
-    mean: FloatArray
-    covariance: FloatArray
 
 
 class SlipFilter:
@@ -203,7 +195,7 @@ class SlipFilter:
             S = H @ PHt + covariance
         gain = np.asarray(np.linalg.solve(S, PHt.T).T, dtype=float)
         gain[self._frozen(z, normalised)] = 0.0
-        return _corrected(belief.mean + gain @ innovation, P, gain, PHt, S), normalised
+        return corrected(belief.mean + gain @ innovation, P, gain, PHt, S), normalised
 
     def _twist(self, z: FloatArray, output: FloatArray) -> tuple[float, float, float, float]:
         """Forward speed and yaw rate of the body for the model's `output` (2,), v of the wheels, gain of omega."""
@@ -237,7 +229,7 @@ class SlipFilter:
         gain = PHt / S
         gain[self._frozen(belief.mean, normalised)] = 0.0
         mean = belief.mean + gain * innovation
-        return _corrected(mean, P, gain[:, None], PHt[:, None], np.array([[S]])), normalised
+        return corrected(mean, P, gain[:, None], PHt[:, None], np.array([[S]])), normalised
 
     def _frozen(self, z: FloatArray, normalised: float) -> list[int]:
         """Places of the states that a measurement with this normalised innovation may not change."""
@@ -248,10 +240,3 @@ class SlipFilter:
         if abs(self.twist(z)[1]) < self._settings.least_yaw_rate:
             return [n + _OMEGA_GAIN, n + _YAW_GAIN]
         return []
-
-
-def _corrected(mean: FloatArray, P: FloatArray, gain: FloatArray, PHt: FloatArray, S: FloatArray) -> Belief:
-    """Belief after a correction with any gain, optimal or not (Joseph's form)."""
-    step = gain @ PHt.T
-    P = P - step - step.T + gain @ S @ gain.T
-    return Belief(mean, 0.5 * (P + P.T))

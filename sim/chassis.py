@@ -10,8 +10,12 @@ from numpy.typing import ArrayLike
 
 from models.interface import FloatArray
 from models.robot import Robot
-from sim.scenario import Payload, Slope
+from sim.disturbance_types import Payload, Slope
+from sim.plant import RobotLostError
 from sim.twin_parameters import TwinParameters
+
+_TIPPED = math.pi / 4
+"""Lean from which no robot with its wheels below its body comes back [rad]."""
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 _SETTLING_TIME = 1.0
@@ -47,9 +51,12 @@ class Chassis:
     ) -> None:
         import mujoco  # noqa: PLC0415 - an optional dependency, needed by this plant only
 
+        # It would write a log file into the working directory; divergence is found and told in `step`.
+        mujoco.set_mju_user_warning(_ignore)
         self._advance = mujoco.mj_step
         self._forward = mujoco.mj_forward
         self._restart = mujoco.mj_resetData
+        self._largest = float(mujoco.mjMAXVAL)
         self._model: Any = mujoco.MjModel.from_xml_string(_mjcf(robot, twin, friction, step, payload))
         self._data: Any = mujoco.MjData(self._model)
         self._torque = self._data.qfrc_applied[6:10]
@@ -72,10 +79,22 @@ class Chassis:
         self._yaw = float(theta)
 
     def step(self, torques: FloatArray) -> None:
-        """Apply wheel `torques` (4,) [N m] for one physics step."""
+        """Apply wheel `torques` (4,) [N m] for one physics step.
+
+        Raises
+        ------
+        sim.plant.RobotLostError
+            If the robot has tipped over, or a position or speed is not finite or beyond what MuJoCo computes with.
+        """
         self._torque[:] = torques
         self._advance(self._model, self._data)
+        if not (np.abs(self._position).max() < self._largest and np.abs(self._velocity).max() < self._largest):
+            raise RobotLostError(f"{self._now}: the simulation diverged; lower the forces of the scenario")
         w, x, y, z = self._position[3:7].tolist()
+        if 1.0 - 2.0 * (x * x + y * y) < math.cos(_TIPPED):
+            # On its side it has no heading, and the floor meets wheels only.
+            remedy = "lower the force, height or payload of the scenario"
+            raise RobotLostError(f"{self._now}: the robot has tipped over; {remedy}")
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         self._yaw += math.remainder(yaw - self._yaw, 2 * math.pi)
 
@@ -110,10 +129,8 @@ class Chassis:
         return np.array([c * vx + s * vy, c * vy - s * vx, self._velocity[5]])
 
     @property
-    def lean(self) -> float:
-        """Angle between the body's vertical and the floor's [rad]."""
-        _, x, y, _ = self._position[3:7].tolist()
-        return math.acos(max(-1.0, 1.0 - 2.0 * (x * x + y * y)))
+    def _now(self) -> str:
+        return f"t = {self._data.time:.2f} s"
 
     @property
     def wheel_angles(self) -> FloatArray:
@@ -152,6 +169,10 @@ class Chassis:
         return float(0.5 * self._velocity @ momentum)
 
 
+def _ignore(_warning: str) -> None:
+    pass
+
+
 def _tilted(gravity: FloatArray, slope: Slope) -> FloatArray:
     """(3,) gravity [m/s^2] in the frame of a floor tilted by `slope`."""
     down, along = math.cos(slope.angle), math.sin(slope.angle)
@@ -184,9 +205,11 @@ def _mjcf(robot: Robot, twin: TwinParameters, friction: float, step: float, payl
             f'<geom type="sphere" size="{payload.radius}" pos="{payload.x} {payload.y} {payload.z}"'
             f' mass="{payload.mass}"/>'
         )
+    # Reset by MuJoCo, a diverged robot would stand at its start as if nothing had happened.
     return (
         f'<mujoco><option timestep="{step!r}" cone="elliptic" impratio="{tyre.creep_stiffness}"'
-        ' integrator="implicitfast"/><default><geom contype="0" conaffinity="0"/></default>'
+        ' integrator="implicitfast"><flag autoreset="disable"/></option>'
+        '<default><geom contype="0" conaffinity="0"/></default>'
         '<worldbody><geom name="floor" type="plane" size="0 0 1"/>'
         f'<body pos="0 0 {radius}"><freejoint/><geom type="box" size="{length} {width} {height}"'
         f' pos="0 0 {chassis.body_height}" mass="{body_mass}"/>{load}{wheels}</body></worldbody>'

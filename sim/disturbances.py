@@ -8,11 +8,9 @@ import numpy as np
 
 from models.interface import FloatArray
 from sim.chassis import WHEELS, Chassis
+from sim.disturbance_types import Blockade, Patch, Push, Span
 from sim.drivetrain import VelocityLoops
-from sim.scenario import Blockade, Patch, Push, Scenario, Span
-
-_TIPPED = math.pi / 4
-"""Lean from which no robot with its wheels below its body comes back [rad]."""
+from sim.scenario import Scenario
 
 
 class Disturbances:
@@ -62,22 +60,12 @@ class Disturbances:
 
     @property
     def crossed(self) -> list[Span]:
-        """For each patch met so far: when the first wheel got onto it, and when a wheel last got onto or off it [s]."""
+        """For each patch met so far: when a wheel was first on it, and when last [s]; infinity for an endless one."""
         return [span for span in self._crossed if span is not None]
 
     def before_step(self, start: float, end: float) -> None:
-        """Set what acts during the physics step from `start` to `end` [s].
-
-        Raises
-        ------
-        ValueError
-            If the robot has tipped over: on its side it has no heading, and the floor meets wheels only.
-        """
+        """Set what acts during the physics step from `start` to `end` [s]."""
         scenario = self._scenario
-        if self._chassis.lean > _TIPPED:
-            raise ValueError(
-                f"t = {start:.2f} s: the robot has tipped over; lower the force, height or payload of the scenario"
-            )
         if self._patches or scenario.slipping_wheels:
             position = self._chassis.pose[:2]
             self._travelled += math.hypot(*(position - self._position))
@@ -123,20 +111,17 @@ class Disturbances:
         friction = np.full(4, self._friction)
         for i, (patch, wheels, enters, leaves) in enumerate(self._patches):
             inside = wheels & (enters <= self._travelled) & (self._travelled < leaves)
-            friction[inside] = patch.friction
-            self._note(i, time, bool(inside.any()), bool((wheels & (self._travelled < enters)).any()), patch)
+            friction[inside] = patch.coefficient(self._friction)
+            self._note(i, time, bool(inside.any()), patch)
         for slipping in self._scenario.slipping_wheels:
             if slipping.holds(time):
                 friction[WHEELS.index(slipping.wheel)] = slipping.friction
         self._chassis.set_friction(friction)
 
-    def _note(self, i: int, time: float, on_it: bool, entering: bool, patch: Patch) -> None:
-        """Keep the times of patch `i`; an endless one has changed for the last time when all wheels are on it."""
-        span = self._crossed[i]
-        if on_it and span is None:
-            self._crossed[i] = (time, time)
-        elif on_it and span is not None and (entering or patch.length is not None):
-            self._crossed[i] = (span[0], time)
+    def _note(self, i: int, time: float, on_it: bool, patch: Patch) -> None:
+        if on_it:
+            span = self._crossed[i]
+            self._crossed[i] = (time if span is None else span[0], math.inf if patch.length is None else time)
 
 
 def _wheels_under(patch: Patch) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

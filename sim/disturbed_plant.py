@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -11,9 +12,10 @@ from numpy.typing import ArrayLike
 
 from models.interface import FloatArray, Measurement
 from models.robot import TwistBounds
+from sim.disturbance_types import Span
 from sim.link import clip_command
 from sim.plant import Plant
-from sim.scenario import Scenario, Span
+from sim.scenario import Scenario
 
 _FIELDS = {"pose": ("pose",), "wheels": ("wheel_twist", "wheel_speeds"), "gyro": ("yaw_rate",)}
 """Fields of a measurement by the sensor that fills them."""
@@ -71,14 +73,15 @@ class DisturbedPlant:
 
     @property
     def disturbance(self) -> Span | None:
-        """When the first disturbance so far began, and the last change of any so far [s]; None where none has begun.
+        """When the first disturbance so far began, and when the last so far was over [s]; None where none has begun.
 
-        One that lasts to the end of the run changes last when it has reached its full strength.
+        One that lasts to the end of the run is never over: where all of them do, the second number is infinite.
         """
         begun = [span for span in (*self._scenario.spans, *self._crossed()) if span[0] <= self.time]
         if not begun:
             return None
-        return min(span[0] for span in begun), min(self.time, max(span[1] for span in begun))
+        ends = [end for _, end in begun if math.isfinite(end)]
+        return min(start for start, _ in begun), min(self.time, max(ends)) if ends else math.inf
 
     def reset(self, pose: ArrayLike) -> None:
         """Put the robot at rest beside `pose` (3,) by the start offset, at time 0, and restart the noise."""

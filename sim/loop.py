@@ -8,7 +8,7 @@ import numpy as np
 
 from models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
 from sim.disturbed_plant import DisturbedPlant
-from sim.plant import Plant
+from sim.plant import Plant, RobotLostError
 from sim.run import TIME_TOLERANCE, Run
 
 
@@ -38,7 +38,8 @@ def simulate(
     Returns
     -------
     Run
-        The ticks from 0 to the first one at or after the end.
+        The ticks from 0 to the first one at or after the end, or to the one after which the robot was lost: then
+        `ended` says why.
 
     Raises
     ------
@@ -54,32 +55,41 @@ def simulate(
     true_pose, true_twist, command = np.empty((ticks, 3)), np.empty((ticks, 3)), np.empty((ticks, 2))
     steps: list[ControlStep] = []
     measurements: list[Measurement] = []
+    ended = ""
     for k in range(ticks):
         time[k], true_pose[k], true_twist[k] = plant.time, plant.true_pose, plant.true_twist
         measurement = plant.measure()
         step = controller.step(plant.time, measurement)
         command[k] = _checked(step.command, plant.time)
-        plant.advance(command[k])
         steps.append(step)
         measurements.append(measurement)
+        try:
+            plant.advance(command[k])
+        except RobotLostError as error:
+            ended = str(error)
         if on_tick is not None:
             on_tick(k + 1, ticks)
+        if ended:
+            break
+    driven = slice(len(steps))
+    time = time[driven]
     expected = reference.sample(time)
     return Run(
         reference=reference,
         sample_time=plant.sample_time,
         time=time,
-        true_pose=true_pose,
-        true_twist=true_twist,
+        true_pose=true_pose[driven],
+        true_twist=true_twist[driven],
         reference_pose=expected.pose,
         reference_twist=expected.twist,
         reference_arc_length=expected.arc_length,
-        command=command,
+        command=command[driven],
         step_time=np.array([step.step_time for step in steps]),
         modes=tuple(str(step.mode) for step in steps),
         messages=tuple(step.message for step in steps),
         measurements=tuple(measurements),
         disturbance=plant.disturbance if isinstance(plant, DisturbedPlant) else None,
+        ended=ended,
     )
 
 

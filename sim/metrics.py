@@ -99,6 +99,11 @@ class ScoredRun(Protocol):
         ...
 
     @property
+    def ended(self) -> str:
+        """Why the run ended before its time; empty where it did not."""
+        ...
+
+    @property
     def counted(self) -> NDArray[np.bool_]:
         """(n,) True for the ticks that the statistics cover."""
         ...
@@ -110,7 +115,7 @@ class ScoredRun(Protocol):
 
 
 def compute_metrics(run: ScoredRun) -> Metrics:
-    """Statistics of `run` from t = 0 to the end of its reference."""
+    """Statistics of `run` from t = 0 to the end of its reference, or of what was driven where it ended before."""
     counted = run.counted
     position = run.errors.position[counted]
     heading = np.abs(run.errors.heading[counted])
@@ -152,7 +157,8 @@ def _completed(run: ScoredRun) -> bool:
     """Whether the run reached the end of its reference, still tracking and near it, with every number finite."""
     last = int(np.flatnonzero(run.counted)[-1])
     return bool(
-        run.time[-1] >= run.reference.duration - 1e-9
+        not run.ended
+        and run.time[-1] >= run.reference.duration - 1e-9
         and all(np.isfinite(series).all() for series in (run.true_pose, run.true_twist, run.command))
         and run.modes[last] not in GIVEN_UP_MODES
         and run.errors.position[last] < metric_settings().end_error

@@ -9,11 +9,12 @@ from models.interface import FloatArray, Measurement
 from models.robot import Robot, load_robot
 from models.wheels import WheelKinematics
 from sim.chassis import Chassis
+from sim.disturbance_types import Span
 from sim.disturbances import Disturbances
 from sim.drivetrain import SpeedObserver, VelocityLoops
 from sim.firmware import CommandShaper
 from sim.link import DelayLine, clip_command
-from sim.scenario import Scenario, Span
+from sim.scenario import Scenario
 from sim.sensor_set import SensorSet
 from sim.sensors import Sensors
 from sim.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
@@ -119,7 +120,7 @@ class MujocoPlant:
         return self._sensors.collect(self.time, self._sent)
 
     def advance(self, command: ArrayLike) -> None:
-        """Send `command` (2,) and let one sample pass; raises ValueError unless it is two finite numbers."""
+        """Send `command` (2,) and let one sample pass; raises as `sim.plant.Plant` says."""
         sent = clip_command(command, self._robot.limits)
         self._sent = (float(sent[0]), float(sent[1]))
         self._line.send(self.time, sent)

@@ -9,6 +9,10 @@ from numpy.typing import ArrayLike
 from models.interface import FloatArray, Measurement
 
 
+class RobotLostError(ValueError):
+    """The robot tipped over or its motion diverged: it cannot be simulated further. One line: when, why, remedy."""
+
+
 class Plant(Protocol):
     """A robot stand-in that is advanced one control sample at a time.
 
@@ -53,5 +57,7 @@ class Plant(Protocol):
         ------
         ValueError
             If the command is not two finite numbers.
+        RobotLostError
+            If the robot does not come through the sample.
         """
         ...

@@ -22,14 +22,16 @@ class Recovery:
     Attributes
     ----------
     recovery_time_s
-        From the last change of the disturbance to the first tick from which |lateral| stays inside the band to the end
-        of the reference. 0 where it never leaves the band after that change, infinity where it ends outside.
-        NaN without a disturbance, or where the lateral error is not finite.
+        From the end of the disturbance to the first tick from which |lateral| stays inside the band to the end of the
+        reference. 0 where it never leaves the band after that end; infinity where the reference ends with the robot
+        outside, or the run before the reference. NaN without a disturbance that ends, or where the lateral error is
+        not finite.
     overshoot_m
-        Largest distance from the path on the other side than the excursion, from when both the excursion and the last
-        change of the disturbance have been. The excursion is the last tick outside the band between the first and the
-        last change, or else the first one after that. 0 without excursion, or where the robot never gets to the other
-        side; NaN as above. Ordinary tracking errors on the other side are part of it.
+        Largest distance from the path on the other side than the excursion, from when both the excursion and the
+        disturbance have been. The excursion is the last tick outside the band between begin and end of the
+        disturbance, or else the first one after that; of a disturbance that lasts, the first one since its begin.
+        0 without excursion, or where the robot never gets to the other side; NaN without a disturbance, or where the
+        lateral error is not finite. Ordinary tracking errors on the other side are part of it.
     lateral_max_m
         Largest |lateral| of the run.
     command_energy_v, command_energy_omega
@@ -50,6 +52,8 @@ def compute_recovery(
     sample_time: float,
     disturbance: tuple[float, float] | None,
     band: float,
+    *,
+    lost: bool = False,
 ) -> Recovery:
     """Recovery of a run of n counted ticks, whose definitions are those of `Recovery`.
 
@@ -64,37 +68,38 @@ def compute_recovery(
     sample_time
         How long each command is held [s].
     disturbance
-        When the first disturbance began, and when the last change of any was over [s]; None without one.
+        When the first disturbance began, and when the last one that ends was over [s], infinity where all of them last
+        to the end of the run; None without one.
     band
         Half width of the lateral band [m].
+    lost
+        Whether the run ended before its time.
     """
     recovery_time = overshoot = math.nan
     if disturbance is not None and np.isfinite(lateral).all():
-        outside = np.abs(lateral) > band
-        recovery_time = _recovery_time(time, outside, disturbance[1])
-        overshoot = _overshoot(time, lateral, outside, disturbance)
+        outside, (begin, end) = np.abs(lateral) > band, disturbance
+        if math.isfinite(end):
+            recovery_time = math.inf if lost else _recovery_time(time, outside, end)
+        overshoot = _overshoot(time, lateral, outside, begin, end if math.isfinite(end) else begin)
     energy = sample_time * np.sum(np.square(command), axis=0)
     return Recovery(recovery_time, overshoot, float(np.max(np.abs(lateral))), float(energy[0]), float(energy[1]))
 
 
-def _recovery_time(time: FloatArray, outside: NDArray[np.bool_], last: float) -> float:
-    late = np.flatnonzero(outside & (time >= last))
+def _recovery_time(time: FloatArray, outside: NDArray[np.bool_], end: float) -> float:
+    late = np.flatnonzero(outside & (time >= end))
     if not late.size:
         return 0.0
     back = int(late[-1]) + 1
-    return float(time[back] - last) if back < len(time) else math.inf
+    return float(time[back] - end) if back < len(time) else math.inf
 
 
-def _overshoot(
-    time: FloatArray, lateral: FloatArray, outside: NDArray[np.bool_], disturbance: tuple[float, float]
-) -> float:
-    first, last = disturbance
-    during = np.flatnonzero(outside & (time >= first) & (time <= last))
-    after = np.flatnonzero(outside & (time > last))
+def _overshoot(time: FloatArray, lateral: FloatArray, outside: NDArray[np.bool_], begin: float, end: float) -> float:
+    during = np.flatnonzero(outside & (time >= begin) & (time <= end))
+    after = np.flatnonzero(outside & (time > end))
     if not during.size and not after.size:
         return 0.0
     excursion = int(during[-1]) if during.size else int(after[0])
     beyond = -np.sign(lateral[excursion]) * lateral
     # Before the path is crossed nothing lies beyond it: the crossing need not be searched for.
-    counted = beyond[(np.arange(len(time)) > excursion) & (time >= last)]
+    counted = beyond[(np.arange(len(time)) > excursion) & (time >= end)]
     return float(max(0.0, np.max(counted, initial=0.0)))

@@ -50,8 +50,11 @@ class Run:
         Mode of the controller at each tick and its reason in words.
     measurements
         What the controller was given at each tick; enough to replay the run without the plant.
+    ended
+        Why the run ended before its time, in one line; empty where it did not.
     disturbance
-        When the first disturbance of the plant began, and when the last change of any was over [s]; None without one.
+        When the first disturbance of the plant began, and when the last one that ends was over [s], infinity where all
+        of them last to the end of the run; None without one.
     """
 
     reference: Reference
@@ -68,6 +71,7 @@ class Run:
     messages: tuple[str, ...]
     measurements: tuple[Measurement, ...]
     disturbance: tuple[float, float] | None = None
+    ended: str = ""
 
     @property
     def counted(self) -> NDArray[np.bool_]:
@@ -90,7 +94,9 @@ class Run:
         """How the run came back to its path after the disturbance, up to the end of the reference."""
         counted, band = self.counted, metric_settings().band
         lateral, command = self.errors.lateral[counted], self.command[counted]
-        return compute_recovery(self.time[counted], lateral, command, self.sample_time, self.disturbance, band)
+        return compute_recovery(
+            self.time[counted], lateral, command, self.sample_time, self.disturbance, band, lost=bool(self.ended)
+        )
 
     @property
     def wheel_twist(self) -> FloatArray:

@@ -7,7 +7,7 @@ from pathlib import Path
 from pydantic import Field
 
 from models.checked_yaml import StrictModel, load_checked
-from sim.named_file import named_file
+from models.named_file import named_file
 from sim.surface import NotNegative
 
 SENSOR_SETS = Path(__file__).parent / "sensor_sets"

@@ -8,8 +8,8 @@ from typing import Annotated
 from pydantic import Field
 
 from models.checked_yaml import StrictModel, load_checked
+from models.named_file import named_file
 from models.robot import Positive
-from sim.named_file import named_file
 
 SURFACES = Path(__file__).parent / "surfaces"
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]

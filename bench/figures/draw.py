@@ -12,7 +12,8 @@ from bench.figures.case import draw_case
 from bench.figures.horizon import draw_horizons
 from bench.figures.overview import draw_overview
 from bench.figures.step_time import draw_step_times
-from bench.results import Results, groups
+from bench.groups import groups
+from bench.results import Results
 
 
 def draw_all(results: Results, folder: Path, on_done: Callable[[], None]) -> list[str]:

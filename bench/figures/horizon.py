@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from bench.figures.style import MARKERS, colour, line_style, new_figure
-from bench.results import by_horizon, by_model, mean, step_times
+from bench.groups import by_horizon, by_model, mean, step_times
 from bench.runner import Outcome
 
 

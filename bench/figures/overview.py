@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from bench.figures.step_time import tail_of_step_times
 from bench.figures.style import REFERENCE_COLOUR, colour, new_figure
-from bench.results import by_trajectory, groups, mean
+from bench.groups import by_trajectory, groups, mean
 from bench.runner import Outcome
 
 

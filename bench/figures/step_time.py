@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from bench.figures.style import colour, line_style, new_figure
-from bench.results import groups, step_times
+from bench.groups import groups, step_times
 from bench.runner import Outcome
 
 

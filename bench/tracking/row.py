@@ -22,7 +22,7 @@ from sim.steady_arcs import steady_arc_lateral, steady_arcs
 
 @dataclass(frozen=True)
 class Recovered:
-    """How a run came back after its disturbance; NaN where there was none. Definitions: `run.recovery`."""
+    """How a run came back after its disturbance, as `sim.recovery.Recovery` defines it."""
 
     recovery_time_s: float = math.nan
     overshoot_m: float = math.nan

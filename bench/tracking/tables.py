@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from bench.table import Table
+from bench.table import Table, duration, number
 from bench.tracking.results import StudyResults, group, mean
 from bench.tracking.row import Row
 from bench.tracking.targets import Verdict, judge, not_completed, worst_arc
@@ -128,12 +128,12 @@ def scenario_table(results: StudyResults) -> Table:
                 (
                     scenario,
                     _model(model),
-                    _number(float(np.mean(recovery)), 2),
-                    _number(max(recovery), 2),
+                    duration(float(np.mean(recovery))),
+                    duration(float(np.max(recovery))),
                     _millis(max(one.overshoot_m for one in back)),
                     _millis(max(row.metrics.lateral_max_m for row in runs)),
-                    _number(float(np.mean([one.command_energy_v for one in back])), 2),
-                    _number(float(np.mean([one.command_energy_omega for one in back])), 2),
+                    number(float(np.mean([one.command_energy_v for one in back])), 2),
+                    number(float(np.mean([one.command_energy_omega for one in back])), 2),
                     *_counts(runs),
                 )
             )
@@ -149,7 +149,10 @@ def scenario_table(results: StudyResults) -> Table:
         "fallbacks",
         "completed",
     )
-    note = "Means, maxima and counts over trajectories and seeds. - : not back inside the band by the end."
+    note = (
+        "Means, maxima and counts over trajectories and seeds. Recovery -: the disturbance lasts to the end; ∞: a run "
+        "was not back inside the band by its end."
+    )
     return Table("Scenarios", columns, tuple(rows), text_columns=2, note=note)
 
 
@@ -209,11 +212,7 @@ def _counts(rows: Sequence[Row]) -> tuple[str, str]:
 
 
 def _millis(value: float) -> str:
-    return _number(1e3 * value, 1)
-
-
-def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+    return number(1e3 * value, 1)
 
 
 def _exact(value: float) -> str:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from pathlib import Path
 
 from models.checked_yaml import ConfigError, check, read_yaml
+from models.named_file import named_file, shipped_names
 from mpc.trajectories.limits import TrajectoryLimits
 from mpc.trajectories.segments import SegmentFile, lay_segments
 from mpc.trajectories.settings import load_settings
@@ -16,7 +16,7 @@ from mpc.trajectories.waypoints import WaypointFile, lay_waypoints
 
 _FOLDER = Path(__file__).parent / "built_in"
 
-BUILT_IN: tuple[str, ...] = tuple(sorted(path.stem for path in _FOLDER.glob("*.yaml")))
+BUILT_IN: tuple[str, ...] = shipped_names(_FOLDER)
 """Names of the trajectories that ship with the package."""
 
 
@@ -36,7 +36,7 @@ def load_trajectory(name_or_path: str | Path, limits: TrajectoryLimits | None = 
     models.checked_yaml.ConfigError
         If the name is unknown, or the file is missing, malformed, empty or beyond the limits.
     """
-    path = _find(name_or_path)
+    path = named_file("trajectory", _FOLDER, name_or_path, BUILT_IN)
     trajectory = _read(path, limits or TrajectoryLimits.of_robot())
     longest = load_settings().longest_duration
     if trajectory.duration > longest:
@@ -55,17 +55,3 @@ def _read(path: Path, limits: TrajectoryLimits) -> Trajectory:
         return lay_waypoints(route.waypoints, limits, name=route.name or path.stem, speed=route.speed, where=where)
     sequence = check(SegmentFile, data, where)
     return lay_segments(sequence.segments, limits, name=sequence.name or path.stem, start=sequence.start, where=where)
-
-
-def _find(name_or_path: str | Path) -> Path:
-    """Path of a built-in or user file; a bare word that is neither is an unknown name."""
-    if name_or_path in BUILT_IN:
-        return _FOLDER / f"{name_or_path}.yaml"
-    path = Path(name_or_path)
-    if path.suffix.lower() in {".yaml", ".yml", ".csv"}:
-        return path
-    near = difflib.get_close_matches(str(name_or_path), BUILT_IN, n=1, cutoff=0.5)
-    hint = f"did you mean '{near[0]}'? " if near else ""
-    raise ConfigError(
-        f"unknown trajectory '{name_or_path}'; {hint}known: {', '.join(BUILT_IN)}, or the path of a .yaml or .csv file"
-    )

@@ -83,3 +83,33 @@ def test_simulate_shows_the_recovery_from_a_scenario() -> None:
     # Turned away from its path by 20 degrees, it gets a little further off before the smooth way back turns it in.
     largest = float(re.findall(r"start_offset.*", offset.stdout)[-1].split()[5])
     assert 0.2 <= largest < 0.3
+
+
+TIPPING = "description: tips\npushes: [{force: 200.0, direction: 1.5708, height: 0.4, start: 1.0, duration: 1.0}]\n"
+TIPPED = r"t = 1\.\d\d s: the robot has tipped over; lower the force, height or payload of the scenario"
+
+
+def test_a_robot_that_tips_over_is_an_incomplete_run_of_a_bench_that_goes_on(tmp_path: Path) -> None:
+    (tmp_path / "tips.yaml").write_text(TIPPING)
+    out, scenarios = tmp_path / "out", f"{tmp_path / 'tips.yaml'},none"
+    arguments = "--quick --models ssm --trajectories cane --jobs 1 --scenario"
+    result = runner.invoke(app, ["bench", "--out", str(out), *arguments.split(), scenarios])
+    assert result.exit_code == 1
+    first = r"1 of 2 runs of mpc did not complete, the first: ssm on cane, horizon 30, seed 0, scenario tips"
+    assert re.fullmatch(rf"error: {first} \({TIPPED}\); bench.json lists them\n", result.stderr)
+    tipped, upright = json.loads((out / "bench.json").read_text())["runs"]
+    assert (tipped["completed"], upright["completed"]) == (False, True)
+    assert re.fullmatch(TIPPED, tipped["ended"])
+    assert upright["ended"] is None
+    assert 50 < tipped["steps"] < 100 < upright["steps"]
+    assert tipped["recovery_time_s"] is None
+    assert [name for name, value in tipped.items() if value is None] == ["recovery_time_s"]
+
+
+def test_simulate_tells_of_a_robot_that_tips_over_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "tips.yaml").write_text(TIPPING)
+    arguments = ["--trajectory", "cane", "--scenario", str(tmp_path / "tips.yaml"), "--out", str(tmp_path / "out")]
+    result = runner.invoke(app, ["simulate", *arguments, "--log", str(tmp_path / "log.csv")])
+    assert result.exit_code == 0, result.stderr
+    assert len(re.findall(rf"^not completed: {TIPPED}$", result.stdout, re.MULTILINE)) == 1
+    assert 50 < len(read_log(tmp_path / "log.csv")["t_s"]) < 100

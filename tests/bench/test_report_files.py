@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +16,9 @@ from bench.compare import incomplete
 from bench.experiment import default_experiment
 from bench.figures.case import draw_case
 from bench.figures.draw import count_figures, draw_all, file_name, free_name
+from bench.groups import groups
 from bench.report import markdown, write_report
-from bench.results import Results, describe, groups, row
+from bench.results import Results, describe, row
 from bench.runner import Outcome
 from bench.table import Table
 from bench.tables import error_table, horizon_table, report_tables, scenario_table, summary_table
@@ -87,7 +89,18 @@ def test_a_swept_value_is_added_to_its_row(outcome: Outcome) -> None:
 def test_a_scenario_is_added_to_its_row_only_where_scenarios_were_asked_for(outcome: Outcome) -> None:
     added = [name for name in row(outcome, with_scenario=True) if name not in FIELDS]
     recovery = ["recovery_time_s", "overshoot_m", "command_energy_v", "command_energy_omega"]
-    assert added == ["scenario", "disturbance_s", *recovery]
+    assert added == ["scenario", "ended", "disturbance_s", *recovery]
+
+
+def test_what_lasts_has_no_end_and_no_recovery_in_its_row(outcome: Outcome) -> None:
+    lasting = replace(outcome.run, disturbance=(0.0, math.inf))
+    values = row(Outcome(outcome.case, lasting), with_scenario=True)
+    assert values["disturbance_s"] == [0.0, None]
+    assert (values["recovery_time_s"], values["ended"]) == (None, None)
+    assert values["overshoot_m"] == 0.0
+    (cells,) = scenario_table([Outcome(outcome.case, lasting)]).rows
+    assert cells[2:4] == ("-", "-")
+    assert cells[-2:] == ("-", "1/1")
 
 
 def test_scenarios_stand_in_table_and_groups_and_a_run_that_never_recovers_has_no_time(outcome: Outcome) -> None:
@@ -98,9 +111,9 @@ def test_scenarios_stand_in_table_and_groups_and_a_run_that_never_recovers_has_n
     assert list(groups([outcome, *runs])) == ["SSM, none", "SSM, mine"]
     plain, mine = scenario_table([outcome, *runs]).rows
     assert plain[:5] == ("none", "SSM", "-", "-", "-")
-    assert plain[-1] == "-"
-    assert mine[:4] == ("mine", "SSM", "-", "-")
-    assert mine[-1] == "1/2"
+    assert plain[-2:] == ("-", "1/1")
+    assert mine[:4] == ("mine", "SSM", "∞", "∞")
+    assert mine[-2:] == ("1/2", "1/2")
 
 
 def test_what_cannot_be_computed_is_null(outcome: Outcome) -> None:

@@ -97,14 +97,14 @@ def test_a_mistake_in_a_yaml_file_is_told_in_one_line(tmp_path: Path, text: str,
 
 def test_an_unknown_name_gets_the_nearest_and_all_known() -> None:
     message = error_line("cirle")
-    assert "unknown trajectory 'cirle'; did you mean 'circle'?" in message
-    assert all(name in message for name in BUILT_IN)
+    assert message.startswith(f"unknown trajectory 'cirle': give one of {', '.join(BUILT_IN)} or the path of")
+    assert message.endswith("; did you mean 'circle'?")
 
 
 @pytest.mark.parametrize("name", ["missing.yaml", "missing.csv"])
 def test_a_missing_file_is_named(tmp_path: Path, name: str) -> None:
     message = error_line(tmp_path / name)
-    assert message == f"{tmp_path / name}: cannot be read (No such file or directory)"
+    assert message.startswith(f"unknown trajectory '{tmp_path / name}': give one of")
 
 
 @pytest.mark.parametrize("name", BUILT_IN)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,13 @@ import pytest
 from models.checked_yaml import check
 from models.robot import load_robot
 from sim.chassis import WHEELS, Chassis
+from sim.disturbance_types import Payload, Slope
 from sim.disturbances import Disturbances
 from sim.drivetrain import VelocityLoops
 from sim.log import record
 from sim.mujoco_plant import MujocoPlant
-from sim.scenario import Payload, Scenario, Slope
+from sim.plant import RobotLostError
+from sim.scenario import Scenario
 from sim.sensor_set import load_sensor_set
 from sim.surface import load_surface
 from sim.twin_parameters import load_twin_parameters
@@ -206,6 +209,7 @@ def test_a_patch_begins_and_ends_where_it_lies() -> None:
     plant = _plant(patches=[{"start": 0.5, "length": 0.6, "friction": 0.5}, {"start": 50.0, "friction": 0.5}])
     log = record(plant, np.tile([0.5, 0.0], (200, 1)))
     ((on, off),) = plant.crossed
+    assert np.isfinite(off)
     assert np.interp([on, off], log.time, log.true_pose[:, 0]) == pytest.approx([0.5 - half, 1.1 + half], abs=2e-3)
 
 
@@ -242,6 +246,26 @@ def test_a_blockade_holds_the_robot_and_lets_it_go() -> None:
 def test_a_robot_that_tips_over_ends_the_run_with_one_line() -> None:
     push = {"force": 200.0, "direction": 1.5708, "height": 0.4, "start": 0.1, "duration": 1.0}
     plant = _plant(pushes=[push])
-    with pytest.raises(ValueError, match=r"t = \d\.\d\d s: the robot has tipped over; lower the force") as caught:
+    with pytest.raises(RobotLostError, match=r"t = 0\.\d\d s: the robot has tipped over; lower the force") as caught:
         _drive(plant, 0.0, 0.0, 2.0)
     assert "\n" not in str(caught.value)
+
+
+def test_a_robot_whose_motion_diverges_is_lost_and_not_back_at_its_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    plant = _plant(pushes=[{"force": 1e200, "height": 0.09, "start": 0.1, "duration": 0.2}])
+    plant.reset([1.0, 2.0, 0.5])
+    with pytest.raises(RobotLostError, match=r"t = 0\.1\d s: the simulation diverged"):
+        _drive(plant, 0.0, 0.0, 0.5)
+    assert not list(tmp_path.iterdir())  # MuJoCo would leave a log file
+
+
+@pytest.mark.parametrize("friction", [FLOOR, SLIPPERY])
+def test_a_patch_by_factor_is_a_share_of_the_floor_it_lies_on(friction: float) -> None:
+    drives = [
+        record(_plant(friction, patches=[{"start": 0.0, **kind}]), np.tile([0.5, 0.5], (100, 1))).true_pose
+        for kind in ({"factor": 0.25}, {"friction": 0.25 * friction})
+    ]
+    np.testing.assert_array_equal(*drives)

@@ -136,6 +136,21 @@ def test_the_plant_tells_what_has_happened_so_far() -> None:
             assert span == (0.5, pytest.approx(min(time, 1.6)))
 
 
+def test_what_lasts_to_the_end_is_never_over_and_hides_no_other_end() -> None:
+    push = {"force": 20.0, "height": 0.09, "start": 0.2, "duration": 0.1}
+    weak = {"wheel": "front_left", "factor": 0.5, "start": 0.1}
+    plant = make_plant("mujoco", sensors="perfect")
+    alone, both = (
+        DisturbedPlant(plant, _scenario(weak_motors=[weak], pushes=pushes), load_robot().limits)
+        for pushes in ([], [push])
+    )
+    both.reset(np.zeros(3))
+    for _ in range(25):
+        both.advance([0.0, 0.0])
+    assert alone.disturbance == (0.1, np.inf)
+    assert both.disturbance == (0.1, pytest.approx(0.3))
+
+
 class _Remembers(FeedForward):
     """Keeps what it was given."""
 

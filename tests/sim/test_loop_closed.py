@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 from loop_parts import ConstantTwist, FeedForward, FixedStep, KinematicPlant
+from numpy.typing import ArrayLike
 
 from models.interface import Measurement
 from sim import simulate
+from sim.plant import RobotLostError
 
 CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=3.0, start=(1.0, -2.0, 0.4))
 
@@ -56,6 +59,34 @@ def test_a_command_that_is_not_two_finite_numbers_ends_the_run(command: list[flo
 
     with pytest.raises(ValueError, match="two finite numbers"):
         simulate(Faulty(), KinematicPlant(), CIRCLE)
+
+
+class Fragile(KinematicPlant):
+    """Is lost in the sample after its tenth tick."""
+
+    def advance(self, command: ArrayLike) -> None:
+        if self.time > 9.5 * self.sample_time:
+            raise RobotLostError("t = 0.20 s: gone")
+        super().advance(command)
+
+
+def test_a_lost_robot_ends_the_run_incomplete_with_the_figures_of_what_was_driven() -> None:
+    run, whole = (simulate(FeedForward(), plant, CIRCLE) for plant in (Fragile(), KinematicPlant()))
+    n = 11
+    assert (run.ended, whole.ended) == ("t = 0.20 s: gone", "")
+    assert (run.metrics.completed, whole.metrics.completed) == (False, True)
+    assert run.metrics.steps == n
+    for series in ("time", "true_pose", "true_twist", "command", "step_time", "reference_pose", "measured_pose"):
+        np.testing.assert_array_equal(getattr(run, series), getattr(whole, series)[:n])
+    assert len(run.modes) == len(run.messages) == len(run.measurements) == n
+    assert all(np.isfinite(value) for value in asdict(run.metrics).values())
+    assert run.metrics.position_max_m == np.max(whole.errors.position[:n])
+
+
+def test_a_robot_that_is_lost_after_the_end_of_its_reference_has_not_completed_either() -> None:
+    short = ConstantTwist(0.5, 0.0, 0.1)
+    assert simulate(FeedForward(), Fragile(), short).metrics.completed
+    assert not simulate(FeedForward(), Fragile(), short, extra_time=1.0).metrics.completed
 
 
 @pytest.mark.parametrize("extra", [-1.0, np.nan, np.inf])

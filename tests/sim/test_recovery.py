@@ -18,8 +18,10 @@ TIME = np.arange(0.0, 10.0 + 1e-9, DT)
 REST = np.zeros((len(TIME), 2))
 
 
-def _recovery(lateral: FloatArray, disturbance: tuple[float, float] | None, command: FloatArray = REST) -> Recovery:
-    return compute_recovery(TIME, lateral, command, DT, disturbance, BAND)
+def _recovery(
+    lateral: FloatArray, disturbance: tuple[float, float] | None, command: FloatArray = REST, *, lost: bool = False
+) -> Recovery:
+    return compute_recovery(TIME, lateral, command, DT, disturbance, BAND, lost=lost)
 
 
 def _after(start: float, series: FloatArray) -> FloatArray:
@@ -91,6 +93,23 @@ def test_without_a_disturbance_or_with_a_lost_robot_there_is_nothing_to_recover_
     for figures in (_recovery(np.zeros(len(TIME)), None), _recovery(lost, (0.0, 0.0))):
         assert math.isnan(figures.recovery_time_s)
         assert math.isnan(figures.overshoot_m)
+
+
+def test_what_lasts_to_the_end_has_no_recovery_time_but_an_overshoot_and_a_largest_error() -> None:
+    """First 0.2 m to the left, then 0.07 m to the right: outside the band on both sides."""
+    lateral = np.where((TIME >= 2.0) & (TIME < 3.0), 0.2, 0.0) + np.where((TIME >= 5.0) & (TIME < 5.5), -0.07, 0.0)
+    figures = _recovery(lateral, (1.0, math.inf))
+    assert math.isnan(figures.recovery_time_s)
+    assert figures.overshoot_m == pytest.approx(0.07)
+    assert figures.lateral_max_m == pytest.approx(0.2)
+    assert _recovery(np.zeros(len(TIME)), (1.0, math.inf)).overshoot_m == 0.0
+
+
+def test_a_robot_that_was_lost_has_not_recovered_even_inside_the_band() -> None:
+    inside = np.full(len(TIME), 0.5 * BAND)
+    assert _recovery(inside, (2.0, 3.0)).recovery_time_s == 0.0
+    assert _recovery(inside, (2.0, 3.0), lost=True).recovery_time_s == math.inf
+    assert math.isnan(_recovery(inside, (2.0, math.inf), lost=True).recovery_time_s)
 
 
 def test_energy_is_the_integral_of_the_squared_command() -> None:

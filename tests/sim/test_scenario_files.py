@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from models.checked_yaml import ConfigError, check
 from mpc import load_trajectory
+from sim.disturbance_types import Patch
 from sim.scenario import SCENARIOS, Scenario, load_scenario
 
 SHIPPED = sorted(path.stem for path in SCENARIOS.glob("*.yaml"))
@@ -42,11 +44,11 @@ def test_every_disturbance_of_the_project_ships() -> None:
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_every_disturbance_is_over_well_before_the_shortest_trajectory(name: str) -> None:
+def test_every_disturbance_has_begun_or_is_over_well_before_the_shortest_trajectory_ends(name: str) -> None:
     shortest = min((load_trajectory(path) for path in ("circle", "square", "s", "cane")), key=lambda r: r.duration)
     for seed in range(20):
         scenario = load_scenario(name).draw(seed)
-        assert all(last <= shortest.duration - 3.0 for _, last in scenario.spans)
+        assert all((start if end == math.inf else end) <= shortest.duration - 3.0 for start, end in scenario.spans)
         length = shortest.sample([shortest.duration]).arc_length[0]
         assert all(patch.start + (patch.length or 0.0) <= length - 1.0 for patch in scenario.patches)
 
@@ -116,7 +118,7 @@ def test_an_unknown_name_is_refused_with_the_nearest() -> None:
         load_scenario("pusch")
 
 
-def test_spans_end_with_the_last_change() -> None:
+def test_what_lasts_to_the_end_of_the_run_has_an_endless_span() -> None:
     passing = {"wheel": "front_left", "friction": 0.1, "start": 2.0, "duration": 1.5}
     lasting = {"wheel": "front_left", "factor": 0.1, "start": 4.0}
     scenario = check(
@@ -130,4 +132,13 @@ def test_spans_end_with_the_last_change() -> None:
         },
         "test",
     )
-    assert set(scenario.spans) == {(2.0, 3.5), (4.0, 4.0), (3.0, 5.0), (0.0, 0.0)}
+    assert set(scenario.spans) == {(2.0, 3.5), (4.0, math.inf), (3.0, math.inf), (0.0, math.inf)}
+    assert load_scenario("start_offset").draw(0).spans == ((0.0, 0.0),)
+
+
+@pytest.mark.parametrize("text", ["patches: [{start: 1.0}]", "patches: [{start: 1.0, friction: 0.3, factor: 0.5}]"])
+def test_a_patch_has_a_friction_of_its_own_or_a_share_of_the_floors(text: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"patches\.0: give either friction or factor"):
+        load_scenario(_written(tmp_path, text))
+    assert Patch(start=1.0, friction=0.3).coefficient(0.8) == 0.3
+    assert Patch(start=1.0, factor=0.25).coefficient(0.8) == pytest.approx(0.2)

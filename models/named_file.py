@@ -1,0 +1,44 @@
+"""Parameter files that are asked for by a short name or by a path."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from pathlib import Path
+
+from models.checked_yaml import ConfigError
+
+
+def named_file(kind: str, folder: Path, name: str | Path, shipped: Sequence[str] | None = None) -> Path:
+    """The file behind `name`: a YAML file that ships in `folder`, or the user's own.
+
+    Parameters
+    ----------
+    kind
+        What the files describe, for the message.
+    folder
+        Folder of the shipped files.
+    name
+        Name of a shipped file without its ending, or a path.
+    shipped
+        Names of the shipped files; by default every YAML file in `folder`.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If there is neither; the message lists the shipped names and suggests the nearest.
+    """
+    known = shipped_names(folder) if shipped is None else shipped
+    text = str(name)
+    if text in known:
+        return folder / f"{text}.yaml"
+    if Path(name).is_file():
+        return Path(name)
+    near = difflib.get_close_matches(text, known, n=1, cutoff=0.5)
+    hint = f"; did you mean '{near[0]}'?" if near else ""
+    raise ConfigError(f"unknown {kind} '{text}': give one of {', '.join(known)} or the path of a {kind} file{hint}")
+
+
+def shipped_names(folder: Path) -> tuple[str, ...]:
+    """Names of the YAML files in `folder`, sorted, without their ending."""
+    return tuple(sorted(path.stem for path in folder.glob("*.yaml")))
