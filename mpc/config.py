@@ -134,6 +134,11 @@ class Estimator(_Group):
         description="squared innovation over its variance beyond which something other than slip is at work: nothing "
         "is learned of slip [-]",
     )
+    lasting_surprise: Positive = Field(
+        0.6, description="surprise that goes on for longer is slip after all, and is learned from [s]"
+    )
+    least_gain: Annotated[float, Field(gt=0, lt=1)] = Field(0.2, description="gains are never believed smaller [-]")
+    most_gain: Annotated[float, Field(gt=1)] = Field(3.0, description="gains are never believed larger [-]")
     position_drift: Positive = Field(0.01, description="random walk of the position beside the model [m per sqrt(s)]")
     heading_drift: Positive = Field(0.002, description="random walk of the heading beside the model [rad per sqrt(s)]")
     history: Annotated[float, Field(ge=0.05, le=5)] = Field(

@@ -12,13 +12,15 @@ import numpy as np
 from models.discrete_model import DiscreteModel
 from models.interface import FloatArray
 from models.pose import linearised_arc, wrap_angle
-from mpc.belief import Belief, corrected
+from mpc.belief import Belief
 from mpc.command_line import CommandLine
 from mpc.config import Compensation, Estimator
 from mpc.slip import Slip
 
 # Places after the n velocity states.
 _V_OFFSET, _OMEGA_GAIN, _LONGITUDINAL_GAIN, _YAW_GAIN, _SIDE_SLIP, _GYRO_BIAS, _POSE = range(7)
+# Places in the counts of surprises.
+_WHEEL_SPEED, _WHEEL_YAW_RATE, _YAW_RATE, _POSES = range(4)
 
 
 class SlipFilter:
@@ -73,6 +75,7 @@ class SlipFilter:
         noise[n + _POSE :, n + _POSE :] = np.diag(pose * dt)
         self._noise = noise
         self._diagonal = np.arange(n, n + _POSE)
+        self._patience = round(s.lasting_surprise / dt)
 
     def moving(self, commands: CommandLine) -> Belief:
         """A robot that obeys the commands sent so far as the model says, somewhere.
@@ -136,7 +139,7 @@ class SlipFilter:
         P[self._diagonal, self._diagonal] += self._drift * moving
         mean = z.copy()
         mean[:n], mean[at:] = state, pose
-        return Belief(mean, P)
+        return belief.later(mean, P)
 
     def correct_wheel_speed(self, belief: Belief, value: float, variance: float) -> tuple[Belief, float]:
         """Take in the forward speed of the wheels [m/s]; returns the normalised innovation too."""
@@ -144,7 +147,7 @@ class SlipFilter:
         h = np.zeros(n + 9)
         h[:n] = self._model.C[0]
         h[n + _V_OFFSET] = 1.0
-        return self._correct_scalar(belief, 0, h, value - float(h @ belief.mean), variance)
+        return self._correct_scalar(belief, _WHEEL_SPEED, h, value - float(h @ belief.mean), variance)
 
     def correct_wheel_yaw_rate(self, belief: Belief, value: float, variance: float) -> tuple[Belief, float]:
         """Take in the yaw rate by encoders and geometric track [rad/s], which tells of the wheels, not of the body."""
@@ -153,7 +156,7 @@ class SlipFilter:
         h = np.zeros(n + 9)
         h[:n] = self._ratio * gain * self._model.C[1]
         h[n + _OMEGA_GAIN] = self._ratio * output
-        return self._correct_scalar(belief, 1, h, value - self._ratio * gain * output, variance)
+        return self._correct_scalar(belief, _WHEEL_YAW_RATE, h, value - self._ratio * gain * output, variance)
 
     def correct_yaw_rate(self, belief: Belief, value: float, variance: float) -> tuple[Belief, float]:
         """Take in the gyro's yaw rate [rad/s]: the body's, and a bias."""
@@ -161,7 +164,7 @@ class SlipFilter:
         h = self._twist_gradient(z, self._model.C)[1]
         h[n + _GYRO_BIAS] = 1.0
         innovation = value - float(self.twist(z)[1] + z[n + _GYRO_BIAS])
-        return self._correct_scalar(belief, 1, h, innovation, variance)
+        return self._correct_scalar(belief, _YAW_RATE, h, innovation, variance)
 
     def pose_at(self, belief: Belief, ahead: float) -> FloatArray:
         """(3,) the pose `ahead` seconds after the belief, at constant twist."""
@@ -174,7 +177,7 @@ class SlipFilter:
         """Take in a pose (3,) that was true `ahead` seconds after the belief; returns the normalised innovation too.
 
         A pose that the belief cannot explain says that something moved the robot: then the pose is believed, and
-        nothing is learned from it about slip.
+        nothing is learned from it about slip, unless that goes on.
         """
         n, z, P = self._n, belief.mean, belief.covariance
         at = n + _POSE
@@ -188,14 +191,15 @@ class SlipFilter:
         PHt = P @ H.T
         S = H @ PHt + covariance
         normalised = float(innovation @ np.linalg.solve(S, innovation)) / 3
-        if normalised > self._settings.surprise:
+        belief, pushed = self._judged(belief, _POSES, normalised)
+        if pushed:
             P = P.copy()
             P[at:, at:] += np.diag(np.square(innovation))
             PHt = P @ H.T
             S = H @ PHt + covariance
         gain = np.asarray(np.linalg.solve(S, PHt.T).T, dtype=float)
-        gain[self._frozen(z, normalised)] = 0.0
-        return corrected(belief.mean + gain @ innovation, P, gain, PHt, S), normalised
+        gain[self._frozen(z, pushed)] = 0.0
+        return belief.corrected(self._bounded(z + gain @ innovation), P, gain, PHt, S), normalised
 
     def _twist(self, z: FloatArray, output: FloatArray) -> tuple[float, float, float, float]:
         """Forward speed and yaw rate of the body for the model's `output` (2,), v of the wheels, gain of omega."""
@@ -215,28 +219,42 @@ class SlipFilter:
         return T
 
     def _correct_scalar(
-        self, belief: Belief, channel: int, h: FloatArray, innovation: float, variance: float
+        self, belief: Belief, sensor: int, h: FloatArray, innovation: float, variance: float
     ) -> tuple[Belief, float]:
-        """Correct with gradient `h` (n + 9,) of what was measured in `channel`, 0 for v and 1 for omega."""
+        """Correct with gradient `h` (n + 9,) of what `sensor` measures."""
         n, P = self._n, belief.covariance
         PHt = P @ h
         normalised = innovation * innovation / (float(h @ PHt) + variance)
-        if normalised > self._settings.surprise:
+        belief, pushed = self._judged(belief, sensor, normalised)
+        if pushed:
+            settled = self._settled[:, 0 if sensor == _WHEEL_SPEED else 1]
             P = P.copy()
-            P[:n, :n] += innovation**2 * np.outer(self._settled[:, channel], self._settled[:, channel])
+            P[:n, :n] += innovation**2 * np.outer(settled, settled)
             PHt = P @ h
         S = float(h @ PHt) + variance
         gain = PHt / S
-        gain[self._frozen(belief.mean, normalised)] = 0.0
-        mean = belief.mean + gain * innovation
-        return corrected(mean, P, gain[:, None], PHt[:, None], np.array([[S]])), normalised
+        gain[self._frozen(belief.mean, pushed)] = 0.0
+        mean = self._bounded(belief.mean + gain * innovation)
+        return belief.corrected(mean, P, gain[:, None], PHt[:, None], np.array([[S]])), normalised
 
-    def _frozen(self, z: FloatArray, normalised: float) -> list[int]:
-        """Places of the states that a measurement with this normalised innovation may not change."""
+    def _judged(self, belief: Belief, sensor: int, normalised: float) -> tuple[Belief, bool]:
+        """Count an innovation; whether it tells of something other than slip, which does not last."""
+        surprising = normalised > self._settings.surprise
+        belief = belief.judged(sensor, surprising)
+        return belief, surprising and belief.surprised[sensor] <= self._patience
+
+    def _frozen(self, z: FloatArray, pushed: bool) -> list[int]:
+        """Places of the states that a measurement may not change."""
         n = self._n
-        if normalised > self._settings.surprise:
+        if pushed:
             # The robot does not do as told, for a reason that is none of slip: velocity and pose take it all.
             return list(range(n, n + _POSE))
         if abs(self.twist(z)[1]) < self._settings.least_yaw_rate:
             return [n + _OMEGA_GAIN, n + _YAW_GAIN]
         return []
+
+    def _bounded(self, z: FloatArray) -> FloatArray:
+        """`z` with gains that a robot can have: commands are divided by them."""
+        gains = slice(self._n + _OMEGA_GAIN, self._n + _SIDE_SLIP)
+        z[gains] = np.minimum(np.maximum(z[gains], self._settings.least_gain), self._settings.most_gain)
+        return z

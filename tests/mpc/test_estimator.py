@@ -1,6 +1,6 @@
 """The estimator: late data count as if in time, offsets are found, faults are rejected and named."""
 
-from dataclasses import astuple, fields
+from dataclasses import astuple, fields, replace
 
 import numpy as np
 import pytest
@@ -121,6 +121,33 @@ def test_what_is_not_compensated_stays_as_without_slip(part, names):
     run(estimator, IdealRobot(MODEL, np.zeros(3), slip=SLIP), 300)
     for name in (field.name for field in fields(Slip)):
         assert (getattr(estimator.estimate.slip, name) == getattr(Slip(), name)) == (name in names)
+
+
+def yaw_gains(after, ticks):
+    """Drive on a floor where the yaw gain falls to `after` at tick 300 for `ticks`; estimates at each tick."""
+    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), noise=1.0)
+    found = []
+
+    def change(k, measurement):
+        robot.slip = replace(robot.slip, yaw_gain=after if 300 <= k < 300 + ticks else 1.0)
+        found.append(estimator.estimate.slip.yaw_gain if estimator.ready else 1.0)
+        return measurement
+
+    run(estimator, robot, 700, change)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("after", [0.35, 0.6, 1.8])
+def test_a_floor_that_suddenly_is_another_is_learned_within_seconds(after):
+    """However large the surprise: one that lasts is slip."""
+    found = yaw_gains(after, 400)
+    assert found[295] == pytest.approx(1.0, abs=0.05)
+    assert np.median(found[500:]) == pytest.approx(after, rel=0.1)
+
+
+def test_a_short_jerk_is_not_taken_for_slip():
+    found = yaw_gains(0.2, 15)
+    assert found[300:] == pytest.approx(np.full(400, found[300]), abs=0.1)
 
 
 def test_the_gains_of_omega_are_frozen_while_the_robot_hardly_turns():

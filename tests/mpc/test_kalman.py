@@ -129,6 +129,35 @@ def test_a_surprise_moves_the_robot_and_not_its_slip():
     assert moved.mean[-2] == pytest.approx(0.2, abs=0.01)
 
 
+def test_a_surprise_that_lasts_is_learned_from_and_a_new_one_is_not():
+    wary = SlipFilter(MODEL, Estimator(lasting_surprise=10 * DT, omega_input_noise=0.01), Compensation(), 1.1)
+    mean = NEUTRAL.copy()
+    mean[:N] = MODEL.settled_state([0.5, 0.5])
+    command = np.array([0.5, 0.5])
+    belief = Belief(mean, np.diag(np.concatenate([np.full(N, 1e-5), np.full(6, 1e-4), np.full(3, 1e-5)])))
+    gains = []
+    for _ in range(14):
+        belief, _ = wary.correct_yaw_rate(wary.predict(belief, command, command), 3.0, 1e-6)
+        gains.append(belief.mean[N + 3])
+    assert gains[:10] == pytest.approx([1.0] * 10)
+    assert min(gains[10:]) > 1.1
+    calm, _ = wary.correct_yaw_rate(belief, wary.twist(belief.mean)[1] + belief.mean[N + 5], 1e-6)
+    again, _ = wary.correct_yaw_rate(calm, 6.0, 1e-6)
+    assert again.mean[N + 3] == pytest.approx(calm.mean[N + 3])
+
+
+@given(st.floats(-9, 9))
+def test_gains_stay_such_as_a_robot_can_have(value):
+    settings = Estimator(surprise=1e9)
+    trusting = SlipFilter(MODEL, settings, Compensation(), 1.1)
+    mean = NEUTRAL.copy()
+    mean[:N] = MODEL.settled_state([0.5, 0.5])
+    belief, _ = trusting.correct_yaw_rate(Belief(mean, np.diag(np.full(SIZE, 10.0))), value, 1e-6)
+    gains = belief.mean[N + 1 : N + 4]
+    assert (gains >= settings.least_gain).all()
+    assert (gains <= settings.most_gain).all()
+
+
 def test_the_angle_between_two_poses_is_the_short_way_round():
     mean = NEUTRAL.copy()
     mean[-1] = 3.1
