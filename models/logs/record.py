@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,7 +101,7 @@ class Record:
     @property
     def time(self) -> FloatArray:
         """(K,) times of the samples on the log's clock [s]."""
-        return self.start + self.dt * np.arange(len(self.command))
+        return np.asarray(self.start + self.dt * np.arange(len(self.command)))
 
     @property
     def end(self) -> float:
@@ -113,13 +113,13 @@ class Record:
         count = len(self.command)
         if not 0 <= first < stop <= count:
             raise ValueError(f"record '{self.name}': no samples {first} to {stop} among its {count}")
-        cut = {
+        start = self.start + first * self.dt
+        end = self.start + (stop - 1) * self.dt
+        cut: dict[str, Any] = {
             field.name: value[first:stop]
             for field in fields(self)
             if isinstance(value := getattr(self, field.name), np.ndarray)
         }
-        start = self.start + first * self.dt
-        end = self.start + (stop - 1) * self.dt
         return replace(self, name=f"{self.name} (of it {start:.1f} to {end:.1f} s)", start=start, **cut)
 
 
