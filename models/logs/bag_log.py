@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from models.interface import FloatArray
 from models.checked_yaml import ConfigError
+from models.interface import FloatArray
 from models.logs.bag_messages import COMMANDS, IMU, ODOMETRY, POSES
 from models.logs.bag_topics import Decoders, TopicRows, opened, read_topic
 from models.logs.checks.clocks import drifting_clocks, require_one_clock
@@ -71,9 +71,7 @@ def _usual_topics(path: Path, there: set[str]) -> Topics:
     return Topics(odometry=found.get("odometry"), imu=found.get("imu"))
 
 
-def _times(
-    path: Path, rows: dict[str, TopicRows], topics: Topics, findings: list[Finding]
-) -> dict[str, FloatArray]:
+def _times(path: Path, rows: dict[str, TopicRows], topics: Topics, findings: list[Finding]) -> dict[str, FloatArray]:
     """Times of each topic's messages [ns]: their stamps where they have them, else when they were received."""
     if topics.clock == "receive":
         return {role: topic.received for role, topic in rows.items()}
@@ -90,9 +88,7 @@ def _times(
     return {role: topic.stamped if topic.has_stamps else topic.received for role, topic in rows.items()}
 
 
-def _signal(
-    path: Path, rows: TopicRows, time: FloatArray, topic: Topic, role: str, findings: list[Finding]
-) -> Signal:
+def _signal(path: Path, rows: TopicRows, time: FloatArray, topic: Topic, role: str, findings: list[Finding]) -> Signal:
     """One topic's messages in order of time, without those that are not finite or come out of order."""
     where = f"{path.name}, {rows.topic}, message "
     finite = np.isfinite(rows.value).all(axis=1)

@@ -137,16 +137,16 @@ class RowReader:
 def fresh_rows(value: FloatArray) -> BoolArray:
     """(n,) True where a row of held values (n, width) holds a new reading.
 
-    A changed value is new. So is one that stays for longer than the sensor usually takes for a reading, which is the
-    median distance of the changes: a robot at rest is read too.
+    A changed value is new. So is one that stays for as long as hardly any reading does (95th percentile of the distance
+    between changes): a robot at rest is read too.
     """
     changed = np.concatenate([[True], (np.diff(value, axis=0) != 0).any(axis=1)])
     rows = np.flatnonzero(changed)
-    period = int(np.median(np.diff(rows))) if len(rows) > 1 else 1
+    longest = int(np.percentile(np.diff(rows), 95)) if len(rows) > 1 else 1
     fresh = changed.copy()
     last = 0
     for i in range(1, len(fresh)):
-        fresh[i] |= i - last >= period
+        fresh[i] |= i - last >= longest
         if fresh[i]:
             last = i
     return fresh

@@ -8,8 +8,8 @@ import numpy as np
 
 from models.checked_yaml import ConfigError
 from models.logs.bag_log import is_bag, read_bag
-from models.logs.checks.response import check_responses
 from models.logs.checks.commands import check_commands
+from models.logs.checks.response import check_responses
 from models.logs.checks.sensors import check_sensors
 from models.logs.checks.settings import CheckSettings, check_settings
 from models.logs.checks.timing import check_timing, gap_finding
@@ -71,11 +71,10 @@ def _records(
     """The stretches that are long enough, and findings about gaps and those that are not."""
     records: list[Record] = []
     findings: list[Finding] = []
-    longest = 0
+    longest, end = 0, np.inf
     for stretch in raw.stretches:
-        end = None
         for first, last in pieces(stretch, longest_step):
-            if end is not None:
+            if first - end > longest_step:
                 findings.append(gap_finding(raw.name, end, first, settings))
             end = last
             record = resample(raw.name, stretch, first, last, dt, settings)

@@ -92,14 +92,14 @@ def increasing(time: FloatArray) -> BoolArray:
 
 
 def usual_step(times: list[FloatArray]) -> float:
-    """Mean of the steps within half and one and a half of their median [s]: stamps may be rounded, or have gaps.
+    """Usual step of rows of times [s]; NaN where no two times follow each other.
 
-    Returns NaN where no two times follow each other.
+    The median, unless rounded stamps put the mean of the steps elsewhere; gaps do not count.
     """
     steps = np.concatenate([np.diff(time) for time in times]) if times else np.empty(0)
     if not len(steps):
         return float("nan")
     median = float(np.median(steps))
-    usual = steps[(steps > 0.5 * median) & (steps < 1.5 * median)]
-    # A log's sample time has no more than six digits; the rest is rounding of its stamps.
-    return float(f"{usual.mean():.6g}")
+    mean = float(np.mean(steps[(steps > 0.5 * median) & (steps < 1.5 * median)]))
+    # A sample time has no more than six digits; the rest is rounding of the stamps.
+    return float(f"{median if np.isclose(median, mean, rtol=1e-4) else mean:.6g}")

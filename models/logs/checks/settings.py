@@ -37,6 +37,9 @@ class CheckSettings(StrictModel):
     wrong_sign: float = Field(ge=-1, lt=0, description="correlation of response with command")
     smallest_gain: Positive = Field(description="of response to command")
     largest_gain: Positive = Field(description="of response to command")
+    hopeless_gain: Positive = Field(description="of response to command, or its inverse")
+    collinear: Share = Field(description="correlation of the two commands")
+    pose_window: Positive = Field(description="over which poses are turned into speeds [s]")
 
     def longest_step(self, period: float) -> float:
         """Longest time between two readings of one stretch [s] for a source with this period [s]."""
