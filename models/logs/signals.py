@@ -94,12 +94,15 @@ def increasing(time: FloatArray) -> BoolArray:
 def usual_step(times: list[FloatArray]) -> float:
     """Usual step of rows of times [s]; NaN where no two times follow each other.
 
-    The median, unless rounded stamps put the mean of the steps elsewhere; gaps do not count.
+    The median, unless rounded or uneven stamps put the mean elsewhere. Rows missed count for as many steps; gaps do not
+    count.
     """
     steps = np.concatenate([np.diff(time) for time in times]) if times else np.empty(0)
     if not len(steps):
         return float("nan")
-    median = float(np.median(steps))
-    mean = float(np.mean(steps[(steps > 0.5 * median) & (steps < 1.5 * median)]))
+    median = float(np.percentile(steps, 50, method="lower"))
+    rows = np.rint(steps / median)
+    near = rows <= 3
+    mean = float(steps[near].sum() / rows[near].sum())
     # A sample time has no more than six digits; the rest is rounding of the stamps.
     return float(f"{median if np.isclose(median, mean, rtol=1e-4) else mean:.6g}")
