@@ -78,6 +78,8 @@ def read_topic(reader: Reader, path: Path, topic: str, decoders: Decoders) -> To
     ------
     ConfigError
         If the bag has no such topic, the topic has another type, or it holds no message.
+    ValueError
+        If messages have been lost.
     """
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
 
@@ -95,6 +97,9 @@ def read_topic(reader: Reader, path: Path, topic: str, decoders: Decoders) -> To
         received.append(timestamp)
         stamped.append(stamp(message))
         values.append(decode(message))
+    promised = sum(connection.msgcount for connection in connections)
+    if len(values) < promised:  # the library skips what it cannot make out in a damaged file
+        raise ValueError(f"topic '{topic}' holds {len(values)} of {promised} messages")
     if not values:
         raise ConfigError(f"{path}: topic '{topic}' holds no message")
     return TopicRows(topic, np.array(received), np.array(stamped), np.array(values))
