@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from models.checked_yaml import ConfigError
-from models.logs.bag_log import is_bag, read_bag
+from models.logs.bags.bag_log import is_bag, read_bag
 from models.logs.checks.commands import check_commands
-from models.logs.checks.response import check_responses
 from models.logs.checks.sensors import check_sensors
 from models.logs.checks.settings import CheckSettings, check_settings
+from models.logs.checks.signs_and_units import check_responses
 from models.logs.checks.timing import check_timing, gap_finding
 from models.logs.column_mapping import load_mapping
-from models.logs.csv_log import read_csv
+from models.logs.csv_files.csv_log import read_csv
 from models.logs.record import Finding, Log, Record
 from models.logs.resample import pieces, resample
 from models.logs.signals import RawLog, usual_step

@@ -128,7 +128,7 @@ def only(topics, *names):
         (
             ("/odom", "/imu"),
             None,
-            r"no topic '/cmd_vel'; name it under 'topics' in the mapping; the bag has /imu \(sensor_msgs/msg/Imu\), /odo",
+            r"no topic '/cmd_vel'; name it under 'topics' in the mapping; the bag has /imu \(sensor_msgs/msg/Imu\), /o",
         ),
         (
             ("/cmd_vel",),
@@ -192,6 +192,12 @@ def test_a_damaged_bag_is_one_line(tmp_path, storage, damage):
         with pytest.raises(ConfigError, match="cannot be read as a ROS 2 bag") as caught:
             read_log(path)
         assert "\n" not in str(caught.value)
+
+
+def test_a_bag_of_ros_1_is_one_line(tmp_path):
+    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
+    with pytest.raises(ConfigError, match="cannot be read as a ROS 2 bag"):
+        read_log(tmp_path / "old.bag")
 
 
 def test_a_folder_that_is_no_bag_is_one_line(tmp_path):

@@ -195,3 +195,9 @@ def test_a_dead_sensor_is_an_error(tmp_path):
     assert "omega of the gyro never changes" in lines(log, "no response")[0]
     with pytest.raises(ConfigError, match="omega of the gyro never changes"):
         log.require_sound()
+
+
+def test_readings_that_seem_held_are_said(tmp_path):
+    log = read(tmp_path, {"gyro": np.repeat(COLUMNS["gyro"][::4], 4)})
+    (line,) = lines(log, "held readings")
+    assert line.startswith("log.csv: 75 % of the readings of the gyro repeat the one before")

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from models.interface import FloatArray
+from models.logs.checks.responses import largest_command
 from models.logs.checks.settings import CheckSettings
 from models.logs.record import BoolArray, Finding, Record
-from models.logs.responses import largest_command
 
 _SENSORS = {
     "encoders": ("twist", "fresh_twist", (0, 1)),

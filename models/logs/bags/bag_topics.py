@@ -12,7 +12,7 @@ import numpy as np
 
 from models.checked_yaml import ConfigError
 from models.interface import FloatArray
-from models.logs.bag_messages import Reading, stamp
+from models.logs.bags.bag_messages import Reading, stamp
 from models.logs.record import BoolArray
 
 if TYPE_CHECKING:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import difflib
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -106,19 +105,6 @@ def read_table(path: Path) -> CsvTable:
     return CsvTable(
         path, header, np.array([line for line, _ in numbered]), [row for _, row in numbered], tuple(findings)
     )
-
-
-def ranges(numbers: Iterable[int], most: int = 5) -> str:
-    """Numbers in ascending order as words: "3, 7 to 9 and 4 more places"."""
-    runs: list[list[int]] = []
-    for number in numbers:
-        if runs and number == runs[-1][1] + 1:
-            runs[-1][1] = number
-        else:
-            runs.append([number, number])
-    shown = [f"{a}" if a == b else f"{a} to {b}" for a, b in runs[:most]]
-    more = f" and {len(runs) - most} more places" if len(runs) > most else ""
-    return ", ".join(shown) + more
 
 
 def _wrong(cell: str) -> bool:

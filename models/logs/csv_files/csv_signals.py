@@ -18,8 +18,8 @@ from models.logs.column_mapping import (
     WheelColumn,
     Wheels,
 )
-from models.logs.csv_table import CsvTable, ranges
-from models.logs.record import BoolArray, Finding
+from models.logs.csv_files.csv_table import CsvTable
+from models.logs.record import BoolArray, Finding, ranges
 from models.logs.signals import Signal, increasing
 from models.logs.units import FACTORS
 from models.wheels import WheelKinematics

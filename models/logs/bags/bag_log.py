@@ -1,4 +1,4 @@
-"""ROS 2 bags as logs."""
+"""A ROS 2 bag as a log: its topics on one clock."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ import numpy as np
 
 from models.checked_yaml import ConfigError
 from models.interface import FloatArray
-from models.logs.bag_messages import COMMANDS, IMU, ODOMETRY, POSES
-from models.logs.bag_topics import Decoders, TopicRows, opened, read_topic
+from models.logs.bags.bag_messages import COMMANDS, IMU, ODOMETRY, POSES
+from models.logs.bags.bag_topics import Decoders, TopicRows, opened, read_topic
 from models.logs.checks.clocks import drifting_clocks, require_one_clock
 from models.logs.column_mapping import LogMapping, Topic, Topics
-from models.logs.csv_table import ranges
-from models.logs.record import Finding
+from models.logs.record import Finding, ranges
 from models.logs.signals import RawLog, Signal, Stretch, increasing, unwrapped, usual_step
 
 _DECODERS: dict[str, Decoders] = {"command": COMMANDS, "odometry": ODOMETRY, "imu": IMU, "pose": POSES}
@@ -22,7 +21,7 @@ _FIELDS = {"odometry": "twist", "imu": "yaw_rate", "pose": "pose"}
 
 def is_bag(path: Path) -> bool:
     """Whether the path is that of a bag: a folder, or a file with the ending of one."""
-    return path.is_dir() or path.suffix in (".mcap", ".db3")
+    return path.is_dir() or path.suffix in (".mcap", ".db3", ".bag")
 
 
 def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.interface import FloatArray
+from models.logs.checks.responses import Response, responses
 from models.logs.checks.settings import CheckSettings
 from models.logs.record import Finding, Record
-from models.logs.responses import Response, responses
 from models.logs.units import MIXED_UP
 from models.velocity_model import CHANNELS
 

@@ -1,4 +1,4 @@
-"""CSV files as logs."""
+"""A CSV file as a log: its rows in stretches in which time runs forward."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import numpy as np
 from models.checked_yaml import ConfigError
 from models.interface import FloatArray
 from models.logs.checks.clocks import require_one_clock
+from models.logs.checks.settings import check_settings
 from models.logs.column_mapping import Columns, LogMapping, SensorColumns, load_mapping
-from models.logs.csv_signals import RowReader, Rows, RowSignal, fresh_rows
-from models.logs.csv_table import CsvTable, ranges, read_table
-from models.logs.record import BoolArray, Finding
+from models.logs.csv_files.csv_signals import RowReader, Rows, RowSignal, fresh_rows
+from models.logs.csv_files.csv_table import CsvTable, read_table
+from models.logs.record import BoolArray, Finding, ranges
 from models.logs.signals import RawLog, Signal, Stretch, unwrapped
 from models.logs.units import FACTORS
 
@@ -83,7 +84,7 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
     """The measured signals by the field of `Record` that they fill."""
     signals: dict[str, RowSignal] = {}
 
-    def add(sensor: SensorColumns, values: dict[str, FloatArray], counts: bool = False) -> None:
+    def add(name: str, sensor: SensorColumns, values: dict[str, FloatArray], counts: bool = False) -> None:
         own = time
         if sensor.time is not None:
             own = FACTORS[sensor.time.unit] * reader.table.numbers(sensor.time.column)[0]
@@ -93,17 +94,32 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
             )
         together = np.column_stack(list(values.values()))
         fresh = fresh_rows(together) if sensor.held else np.ones(len(time), dtype=bool)
+        if not (sensor.held or counts):
+            reader.findings += _seems_held(reader.table, name, together)
         for field, value in values.items():
             signals[field] = RowSignal(own - sensor.delay, value, fresh, counts)
 
     if columns.encoders is not None:
-        add(columns.encoders, *reader.encoders(columns.encoders))
+        add("encoders", columns.encoders, *reader.encoders(columns.encoders))
     if columns.gyro is not None:
-        add(columns.gyro, {"yaw_rate": reader.column(columns.gyro.yaw_rate)[0][:, None]})
+        add("gyro", columns.gyro, {"yaw_rate": reader.column(columns.gyro.yaw_rate)[0][:, None]})
     if columns.pose is not None:
         axes = (columns.pose.x, columns.pose.y, columns.pose.theta)
-        add(columns.pose, {"pose": np.column_stack([reader.column(axis)[0] for axis in axes])})
+        add("pose", columns.pose, {"pose": np.column_stack([reader.column(axis)[0] for axis in axes])})
     return signals
+
+
+def _seems_held(table: CsvTable, sensor: str, readings: FloatArray) -> list[Finding]:
+    """A finding where many readings (n, width) of a moving robot repeat the one before bit for bit."""
+    moving = readings[np.isfinite(readings).all(axis=1) & readings.any(axis=1)]
+    share = float(np.mean((np.diff(moving, axis=0) == 0).all(axis=1))) if len(moving) > 1 else 0.0
+    if share <= check_settings().held_share:
+        return []
+    words = (
+        f"{100 * share:.0f} % of the readings of the {sensor} repeat the one before; if they are held from row to row, "
+        "say `held: true` in the mapping"
+    )
+    return [Finding("held readings", "note", table.path.name, words)]
 
 
 def _forward(
