@@ -64,16 +64,19 @@ def resample(
 ) -> Record | None:
     """Sample the part of `stretch` from `first` to `last` [s] evenly, `dt` [s] apart; None where nothing is left.
 
-    The record begins when the first command is known. Readings outside the part are not used, so nothing is
-    interpolated across its ends. Readings slower or faster than `dt` are not filtered.
+    The record begins with the first command in the part. Commands and readings outside the part are not used, so
+    nothing is held or interpolated across its ends. Readings slower or faster than `dt` are not filtered.
     """
     tolerance = settings.grid_tolerance * dt
-    start = max(first, float(stretch.command.time[0]))
+    command = stretch.command.between(first - tolerance, last + tolerance)
+    if not len(command.time):
+        return None
+    start = max(first, float(command.time[0]))
     count = int(np.floor((last - start) / dt + settings.grid_tolerance)) + 1
     if count < 1:
         return None
     grid = np.asarray(start + dt * np.arange(count))
-    sampled: dict[str, Any] = {"command": hold(stretch.command, grid, tolerance)}
+    sampled: dict[str, Any] = {"command": hold(command, grid, tolerance)}
     if stretch.wheel_commands is not None:
         sampled["wheel_commands"] = hold(stretch.wheel_commands, grid, tolerance)
     for field, signal in stretch.measured.items():

@@ -39,6 +39,20 @@ def test_a_gap_ends_a_stretch(tmp_path):
     assert sum(len(record.command) for record in log.records) == keep.sum()
 
 
+def test_no_command_is_held_across_a_gap(tmp_path):
+    """Commands are logged only when they change; after the gap nobody knows what holds until the next one."""
+    sparse = np.arange(1000) % 25 == 0
+    columns = {name: np.where(sparse, COLUMNS[name], np.nan) for name in ("v_ref", "omega_ref")}
+    keep = (COLUMNS["t"] < 5.0) | (COLUMNS["t"] > 7.1)
+    path = write_csv(tmp_path / "log.csv", {name: value[keep] for name, value in (COLUMNS | columns).items()})
+    path.write_text(path.read_text().replace("nan", ""))
+    log = read_log(path, write_mapping(tmp_path / "map.yaml"))
+    first, second = log.records
+    assert np.array_equal(first.command[:, 0], COLUMNS["v_ref"][:250])
+    assert second.start == pytest.approx(7.5)
+    assert np.array_equal(second.command[:, 0], COLUMNS["v_ref"][375:])
+
+
 def test_a_jump_to_another_clock_is_named(tmp_path):
     log = read(tmp_path, {"t": COLUMNS["t"] + np.where(np.arange(1000) < 500, 0.0, 1.7e9)})
     assert "were two clocks written into one column?" in lines(log, "two clocks")[0]

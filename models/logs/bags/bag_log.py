@@ -55,7 +55,7 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
     stretch = _stretch(path, signals.pop("command"), {_FIELDS[role]: signal for role, signal in signals.items()})
     response = next(stretch.measured[field] for field in _FIELDS.values() if field in stretch.measured)
     # The faster of the two, so that neither the commands' times nor the readings are blurred.
-    sample_time = np.nanmin([usual_step([stretch.command.time]), usual_step([response.time])])
+    sample_time = np.fmin(usual_step([stretch.command.time]), usual_step([response.time]))
     return RawLog(path.name, (stretch,), tuple(findings), float(sample_time))
 
 

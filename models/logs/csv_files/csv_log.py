@@ -34,8 +34,8 @@ def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file or a column is missing, a cell is no number, the mapping lacks something that a unit needs, or a
-        sensor's times are on another clock than the rows'.
+        If the file or a column is missing, a cell is no number, no row has a time and a command, the mapping lacks
+        something that a unit needs, or a sensor's times are on another clock than the rows'.
     """
     table = read_table(path)
     columns, wheels = (mapping or _own_mapping(table)).columns, mapping.wheels if mapping else None
@@ -59,6 +59,8 @@ def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
                 parts["pose"] = Signal(parts["pose"].time, unwrapped(parts["pose"].value))
             sides = None if wheel_command is None else wheel_command.signal(rows)
             stretches.append(Stretch(time[rows], signal, parts, sides))
+    if not stretches:
+        raise ConfigError(f"{path}: no row has both a time and a command; are these the right columns?")
     return RawLog(path.name, tuple(stretches), tuple(findings), columns.sample_time)
 
 
@@ -136,11 +138,10 @@ def _forward(
     if len(again):
         words = f"{len(again)} rows have the time of the row before; the last of each counts"
         findings.append(Finding("time stands still", "warning", where + ranges(table.lines[again]), words))
-    for row, step in zip(rows[1:], steps, strict=True):
-        if step < 0:
-            words = f"time goes backwards by {-step:.3f} s, to {time[row]:.3f} s; a new stretch begins"
-            findings.append(Finding("time backwards", "warning", f"{where}{table.lines[row]}", words))
     cut = steps < 0
+    for row, step in zip(rows[1:][cut], steps[cut], strict=True):
+        words = f"time goes backwards by {-step:.3f} s, to {time[row]:.3f} s; a new stretch begins"
+        findings.append(Finding("time backwards", "warning", f"{where}{table.lines[row]}", words))
     if columns.segment is not None:
         segment = np.array(table.texts(columns.segment))[rows]
         cut |= segment[1:] != segment[:-1]
