@@ -1,0 +1,122 @@
+"""A small drive with known answers, and writers of the files that a robot would have left."""
+
+import csv
+
+import numpy as np
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from models.pose import integrate_pose
+
+DT = 0.02
+MAPPING = """
+columns:
+  time: t
+  command: {v: v_ref, omega: omega_ref}
+  encoders: {v: v, omega: omega_wheels}
+  gyro: {yaw_rate: gyro}
+  pose: {x: x, y: y, theta: theta}
+"""
+STORE = get_typestore(Stores.ROS2_JAZZY)
+BAG_START = 1_700_000_000
+
+
+def drive(seconds=20.0, dt=DT, seed=0):
+    """Columns of a first-order robot (lags 0.1 s) under random steps of half a second, with noise on every sensor."""
+    rng = np.random.default_rng(seed)
+    count = round(seconds / dt)
+    steps = rng.uniform([-1.0, -1.5], [1.0, 1.5], (count, 2))[:: round(0.5 / dt)]
+    command = np.repeat(steps, round(0.5 / dt), axis=0)[:count]
+    twist, pose = np.zeros((count, 2)), np.zeros((count, 3))
+    for k in range(1, count):
+        twist[k] = twist[k - 1] + (1 - np.exp(-dt / 0.1)) * (command[k - 1] - twist[k - 1])
+        pose[k] = integrate_pose(pose[k - 1], *(0.5 * (twist[k] + twist[k - 1])), dt)
+    noisy = twist + rng.normal(0, 0.005, twist.shape)
+    columns = {"t": dt * np.arange(count), "v_ref": command[:, 0], "omega_ref": command[:, 1]}
+    columns |= {"v": noisy[:, 0], "omega_wheels": 1.6 * noisy[:, 1]}
+    columns |= {"gyro": twist[:, 1] + rng.normal(0, 0.005, count)}
+    return columns | dict(zip(("x", "y", "theta"), (pose + rng.normal(0, 0.001, pose.shape)).T, strict=True))
+
+
+def write_csv(path, columns):
+    """Numbers so that they read back bit for bit; words as they stand."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        for row in zip(*columns.values(), strict=True):
+            writer.writerow([cell if isinstance(cell, str) else repr(float(cell)) for cell in row])
+    return path
+
+
+def write_mapping(path, text=MAPPING):
+    path.write_text(text)
+    return path
+
+
+def message(kind, reading, seconds):
+    """A message of this type; its header, where it has one, says `seconds` [s]."""
+    types, short = STORE.types, kind.split("/")[-1]
+
+    def vector(x=0.0, y=0.0, z=0.0):
+        return types["geometry_msgs/msg/Vector3"](x, y, z)
+
+    def twist(v, omega):
+        return types["geometry_msgs/msg/Twist"](vector(x=v), vector(z=omega))
+
+    def pose(x, y, theta):
+        point = types["geometry_msgs/msg/Point"](x, y, 0.0)
+        return types["geometry_msgs/msg/Pose"](point, quaternion(theta))
+
+    def quaternion(theta):
+        return types["geometry_msgs/msg/Quaternion"](0.0, 0.0, np.sin(theta / 2), np.cos(theta / 2))
+
+    def with_covariance(name, value):
+        return types[f"geometry_msgs/msg/{name}WithCovariance"](value, np.zeros(36))
+
+    nanoseconds = round(seconds * 1e9)
+    stamp = types["builtin_interfaces/msg/Time"](nanoseconds // 10**9, nanoseconds % 10**9)
+    header = types["std_msgs/msg/Header"](stamp, "base_link")
+    bodies = {
+        "Twist": lambda: [vector(x=reading[0]), vector(z=reading[1])],
+        "TwistStamped": lambda: [header, twist(*reading)],
+        "Odometry": lambda: [
+            header,
+            "base_link",
+            with_covariance("Pose", pose(9.0, 9.0, 0.0)),
+            with_covariance("Twist", twist(*reading)),
+        ],
+        "Imu": lambda: [header, quaternion(0.0), np.zeros(9), vector(z=reading[0]), np.zeros(9), vector(), np.zeros(9)],
+        "PoseStamped": lambda: [header, pose(*reading)],
+        "PoseWithCovarianceStamped": lambda: [header, with_covariance("Pose", pose(*reading))],
+        "String": lambda: ["hello"],
+    }
+    return types[kind](*bodies[short]())
+
+
+def write_bag(folder, topics, storage="sqlite3"):
+    """Write a bag; topics: name -> (type, times of receipt [s], stamps [s], readings)."""
+    plugin = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}[storage]
+    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+        queue = []
+        for name, (kind, received, stamped, readings) in topics.items():
+            connection = writer.add_connection(name, kind, typestore=STORE)
+            for at, stamp, reading in zip(received, stamped, readings, strict=True):
+                queue.append((round((BAG_START + at) * 1e9), connection, kind, reading, BAG_START + stamp))
+        for at, connection, kind, reading, stamp in sorted(queue, key=lambda item: item[0]):
+            writer.write(connection, at, STORE.serialize_cdr(message(kind, reading, stamp), kind))
+    return folder
+
+
+def bag_topics(columns, command="geometry_msgs/msg/Twist", pose="geometry_msgs/msg/PoseStamped"):
+    """The topics of a robot that did `columns`: commands on the grid, odometry 4 ms and gyro 7 ms after it."""
+    t = columns["t"] + 1.0
+
+    def rows(*names):
+        return np.column_stack([columns[name] for name in names])
+
+    return {
+        "/cmd_vel": (command, t, t, rows("v_ref", "omega_ref")),
+        "/odom": ("nav_msgs/msg/Odometry", t + 0.004, t, rows("v", "omega_wheels")),
+        "/imu": ("sensor_msgs/msg/Imu", t + 0.007, t, rows("gyro")),
+        "/pose": (pose, t[::5] + 0.05, t[::5], rows("x", "y", "theta")[::5]),
+    }

@@ -1,0 +1,235 @@
+"""ROS 2 bags, both storages: what is read, whose clock counts, and that a bag can run nothing."""
+
+import shutil
+import sqlite3
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from log_parts import bag_topics, drive, write_bag, write_csv, write_mapping
+
+from models.checked_yaml import ConfigError
+from models.logs import read_log
+
+COLUMNS = drive(seconds=6.0)
+TOPICS = "topics:\n  command: /cmd_vel\n  odometry: /odom\n  imu: /imu\n  pose: /pose\n"
+
+
+def same(one, other):
+    pairs = [(getattr(one, field.name), getattr(other, field.name)) for field in fields(one)]
+    return all(np.array_equal(a, b, equal_nan=True) for a, b in pairs if isinstance(a, np.ndarray))
+
+
+@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+@pytest.mark.parametrize("command", ["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"])
+@pytest.mark.parametrize("pose", ["geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"])
+def test_a_bag_reads_like_the_csv_of_the_same_drive(tmp_path, storage, command, pose):
+    """Stamps, not times of receipt: the odometry's pose is not used, the twist and the gyro stand on their samples."""
+    bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS, command, pose), storage)
+    log = read_log(bag, write_mapping(tmp_path / "topics.yaml", TOPICS))
+    (record,) = log.records
+    assert record.dt == 0.02
+    assert log.findings == ()
+    assert np.array_equal(record.command, np.column_stack([COLUMNS["v_ref"], COLUMNS["omega_ref"]]))
+    assert np.array_equal(record.twist, np.column_stack([COLUMNS["v"], COLUMNS["omega_wheels"]]))
+    assert np.array_equal(record.yaw_rate, COLUMNS["gyro"])
+    assert np.array_equal(np.flatnonzero(record.fresh_pose), np.arange(0, 300, 5))
+    measured = np.column_stack([COLUMNS[name] for name in ("x", "y", "theta")])
+    assert np.allclose(record.pose[record.fresh_pose], measured[::5], atol=1e-12)
+
+
+def test_without_a_mapping_the_usual_topics_are_taken(tmp_path):
+    bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS), "mcap")
+    (whole,) = read_log(bag).records
+    (single,) = read_log(bag / "bag.mcap").records
+    assert whole.pose is None and whole.twist is not None and whole.yaw_rate is not None
+    assert same(whole, single)
+
+
+def test_signs_and_delays_of_topics_act(tmp_path):
+    bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS))
+    mapping = "topics:\n  imu: {topic: /imu, sign: -1, delay: 0.1}\n  odometry: /odom\n"
+    (record,) = read_log(bag, write_mapping(tmp_path / "topics.yaml", mapping)).records
+    assert np.allclose(record.yaw_rate[:295], -COLUMNS["gyro"][5:300], atol=1e-12)
+
+
+def test_unset_stamps_fall_back_to_the_times_of_receipt(tmp_path):
+    topics = bag_topics(COLUMNS)
+    kind, received, stamped, readings = topics["/imu"]
+    topics["/imu"] = (kind, received, np.full_like(stamped, -1_700_000_000.0), readings)
+    log = read_log(write_bag(tmp_path / "bag", topics))
+    (finding,) = log.findings
+    assert str(finding) == "bag, /imu: not every message has a stamp; the times of receipt are used"
+
+
+def test_two_clocks_are_an_error_with_a_remedy(tmp_path):
+    topics = bag_topics(COLUMNS)
+    kind, received, stamped, readings = topics["/imu"]
+    topics["/imu"] = (kind, received, stamped - 1000.0, readings)
+    bag = write_bag(tmp_path / "bag", topics)
+    with pytest.raises(
+        ConfigError, match="two clocks: the times of /cmd_vel are 1000.007 s ahead of those of /imu; set"
+    ):
+        read_log(bag)
+    mapping = TOPICS + "  clock: receive\n"
+    (record,) = read_log(bag, write_mapping(tmp_path / "topics.yaml", mapping)).records
+    assert record.yaw_rate is not None
+
+
+def test_a_whole_robot_on_its_own_clock_is_no_error(tmp_path):
+    topics = bag_topics(COLUMNS, command="geometry_msgs/msg/TwistStamped")
+    shifted = {name: (kind, got, at - 5000.0, rows) for name, (kind, got, at, rows) in topics.items()}
+    (record,) = read_log(write_bag(tmp_path / "bag", shifted)).records
+    (plain,) = read_log(write_bag(tmp_path / "plain", topics)).records
+    assert same(record, plain)
+
+
+def test_a_drifting_clock_is_said(tmp_path):
+    topics = bag_topics(COLUMNS)
+    kind, received, stamped, readings = topics["/imu"]
+    topics["/imu"] = (kind, received + 0.1 * (received - received[0]), stamped, readings)
+    findings = read_log(write_bag(tmp_path / "bag", topics)).findings
+    assert any(finding.kind == "clock drift" and "/imu" in finding.place for finding in findings)
+
+
+def test_messages_out_of_order_and_not_finite_are_left_out(tmp_path):
+    topics = bag_topics(COLUMNS)
+    kind, received, stamped, readings = topics["/imu"]
+    stamped, readings = stamped.copy(), readings.copy()
+    stamped[50], readings[70] = stamped[40], np.inf
+    topics["/imu"] = (kind, received, stamped, readings)
+    log = read_log(write_bag(tmp_path / "bag", topics))
+    assert [str(finding) for finding in log.findings] == [
+        "bag, /imu, message 71: 1 messages are not finite; they are left out",
+        "bag, /imu, message 51: 1 messages are not later than one before them; they are left out",
+    ]
+    assert list(np.flatnonzero(~log.records[0].fresh_yaw_rate)) == [50, 70]
+
+
+def test_a_pause_in_the_commands_ends_a_stretch(tmp_path):
+    topics = bag_topics(COLUMNS)
+    kind, received, stamped, readings = topics["/cmd_vel"]
+    keep = (COLUMNS["t"] < 2.0) | (COLUMNS["t"] > 4.0)
+    topics["/cmd_vel"] = (kind, received[keep], stamped[keep], readings[keep])
+    log = read_log(write_bag(tmp_path / "bag", topics))
+    assert [finding.kind for finding in log.findings] == ["gap"]
+    assert len(log.records) == 2
+    (held,) = read_log(tmp_path / "bag", write_mapping(tmp_path / "map.yaml", TOPICS + "gap: 5.0\n")).records
+    assert np.array_equal(held.command[150], readings[99])
+
+
+def only(topics, *names):
+    return {name: topics[name] for name in names}
+
+
+@pytest.mark.parametrize(
+    ("names", "mapping", "line"),
+    [
+        (
+            ("/odom", "/imu"),
+            None,
+            r"no topic '/cmd_vel'; name it under 'topics' in the mapping; the bag has /imu \(sensor_msgs/msg/Imu\), /o",
+        ),
+        (
+            ("/cmd_vel",),
+            None,
+            "neither /odom nor /imu is there; give a mapping file that names the topics; the bag has /cmd",
+        ),
+        (("/cmd_vel", "/odom"), TOPICS, "no topic '/imu'"),
+        (
+            ("/cmd_vel", "/imu"),
+            "topics: {odometry: /imu}",
+            "topic '/imu' is of type sensor_msgs/msg/Imu; expected nav_msgs/msg/Odometry",
+        ),
+        (
+            ("/cmd_vel", "/imu"),
+            "columns: {time: t, command: {v: v, omega: w}, gyro: {yaw_rate: g}}",
+            "the mapping has no 'topics'",
+        ),
+    ],
+)
+def test_a_missing_or_wrong_topic_is_one_line(tmp_path, names, mapping, line):
+    bag = write_bag(tmp_path / "bag", only(bag_topics(COLUMNS), *names))
+    given = None if mapping is None else write_mapping(tmp_path / "map.yaml", mapping)
+    with pytest.raises(ConfigError, match=line) as caught:
+        read_log(bag, given)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_empty_topic_is_one_line(tmp_path):
+    topics = bag_topics(COLUMNS)
+    topics["/cmd_vel"] = (topics["/cmd_vel"][0], [], [], [])
+    with pytest.raises(ConfigError, match="topic '/cmd_vel' holds no message"):
+        read_log(write_bag(tmp_path / "bag", topics))
+
+
+def test_sensors_at_another_time_than_the_commands_are_one_line(tmp_path):
+    topics = bag_topics(COLUMNS)
+    kind, received, stamped, readings = topics["/cmd_vel"]
+    topics["/cmd_vel"] = (kind, received + 100.0, stamped + 100.0, readings)
+    with pytest.raises(ConfigError, match=r"commands \(100.0 to 106.0 s\) and the sensors have no time in common"):
+        read_log(write_bag(tmp_path / "bag", topics))
+
+
+def cut_in_half(path):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def overwrite_middle(path):
+    data = bytearray(path.read_bytes())
+    third = len(data) // 3
+    data[third : 2 * third] = bytes(range(256)) * (third // 256) + bytes(third % 256)
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+@pytest.mark.parametrize("damage", [cut_in_half, overwrite_middle, lambda path: path.write_bytes(b"no bag")])
+def test_a_damaged_bag_is_one_line(tmp_path, storage, damage):
+    bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS), storage)
+    file = bag / {"sqlite3": "bag.db3", "mcap": "bag.mcap"}[storage]
+    damage(file)
+    for path in (bag, file):
+        with pytest.raises(ConfigError, match="cannot be read as a ROS 2 bag") as caught:
+            read_log(path)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_bag_of_ros_1_is_one_line(tmp_path):
+    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
+    with pytest.raises(ConfigError, match="cannot be read as a ROS 2 bag"):
+        read_log(tmp_path / "old.bag")
+
+
+def test_a_folder_that_is_no_bag_is_one_line(tmp_path):
+    with pytest.raises(ConfigError, match="cannot be read as a ROS 2 bag"):
+        read_log(tmp_path)
+
+
+def test_metadata_with_a_python_tag_runs_nothing(tmp_path):
+    bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS))
+    trap = tmp_path / "trap"
+    (bag / "metadata.yaml").write_text(f"a: !!python/object/apply:os.mkdir ['{trap}']\n")
+    with pytest.raises(ConfigError, match="cannot be read as a ROS 2 bag"):
+        read_log(bag)
+    assert not trap.exists()
+
+
+def test_definitions_inside_a_bag_are_not_used(tmp_path):
+    """From a definition the library would generate code: one that no parser takes must make no difference."""
+    bag = write_bag(tmp_path / "bag", bag_topics(COLUMNS))
+    (plain,) = read_log(bag).records
+    shutil.copytree(bag, tmp_path / "changed")
+    with sqlite3.connect(tmp_path / "changed" / "bag.db3") as database:
+        database.execute("UPDATE message_definitions SET encoded_message_definition = 'import os\nfloat64 x)=('")
+    (record,) = read_log(tmp_path / "changed").records
+    assert same(plain, record)
+
+
+def test_bag_and_csv_agree_in_what_they_judge(tmp_path):
+    """The same drive with the gyro upside down: the same finding."""
+    columns = COLUMNS | {"gyro": -COLUMNS["gyro"]}
+    csv = read_log(
+        write_csv(tmp_path / "bag", columns).rename(tmp_path / "log.csv"), write_mapping(tmp_path / "map.yaml")
+    )
+    bag = read_log(write_bag(tmp_path / "bag", bag_topics(columns)))
+    assert [f.words for f in csv.findings] == [f.words for f in bag.findings]

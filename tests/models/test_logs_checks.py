@@ -1,0 +1,226 @@
+"""Each thing that can be wrong with a log is found, named, and shown with its place; a sound log has no findings."""
+
+import numpy as np
+import pytest
+from log_parts import drive, write_csv, write_mapping
+
+from models.checked_yaml import ConfigError
+from models.logs import read_log
+
+COLUMNS = drive()
+
+
+def read(tmp_path, changes, keep=None):
+    columns = {name: np.array(value) for name, value in (COLUMNS | changes).items()}
+    if keep is not None:
+        columns = {name: value[keep] for name, value in columns.items()}
+    return read_log(write_csv(tmp_path / "log.csv", columns), write_mapping(tmp_path / "map.yaml"))
+
+
+def lines(log, kind):
+    return [str(finding) for finding in log.findings if finding.kind == kind]
+
+
+def changed(name, rows, value):
+    column = COLUMNS[name].copy()
+    column[rows] = value
+    return {name: column}
+
+
+def test_a_sound_log_has_no_findings(tmp_path):
+    assert read(tmp_path, {}).findings == ()
+
+
+def test_a_gap_ends_a_stretch(tmp_path):
+    keep = (COLUMNS["t"] < 5.0) | (COLUMNS["t"] > 7.0)
+    log = read(tmp_path, {}, keep)
+    assert lines(log, "gap") == ["log.csv, 5.0 to 7.0 s: no data for 2.040 s; a new stretch begins"]
+    assert [round(record.start, 2) for record in log.records] == [0.0, 7.02]
+    assert sum(len(record.command) for record in log.records) == keep.sum()
+
+
+def test_no_command_is_held_across_a_gap(tmp_path):
+    """Commands are logged only when they change; after the gap nobody knows what holds until the next one."""
+    sparse = np.arange(1000) % 25 == 0
+    columns = {name: np.where(sparse, COLUMNS[name], np.nan) for name in ("v_ref", "omega_ref")}
+    keep = (COLUMNS["t"] < 5.0) | (COLUMNS["t"] > 7.1)
+    path = write_csv(tmp_path / "log.csv", {name: value[keep] for name, value in (COLUMNS | columns).items()})
+    path.write_text(path.read_text().replace("nan", ""))
+    log = read_log(path, write_mapping(tmp_path / "map.yaml"))
+    first, second = log.records
+    assert np.array_equal(first.command[:, 0], COLUMNS["v_ref"][:250])
+    assert second.start == pytest.approx(7.5)
+    assert np.array_equal(second.command[:, 0], COLUMNS["v_ref"][375:])
+
+
+def test_a_jump_to_another_clock_is_named(tmp_path):
+    log = read(tmp_path, {"t": COLUMNS["t"] + np.where(np.arange(1000) < 500, 0.0, 1.7e9)})
+    assert "were two clocks written into one column?" in lines(log, "two clocks")[0]
+    assert len(log.records) == 2
+
+
+def test_jitter_is_measured(tmp_path):
+    rng = np.random.default_rng(1)
+    log = read(tmp_path, {"t": COLUMNS["t"] + rng.uniform(0, 0.012, 1000)})
+    assert "dead times will be smeared" in lines(log, "jitter")[0]
+    assert lines(read(tmp_path, {"t": COLUMNS["t"] + rng.uniform(0, 0.003, 1000)}), "jitter") == []
+
+
+def test_time_that_goes_backwards_begins_a_new_stretch(tmp_path):
+    log = read(tmp_path, {"t": np.where(np.arange(1000) < 600, COLUMNS["t"], COLUMNS["t"] - 12.0)})
+    assert lines(log, "time backwards") == [
+        "log.csv, line 602: time goes backwards by 11.980 s, to 0.000 s; a new stretch begins"
+    ]
+    assert [len(record.command) for record in log.records] == [600, 400]
+
+
+def test_time_that_stands_still_is_said(tmp_path):
+    log = read(tmp_path, changed("t", 500, COLUMNS["t"][499]))
+    assert lines(log, "time stands still") == [
+        "log.csv, line 502: 1 rows have the time of the row before; the last of each counts"
+    ]
+
+
+def test_nan_rows_of_a_sensor_are_left_out(tmp_path):
+    log = read(tmp_path, changed("gyro", [100, 101, 300], np.nan))
+    assert lines(log, "NaN rows") == [
+        "log.csv, line 102 to 103, 302: column 'gyro' is not finite in 3 rows; they are left out"
+    ]
+    (record,) = log.records
+    assert list(np.flatnonzero(~record.fresh_yaw_rate)) == [100, 101, 300]
+
+
+def test_an_unknown_command_ends_a_stretch(tmp_path):
+    log = read(tmp_path, changed("v_ref", 400, np.nan))
+    assert "column 'v_ref' is not finite in 1 rows" in lines(log, "NaN rows")[0]
+    assert [len(record.command) for record in log.records] == [400, 599]
+
+
+def test_short_stretches_are_left_out(tmp_path):
+    keep = (COLUMNS["t"] < 5.0) | ((COLUMNS["t"] > 6.0) & (COLUMNS["t"] < 6.2)) | (COLUMNS["t"] > 7.0)
+    log = read(tmp_path, {}, keep)
+    assert lines(log, "short stretch") == ["log.csv, 6.0 to 6.2 s: 9 samples, fewer than 20; the stretch is left out"]
+    assert len(log.records) == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "sensor", "mask"), [("gyro", "gyro", "fresh_yaw_rate"), ("v", "encoders", "fresh_twist")]
+)
+def test_a_stuck_sensor_is_left_out_from_where_it_stuck(tmp_path, name, sensor, mask):
+    rows = slice(300, 500)
+    changes = changed(name, rows, COLUMNS[name][300])
+    if sensor == "encoders":
+        changes |= changed("omega_wheels", rows, COLUMNS["omega_wheels"][300])
+    log = read(tmp_path, changes)
+    words = f"the {sensor} read the same for 4.0 s while the robot should move; left out"
+    assert lines(log, "stuck sensor") == [f"log.csv, 6.0 to 10.0 s: {words}"]
+    fresh = getattr(log.records[0], mask)
+    assert not fresh[301:500].any() and fresh[:301].all() and fresh[500:].all()
+
+
+def test_a_robot_at_rest_is_not_stuck(tmp_path):
+    rows = slice(300, 500)
+    names = ("v_ref", "omega_ref", "v", "omega_wheels", "gyro")
+    changes = {}
+    for name in names:
+        changes |= changed(name, rows, 0.0)
+    assert lines(read(tmp_path, changes), "stuck sensor") == []
+
+
+@pytest.mark.parametrize(("share", "found"), [(0.9, 1), (0.1, 0)])
+def test_wheels_that_stand_still_are_stuck_only_under_a_large_command(tmp_path, share, found):
+    """A small command may lie in a dead band, which a model should learn."""
+    rows = slice(300, 500)
+    changes = changed("v_ref", rows, share * np.abs(COLUMNS["v_ref"]).max()) | changed("omega_ref", rows, 0.0)
+    changes |= changed("v", rows, 0.0) | changed("omega_wheels", rows, 0.0)
+    assert len(lines(read(tmp_path, changes), "stuck sensor")) == found
+
+
+def test_a_constant_command_excites_nothing(tmp_path):
+    log = read(tmp_path, {"v_ref": np.full(1000, 0.5), "omega_ref": np.zeros(1000)})
+    assert lines(log, "constant input") == [
+        "log.csv: the command never changes (v 0.5 m/s, omega 0 rad/s), so it excites nothing; drive steps of both "
+        "signs in v and in omega, each for a second or more"
+    ]
+    with pytest.raises(ConfigError, match="the command never changes"):
+        log.require_sound()
+
+
+def test_a_channel_that_is_never_commanded_is_named(tmp_path):
+    log = read(tmp_path, {"omega_ref": np.zeros(1000)})
+    assert "omega is always commanded 0 rad/s: nothing can be learned about it" in lines(log, "constant input")[0]
+    log.require_sound()
+
+
+def test_one_step_is_little_excitation(tmp_path):
+    log = read(tmp_path, {"v_ref": np.where(COLUMNS["t"] < 10, 0.0, 0.5)})
+    assert "the command of v changes 1 times, too few" in lines(log, "little excitation")[0]
+
+
+def test_commands_in_step_are_named(tmp_path):
+    log = read(tmp_path, {"omega_ref": 1.5 * COLUMNS["v_ref"]})
+    assert "v and omega are commanded in step (correlation 1.00)" in lines(log, "little excitation")[0]
+
+
+def test_a_clipped_command_is_saturated(tmp_path):
+    smooth = 1.5 * np.sin(COLUMNS["t"])
+    log = read(tmp_path, {"v_ref": np.clip(smooth, -0.6, 0.6)})
+    assert "the command of v rests at its limit of 0.6 m/s in 7" in lines(log, "saturation")[0]
+    assert lines(read(tmp_path, {"v_ref": smooth}), "saturation") == []
+
+
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [("v", "v of the encoders"), ("omega_wheels", "omega of the encoders"), ("gyro", "omega of the gyro")],
+)
+def test_a_wrong_sign_is_an_error(tmp_path, name, what):
+    log = read(tmp_path, {name: -COLUMNS[name]})
+    (line,) = lines(log, "wrong sign")
+    assert line.startswith(f"log.csv: {what} runs against the command (correlation -0.9")
+    with pytest.raises(ConfigError, match="sign: -1"):
+        log.require_sound()
+
+
+@pytest.mark.parametrize(
+    ("factor", "pair"),
+    [
+        (180 / np.pi, "degrees and radians"),
+        (np.pi / 180, "degrees and radians"),
+        (1000.0, "millimetres and metres"),
+        (0.001, "millimetres and metres"),
+        (2 * np.pi, "revolutions and radians"),
+        (30 / np.pi, "revolutions per minute and rad/s"),
+    ],
+)
+def test_a_wrong_unit_is_suspected(tmp_path, factor, pair):
+    (line,) = lines(read(tmp_path, {"gyro": factor * COLUMNS["gyro"]}), "wrong unit")
+    assert "omega of the gyro" in line and pair in line
+
+
+def test_a_pose_with_the_wrong_unit_or_hand_is_found(tmp_path):
+    assert "v of the pose" in lines(read(tmp_path, {n: 1000 * COLUMNS[n] for n in "xy"}), "wrong unit")[0]
+    assert "omega of the pose" in lines(read(tmp_path, {"theta": -COLUMNS["theta"]}), "wrong sign")[0]
+
+
+@pytest.mark.parametrize("gain", [0.4, 1.0, 2.0])
+def test_gains_that_a_robot_can_have_raise_no_suspicion(tmp_path, gain):
+    log = read(tmp_path, {"gyro": gain * COLUMNS["gyro"]})
+    assert log.findings == ()
+
+
+def test_a_sensor_that_does_not_follow_is_named(tmp_path):
+    noise = np.random.default_rng(5).normal(size=1000)
+    assert "omega of the gyro hardly follows the command" in lines(read(tmp_path, {"gyro": noise}), "weak response")[0]
+
+
+def test_a_dead_sensor_is_an_error(tmp_path):
+    log = read(tmp_path, {"gyro": np.zeros(1000)})
+    assert "omega of the gyro never changes" in lines(log, "no response")[0]
+    with pytest.raises(ConfigError, match="omega of the gyro never changes"):
+        log.require_sound()
+
+
+def test_readings_that_seem_held_are_said(tmp_path):
+    log = read(tmp_path, {"gyro": np.repeat(COLUMNS["gyro"][::4], 4)})
+    (line,) = lines(log, "held readings")
+    assert line.startswith("log.csv: 75 % of the readings of the gyro repeat the one before")

@@ -1,0 +1,125 @@
+"""Invariants of resampling: nothing from outside the log, nothing from the future, nothing across a gap."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from models.logs.checks.settings import check_settings
+from models.logs.record import Record
+from models.logs.resample import hold, pieces, resample, sample
+from models.logs.signals import Signal, Stretch, increasing, usual_step
+
+values = st.floats(-1e3, 1e3)
+
+
+@st.composite
+def signals(draw, fewest=1):
+    """Readings at uneven times from 0 on, now and then with a long pause."""
+    steps = draw(st.lists(st.floats(1e-3, 0.5), min_size=fewest, max_size=40))
+    time = np.cumsum(steps)
+    value = np.array(draw(st.lists(values, min_size=len(steps), max_size=len(steps))))
+    return Signal(time - time[0], value[:, None])
+
+
+grids = st.tuples(st.floats(0.005, 0.2), st.integers(2, 60))
+
+
+@given(signals(), grids)
+def test_a_hold_shows_the_last_value_given_and_never_a_later_one(signal, grid):
+    dt, count = grid
+    times = dt * np.arange(count)
+    held = hold(signal, times, 0.0)
+    for t, value in zip(times, held[:, 0], strict=True):
+        assert value == signal.value[signal.time <= t][-1, 0]
+
+
+@given(signals(), grids, st.floats(0.01, 0.3))
+def test_samples_lie_between_their_two_neighbours_which_are_in_reach(signal, grid, reach):
+    dt, count = grid
+    times = dt * np.arange(count)
+    sampled, fresh = sample(signal, times, dt, 0.1 * dt, reach)
+    for t, value in zip(times, sampled[:, 0], strict=True):
+        near = np.abs(signal.time - t) <= 0.1 * dt
+        before, after = np.flatnonzero(signal.time <= t), np.flatnonzero(signal.time >= t)
+        bridged = len(before) and len(after) and signal.time[after[0]] - signal.time[before[-1]] <= reach
+        assert np.isfinite(value) == bool(near.any() or bridged)
+        if near.any():
+            assert value in signal.value[near, 0]
+        elif bridged:
+            ends = sorted((signal.value[before[-1], 0], signal.value[after[0], 0]))
+            assert ends[0] - 1e-9 <= value <= ends[1] + 1e-9
+    assert np.isfinite(sampled[fresh]).all()
+
+
+@given(signals(), grids, st.floats(0.01, 0.3))
+def test_there_are_never_more_fresh_samples_than_readings_and_each_is_near_one(signal, grid, reach):
+    dt, count = grid
+    times = dt * np.arange(count)
+    _, fresh = sample(signal, times, dt, 0.1 * dt, reach)
+    assert fresh.sum() <= len(signal.time)
+    for t in times[fresh]:
+        assert np.abs(signal.time - t).min() <= 0.5 * dt * (1 + 1e-5)
+
+
+@given(signals(fewest=2), st.floats(0.02, 0.3))
+def test_no_record_reaches_across_a_gap(signal, longest):
+    """Every sample of every record lies between two rows that are close together."""
+    stretch = Stretch(signal.time, Signal(signal.time, np.hstack([signal.value] * 2)), {"yaw_rate": signal})
+    dt = 0.01
+    for first, last in pieces(stretch, longest):
+        record = resample("log", stretch, first, last, dt, check_settings())
+        assert record is not None
+        assert first <= record.start and record.end <= last + 0.1 * dt + 1e-9
+        inside = signal.time[(signal.time >= first) & (signal.time <= last)]
+        assert (np.diff(inside) <= longest).all()
+        known = set(signal.value[(signal.time >= first) & (signal.time <= last), 0])
+        assert set(record.command[:, 0]) <= known
+
+
+@given(signals(fewest=2))
+def test_pieces_hold_all_rows_once(signal):
+    stretch = Stretch(signal.time, signal, {})
+    ends = list(pieces(stretch, 0.2))
+    counted = [np.count_nonzero((signal.time >= first) & (signal.time <= last)) for first, last in ends]
+    assert sum(counted) == len(signal.time)
+    assert all(later[0] - earlier[1] > 0.2 for earlier, later in pairwise(ends))
+
+
+@given(st.lists(st.floats(-10, 10), min_size=1, max_size=50))
+def test_increasing_keeps_what_is_later_than_all_before(times):
+    kept = np.array(times)[increasing(np.array(times))]
+    assert (np.diff(kept) > 0).all()
+    assert kept[-1] == max(times)
+
+
+@pytest.mark.parametrize("dt", [0.05, 0.0202, 1 / 120])
+def test_the_usual_step_does_not_count_gaps(dt):
+    time = dt * np.arange(200.0)
+    time[100:] += 30.0
+    assert usual_step([time]) == pytest.approx(dt, rel=1e-5)
+
+
+def test_the_usual_step_survives_jitter_and_missed_rows():
+    rng = np.random.default_rng(2)
+    time = 0.02 * np.arange(5000) + rng.uniform(0, 0.004, 5000)
+    assert usual_step([time[rng.random(5000) > 0.05]]) == pytest.approx(0.02, rel=1e-4)
+
+
+def test_a_part_of_a_record_keeps_its_times():
+    record = Record("log", 3.0, 0.1, np.zeros((50, 2)), yaw_rate=np.arange(50.0))
+    part = record.part(10, 30)
+    assert np.allclose(part.time, record.time[10:30])
+    assert np.array_equal(part.yaw_rate, record.yaw_rate[10:30])
+    assert len(part.fresh_yaw_rate) == 20
+    with pytest.raises(ValueError, match="no samples 40 to 60 among its 50"):
+        record.part(40, 60)
+
+
+def test_a_record_refuses_a_fresh_sample_that_is_not_finite():
+    gyro = np.where(np.arange(30) == 7, np.nan, 0.0)
+    assert not Record("log", 0.0, 0.1, np.zeros((30, 2)), yaw_rate=gyro).fresh_yaw_rate[7]
+    with pytest.raises(ValueError, match="yaw_rate holds a value that is not finite"):
+        Record("log", 0.0, 0.1, np.zeros((30, 2)), yaw_rate=gyro, fresh_yaw_rate=np.ones(30, dtype=bool))
