@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from models.base_effects.parameters import BaseEffects
 from models.checked_yaml import ConfigError, check, read_yaml
 from models.named_file import named_file
 from models.structures import STRUCTURES, ModelFile
@@ -45,6 +46,11 @@ def load_model(name: str | Path) -> VelocityModel:
         )
     except ModelError as error:
         raise ModelError(f"{path.name}: {error}") from error
+
+
+def load_base_effects(name: str | Path) -> BaseEffects:
+    """Load what a model file says about the base around its linear model; raises ConfigError as `load_model`."""
+    return read_model_file(model_path(name)).base_effects
 
 
 def model_path(name: str | Path) -> Path:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from models.base_effects.parameters import BaseEffects
 from models.checked_yaml import StrictModel
 from models.interface import FloatArray
 from models.velocity_model import CHANNELS
@@ -66,6 +67,7 @@ class ModelFile(StrictModel):
     provenance: Provenance
     fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of the stated experiments")
     dead_time: DeadTime = DeadTime()
+    base_effects: BaseEffects = Field(default=BaseEffects(), description="what the base does around the linear model")
 
     def matrices(self) -> Matrices:
         """Continuous A (n, n), B (n, 2), C (2, n)."""

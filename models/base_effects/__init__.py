@@ -1,0 +1,24 @@
+"""What a real base does around its linear dynamics: limits on the way in, slip on the way out.
+
+On the way in, `TwistSlew` then `WheelCommand`; then the velocity model; on the way out, `YawRelaxation` and `Veer`.
+`PoseMount` is where the pose sensor sits. Each is optional, and `respond` puts them in a row.
+"""
+
+from models.base_effects.parameters import BaseEffects
+from models.base_effects.pose_mount import PoseMount
+from models.base_effects.response import Response, respond
+from models.base_effects.twist_slew import TwistSlew
+from models.base_effects.veer import Veer
+from models.base_effects.wheel_command import WheelCommand
+from models.base_effects.yaw_relaxation import YawRelaxation
+
+__all__ = [
+    "BaseEffects",
+    "PoseMount",
+    "Response",
+    "TwistSlew",
+    "Veer",
+    "WheelCommand",
+    "YawRelaxation",
+    "respond",
+]

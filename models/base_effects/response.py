@@ -1,0 +1,69 @@
+"""Free run of a velocity model with the effects of its base around it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from models.base_effects.parameters import BaseEffects
+from models.interface import FloatArray
+from models.velocity_model import VelocityModel
+
+# Inside a sample the base ramps; its limited command is held over this fraction of a sample.
+_PARTS = 4
+
+
+class Response(NamedTuple):
+    """Twists at the samples of the commands."""
+
+    wheels: FloatArray
+    """(K, 2) v [m/s], omega [rad/s] that encoders with the effective track see."""
+    body: FloatArray
+    """(K, 2) v [m/s], omega [rad/s] of the body, which gyro and poses see."""
+
+
+def respond(
+    model: VelocityModel, effects: BaseEffects, commands: ArrayLike, dt: float, start: ArrayLike = (0.0, 0.0)
+) -> Response:
+    """Simulate from commands alone: slew, wheel commands, linear dynamics, twist of the tyres, veer.
+
+    Parameters
+    ----------
+    model
+        The linear dynamics, from what the motors are asked for to the settled twist of the body.
+    effects
+        What the base does around them.
+    commands
+        (K, 2) v_ref [m/s], omega_ref [rad/s], each held from its sample to the next.
+    dt
+        Sample time [s].
+    start
+        (2,) the command under which the robot is settled at sample 0.
+
+    Raises
+    ------
+    ValueError
+        If the commands are not K rows of two finite numbers.
+    models.velocity_model.ModelError
+        If `dt` is not positive and finite.
+    """
+    commands = np.asarray(commands, dtype=float)
+    if commands.ndim != 2 or commands.shape[1] != 2 or not np.isfinite(commands).all():
+        raise ValueError(f"commands of shape {commands.shape}: expected K rows of finite v_ref, omega_ref")
+    start = np.asarray(start, dtype=float)
+    sampled = model.discretise(dt / _PARTS)
+    asked = np.repeat(commands, _PARTS, axis=0)
+    if effects.twist_slew is not None:
+        asked = effects.twist_slew.follow(asked, dt / _PARTS, start)
+    if effects.wheel_command is not None:
+        asked, start = effects.wheel_command.apply(asked), effects.wheel_command.apply(start)
+    past = np.tile(start, (sampled.memory, 1))
+    wheels = sampled.simulate(asked, sampled.settled_state(start), past)
+    body = wheels.copy()
+    if effects.yaw_relaxation is not None and len(body):
+        body[:, 1] = effects.yaw_relaxation.follow(wheels[:, 1], dt / _PARTS, float(np.sign(wheels[0, 1])))
+    if effects.veer is not None:
+        body = effects.veer.body(body)
+    return Response(wheels[::_PARTS], body[::_PARTS])
