@@ -1,0 +1,178 @@
+"""What every kind of log becomes: evenly sampled stretches in SI units, and what was found wrong on the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.checked_yaml import ConfigError
+from models.interface import FloatArray
+
+BoolArray = NDArray[np.bool_]
+Severity = Literal["note", "warning", "error"]
+
+_WIDTHS = {"command": 2, "twist": 2, "wheels": 2, "wheel_speeds": 4, "wheel_commands": 2, "pose": 3}
+_MASKS = {
+    "twist": "fresh_twist",
+    "wheels": "fresh_twist",
+    "wheel_speeds": "fresh_twist",
+    "yaw_rate": "fresh_yaw_rate",
+    "pose": "fresh_pose",
+}
+
+
+@dataclass(frozen=True)
+class Record:
+    """One contiguous, evenly sampled stretch of a log, K samples. Sample k belongs to the time `start + k dt`.
+
+    Between two readings a measured signal is interpolated, and NaN where the log has nothing near; only samples that
+    the `fresh` masks mark stand for a reading of their own. A mask left out marks every finite sample.
+
+    Attributes
+    ----------
+    name
+        Of the log and the stretch, for messages: "husky.csv, 12.0 to 660.3 s".
+    start
+        Time of the first sample on the log's clock [s].
+    dt
+        Sample time [s].
+    command
+        (K, 2) v [m/s], omega [rad/s] as commanded: the command in force from sample k on.
+    twist
+        (K, 2) v [m/s], omega [rad/s] from the encoders; None without encoders.
+    yaw_rate
+        (K,) of the gyro [rad/s]; None without a gyro.
+    pose
+        (K, 3) x [m], y [m], theta [rad, unwrapped], in one frame throughout; None without poses.
+    wheels
+        (K, 2) measured wheel speeds left, right [rad/s], of four wheels the mean of each side; None if not logged.
+    wheel_speeds
+        (K, 4) front left, front right, rear left, rear right [rad/s]; None where the log has not all four.
+    wheel_commands
+        (K, 2) commanded wheel speeds left, right [rad/s]; None where the log commands (v, omega).
+    fresh_twist, fresh_yaw_rate, fresh_pose
+        (K,) True where a reading of the encoders (twist and wheels), the gyro, the pose falls on the sample.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, a command is not finite, or a sample marked as fresh is not finite.
+    """
+
+    name: str
+    start: float
+    dt: float
+    command: FloatArray
+    twist: FloatArray | None = None
+    yaw_rate: FloatArray | None = None
+    pose: FloatArray | None = None
+    wheels: FloatArray | None = None
+    wheel_speeds: FloatArray | None = None
+    wheel_commands: FloatArray | None = None
+    fresh_twist: BoolArray | None = None
+    fresh_yaw_rate: BoolArray | None = None
+    fresh_pose: BoolArray | None = None
+
+    def __post_init__(self) -> None:
+        """Fill in the masks and check."""
+        if not (np.isfinite(self.dt) and self.dt > 0):
+            raise ValueError(f"record '{self.name}': sample time {self.dt} s; it must be positive and finite")
+        count = len(self.command)
+        for name in ("command", "wheel_commands", *_MASKS):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            shape = (count, _WIDTHS[name]) if name in _WIDTHS else (count,)
+            if value.shape != shape:
+                raise ValueError(f"record '{self.name}': {name} has shape {value.shape}, expected {shape}")
+            finite = np.isfinite(value).reshape(count, -1).all(axis=1)
+            if name not in _MASKS:
+                checked = np.ones(count, dtype=bool)
+            else:
+                if getattr(self, _MASKS[name]) is None:
+                    object.__setattr__(self, _MASKS[name], finite)
+                checked = getattr(self, _MASKS[name])
+            if not finite[checked].all():
+                raise ValueError(f"record '{self.name}': {name} holds a value that is not finite; cut the record there")
+
+    @property
+    def time(self) -> FloatArray:
+        """(K,) times of the samples on the log's clock [s]."""
+        return np.asarray(self.start + self.dt * np.arange(len(self.command)))
+
+    @property
+    def end(self) -> float:
+        """Time of the last sample [s]."""
+        return self.start + self.dt * (len(self.command) - 1)
+
+    def part(self, first: int, stop: int) -> Record:
+        """The samples from `first` up to, and without, `stop`, as a record of their own."""
+        count = len(self.command)
+        if not 0 <= first < stop <= count:
+            raise ValueError(f"record '{self.name}': no samples {first} to {stop} among its {count}")
+        start = self.start + first * self.dt
+        end = self.start + (stop - 1) * self.dt
+        cut: dict[str, Any] = {
+            field.name: value[first:stop]
+            for field in fields(self)
+            if isinstance(value := getattr(self, field.name), np.ndarray)
+        }
+        return replace(self, name=f"{self.name} (of it {start:.1f} to {end:.1f} s)", start=start, **cut)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something in a log that its user should know.
+
+    Attributes
+    ----------
+    kind
+        What it is, in a word or two, the same for all findings of its kind: "gap", "wrong sign".
+    severity
+        "note": it is so; "warning": the model may suffer; "error": a model from this log would be wrong.
+    place
+        Where in the log, in words: times, and rows or messages.
+    words
+        What was found and what can be done, in one sentence.
+    span
+        From and to [s] on the log's clock, where the finding has a place in time.
+    """
+
+    kind: str
+    severity: Severity
+    place: str
+    words: str
+    span: tuple[float, float] | None = None
+
+    def __str__(self) -> str:
+        """One line."""
+        return f"{self.place}: {self.words}"
+
+
+@dataclass(frozen=True)
+class Log:
+    """A log that has been read and checked.
+
+    Attributes
+    ----------
+    name
+        Of the file or bag.
+    records
+        The stretches that can be used, all with the same sample time, in the order of the log.
+    findings
+        What is wrong or worth knowing, in the order found.
+    """
+
+    name: str
+    records: tuple[Record, ...]
+    findings: tuple[Finding, ...]
+
+    def require_sound(self) -> None:
+        """Raise ConfigError with the line of the first finding that is an error; do nothing where there is none."""
+        errors = [finding for finding in self.findings if finding.severity == "error"]
+        if errors:
+            more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+            raise ConfigError(f"{errors[0]}{more}")
