@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from models.checked_yaml import StrictModel
 from models.interface import FloatArray
+from models.uncertainty import CommandLimits, Uncertainty
 from models.velocity_model import CHANNELS
 from models.wheels import WheelKinematics
 
@@ -65,7 +66,11 @@ class ModelFile(StrictModel):
     name: str
     provenance: Provenance
     fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of the stated experiments")
+    validation_fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of records held out")
     dead_time: DeadTime = DeadTime()
+    limits: CommandLimits | None = Field(default=None, description="levels at which the robot clips a command")
+    uncertainty: Uncertainty | None = Field(default=None, description="how well the identified parameters are known")
+    warnings: list[str] = Field(default_factory=list, description="what the identification did not trust")
 
     def matrices(self) -> Matrices:
         """Continuous A (n, n), B (n, 2), C (2, n)."""

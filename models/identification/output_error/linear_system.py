@@ -58,8 +58,8 @@ def sample(system: LinearSystem, dt: float) -> SampledSystem:
     n, m = system.B.shape[-2:]
     delay = np.floor(system.dead_time.real / dt + _WHOLE).astype(np.int64)
     acting = dt - (system.dead_time - delay * dt)
-    block = np.concatenate([system.A, system.B], axis=-1)
-    block = np.concatenate([block, np.zeros_like(block[..., :m, :])], axis=-2)
+    block = np.zeros((*system.A.shape[:-2], n + m, n + m), dtype=system.A.dtype)
+    block[..., :n, :] = np.concatenate([system.A, system.B], axis=-1)
     whole = linalg.expm(block * dt)
     parts = linalg.expm(block[..., None, :, :] * acting[..., :, None, None])
     B0 = np.stack([parts[..., j, :n, n + j] for j in range(m)], axis=-1)

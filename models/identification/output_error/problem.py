@@ -68,15 +68,17 @@ class OutputErrorProblem:
     def __init__(self, layout: Layout, stretches: Sequence[Stretch], weights: Sequence[FloatArray]) -> None:
         self._layout, self._stretches, self._weights = layout, list(stretches), list(weights)
         self._rows = sum(weight.size for weight in weights)
+        self._sample_times = {stretch.dt for stretch in stretches}
 
     def residuals(self, parameters: FloatArray) -> FloatArray:
         """(rows,) weighted residuals, stretch by stretch, sample by sample; infinite where the model is unstable."""
         system = self._layout.system(parameters)
         if np.linalg.eigvals(system.A).real.max() >= 0:
             return np.full(self._rows, np.inf)
+        sampled_at = {dt: sample(system, dt) for dt in self._sample_times}
         parts = []
         for stretch, weight in zip(self._stretches, self._weights, strict=True):
-            sampled = sample(system, stretch.dt)
+            sampled = sampled_at[stretch.dt]
             states = _forced(sampled, _drive(system, sampled, stretch))
             error = (weight * (stretch.outputs - system.offset - states.T @ system.C.T)).ravel()
             _project(error, _initial_state(system, sampled, weight).seen)
@@ -86,9 +88,10 @@ class OutputErrorProblem:
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """(rows, q) derivatives of `residuals`."""
         system = self._layout.system(parameters)
+        slopes = {dt: (sample(system, dt), *self._derivatives(parameters, dt)) for dt in self._sample_times}
         return np.concatenate(
             [
-                self._stretch_jacobian(parameters, system, stretch, weight)
+                self._stretch_jacobian(system, *slopes[stretch.dt], stretch, weight)
                 for stretch, weight in zip(self._stretches, self._weights, strict=True)
             ]
         )
@@ -114,11 +117,15 @@ class OutputErrorProblem:
         return states, drive, initial
 
     def _stretch_jacobian(
-        self, parameters: FloatArray, system: LinearSystem, stretch: Stretch, weight: FloatArray
+        self,
+        system: LinearSystem,
+        sampled: SampledSystem,
+        slope: LinearSystem,
+        sampled_slope: SampledSystem,
+        stretch: Stretch,
+        weight: FloatArray,
     ) -> FloatArray:
-        sampled = sample(system, stretch.dt)
         states, drive, initial = self._simulate(system, sampled, stretch, weight)
-        slope, sampled_slope = self._derivatives(parameters, stretch.dt)
         forcing = sampled_slope.A @ states + sampled_slope.B0 @ drive.recent + sampled_slope.B1 @ drive.older
         if slope.limit.any():
             forcing += (sampled.B0 * slope.limit[:, None, :]) @ drive.recent_clipped

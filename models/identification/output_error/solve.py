@@ -19,10 +19,9 @@ from models.identification.output_error.stretch import Stretch
 from models.interface import FloatArray
 
 # Reweighting ends when no parameter moves by more than this part of the residuals' cost, or after so many rounds.
-_SETTLED = 1e-4
+_SETTLED = 1e-6
 _ROUNDS = 8
 _EVALUATIONS = 60
-_FIRST_EVALUATIONS = 25
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,10 @@ class OutputErrorFit:
 
 
 def estimate(
-    candidates: Sequence[tuple[Layout, FloatArray]], stretches: Sequence[Stretch], robust: bool = True
+    candidates: Sequence[tuple[Layout, FloatArray]],
+    stretches: Sequence[Stretch],
+    robust: bool = True,
+    trial: int = 25,
 ) -> OutputErrorFit:
     """Fit every candidate, go on with the best, and find its covariance.
 
@@ -76,6 +78,8 @@ def estimate(
         The data.
     robust
         Whether single outliers are held back.
+    trial
+        Evaluations after which the best candidate is chosen.
 
     Raises
     ------
@@ -89,7 +93,7 @@ def estimate(
         fits = []
         for layout, start in candidates:
             weights = _weights(layout, start, stretches, spread)
-            fits.append((*_solve(layout, start, stretches, weights, _FIRST_EVALUATIONS), weights))
+            fits.append((*_solve(layout, start, stretches, weights, trial), weights))
         layout, parameters, cost, weights = min(fits, key=lambda fit: fit[2])
         for _ in range(_ROUNDS):
             residuals = _residuals(layout, parameters, stretches, weights)
@@ -121,9 +125,9 @@ def _solve(
         bounds=(low, high),
         x_scale="jac",
         max_nfev=evaluations,
-        xtol=1e-9,
-        ftol=1e-9,
-        gtol=1e-9,
+        xtol=1e-8,
+        ftol=1e-8,
+        gtol=1e-8,
     )
     return layout, np.asarray(result.x), float(result.cost)
 
