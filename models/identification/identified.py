@@ -10,6 +10,7 @@ import numpy as np
 
 from models.identification.estimate import Estimate
 from models.identification.output_error.linear_system import LinearSystem
+from models.identification.output_error.solve import OutputErrorFit
 from models.identification.signals import YawSource
 from models.interface import FloatArray
 from models.load import build_model
@@ -40,8 +41,8 @@ class IdentifiedModel:
         Whether omega was the gyro's or the encoders'.
     method
         How it was done, in words.
-    samples
-        How many samples it was done on.
+    fits
+        The estimates behind it: of each channel, or one.
     warnings
         What not to trust.
     """
@@ -53,7 +54,7 @@ class IdentifiedModel:
     limits: Mapping[str, float]
     yaw: YawSource
     method: str
-    samples: int
+    fits: tuple[OutputErrorFit, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -64,9 +65,10 @@ class IdentifiedModel:
     @property
     def system(self) -> LinearSystem:
         """The model with its sensor offsets and limits, as it is held against a log."""
-        model = self.model
+        data = self.file("identified", {"origin": "identified", "source": self.method})
         limit = np.array([self.limits.get(channel, np.inf) for channel in CHANNELS])
-        return LinearSystem(model.A, model.B, model.C, model.dead_time, self.offset, limit)
+        dead_time = np.array([data.dead_time.v, data.dead_time.omega])
+        return LinearSystem(*data.matrices(), dead_time, self.offset, limit)
 
     def file(self, name: str, provenance: Mapping[str, Any], **more: object) -> ModelFile:
         """The content of a parameter file; `more` are further keys of it."""

@@ -59,7 +59,7 @@ def identify_sm(
         limits=channel_limits(channels),
         yaw=yaw,
         method=METHOD,
-        samples=sum(len(record.command) for record in records),
+        fits=tuple(fit.fit for fit in channels),
         warnings=tuple(warning for fit in channels for warning in fit.warnings),
     )
 

@@ -84,8 +84,7 @@ def identify_ssm_orders(
     fits: list[OutputErrorFit] = []
     for order in range(1, largest + 1):
         fits.append(_fit(stretches, channels, order, fits[-1] if fits else None, yaw == "gyro", robust))
-    samples = sum(len(record.command) for record in records)
-    return [_identified(fit, yaw, samples) for fit in fits]
+    return [_identified(fit, yaw) for fit in fits]
 
 
 def _fit(
@@ -148,7 +147,7 @@ def _common_pole(channels: tuple[ChannelEstimate, ChannelEstimate]) -> Realisati
     return A[:1, :1], B[:1], C[:, :1]
 
 
-def _identified(fit: OutputErrorFit, yaw: YawSource, samples: int) -> IdentifiedModel:
+def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
     system = fit.system
     A, B, C = balanced(system.A, system.B, system.C)
     order = len(A)
@@ -184,7 +183,7 @@ def _identified(fit: OutputErrorFit, yaw: YawSource, samples: int) -> Identified
         limits=rounded(dict(zip(limited, values, strict=True))),
         yaw=yaw,
         method=f"{METHOD}; order {order}",
-        samples=samples,
+        fits=(fit,),
         warnings=(
             *doubts.at_bounds(fit, label),
             *(f"{label}: {sentence}" for sentence in doubts.badly_known(main)),

@@ -48,3 +48,9 @@ def output_spread(stretches: Sequence[Stretch]) -> FloatArray:
 def huber_weight(scaled: FloatArray) -> FloatArray:
     """Weights of residuals over their scale, any shape: 1 inside `HUBER`, falling outside."""
     return np.asarray(HUBER / np.maximum(np.abs(scaled), HUBER))
+
+
+def huber_loss(scaled: FloatArray) -> FloatArray:
+    """The loss that these weights belong to: z^2 inside `HUBER`, a straight line outside; any shape."""
+    size = np.abs(scaled)
+    return np.asarray(np.where(size < HUBER, size**2, 2 * HUBER * size - HUBER**2))

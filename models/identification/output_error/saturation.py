@@ -7,11 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.identification.output_error.robust import HUBER
 from models.identification.output_error.solve import OutputErrorFit, estimate
 from models.identification.output_error.stretch import Stretch
 from models.identification.settings import load_settings
-from models.interface import FloatArray
 
 _CERTAIN = 2.0
 # Only the level and the gain have to move before the best level shows.
@@ -49,13 +47,7 @@ def find_limits(fit: OutputErrorFit, stretches: Sequence[Stretch], channel: int,
     found = estimate(candidates, stretches, robust, _TRIAL)
     level, deviation = found.parameters[place], np.sqrt(found.covariance[place, place])
     samples = float(fit.effective_samples.sum())
-    gain = samples * np.log(_loss(fit, fit.scale) / _loss(found, fit.scale)) - np.log(samples)
+    gain = samples * np.log(fit.loss(fit.scale).sum() / found.loss(fit.scale).sum()) - np.log(samples)
     beyond = float(np.mean(size > level))
     shown = gain > settings.evidence and beyond > settings.share and level + _CERTAIN * deviation < size.max()
     return found if shown else fit
-
-
-def _loss(fit: OutputErrorFit, scale: FloatArray) -> float:
-    """Huber's loss of all residuals over `scale` (p,)."""
-    size = np.concatenate([np.abs(residuals / scale).ravel() for residuals in fit.residuals])
-    return float(np.sum(np.where(size < HUBER, size**2, 2 * HUBER * size - HUBER**2)))

@@ -14,14 +14,15 @@ from models.identification.output_error.covariance import Sandwich, sandwich
 from models.identification.output_error.layout import Layout
 from models.identification.output_error.linear_system import LinearSystem
 from models.identification.output_error.problem import OutputErrorProblem
-from models.identification.output_error.robust import huber_weight, output_spread, residual_scale
+from models.identification.output_error.robust import huber_loss, huber_weight, output_spread, residual_scale
 from models.identification.output_error.stretch import Stretch
 from models.interface import FloatArray
 
-# Reweighting ends when no parameter moves by more than this part of the residuals' cost, or after so many rounds.
-_SETTLED = 1e-6
-_ROUNDS = 8
-_EVALUATIONS = 60
+# Reweighting ends when a round lowers the cost by less than this part of it, or after so many rounds. A round goes on where
+# the last one stopped, so few evaluations in each are enough.
+_SETTLED = 1e-5
+_ROUNDS = 5
+_EVALUATIONS = 25
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,10 @@ class OutputErrorFit:
     def system(self) -> LinearSystem:
         """The estimated system."""
         return self.layout.system(self.parameters)
+
+    def loss(self, scale: FloatArray) -> FloatArray:
+        """(p,) Huber's loss of each output's residuals over `scale` (p,); twice the cost where there is no outlier."""
+        return np.asarray(np.sum([huber_loss(residuals / scale).sum(axis=0) for residuals in self.residuals], axis=0))
 
 
 def estimate(
