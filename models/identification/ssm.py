@@ -116,7 +116,7 @@ def _fit(
     if below:
         system = below.system
         left = [
-            Stretch(stretch.name, stretch.dt, stretch.inputs, residuals, stretch.counts)
+            Stretch(stretch.name, stretch.dt, stretch.inputs, residuals, np.isfinite(residuals))
             for stretch, residuals in zip(stretches, below.residuals, strict=True)
         ]
         more = from_impulse_response(impulse_response(left, system.dead_time, length), 1, dt)
@@ -124,7 +124,8 @@ def _fit(
             candidates.append(candidate(beside((system.A, system.B, system.C), more), system.dead_time))
     if not candidates:  # an impulse response too noisy to realise: one pole for both channels
         candidates.append(candidate(_common_pole(channels), dead_time))
-    return estimate(candidates, stretches, robust)
+    scale = np.concatenate([channel.fit.scale for channel in channels])
+    return estimate(candidates, stretches, robust, scale=scale)
 
 
 def _side_by_side(channels: tuple[ChannelEstimate, ChannelEstimate], poles: int) -> Realisation:

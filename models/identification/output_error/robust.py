@@ -21,18 +21,14 @@ _LEAST_SHARE = 0.5
 _FINEST = 1e-9
 
 
-def residual_scale(stretches: Sequence[Stretch], residuals: Sequence[FloatArray]) -> FloatArray:
-    """(p,) scale of each output's residuals (K, p), from the median of their size.
+def residual_scale(residuals: Sequence[FloatArray], spread: FloatArray) -> FloatArray:
+    """(p,) scale of each output's residuals (K, p), NaN where they do not count, from the median of their size.
 
     A robot that stands has quantised sensors that say exactly zero, so half of the residuals may be nothing: the scale is
-    not taken below half of what their ninth decile gives.
+    not taken below half of what their ninth decile gives. `spread` (p,) of the outputs keeps it from vanishing.
     """
-    scales = []
-    for row in range(stretches[0].outputs.shape[1]):
-        size = np.concatenate([np.abs(r[s.counts[:, row], row]) for s, r in zip(stretches, residuals, strict=True)])
-        median, decile = np.quantile(size, [0.5, 0.9])
-        scales.append(max(median / _MEDIAN, _LEAST_SHARE * decile / _NINE_TENTHS))
-    return np.maximum(scales, _FINEST * output_spread(stretches))
+    median, decile = np.nanquantile(np.abs(np.concatenate(residuals)), [0.5, 0.9], axis=0)
+    return np.asarray(np.maximum.reduce([median / _MEDIAN, _LEAST_SHARE * decile / _NINE_TENTHS, _FINEST * spread]))
 
 
 def output_spread(stretches: Sequence[Stretch]) -> FloatArray:

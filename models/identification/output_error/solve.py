@@ -38,7 +38,7 @@ class OutputErrorFit:
     scale
         (p,) scale of the residuals, units of the outputs.
     residuals
-        For each stretch (K, p) measured minus simulated, from the best initial state.
+        For each stretch (K, p) measured minus simulated, from the best initial state; NaN where it does not count.
     effective_samples
         (p,) how many independent readings the correlated residuals are worth.
     condition
@@ -60,7 +60,7 @@ class OutputErrorFit:
 
     def loss(self, scale: FloatArray) -> FloatArray:
         """(p,) Huber's loss of each output's residuals over `scale` (p,); twice the cost where there is no outlier."""
-        return np.asarray(np.sum([huber_loss(residuals / scale).sum(axis=0) for residuals in self.residuals], axis=0))
+        return np.asarray(sum(np.nansum(huber_loss(r / scale), axis=0) for r in self.residuals))
 
 
 def estimate(
@@ -68,6 +68,7 @@ def estimate(
     stretches: Sequence[Stretch],
     robust: bool = True,
     trial: int = 25,
+    scale: FloatArray | None = None,
 ) -> OutputErrorFit:
     """Fit every candidate, go on with the best, and find its covariance.
 
@@ -85,6 +86,8 @@ def estimate(
         Whether single outliers are held back.
     trial
         Evaluations after which the best candidate is chosen.
+    scale
+        (p,) scale of the residuals to begin with; by default the spread of the outputs.
 
     Raises
     ------
@@ -94,15 +97,16 @@ def estimate(
     if not stretches:
         raise ValueError("no data: give at least one record in which the robot moves")
     spread = output_spread(stretches)
+    first = spread if scale is None else scale
     with threadpool_limits(1):  # the matrices are small: threads only get in each other's way
         fits = []
         for layout, start in candidates:
-            weights = _weights(layout, start, stretches, spread)
+            weights = _weights(layout, start, stretches, first)
             fits.append((*_solve(layout, start, stretches, weights, trial), weights))
         layout, parameters, cost, weights = min(fits, key=lambda fit: fit[2])
         for _ in range(_ROUNDS):
             residuals = _residuals(layout, parameters, stretches, weights)
-            scale = residual_scale(stretches, residuals)
+            scale = residual_scale(residuals, spread)
             weights = _weights(layout, parameters, stretches, scale, residuals if robust else None)
             before = _cost(layout, parameters, stretches, weights)
             layout, parameters, cost = _solve(layout, parameters, stretches, weights, _EVALUATIONS)
@@ -146,8 +150,8 @@ def _residuals(
 ) -> list[FloatArray]:
     simulated = OutputErrorProblem(layout, stretches, weights).simulations(parameters)
     return [
-        np.where(stretch.counts, stretch.outputs - outputs, 0.0)
-        for stretch, outputs in zip(stretches, simulated, strict=True)
+        np.where(weight > 0, stretch.outputs - outputs, np.nan)
+        for stretch, outputs, weight in zip(stretches, simulated, weights, strict=True)
     ]
 
 
@@ -169,7 +173,7 @@ def _weights(
     for i, stretch in enumerate(stretches):
         weight = (stretch.counts & known_commands(layout, parameters, stretch)[:, None]) / scale
         if residuals is not None:
-            weight = weight * np.sqrt(huber_weight(residuals[i] / scale))
+            weight = weight * np.sqrt(huber_weight(np.nan_to_num(residuals[i] / scale)))
         weights.append(np.asarray(weight))
     return weights
 
@@ -189,5 +193,5 @@ def _covariance(
     return sandwich(
         np.split(jacobian.reshape(-1, outputs, jacobian.shape[1]), cuts),
         np.split(error.reshape(-1, outputs), cuts),
-        [np.where(weight > 0, r / scale, np.nan) for weight, r in zip(weights, residuals, strict=True)],
+        [r / scale for r in residuals],
     )
