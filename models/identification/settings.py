@@ -44,6 +44,7 @@ class IdentificationSettings(StrictModel):
     natural_frequency: Range = Field(description="[rad/s]")
     damping: Range = Field(description="[-]")
     gain: Range = Field(description="[-]")
+    track: Range = Field(description="[m]")
     start_dead_times: tuple[float, ...] = Field(description="grid of first guesses [s]")
     start_frequencies: tuple[Positive, ...] = Field(description="grid of first guesses [rad/s]")
     impulse_response: Positive = Field(description="length of the impulse response an SSM starts from [s]")
