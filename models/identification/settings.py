@@ -48,6 +48,7 @@ class IdentificationSettings(StrictModel):
     start_dead_times: tuple[float, ...] = Field(description="grid of first guesses [s]")
     start_frequencies: tuple[Positive, ...] = Field(description="grid of first guesses [rad/s]")
     impulse_response: Positive = Field(description="length of the impulse response an SSM starts from [s]")
+    pose_window: Positive = Field(description="[s]")
     saturation: SaturationSettings
     warn: WarningSettings
     validation: ValidationSettings
