@@ -81,7 +81,10 @@ def identify_channel(
     poles = _real_poles(parameters)
     warnings = [
         *doubts.at_bounds(fit, label),
-        *(f"{label}: {sentence}" for sentence in doubts.badly_known(parameters.part([*TwoPoles.model_fields, *named[4 + offset :]]))),
+        *(
+            f"{label}: {sentence}"
+            for sentence in doubts.badly_known(parameters.part([*TwoPoles.model_fields, *named[4 + offset :]]))
+        ),
         *(doubts.merged_poles(poles, label) if poles else []),
         *doubts.hardly_identifiable(fit, label),
     ]

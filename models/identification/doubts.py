@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from models.identification.estimate import Estimate
-from models.identification.output_error.layout import Layout
 from models.identification.output_error.solve import OutputErrorFit
 from models.identification.settings import load_settings
 
@@ -32,7 +33,7 @@ def at_bounds(fit: OutputErrorFit, label: str) -> list[str]:
     for name, value, lower, upper in zip(fit.layout.names, fit.parameters, low, high, strict=True):
         if min(value - lower, upper - value) < _AT_BOUND:
             side = "lower" if value - lower < upper - value else "upper"
-            shown = _readable(fit.layout, name)
+            shown = _readable(name)
             sentences.append(f"{label}: {shown} lies at the {side} bound of the search: the data do not determine it")
     return sentences
 
@@ -41,25 +42,28 @@ def hardly_identifiable(fit: OutputErrorFit, label: str) -> list[str]:
     """A sentence if some combination of parameters leaves hardly a trace in the data."""
     if fit.condition < load_settings().warn.condition:
         return []
-    return [f"{label}: condition number {fit.condition:.1e}: some parameters can only be told together; lower the order"]
+    return [
+        f"{label}: condition number {fit.condition:.1e}: some parameters can only be told together; lower the order"
+    ]
 
 
 def merged_poles(poles: Estimate, label: str) -> list[str]:
     """A sentence for each two neighbouring real poles whose distance is within two standard deviations of zero."""
     order = np.argsort(poles.values)
     sentences = []
-    for first, second in zip(order[:-1], order[1:], strict=True):
+    for first, second in pairwise(order.tolist()):
         contrast = np.zeros(len(order))
         contrast[first], contrast[second] = -1.0, 1.0
         distance = float(contrast @ poles.values)
-        deviation = float(np.sqrt(max(contrast @ poles.covariance @ contrast, 0.0)))
+        deviation = max(float(contrast @ poles.covariance @ contrast), 0.0) ** 0.5
         apart = poles.values[first] / poles.values[second] > _FAR_APART
         if not apart and distance < _CERTAIN * deviation:
             sentences.append(
-                f"{label}: the poles at {poles.values[first]:.3g} and {poles.values[second]:.3g} rad/s cannot be told apart"
+                f"{label}: the poles at {poles.values[first]:.3g} and {poles.values[second]:.3g} rad/s "
+                "cannot be told apart"
             )
     return sentences
 
 
-def _readable(layout: Layout, name: str) -> str:
+def _readable(name: str) -> str:
     return name.removeprefix("log_").replace("_", " ")

@@ -21,8 +21,9 @@ from models.structures import Motors, TwoPoles
 from models.velocity_model import CHANNELS
 
 METHOD = (
-    "output error (simulation from commands alone), two poles and no zeros for each motor, one dead time, firmware track "
-    "with them; effective track from the steady yaw gain of the gyro; all records at once, free initial states, Huber weights"
+    "output error (simulation from commands alone), two poles and no zeros for each motor, one dead time, firmware "
+    "track with them; effective track from the steady yaw gain of the gyro; all records at once, free initial states, "
+    "Huber weights"
 )
 _MOTORS = tuple(Motors.model_fields)
 _SIDES = (-1, 1, -1, 1)
@@ -37,7 +38,8 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, robust: bool
     Parameters
     ----------
     records
-        Records with wheel speeds and a gyro. Where only two sides were logged, front and rear motor of a side are equal.
+        Records with wheel speeds and a gyro. Where only two sides were logged, front and rear motor of
+        a side are equal.
     wheel_radius
         [m], as the robot's firmware has it.
     robust
@@ -50,7 +52,11 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, robust: bool
     """
     stretches = wheel_stretches(records)
     yaw = identify_channel(
-        [stretch.channel(1, 1) for stretch in twist_stretches(records)], "omega", offset=True, limit=False, robust=robust
+        [stretch.channel(1, 1) for stretch in twist_stretches(records)],
+        "omega",
+        offset=True,
+        limit=False,
+        robust=robust,
     )
     sides = _SIDES[: stretches[0].outputs.shape[1]]
     layout = Layout(MotorsStructure(sides, wheel_radius), 2, len(sides), shared_dead_time=True)
@@ -102,7 +108,7 @@ def _combined(stretch: Stretch, weights: FloatArray, column: int) -> Stretch:
         stretch.dt,
         stretch.inputs[:, column : column + 1],
         (stretch.outputs @ weights)[:, None],
-        stretch.counts.all(axis=1, keepdims=True),
+        np.asarray(stretch.counts.all(axis=1, keepdims=True)),
     )
 
 

@@ -16,7 +16,10 @@ from models.interface import FloatArray
 from models.structures import ModelFile
 from models.velocity_model import CHANNELS
 
-_HEAD = "# Identified from a log. Gains and damping [-], frequencies and poles [rad/s], times [s], lengths [m], twists [m/s, rad/s].\n"
+_HEAD = (
+    "# Identified from a log. Gains and damping [-], frequencies and poles [rad/s], times [s], lengths [m], "
+    "twists [m/s, rad/s].\n"
+)
 _PERCENT_DIGITS = 2
 _CORRELATION_DIGITS = 4
 

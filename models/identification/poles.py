@@ -16,7 +16,7 @@ def distinct_poles(A: FloatArray) -> AnyArray:
     """Eigenvalues [rad/s] of A (n, n) with no negative imaginary part, slowest first."""
     poles = np.linalg.eigvals(A).astype(complex)
     poles = poles[poles.imag > -_REAL * np.abs(poles)]
-    return poles[np.argsort(np.abs(poles), kind="stable")]
+    return np.asarray(poles[np.argsort(np.abs(poles), kind="stable")])
 
 
 def pole_names(poles: AnyArray) -> list[str]:

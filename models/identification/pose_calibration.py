@@ -32,8 +32,8 @@ class PoseCalibration:
     Attributes
     ----------
     parameters
-        The coefficients, and for wheels lever_arm_ahead and lever_arm_left [m]: the pose point seen from the rotation
-        centre.
+        The coefficients, and for wheels lever_arm_ahead and lever_arm_left [m], the pose point seen from the rotation
+        centre, unless the law holds it.
     rmse
         Root mean square error over one window: ahead [m], to the left [m], heading [rad]; of a gyro only heading.
     windows
@@ -66,18 +66,20 @@ def calibrate_wheels(records: Sequence[Record], law: SlipLaw, pose_lag: float = 
         If wheels or poses are missing, or there are too few windows.
     """
     windows = pose_windows(records, "wheels", pose_lag)
+    count = len(law.names)
 
     def errors(parameters: FloatArray) -> FloatArray:
+        lever_arm = np.zeros(2) if law.holds_lever_arm else parameters[count:]
         parts = []
         for part in windows:
-            moved = displacement(law.twist(parameters[:-2], part.signal), part.dt, parameters[-2:])
+            moved = displacement(law.twist(parameters[:count], part.signal), part.dt, lever_arm)
             error = part.displacement - moved
             error[:, 2] = wrap_angle(error[:, 2])
             parts.append(error)
         return np.concatenate(parts)
 
-    names = (*law.names, "lever_arm_ahead", "lever_arm_left")
-    return _solve(errors, np.append(law.start, [0.0, 0.0]), names)
+    more = () if law.holds_lever_arm else ("lever_arm_ahead", "lever_arm_left")
+    return _solve(errors, np.append(law.start, np.zeros(len(more))), (*law.names, *more))
 
 
 def calibrate_gyro(records: Sequence[Record], pose_lag: float = 0.0) -> PoseCalibration:
@@ -143,8 +145,8 @@ def _solve(errors: Callable[[FloatArray], FloatArray], start: FloatArray, names:
     rows = result.jac.reshape(*found.shape, len(start))
     covariance = sandwich([rows], [weight * found], [found / scale]).covariance
     estimate = Estimate(names, parameters, covariance)
-    warnings = tuple(sentence for sentence in badly_known(estimate.part(_sizes(names))))
-    return PoseCalibration(estimate, np.sqrt(np.mean(found**2, axis=0)), len(found), warnings)
+    warnings = badly_known(estimate.part(_sizes(names)))
+    return PoseCalibration(estimate, np.sqrt(np.mean(found**2, axis=0)), len(found), tuple(warnings))
 
 
 def _weighted(errors: Callable[[FloatArray], FloatArray], weight: FloatArray) -> Callable[[FloatArray], FloatArray]:

@@ -36,7 +36,7 @@ def twist_stretches(records: Sequence[Record], yaw: YawSource = "gyro") -> list[
 
 
 def wheel_stretches(records: Sequence[Record]) -> list[Stretch]:
-    """Commands (v_ref, omega_ref) against wheel speeds [rad/s]: of four wheels where every record has them, else of two.
+    """Commands (v_ref, omega_ref) against wheel speeds [rad/s]: four where every record has them, else two.
 
     Raises
     ------

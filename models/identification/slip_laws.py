@@ -23,8 +23,13 @@ class SlipLaw(Protocol):
         """(q,) coefficients of a robot that does not slip."""
         ...
 
+    @property
+    def holds_lever_arm(self) -> bool:
+        """Whether the coefficients already describe any point fixed to the body, so that it cannot be told apart."""
+        ...
+
     def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
-        """(..., 3) v [m/s], lateral speed to the left [m/s], yaw rate [rad/s] of wheels (..., 2) left, right [rad/s]."""
+        """(..., 3) v, lateral speed to the left [m/s], yaw rate [rad/s] of wheels (..., 2) left, right [rad/s]."""
         ...
 
 
@@ -43,6 +48,7 @@ class ConstantTrack:
     wheel_radius: float
     track: float
     names: tuple[str, ...] = ("wheel_radius", "track", "side_slip")
+    holds_lever_arm: bool = False
 
     @property
     def start(self) -> FloatArray:
@@ -61,8 +67,8 @@ class ConstantTrack:
 class VirtualTrack:
     """The track grows with the yaw rate, i = p1 |yaw rate| + p0, and side-slip as in `ConstantTrack`.
 
-    Source: Botta et al., Appl. Sci. 2021, 11(4), 1594. yaw rate = difference / i is a quadratic equation in the yaw rate;
-    its solution that stays finite for p1 = 0 is used. Coefficients: wheel_radius [m], p0 [m], p1 [m s], side_slip [s].
+    Source: Botta et al., Appl. Sci. 2021, 11(4), 1594. yaw rate = difference / i is quadratic in the yaw rate; its
+    solution that stays finite for p1 = 0 is used. Coefficients: wheel_radius [m], p0 [m], p1 [m s], side_slip [s].
 
     Attributes
     ----------
@@ -73,6 +79,7 @@ class VirtualTrack:
     wheel_radius: float
     track: float
     names: tuple[str, ...] = ("wheel_radius", "p0", "p1", "side_slip")
+    holds_lever_arm: bool = False
 
     @property
     def start(self) -> FloatArray:
@@ -95,7 +102,8 @@ class SlipPolynomial:
     """v, lateral speed and yaw rate each with terms in v_c, w_c and v_c w_c added to the wheels' (v_c, w_c).
 
     Source: Ordonez et al. 2017: v = v_c + a11 v_c + a12 w_c + a13 v_c w_c, lateral = a21 v_c + a22 w_c + a23 v_c w_c,
-    omega = w_c + a31 v_c + a32 w_c + a33 v_c w_c. Here lateral is to the left and w_c counter-clockwise.
+    omega = w_c + a31 v_c + a32 w_c + a33 v_c w_c. Here lateral is to the left and w_c counter-clockwise. A pose point
+    away from the rotation centre adds to a12 and a22, so the polynomial is that of the pose point.
 
     Attributes
     ----------
@@ -106,6 +114,7 @@ class SlipPolynomial:
     wheel_radius: float
     track: float
     names: tuple[str, ...] = tuple(f"a{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3))
+    holds_lever_arm: bool = True
 
     @property
     def start(self) -> FloatArray:

@@ -15,8 +15,8 @@ from models.structures import TwoPoles
 from models.velocity_model import CHANNELS
 
 METHOD = (
-    "output error (simulation from commands alone), two poles, no zeros and a dead time for each channel, all records at "
-    "once, free initial states, Huber weights, several starts"
+    "output error (simulation from commands alone), two poles, no zeros and a dead time for each channel, all records "
+    "at once, free initial states, Huber weights, several starts"
 )
 
 
@@ -48,10 +48,7 @@ def identify_sm(
         content={
             "dead_time": rounded({name: fit.parameters.value("dead_time") for name, fit in fits.items()}),
             "channels": rounded(
-                {
-                    name: {key: fit.parameters.value(key) for key in TwoPoles.model_fields}
-                    for name, fit in fits.items()
-                }
+                {name: {key: fit.parameters.value(key) for key in TwoPoles.model_fields} for name, fit in fits.items()}
             ),
         },
         parameters=joined([fit.parameters.renamed(name) for name, fit in fits.items()]),
@@ -89,4 +86,3 @@ def channel_limits(channels: Sequence[ChannelEstimate]) -> dict[str, float]:
         for name, fit in zip(CHANNELS, channels, strict=True)
         if "limit" in fit.parameters.names
     }
-

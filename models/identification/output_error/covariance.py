@@ -1,8 +1,9 @@
 """How well parameters are known when residuals are correlated in time, as those of a simulation are.
 
-Covariance H^-1 S H^-1 ("sandwich"): H is the information that white residuals would give, S the long-run covariance of the
-scores. Sources: Ljung, System Identification, 2nd edition, 1999, section 9.4 (output error with coloured noise); Newey, West,
-Econometrica 1987, 55(3), 703-708 (weights of the lags); Andrews, Econometrica 1991, 59(3), 817-858 (how many lags).
+Covariance H^-1 S H^-1 ("sandwich"): H is the information that white residuals would give, S the long-run covariance of
+the scores. Sources: Ljung, System Identification, 2nd edition, 1999, section 9.4 (output error with coloured noise);
+Newey, West, Econometrica 1987, 55(3), 703-708 (weights of the lags); Andrews, Econometrica 1991, 59(3), 817-858
+(how many lags).
 """
 
 from __future__ import annotations
@@ -30,9 +31,7 @@ class Sandwich(NamedTuple):
     """condition number of the information matrix, scaled to unit diagonal"""
 
 
-def sandwich(
-    jacobians: Sequence[FloatArray], errors: Sequence[FloatArray], scaled: Sequence[FloatArray]
-) -> Sandwich:
+def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray], scaled: Sequence[FloatArray]) -> Sandwich:
     """Covariance of parameters at the optimum of a weighted least-squares problem.
 
     Parameters
@@ -59,9 +58,10 @@ def sandwich(
 
 
 def long_run_covariance(scores: Sequence[FloatArray], window: int | None = None) -> FloatArray:
-    """(q, q) sum over all pairs of samples of the scores' (K, q) covariance, Bartlett weights, nothing across stretches.
+    """(q, q) covariance of the scores' (K, q) sum, Bartlett weights.
 
-    The window is chosen from the scores' first autocorrelation (Andrews' rule for Bartlett weights) unless given.
+    Nothing is correlated across stretches. The window is chosen from the scores' first autocorrelation (Andrews' rule
+    for Bartlett weights) unless given.
     """
     if window is None:
         window = _window(scores)

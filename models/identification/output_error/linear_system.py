@@ -1,7 +1,7 @@
 """A continuous linear system with dead time, and how it is sampled, in arithmetic that takes complex numbers.
 
-`models.discrete_model` samples a finished model through `control`. An estimator needs the derivatives too: a complex step
-through the functions here gives them to machine precision.
+`models.discrete_model` samples a finished model through `control`. An estimator needs the derivatives too: a complex
+step through the functions here gives them to machine precision.
 """
 
 from __future__ import annotations
@@ -69,9 +69,7 @@ def sample(system: LinearSystem, dt: float) -> SampledSystem:
 def delayed(inputs: FloatArray, delay: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
     """Inputs (K, m) as B0 and B1 see them, each (m, K); before sample 0 the first row was in force."""
     rows = np.arange(len(inputs))
-    columns = [
-        [inputs[np.maximum(rows - d - older, 0), j] for j, d in enumerate(delay)] for older in (0, 1)
-    ]
+    columns = [[inputs[np.maximum(rows - d - older, 0), j] for j, d in enumerate(delay)] for older in (0, 1)]
     return np.array(columns[0]), np.array(columns[1])
 
 

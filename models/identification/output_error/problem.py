@@ -1,8 +1,8 @@
 """Output error: measured outputs minus a simulation from the inputs alone, and its derivatives.
 
-Each stretch has an initial state of its own. It enters linearly, so it is solved for exactly inside every evaluation and
-projected out of the derivatives (variable projection, Golub and Pereyra 1973, with Kaufman's 1975 simplification, whose
-gradient is exact): any number of stretches costs no parameter.
+Each stretch has an initial state of its own. It enters linearly, so it is solved for exactly inside every evaluation
+and projected out of the derivatives (variable projection, Golub and Pereyra 1973, with Kaufman's 1975 simplification,
+whose gradient is exact): any number of stretches costs no parameter.
 """
 
 from __future__ import annotations

@@ -37,9 +37,9 @@ def impulse_response(stretches: Sequence[Stretch], dead_time: FloatArray, length
 
 
 def from_impulse_response(response: FloatArray, order: int, dt: float) -> Realisation | None:
-    """A realisation of an impulse response (p, m, L) by the eigensystem realization algorithm; None without a stable one.
+    """A realisation of an impulse response (p, m, L), or None without a stable one.
 
-    Source: Juang, Pappa, Journal of Guidance, Control, and Dynamics 1985, 8(5), 620-627, through `control`.
+    Eigensystem realization algorithm: Juang, Pappa, Journal of Guidance, Control, and Dynamics 1985, 8(5), 620-627.
     """
     import control  # noqa: PLC0415 - loads slowly, and only an SSM needs it
 
@@ -85,4 +85,4 @@ def beside(first: Realisation, second: Realisation) -> Realisation:
 
 def _filled(stretch: Stretch, row: int) -> FloatArray:
     known = np.flatnonzero(stretch.counts[:, row])
-    return np.interp(np.arange(stretch.samples), known, stretch.outputs[known, row])
+    return np.asarray(np.interp(np.arange(stretch.samples), known, stretch.outputs[known, row]))

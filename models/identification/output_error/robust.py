@@ -24,8 +24,8 @@ _FINEST = 1e-9
 def residual_scale(residuals: Sequence[FloatArray], spread: FloatArray) -> FloatArray:
     """(p,) scale of each output's residuals (K, p), NaN where they do not count, from the median of their size.
 
-    A robot that stands has quantised sensors that say exactly zero, so half of the residuals may be nothing: the scale is
-    not taken below half of what their ninth decile gives. `spread` (p,) of the outputs keeps it from vanishing.
+    A robot that stands has quantised sensors that say exactly zero, so half of the residuals may be nothing: the scale
+    is not taken below half of what their ninth decile gives. `spread` (p,) of the outputs keeps it from vanishing.
     """
     median, decile = np.nanquantile(np.abs(np.concatenate(residuals)), [0.5, 0.9], axis=0)
     return np.asarray(np.maximum.reduce([median / _MEDIAN, _LEAST_SHARE * decile / _NINE_TENTHS, _FINEST * spread]))

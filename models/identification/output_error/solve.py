@@ -18,8 +18,8 @@ from models.identification.output_error.robust import huber_loss, huber_weight, 
 from models.identification.output_error.stretch import Stretch
 from models.interface import FloatArray
 
-# Reweighting ends when a round lowers the cost by less than this part of it, or after so many rounds. A round goes on where
-# the last one stopped, so few evaluations in each are enough.
+# Reweighting ends when a round lowers the cost by less than this part of it, or after so many rounds. A round goes on
+# where the last one stopped, so few evaluations in each are enough.
 _SETTLED = 1e-5
 _ROUNDS = 5
 _EVALUATIONS = 25
@@ -73,8 +73,8 @@ def estimate(
     """Fit every candidate, go on with the best, and find its covariance.
 
     Weighted least squares with a trust region (scipy), reweighted until it settles: outputs by the scale of their
-    residuals, single readings by Huber's weights. The commands before a stretch are not known, so the first readings, for
-    as long as the dead time, do not count.
+    residuals, single readings by Huber's weights. The commands before a stretch are not known, so the first readings,
+    for as long as the dead time, do not count.
 
     Parameters
     ----------
@@ -97,11 +97,11 @@ def estimate(
     if not stretches:
         raise ValueError("no data: give at least one record in which the robot moves")
     spread = output_spread(stretches)
-    first = spread if scale is None else scale
+    scale = spread if scale is None else scale
     with threadpool_limits(1):  # the matrices are small: threads only get in each other's way
         fits = []
         for layout, start in candidates:
-            weights = _weights(layout, start, stretches, first)
+            weights = _weights(layout, start, stretches, scale)
             fits.append((*_solve(layout, start, stretches, weights, trial), weights))
         layout, parameters, cost, weights = min(fits, key=lambda fit: fit[2])
         for _ in range(_ROUNDS):

@@ -60,8 +60,11 @@ class LocalStateSpace:
         n = len(self.A)
         moves = []
         for unit in np.eye(n * n).reshape(-1, n, n):
-            moves.append(np.concatenate([(self.A @ unit - unit @ self.A).ravel(), (-unit @ self.B).ravel(),
-                                         (self.C @ unit).ravel()]))
+            moves.append(
+                np.concatenate(
+                    [(self.A @ unit - unit @ self.A).ravel(), (-unit @ self.B).ravel(), (self.C @ unit).ravel()]
+                )
+            )
         left = np.linalg.svd(np.array(moves).T)[0]
         object.__setattr__(self, "basis", left[:, n * n :])
 

@@ -82,9 +82,7 @@ def rotation_centre(pose: FloatArray, lever_arm: tuple[float, float]) -> FloatAr
     """Poses (..., 3) of the rotation centre from those of a point `lever_arm` ahead and to the left of it [m]."""
     ahead, left = lever_arm
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
-    return np.stack(
-        [pose[..., 0] - ahead * c + left * s, pose[..., 1] - ahead * s - left * c, pose[..., 2]], axis=-1
-    )
+    return np.stack([pose[..., 0] - ahead * c + left * s, pose[..., 1] - ahead * s - left * c, pose[..., 2]], axis=-1)
 
 
 def _drift(
@@ -109,7 +107,8 @@ def _drift(
         mean = 0.5 * (twist[1:] + twist[:-1])
         pose = centre[starts]
         for step in range(steps):
-            pose = integrate_pose(pose, *mean[starts - lag + step].T, record.dt, side_slip)
+            v, omega = mean[starts - lag + step].T
+            pose = integrate_pose(pose, v, omega, record.dt, side_slip)
         error = pose - centre[starts + steps]
         errors.append(np.column_stack([np.hypot(error[:, 0], error[:, 1]), np.abs(wrap_angle(error[:, 2]))]))
     if not errors:

@@ -1,7 +1,7 @@
-"""Are residuals white, and free of what the commands could still explain?
+"""Whether residuals are white, and free of what the commands could still explain.
 
-Sources: Ljung, Box, Biometrika 1978, 65(2), 297-303 (portmanteau statistic); Ljung, System Identification, 2nd edition, 1999,
-section 16.6 (bounds); Bartlett's formula for the variance of a cross-correlation of two correlated signals.
+Sources: Ljung, Box, Biometrika 1978, 65(2), 297-303 (portmanteau statistic); Ljung, System Identification, 2nd edition,
+1999, section 16.6 (bounds); Bartlett's formula for the variance of a cross-correlation of two correlated signals.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """FIT and RMSE of a free simulation.
 
-Protocol: each record is simulated from its commands once, started at the first measured output and never restarted; FIT is
-pooled over records.
+Protocol: each record is simulated from its commands once, started at the first measured output and never restarted; FIT
+is pooled over records.
 """
 
 from __future__ import annotations
