@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
@@ -176,3 +177,16 @@ class Log:
         if errors:
             more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
             raise ConfigError(f"{errors[0]}{more}")
+
+
+def ranges(numbers: Iterable[int], most: int = 5) -> str:
+    """Numbers in ascending order as words: "3, 7 to 9 and 4 more places"."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    shown = [f"{a}" if a == b else f"{a} to {b}" for a, b in runs[:most]]
+    more = f" and {len(runs) - most} more places" if len(runs) > most else ""
+    return ", ".join(shown) + more
