@@ -1,0 +1,108 @@
+"""Which numbers the estimator may move: a structure's own, dead times, sensor offsets and input limits, in one row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from models.identification.output_error.linear_system import AnyArray, LinearSystem
+from models.identification.settings import load_settings
+from models.interface import FloatArray
+
+
+class Structure(Protocol):
+    """A way to fill A, B and C from parameters."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each parameter."""
+        ...
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """(s,) lower and upper bounds."""
+        ...
+
+    def matrices(self, parameters: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+        """A (n, n), B (n, m), C (p, n) of parameters (s,); analytic, so that a complex step passes through."""
+        ...
+
+    def recentred(self, parameters: FloatArray) -> tuple[Structure, FloatArray]:
+        """The structure with coordinates that suit the neighbourhood of `parameters`, and these in them."""
+        ...
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Parameters (q,): the structure's, dead times [s], offsets of outputs, limits of inputs, in this order.
+
+    Attributes
+    ----------
+    structure
+        What fills A, B and C.
+    inputs, outputs
+        m and p.
+    shared_dead_time
+        One dead time for all inputs instead of one each.
+    offset
+        (p,) which outputs have a constant sensor bias.
+    limited
+        (m,) which inputs the robot clips at a level to be found.
+    """
+
+    structure: Structure
+    inputs: int
+    outputs: int
+    shared_dead_time: bool = False
+    offset: tuple[bool, ...] = ()
+    limited: tuple[bool, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Default masks: nothing."""
+        object.__setattr__(self, "offset", self.offset or (False,) * self.outputs)
+        object.__setattr__(self, "limited", self.limited or (False,) * self.inputs)
+
+    @property
+    def counts(self) -> tuple[int, int, int, int]:
+        """Number of parameters of each kind."""
+        dead_times = 1 if self.shared_dead_time else self.inputs
+        return len(self.structure.names), dead_times, sum(self.offset), sum(self.limited)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(q,) names: dead_time, offset and limit carry the number of their input or output."""
+        dead_times = ["dead_time"] if self.shared_dead_time else [f"dead_time_{j}" for j in range(self.inputs)]
+        offsets = [f"offset_{i}" for i, free in enumerate(self.offset) if free]
+        limits = [f"limit_{j}" for j, free in enumerate(self.limited) if free]
+        return (*self.structure.names, *dead_times, *offsets, *limits)
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """(q,) lower and upper bounds."""
+        _, dead_times, offsets, limits = self.counts
+        low, high = self.structure.bounds
+        longest = load_settings().longest_dead_time
+        return (
+            np.concatenate([low, np.zeros(dead_times), np.full(offsets, -np.inf), np.full(limits, 1e-6)]),
+            np.concatenate([high, np.full(dead_times, longest), np.full(offsets + limits, np.inf)]),
+        )
+
+    def around(self, structure: Structure) -> Layout:
+        """The same layout with other coordinates of its structure."""
+        return replace(self, structure=structure)
+
+    def split(self, parameters: AnyArray) -> list[AnyArray]:
+        """The structure's parameters, dead times, offsets and limits of `parameters` (q,)."""
+        return list(np.split(parameters, np.cumsum(self.counts)[:-1]))
+
+    def system(self, parameters: AnyArray) -> LinearSystem:
+        """The system that `parameters` (q,) describe."""
+        own, dead_time, offsets, limits = self.split(parameters)
+        offset = np.zeros(self.outputs, dtype=parameters.dtype)
+        offset[np.array(self.offset)] = offsets
+        limit = np.full(self.inputs, np.inf, dtype=parameters.dtype)
+        limit[np.array(self.limited)] = limits
+        A, B, C = self.structure.matrices(own)
+        return LinearSystem(A, B, C, np.broadcast_to(dead_time, self.inputs), offset, limit)

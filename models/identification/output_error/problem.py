@@ -1,0 +1,179 @@
+"""Output error: measured outputs minus a simulation from the inputs alone, and its derivatives.
+
+Each stretch has an initial state of its own. It enters linearly, so it is solved for exactly inside every evaluation
+and projected out of the derivatives (variable projection, Golub and Pereyra 1973, with Kaufman's 1975 simplification,
+whose gradient is exact): any number of stretches costs no parameter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from models.identification.output_error.layout import Layout
+from models.identification.output_error.linear_system import (
+    AnyArray,
+    LinearSystem,
+    SampledSystem,
+    delayed,
+    sample,
+)
+from models.identification.output_error.response import state_response
+from models.identification.output_error.stretch import Stretch
+from models.interface import FloatArray
+
+# Any step this small is exact in complex arithmetic.
+_COMPLEX_STEP = 1e-30
+# Directions of the initial state that the outputs show less than this, relative to the best seen, are left at zero.
+_SEEN = 1e-9
+# What is left of an initial state counts no more once its slowest part has decayed to this.
+_DECAYED = 1e-12
+
+
+class _Drive(NamedTuple):
+    """Clipped inputs as B0 and B1 see them (m, K), and where they are clipped, with the command's sign (m, K)."""
+
+    recent: FloatArray
+    older: FloatArray
+    recent_clipped: FloatArray
+    older_clipped: FloatArray
+
+
+class _InitialState(NamedTuple):
+    """What an initial state can explain, E early samples long."""
+
+    seen: FloatArray
+    """(E p, r) orthonormal basis of the weighted outputs that initial states give."""
+    free: FloatArray
+    """(n, n, E) states from each unit initial state."""
+    recover: FloatArray
+    """(n, r) from components along the basis to the initial state."""
+
+
+class OutputErrorProblem:
+    """Weighted residuals of several stretches as functions of the parameters of a layout.
+
+    Parameters
+    ----------
+    layout
+        Which parameters there are.
+    stretches
+        The data.
+    weights
+        For each stretch (K, p) factors of the residuals, not negative; zero where a sample does not count.
+    """
+
+    def __init__(self, layout: Layout, stretches: Sequence[Stretch], weights: Sequence[FloatArray]) -> None:
+        self._layout, self._stretches, self._weights = layout, list(stretches), list(weights)
+        self._rows = sum(weight.size for weight in weights)
+        self._sample_times = {stretch.dt for stretch in stretches}
+
+    def residuals(self, parameters: FloatArray) -> FloatArray:
+        """(rows,) weighted residuals, stretch by stretch, sample by sample; infinite where the model is unstable."""
+        system = self._layout.system(parameters)
+        if np.linalg.eigvals(system.A).real.max() >= 0:
+            return np.full(self._rows, np.inf)
+        sampled_at = {dt: sample(system, dt) for dt in self._sample_times}
+        parts = []
+        for stretch, weight in zip(self._stretches, self._weights, strict=True):
+            sampled = sampled_at[stretch.dt]
+            states = _forced(sampled, _drive(system, sampled, stretch))
+            error = (weight * (stretch.outputs - system.offset - states.T @ system.C.T)).ravel()
+            _project(error, _initial_state(system, sampled, weight).seen)
+            parts.append(error)
+        return np.concatenate(parts)
+
+    def jacobian(self, parameters: FloatArray) -> FloatArray:
+        """(rows, q) derivatives of `residuals`."""
+        system = self._layout.system(parameters)
+        slopes = {dt: (sample(system, dt), *self._derivatives(parameters, dt)) for dt in self._sample_times}
+        return np.concatenate(
+            [
+                self._stretch_jacobian(system, *slopes[stretch.dt], stretch, weight)
+                for stretch, weight in zip(self._stretches, self._weights, strict=True)
+            ]
+        )
+
+    def simulations(self, parameters: FloatArray) -> list[FloatArray]:
+        """For each stretch the simulated outputs (K, p), sensor offset included, from the best initial state."""
+        system = self._layout.system(parameters)
+        return [
+            self._simulate(system, sample(system, stretch.dt), stretch, weight)[0].T @ system.C.T + system.offset
+            for stretch, weight in zip(self._stretches, self._weights, strict=True)
+        ]
+
+    def _simulate(
+        self, system: LinearSystem, sampled: SampledSystem, stretch: Stretch, weight: FloatArray
+    ) -> tuple[FloatArray, _Drive, _InitialState]:
+        """States (n, K) from the best initial state, what drives them, and what an initial state can explain."""
+        drive, initial = _drive(system, sampled, stretch), _initial_state(system, sampled, weight)
+        states = _forced(sampled, drive)
+        early = len(initial.seen) // stretch.outputs.shape[1]
+        error = weight * (stretch.outputs - system.offset - states.T @ system.C.T)
+        start = initial.recover @ (initial.seen.T @ error[:early].ravel())
+        states[:, :early] += np.tensordot(initial.free, start, (1, 0))
+        return states, drive, initial
+
+    def _stretch_jacobian(
+        self,
+        system: LinearSystem,
+        sampled: SampledSystem,
+        slope: LinearSystem,
+        sampled_slope: SampledSystem,
+        stretch: Stretch,
+        weight: FloatArray,
+    ) -> FloatArray:
+        states, drive, initial = self._simulate(system, sampled, stretch, weight)
+        forcing = sampled_slope.A @ states + sampled_slope.B0 @ drive.recent + sampled_slope.B1 @ drive.older
+        if slope.limit.any():
+            forcing += (sampled.B0 * slope.limit[:, None, :]) @ drive.recent_clipped
+            forcing += (sampled.B1 * slope.limit[:, None, :]) @ drive.older_clipped
+        sensitivity = state_response(sampled.A, np.moveaxis(forcing, 0, 1))
+        change = np.tensordot(system.C, sensitivity, 1) + np.moveaxis(slope.C @ states, 0, 1)
+        change += slope.offset.T[:, :, None]
+        rows = -(weight[:, :, None] * np.moveaxis(change, 2, 0)).reshape(weight.size, -1)
+        _project(rows, initial.seen)
+        return np.asarray(rows)
+
+    def _derivatives(self, parameters: FloatArray, dt: float) -> tuple[LinearSystem, SampledSystem]:
+        """Derivatives by each parameter, (q, ...), of the continuous and of the sampled system."""
+        stepped = parameters + 1j * _COMPLEX_STEP * np.eye(len(parameters))
+        systems = LinearSystem(*map(np.array, zip(*map(self._layout.system, stepped), strict=True)))
+        sampled = sample(systems, dt)
+
+        def slope(value: AnyArray) -> FloatArray:
+            return np.asarray(value.imag / _COMPLEX_STEP)
+
+        return LinearSystem(*map(slope, systems)), SampledSystem(
+            slope(sampled.A), slope(sampled.B0), slope(sampled.B1), sampled.delay
+        )
+
+
+def _drive(system: LinearSystem, sampled: SampledSystem, stretch: Stretch) -> _Drive:
+    clipped = np.clip(stretch.inputs, -system.limit, system.limit)
+    beyond = np.where(np.abs(stretch.inputs) > system.limit, np.sign(stretch.inputs), 0.0)
+    return _Drive(*delayed(clipped, sampled.delay), *delayed(beyond, sampled.delay))
+
+
+def _forced(sampled: SampledSystem, drive: _Drive) -> FloatArray:
+    """(n, K) states from rest."""
+    return state_response(sampled.A, (sampled.B0 @ drive.recent + sampled.B1 @ drive.older)[:, None, :])[:, 0]
+
+
+def _initial_state(system: LinearSystem, sampled: SampledSystem, weight: FloatArray) -> _InitialState:
+    n, (count, outputs) = len(sampled.A), weight.shape
+    slowest = np.abs(np.linalg.eigvals(sampled.A)).max()
+    early = min(count, n + int(np.log(_DECAYED) / np.log(slowest)))
+    free = state_response(sampled.A, np.zeros((n, n, early)), np.eye(n))
+    rows = weight[:early, :, None] * np.moveaxis(np.tensordot(system.C, free, 1), 2, 0)
+    left, values, right = np.linalg.svd(rows.reshape(early * outputs, n), full_matrices=False)
+    keep = values > _SEEN * max(values[0], np.finfo(float).tiny)
+    return _InitialState(left[:, keep], free, right[keep].T / values[keep])
+
+
+def _project(rows: FloatArray, seen: FloatArray) -> None:
+    """Take out of `rows` (K p, ...), in place, what an initial state can explain."""
+    early = rows[: len(seen)]
+    early -= seen @ (seen.T @ early)

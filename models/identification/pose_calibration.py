@@ -1,0 +1,158 @@
+"""Slip, geometry, gyro scale and the place of the pose point, from measured poses.
+
+The body's displacement over short windows is predicted from the wheels through a slip law, or from the gyro, and held
+against the poses at both ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from models.identification.doubts import badly_known
+from models.identification.estimate import Estimate
+from models.identification.output_error.covariance import sandwich
+from models.identification.output_error.robust import huber_weight, residual_scale
+from models.identification.pose_windows import pose_windows
+from models.identification.slip_laws import SlipLaw
+from models.interface import FloatArray
+from models.logs.record import Record
+from models.pose import wrap_angle
+
+_ROUNDS = 6
+
+
+@dataclass(frozen=True)
+class PoseCalibration:
+    """What poses say about wheels or gyro.
+
+    Attributes
+    ----------
+    parameters
+        The coefficients, and for wheels lever_arm_ahead and lever_arm_left [m], the pose point seen from the rotation
+        centre, unless the law holds it.
+    rmse
+        Root mean square error over one window: ahead [m], to the left [m], heading [rad]; of a gyro only heading.
+    windows
+        How many windows it was found from.
+    warnings
+        What not to trust.
+    """
+
+    parameters: Estimate
+    rmse: FloatArray
+    windows: int
+    warnings: tuple[str, ...]
+
+
+def calibrate_wheels(records: Sequence[Record], law: SlipLaw, pose_lag: float = 0.0) -> PoseCalibration:
+    """Coefficients of a slip law and the lever arm of the pose point.
+
+    Parameters
+    ----------
+    records
+        Records with wheels and pose.
+    law
+        The slip law.
+    pose_lag
+        By how much poses describe the robot earlier than their stamp says, against the wheels [s].
+
+    Raises
+    ------
+    ValueError
+        If wheels or poses are missing, or there are too few windows.
+    """
+    windows = pose_windows(records, "wheels", pose_lag)
+    count = len(law.names)
+
+    def errors(parameters: FloatArray) -> FloatArray:
+        lever_arm = np.zeros(2) if law.holds_lever_arm else parameters[count:]
+        parts = []
+        for part in windows:
+            moved = displacement(law.twist(parameters[:count], part.signal), part.dt, lever_arm)
+            error = part.displacement - moved
+            error[:, 2] = wrap_angle(error[:, 2])
+            parts.append(error)
+        return np.concatenate(parts)
+
+    more = () if law.holds_lever_arm else ("lever_arm_ahead", "lever_arm_left")
+    return _solve(errors, np.append(law.start, np.zeros(len(more))), (*law.names, *more))
+
+
+def calibrate_gyro(records: Sequence[Record], pose_lag: float = 0.0) -> PoseCalibration:
+    """gyro_scale [-] and gyro_offset [rad/s]: yaw rate of the gyro = scale times true yaw rate plus offset.
+
+    Parameters
+    ----------
+    records
+        Records with gyro and pose.
+    pose_lag
+        By how much poses describe the robot earlier than their stamp says, against the gyro [s].
+
+    Raises
+    ------
+    ValueError
+        If gyro or poses are missing, or there are too few windows.
+    """
+    windows = pose_windows(records, "yaw_rate", pose_lag)
+    measured = np.concatenate([part.signal[..., 0].mean(axis=1) for part in windows])
+    true = np.concatenate([part.displacement[:, 2] / (part.signal.shape[1] * part.dt) for part in windows])
+
+    def errors(parameters: FloatArray) -> FloatArray:
+        return np.asarray(measured - parameters[0] * true - parameters[1])[:, None]
+
+    return _solve(errors, np.array([1.0, 0.0]), ("gyro_scale", "gyro_offset"))
+
+
+def displacement(twist: FloatArray, dt: float, lever_arm: FloatArray) -> FloatArray:
+    """(n, 3) motion of a point of the body, seen from its first pose: ahead [m], to the left [m], turned [rad].
+
+    Parameters
+    ----------
+    twist
+        (n, W, 3) forward and lateral speed [m/s] and yaw rate [rad/s], constant over each of W steps.
+    dt
+        Duration of a step [s].
+    lever_arm
+        (2,) the point seen from the rotation centre: ahead, to the left [m].
+    """
+    turned = np.cumsum(twist[..., 2] * dt, axis=1)
+    half = 0.5 * twist[..., 2] * dt
+    heading = turned - half
+    chord = dt * np.sinc(half / np.pi)
+    c, s = np.cos(heading), np.sin(heading)
+    x = np.sum(chord * (c * twist[..., 0] - s * twist[..., 1]), axis=1)
+    y = np.sum(chord * (s * twist[..., 0] + c * twist[..., 1]), axis=1)
+    end = turned[:, -1]
+    ahead, left = lever_arm
+    x += np.cos(end) * ahead - np.sin(end) * left - ahead
+    y += np.sin(end) * ahead + np.cos(end) * left - left
+    return np.column_stack([x, y, end])
+
+
+def _solve(errors: Callable[[FloatArray], FloatArray], start: FloatArray, names: tuple[str, ...]) -> PoseCalibration:
+    """Least squares of window errors (n, r), reweighted by their scale and by Huber's weights."""
+    parameters, found = start, errors(start)
+    spread = np.maximum(found.std(axis=0), np.finfo(float).tiny)
+    for _ in range(_ROUNDS):
+        scale = residual_scale([found], spread)
+        weight = np.sqrt(huber_weight(found / scale)) / scale
+        result = least_squares(_weighted(errors, weight), parameters, jac="3-point", x_scale="jac")
+        parameters, found = result.x, errors(result.x)
+    rows = result.jac.reshape(*found.shape, len(start))
+    covariance = sandwich([rows], [weight * found], [found / scale]).covariance
+    estimate = Estimate(names, parameters, covariance)
+    warnings = badly_known(estimate.part(_sizes(names)))
+    return PoseCalibration(estimate, np.sqrt(np.mean(found**2, axis=0)), len(found), tuple(warnings))
+
+
+def _weighted(errors: Callable[[FloatArray], FloatArray], weight: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    return lambda parameters: (weight * errors(parameters)).ravel()
+
+
+def _sizes(names: tuple[str, ...]) -> list[str]:
+    """Those parameters that no robot has at zero; the others may well be."""
+    return [name for name in names if name in ("wheel_radius", "track", "p0", "gyro_scale")]

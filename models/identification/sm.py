@@ -1,0 +1,88 @@
+"""SM from records: one transfer function for v, one for omega."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from models.identification.channel import ChannelEstimate, identify_channel
+from models.identification.estimate import joined
+from models.identification.identified import IdentifiedModel, rounded
+from models.identification.signals import YawSource, twist_stretches
+from models.logs.record import Record
+from models.structures import TwoPoles
+from models.velocity_model import CHANNELS
+
+METHOD = (
+    "output error (simulation from commands alone), two poles, no zeros and a dead time for each channel, all records "
+    "at once, free initial states, Huber weights, several starts"
+)
+
+
+def identify_sm(
+    records: Sequence[Record], *, yaw: YawSource = "gyro", limits: bool = True, robust: bool = True
+) -> IdentifiedModel:
+    """Identify SM (Guffanti et al., Sensors 2025, 25(11), 3553) by output error.
+
+    Parameters
+    ----------
+    records
+        Records with encoders, and a gyro if `yaw` is "gyro"; its bias is identified too.
+    yaw
+        Which sensor's omega the model predicts.
+    limits
+        Whether to look for levels at which the robot clips its commands.
+    robust
+        Whether single outliers are held back.
+
+    Raises
+    ------
+    ValueError
+        If a record lacks a signal, or the robot or its commands never move.
+    """
+    channels = identify_channels(records, yaw=yaw, limits=limits, robust=robust)
+    fits = dict(zip(CHANNELS, channels, strict=True))
+    return IdentifiedModel(
+        structure="sm",
+        content={
+            "dead_time": rounded({name: fit.parameters.value("dead_time") for name, fit in fits.items()}),
+            "channels": rounded(
+                {name: {key: fit.parameters.value(key) for key in TwoPoles.model_fields} for name, fit in fits.items()}
+            ),
+        },
+        parameters=joined([fit.parameters.renamed(name) for name, fit in fits.items()]),
+        offset=np.concatenate([fit.fit.system.offset for fit in channels]),
+        limits=channel_limits(channels),
+        yaw=yaw,
+        method=METHOD,
+        fits=tuple(fit.fit for fit in channels),
+        warnings=tuple(warning for fit in channels for warning in fit.warnings),
+    )
+
+
+def identify_channels(
+    records: Sequence[Record], *, yaw: YawSource = "gyro", limits: bool = True, robust: bool = True
+) -> tuple[ChannelEstimate, ChannelEstimate]:
+    """The two channels of SM, v and omega; parameters and errors as `identify_sm`."""
+    stretches = twist_stretches(records, yaw)
+    v, omega = (
+        identify_channel(
+            [stretch.channel(row, row) for stretch in stretches],
+            channel,
+            offset=channel == "omega" and yaw == "gyro",
+            limit=limits,
+            robust=robust,
+        )
+        for row, channel in enumerate(CHANNELS)
+    )
+    return v, omega
+
+
+def channel_limits(channels: Sequence[ChannelEstimate]) -> dict[str, float]:
+    """Level of each channel that has one."""
+    return {
+        name: float(rounded(fit.parameters.value("limit")))
+        for name, fit in zip(CHANNELS, channels, strict=True)
+        if "limit" in fit.parameters.names
+    }

@@ -1,0 +1,193 @@
+"""SSM from records: one state-space model of any order with a dead time for each input."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from models.identification import doubts
+from models.identification.channel import ChannelEstimate
+from models.identification.estimate import Estimate
+from models.identification.identified import IdentifiedModel, rounded
+from models.identification.output_error.layout import Layout
+from models.identification.output_error.realisation import (
+    Realisation,
+    balanced,
+    beside,
+    from_impulse_response,
+    impulse_response,
+)
+from models.identification.output_error.solve import OutputErrorFit, estimate
+from models.identification.output_error.stretch import Stretch
+from models.identification.output_error.structures import LocalStateSpace
+from models.identification.poles import distinct_poles, pole_names, pole_numbers, real_pole_names
+from models.identification.settings import load_settings
+from models.identification.signals import YawSource, twist_stretches
+from models.identification.sm import identify_channels
+from models.interface import FloatArray
+from models.logs.record import Record
+from models.velocity_model import CHANNELS
+
+METHOD = (
+    "output error (simulation from commands alone), state space with a dead time for each input, data driven local "
+    "coordinates, all records at once, free initial states, Huber weights; starts from an impulse response "
+    "(eigensystem realization) and from the order below"
+)
+LARGEST_ORDER = 5
+
+
+def identify_ssm(
+    records: Sequence[Record],
+    order: int = 2,
+    *,
+    yaw: YawSource = "gyro",
+    limits: bool = True,
+    robust: bool = True,
+) -> IdentifiedModel:
+    """Identify SSM of one order by output error; as `identify_ssm_orders`."""
+    return identify_ssm_orders(records, order, yaw=yaw, limits=limits, robust=robust)[-1]
+
+
+def identify_ssm_orders(
+    records: Sequence[Record],
+    largest: int = LARGEST_ORDER,
+    *,
+    yaw: YawSource = "gyro",
+    limits: bool = True,
+    robust: bool = True,
+) -> list[IdentifiedModel]:
+    """Identify SSM of every order from 1 to `largest`; each starts from the one below too, so none explains less.
+
+    Parameters
+    ----------
+    records
+        Records with encoders, and a gyro if `yaw` is "gyro"; its bias is identified too.
+    largest
+        1 to 5.
+    yaw
+        Which sensor's omega the model predicts.
+    limits
+        Whether to look for levels at which the robot clips its commands.
+    robust
+        Whether single outliers are held back.
+
+    Raises
+    ------
+    ValueError
+        If the order is out of range, a record lacks a signal, or the robot or its commands never move.
+    """
+    if not 1 <= largest <= LARGEST_ORDER:
+        raise ValueError(f"order {largest}: give 1 to {LARGEST_ORDER}")
+    stretches = twist_stretches(records, yaw)
+    channels = identify_channels(records, yaw=yaw, limits=limits, robust=robust)
+    fits: list[OutputErrorFit] = []
+    for order in range(1, largest + 1):
+        fits.append(_fit(stretches, channels, order, fits[-1] if fits else None, yaw == "gyro", robust))
+    return [_identified(fit, yaw) for fit in fits]
+
+
+def _fit(
+    stretches: list[Stretch],
+    channels: tuple[ChannelEstimate, ChannelEstimate],
+    order: int,
+    below: OutputErrorFit | None,
+    offset: bool,
+    robust: bool,
+) -> OutputErrorFit:
+    limited = tuple("limit" in channel.parameters.names for channel in channels)
+    dead_time = np.array([channel.parameters.value("dead_time") for channel in channels])
+    shared = [channels[1].parameters.value("offset")] if offset else []
+    shared += [channel.parameters.value("limit") for channel in channels if "limit" in channel.parameters.names]
+
+    def candidate(start: Realisation, dead_time: FloatArray) -> tuple[Layout, FloatArray]:
+        structure = LocalStateSpace(*start)
+        layout = Layout(structure, 2, 2, offset=(False, offset), limited=limited)
+        return layout, np.concatenate([np.zeros(len(structure.names)), dead_time, shared])
+
+    dt = stretches[0].dt
+    length = round(load_settings().impulse_response / dt)
+    candidates = []
+    if order % 2 == 0:
+        candidates.append(candidate(_side_by_side(channels, order // 2), dead_time))
+    direct = from_impulse_response(impulse_response(stretches, dead_time, length), order, dt)
+    if direct:
+        candidates.append(candidate(direct, dead_time))
+    if below:
+        system = below.system
+        left = [
+            Stretch(stretch.name, stretch.dt, stretch.inputs, residuals, np.isfinite(residuals))
+            for stretch, residuals in zip(stretches, below.residuals, strict=True)
+        ]
+        more = from_impulse_response(impulse_response(left, system.dead_time, length), 1, dt)
+        if more:
+            candidates.append(candidate(beside((system.A, system.B, system.C), more), system.dead_time))
+    if not candidates:  # an impulse response too noisy to realise: one pole for both channels
+        candidates.append(candidate(_common_pole(channels), dead_time))
+    scale = np.concatenate([channel.fit.scale for channel in channels])
+    return estimate(candidates, stretches, robust, scale=scale)
+
+
+def _side_by_side(channels: tuple[ChannelEstimate, ChannelEstimate], poles: int) -> Realisation:
+    """The channels' transfer functions with two poles each, or with one pole of the same lag and gain."""
+    parts = []
+    for row, channel in enumerate(channels):
+        system = channel.fit.system
+        A, B, C = system.A, system.B, system.C
+        if poles == 1:
+            gain, w, damping = (channel.parameters.value(name) for name in ("gain", "natural_frequency", "damping"))
+            A, B, C = np.array([[-w / (2 * damping)]]), np.array([[gain * w / (2 * damping)]]), np.eye(1)
+        into, out = np.zeros((len(A), 2)), np.zeros((2, len(A)))
+        into[:, row], out[row] = B[:, 0], C[0]
+        parts.append((A, into, out))
+    return balanced(*beside(*parts))
+
+
+def _common_pole(channels: tuple[ChannelEstimate, ChannelEstimate]) -> Realisation:
+    A, B, C = _side_by_side(channels, 1)
+    return A[:1, :1], B[:1], C[:, :1]
+
+
+def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
+    system = fit.system
+    A, B, C = balanced(system.A, system.B, system.C)
+    order = len(A)
+    label = f"SSM order {order}"
+    own, dead_times, offsets, _ = fit.layout.counts
+    limited = [name for name, free in zip(CHANNELS, fit.layout.limited, strict=True) if free]
+    poles = distinct_poles(A)
+    gains = [f"gain.{into}_ref_to_{out}" for out in CHANNELS for into in CHANNELS]
+    named_poles = pole_names(poles)
+    rest = [f"dead_time.{name}" for name in CHANNELS] + ["omega.offset"] * offsets
+    rest += [f"{name}.limit" for name in limited]
+
+    def meaningful(parameters: FloatArray) -> FloatArray:
+        found = fit.layout.system(parameters)
+        gain = -found.C @ np.linalg.solve(found.A, found.B)
+        return np.concatenate([gain.ravel(), pole_numbers(found.A, poles), parameters[own:]])
+
+    parameters = Estimate(fit.layout.names, fit.parameters, fit.covariance).derived(
+        (*gains, *named_poles, *rest), meaningful
+    )
+    main = parameters.part([gains[0], gains[3], *(name for name in named_poles if not name.endswith("imag"))])
+    values = fit.parameters[own + dead_times + offsets :]
+    return IdentifiedModel(
+        structure="ssm",
+        content={
+            "dead_time": rounded(dict(zip(CHANNELS, system.dead_time, strict=True))),
+            "A": rounded(A),
+            "B": rounded(B),
+            "C": rounded(C),
+        },
+        parameters=parameters,
+        offset=np.asarray(system.offset),
+        limits=rounded(dict(zip(limited, values, strict=True))),
+        yaw=yaw,
+        method=f"{METHOD}; order {order}",
+        fits=(fit,),
+        warnings=(
+            *doubts.at_bounds(fit, label),
+            *(f"{label}: {sentence}" for sentence in doubts.badly_known(main)),
+            *doubts.merged_poles(parameters.part(real_pole_names(named_poles)), label),
+        ),
+    )

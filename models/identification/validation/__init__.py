@@ -1,0 +1,7 @@
+"""How good a model is on records that it was not identified from."""
+
+from models.identification.validation.pose_drift import PoseDrift, pose_drift
+from models.identification.validation.residuals import ResidualCheck, check_residuals
+from models.identification.validation.simulation import Validation, simulate_records, validate
+
+__all__ = ["PoseDrift", "ResidualCheck", "Validation", "check_residuals", "pose_drift", "simulate_records", "validate"]

@@ -1,0 +1,88 @@
+"""FIT and RMSE of a free simulation.
+
+Protocol: each record is simulated from its commands once, started at the first measured output and never restarted; FIT
+is pooled over records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.identification.fit import pooled_fit_percent
+from models.identification.output_error.linear_system import LinearSystem, delayed, sample, settled_start
+from models.identification.output_error.response import state_response
+from models.identification.output_error.stretch import Stretch
+from models.identification.signals import YawSource, twist_stretches
+from models.identification.validation.residuals import ResidualCheck, check_residuals
+from models.interface import FloatArray
+from models.logs.record import Record
+
+
+@dataclass(frozen=True)
+class Validation:
+    """What a free simulation explains.
+
+    Attributes
+    ----------
+    fit_percent
+        (2,) pooled FIT of v and omega [%].
+    rmse
+        (2,) root mean square error of v [m/s] and omega [rad/s].
+    residuals
+        Whiteness and correlation with the commands.
+    """
+
+    fit_percent: FloatArray
+    rmse: FloatArray
+    residuals: ResidualCheck
+
+
+def validate(system: LinearSystem, records: Sequence[Record], yaw: YawSource = "gyro") -> Validation:
+    """Hold a model with two inputs and outputs against records.
+
+    Parameters
+    ----------
+    system
+        The model, with sensor offsets and command limits; see `IdentifiedModel.system`.
+    records
+        Records that it was not identified from.
+    yaw
+        Which sensor's omega the model predicts.
+
+    Raises
+    ------
+    ValueError
+        If a record lacks a signal, or a measured signal never changes.
+    """
+    stretches = twist_stretches(records, yaw)
+    simulated = [simulate_stretch(system, stretch) for stretch in stretches]
+    errors = [
+        np.where(stretch.counts, stretch.outputs - outputs, np.nan)
+        for stretch, outputs in zip(stretches, simulated, strict=True)
+    ]
+    fits = []
+    for row in (0, 1):
+        rows = [stretch.counts[:, row] for stretch in stretches]
+        measured = [stretch.outputs[keep, row] for stretch, keep in zip(stretches, rows, strict=True)]
+        fits.append(pooled_fit_percent(measured, [y[keep, row] for y, keep in zip(simulated, rows, strict=True)]))
+    return Validation(
+        np.array(fits), np.sqrt(np.nanmean(np.concatenate(errors) ** 2, axis=0)), check_residuals(errors, stretches)
+    )
+
+
+def simulate_records(system: LinearSystem, records: Sequence[Record], yaw: YawSource = "gyro") -> list[FloatArray]:
+    """For each record the simulated v [m/s] and omega [rad/s] (K, 2), sensor offsets included; raises as `validate`."""
+    return [simulate_stretch(system, stretch) for stretch in twist_stretches(records, yaw)]
+
+
+def simulate_stretch(system: LinearSystem, stretch: Stretch) -> FloatArray:
+    """(K, p) outputs from the inputs alone, from the settled state that gives each output's first reading."""
+    first = np.array([stretch.outputs[np.argmax(counts), row] for row, counts in enumerate(stretch.counts.T)])
+    sampled = sample(system, stretch.dt)
+    recent, older = delayed(np.clip(stretch.inputs, -system.limit, system.limit), sampled.delay)
+    drive = sampled.B0 @ recent + sampled.B1 @ older
+    states = state_response(sampled.A, drive[:, None, :], settled_start(system, first)[:, None])[:, 0]
+    return np.asarray(states.T @ system.C.T + system.offset)
