@@ -32,25 +32,24 @@ def load_model(name: str | Path) -> VelocityModel:
         If the numbers cannot be a robot's: unstable, not finite, wrong units.
     """
     path = model_path(name)
-    data = read_model_file(path)
-    A, B, C = data.matrices()
     try:
-        return VelocityModel(
-            name=data.name,
-            structure=getattr(data, "structure", ""),
-            A=A,
-            B=B,
-            C=C,
-            dead_time=[data.dead_time.v, data.dead_time.omega],  # type: ignore[arg-type]  # converted on construction
-            provenance=data.provenance.model_dump(),
-        )
+        return build_model(read_model_file(path))
     except ModelError as error:
         raise ModelError(f"{path.name}: {error}") from error
 
 
-def load_base_effects(name: str | Path) -> BaseEffects:
-    """Load what a model file says about the base around its linear model; raises ConfigError as `load_model`."""
-    return read_model_file(model_path(name)).base_effects
+def build_model(data: ModelFile) -> VelocityModel:
+    """The model that the content of a parameter file describes; raises ModelError as `load_model`."""
+    A, B, C = data.matrices()
+    return VelocityModel(
+        name=data.name,
+        structure=getattr(data, "structure", ""),
+        A=A,
+        B=B,
+        C=C,
+        dead_time=[data.dead_time.v, data.dead_time.omega],  # type: ignore[arg-type]  # converted on construction
+        provenance=data.provenance.model_dump(),
+    )
 
 
 def model_path(name: str | Path) -> Path:

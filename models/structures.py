@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from models.base_effects.parameters import BaseEffects
 from models.checked_yaml import StrictModel
 from models.interface import FloatArray
+from models.uncertainty import CommandLimits, Uncertainty
 from models.velocity_model import CHANNELS
 from models.wheels import WheelKinematics
 
@@ -66,7 +67,11 @@ class ModelFile(StrictModel):
     name: str
     provenance: Provenance
     fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of the stated experiments")
+    validation_fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of records held out")
     dead_time: DeadTime = DeadTime()
+    limits: CommandLimits | None = Field(default=None, description="levels at which the robot clips a command")
+    uncertainty: Uncertainty | None = Field(default=None, description="how well the identified parameters are known")
+    warnings: list[str] = Field(default_factory=list, description="what the identification did not trust")
     base_effects: BaseEffects = Field(default=BaseEffects(), description="what the base does around the linear model")
 
     def matrices(self) -> Matrices:
