@@ -52,6 +52,11 @@ def build_model(data: ModelFile) -> VelocityModel:
     )
 
 
+def load_base_effects(name: str | Path) -> BaseEffects:
+    """Load what a model file says about the base around its linear model; raises ConfigError as `load_model`."""
+    return read_model_file(model_path(name)).base_effects
+
+
 def model_path(name: str | Path) -> Path:
     """The parameter file behind `name`; raises ConfigError when there is none."""
     return named_file("model", PARAMETERS, name, MODEL_NAMES)
