@@ -1,0 +1,101 @@
+"""What the model is: step responses, and its poles with their uncertainty."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from bench.figures.style import REFERENCE_COLOUR, colour, line_style, new_figure
+from bench.identification.outcome import Outcome
+from bench.identification.settings import report_settings
+from models.identification.identified import IdentifiedModel
+from models.velocity_model import CHANNELS
+
+_SAMPLES = 400
+_INTERVAL = 1.959964
+_UNITS = {"v": "m/s", "omega": "rad/s"}
+
+
+def draw_steps(outcome: Outcome, path: Path) -> None:
+    """Draw the response of both outputs to a unit step of either command, dead time included."""
+    model = outcome.fitted.identified.model
+    horizon = report_settings().step_response * float(model.lag.max())
+    discrete = model.discretise(horizon / _SAMPLES)
+    time = discrete.dt * np.arange(_SAMPLES + 1)
+    with new_figure(path, 7.4, 3.4) as figure:
+        panels = figure.subplots(1, 2)
+        for j, (axes, command) in enumerate(zip(panels, CHANNELS, strict=True)):
+            response = discrete.simulate(np.tile(np.eye(2)[j], (len(time), 1)))
+            axes.axhline(1.0, color=REFERENCE_COLOUR, linewidth=0.9, linestyle=":")
+            for i, channel in enumerate(CHANNELS):
+                label = f"{channel} [{_UNITS[channel]}], steady {model.dc_gain[i, j]:.3f}"
+                axes.plot(time, response[:, i], color=colour(i), linestyle=line_style(i), label=label)
+            axes.axvline(model.dead_time[j], color="black", linewidth=0.6)
+            axes.set(xlabel="time [s]", title=f"step of {command}_ref by 1 {_UNITS[command]}")
+            axes.legend(loc="center right")
+        figure.suptitle(f"{outcome.name}: step responses; the upright line is the dead time")
+
+
+def draw_poles(outcome: Outcome, path: Path) -> None:
+    """Draw the poles, with 95 % intervals where the estimate states them."""
+    identified = outcome.fitted.identified
+    poles = identified.model.poles
+    with new_figure(path, 5.6, 4.2) as figure:
+        axes = figure.add_subplot()
+        axes.axhline(0.0, color="black", linewidth=0.6)
+        for real, imag, real_deviation, imag_deviation in _uncertain_poles(identified):
+            for sign in (1.0, -1.0) if imag else (1.0,):
+                axes.errorbar(
+                    real,
+                    sign * imag,
+                    xerr=_INTERVAL * real_deviation,
+                    yerr=_INTERVAL * imag_deviation if imag else None,
+                    color=colour(1),
+                    capsize=2.5,
+                    linewidth=1.0,
+                )
+        axes.plot(poles.real, poles.imag, "x", color=colour(0), markersize=8, markeredgewidth=1.8)
+        reach = 1.2 * float(np.abs(poles).max())
+        axes.set(
+            xlim=(-reach, 0.05 * reach),
+            ylim=(-max(reach / 3, 1.3 * float(np.abs(poles.imag).max())),) * 1
+            + (max(reach / 3, 1.3 * float(np.abs(poles.imag).max())),),
+            xlabel="real part [rad/s]",
+            ylabel="imaginary part [rad/s]",
+            title=f"{outcome.name}: poles, bars are 95 % intervals",
+        )
+
+
+def _uncertain_poles(identified: IdentifiedModel) -> list[tuple[float, float, float, float]]:
+    """Real and imaginary part of each pole whose uncertainty is known, and their standard deviations [rad/s]."""
+    found = identified.parameters
+    rows = []
+    for name in found.names:
+        if name.startswith("pole_") and not name.endswith("imag"):
+            real, _, part = name.partition(".")
+            deviation = found.deviation(name)
+            if part:
+                rows.append((found.value(name), found.value(f"{real}.imag"), deviation, found.deviation(f"{real}.imag")))
+            else:
+                rows.append((found.value(name), 0.0, deviation, 0.0))
+    for name in found.names:
+        channel, _, key = name.rpartition(".")
+        if key == "natural_frequency":
+            pair = found.part([name, f"{channel}.damping"])
+            w, damping = pair.values
+            root = np.sqrt(abs(damping**2 - 1.0))
+            if damping < 1.0:
+                parts = pair.derived(
+                    ("real", "imag"),
+                    lambda row: np.array([-row[0] * row[1], row[0] * np.sqrt(abs(1.0 - row[1] ** 2))]),
+                )
+                rows.append((-w * damping, w * root, *map(float, parts.standard_deviation)))
+            else:
+                for side in (-1.0, 1.0):
+                    part_of = pair.derived(
+                        ("real",),
+                        lambda row, side=side: np.array([-row[0] * (row[1] + side * np.sqrt(abs(row[1] ** 2 - 1.0)))]),
+                    )
+                    rows.append((-w * (damping + side * root), 0.0, float(part_of.standard_deviation[0]), 0.0))
+    return rows
