@@ -52,7 +52,8 @@ def identify(
         raise ConfigError("--fit-share: with --validate all of the other logs is identified from; give one of them")
     if name is not None and not name.strip():
         raise ConfigError("--name: it is empty; give the model a name, or leave the option out")
-    title = name or f"{structure.upper()} from {', '.join(path.stem for path in logs)}"
+    more = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
+    title = name or f"{structure.upper()} from {logs[0].stem}{more}"
     with staged(out, files=REPORT_FILES, folders=(FIGURES,)) as folder, ProgressBar("reading", 1) as bar:
         data = read_data(
             logs,

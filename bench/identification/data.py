@@ -87,7 +87,9 @@ def read_data(
         log.require_sound()
         read.append(log)
     fitted, tried = read[: len(logs)], read[len(logs) :]
-    yaw: YawSource = "gyro" if any(record.yaw_rate is not None for log in read for record in log.records) else "encoders"
+    yaw: YawSource = (
+        "gyro" if any(record.yaw_rate is not None for log in read for record in log.records) else "encoders"
+    )
     needed = ("twist", *(["yaw_rate"] if yaw == "gyro" else []), *(["wheels"] if wheels else []))
     if tried:
         train = [record for log in fitted for record in log.records]

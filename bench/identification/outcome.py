@@ -49,7 +49,9 @@ def score_warnings(fitted: Fitted) -> list[str]:
     for row, channel in enumerate(CHANNELS):
         train, validation = float(fitted.train.fit_percent[row]), float(fitted.validation.fit_percent[row])
         if validation < limits.low_fit:
-            found.append(f"{channel}: validation FIT {validation:.1f} %, below {limits.low_fit:g} %: little is explained")
+            found.append(
+                f"{channel}: validation FIT {validation:.1f} %, below {limits.low_fit:g} %: little is explained"
+            )
         if train - validation > limits.fit_drop:
             found.append(
                 f"{channel}: FIT falls from {train:.1f} to {validation:.1f} % on data held out: they differ, or the "

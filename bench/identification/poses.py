@@ -13,7 +13,7 @@ from bench.identification.geometry import WheelGeometry
 from models.identification.estimate import Estimate, joined
 from models.identification.pose_calibration import PoseCalibration, calibrate_gyro, calibrate_wheels
 from models.identification.settings import load_settings
-from models.identification.slip_laws import ConstantTrack, SlipPolynomial, VirtualTrack
+from models.identification.slip_laws import ConstantTrack, SlipLaw, SlipPolynomial, VirtualTrack
 from models.identification.validation import PoseDrift, pose_drift
 from models.interface import FloatArray
 from models.logs import Record
@@ -78,7 +78,7 @@ def _slip_laws(
         return ()
     records = train if geometry else [_unit_wheels(record) for record in train]
     place = geometry or _UNIT_WHEELS
-    candidates = {"constant track": ConstantTrack(*place)} | (
+    candidates: dict[str, SlipLaw] = {"constant track": ConstantTrack(*place)} | (
         {"virtual track": VirtualTrack(*place), "slip polynomial": SlipPolynomial(*place)} if geometry else {}
     )
     try:

@@ -86,7 +86,9 @@ def slip_table(outcome: Outcome) -> Table:
         for name, law in outcome.poses.laws
     ]
     columns = ("law", "coefficients", "ahead [m]", "to the left [m]", "heading [rad]", "windows")
-    note = "RMSE of the body's displacement over windows of one second, from the wheels through the law, on training data."
+    note = (
+        "RMSE of the body's displacement over windows of one second, from the wheels through the law, on training data."
+    )
     return Table("Slip laws", columns, tuple(rows), text_columns=2, note=note)
 
 

@@ -16,9 +16,9 @@ def draw_drift(outcome: Outcome, path: Path) -> None:
         panels = figure.subplots(1, 2)
         quantities = {"position": "position error [m]", "heading": "heading error [rad]"}
         for axes, (name, label) in zip(panels, quantities.items(), strict=True):
-            for k, kind in enumerate(("rmse", "mean")):
+            for k, (kind, words) in enumerate({"rmse": "RMSE", "mean": "mean"}.items()):
                 errors = [getattr(entry, f"{name}_{kind}") for entry in drift]
-                axes.plot(horizon, errors, marker="os"[k], color=colour(k), linestyle=line_style(k), label=kind.upper())
+                axes.plot(horizon, errors, marker="os"[k], color=colour(k), linestyle=line_style(k), label=words)
             axes.set(xlabel="time since the poses agreed [s]", ylabel=label, xlim=(0, None), ylim=(0, None))
         panels[0].legend()
         figure.suptitle(f"{outcome.name}: open-loop pose error on data held out")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,9 @@ import numpy as np
 from bench.figures.style import REFERENCE_COLOUR, colour, line_style, new_figure
 from bench.identification.outcome import Outcome
 from bench.identification.settings import report_settings
+from models.identification.estimate import Estimate
 from models.identification.identified import IdentifiedModel
+from models.interface import FloatArray
 from models.velocity_model import CHANNELS
 
 _SAMPLES = 400
@@ -56,11 +59,12 @@ def draw_poles(outcome: Outcome, path: Path) -> None:
                     linewidth=1.0,
                 )
         axes.plot(poles.real, poles.imag, "x", color=colour(0), markersize=8, markeredgewidth=1.8)
-        reach = 1.2 * float(np.abs(poles).max())
+        # An interval may reach to infinity; the poles set the scale.
+        reach = 1.4 * float(np.abs(poles).max())
+        height = max(reach / 3, 1.3 * float(np.abs(poles.imag).max()))
         axes.set(
             xlim=(-reach, 0.05 * reach),
-            ylim=(-max(reach / 3, 1.3 * float(np.abs(poles.imag).max())),) * 1
-            + (max(reach / 3, 1.3 * float(np.abs(poles.imag).max())),),
+            ylim=(-height, height),
             xlabel="real part [rad/s]",
             ylabel="imaginary part [rad/s]",
             title=f"{outcome.name}: poles, bars are 95 % intervals",
@@ -72,30 +76,31 @@ def _uncertain_poles(identified: IdentifiedModel) -> list[tuple[float, float, fl
     found = identified.parameters
     rows = []
     for name in found.names:
-        if name.startswith("pole_") and not name.endswith("imag"):
-            real, _, part = name.partition(".")
-            deviation = found.deviation(name)
-            if part:
-                rows.append((found.value(name), found.value(f"{real}.imag"), deviation, found.deviation(f"{real}.imag")))
-            else:
-                rows.append((found.value(name), 0.0, deviation, 0.0))
-    for name in found.names:
-        channel, _, key = name.rpartition(".")
-        if key == "natural_frequency":
-            pair = found.part([name, f"{channel}.damping"])
-            w, damping = pair.values
-            root = np.sqrt(abs(damping**2 - 1.0))
-            if damping < 1.0:
-                parts = pair.derived(
-                    ("real", "imag"),
-                    lambda row: np.array([-row[0] * row[1], row[0] * np.sqrt(abs(1.0 - row[1] ** 2))]),
-                )
-                rows.append((-w * damping, w * root, *map(float, parts.standard_deviation)))
-            else:
-                for side in (-1.0, 1.0):
-                    part_of = pair.derived(
-                        ("real",),
-                        lambda row, side=side: np.array([-row[0] * (row[1] + side * np.sqrt(abs(row[1] ** 2 - 1.0)))]),
-                    )
-                    rows.append((-w * (damping + side * root), 0.0, float(part_of.standard_deviation[0]), 0.0))
+        pole, _, part = name.partition(".")
+        if name.endswith(".natural_frequency"):
+            pair = found.part([name, name.replace("natural_frequency", "damping")])
+            rows += [_row(pair.derived(("real", "imag"), parts)) for parts in _POLES[bool(pair.values[1] < 1.0)]]
+        elif pole.startswith("pole_") and part == "real":
+            rows.append(_row(found.part([name, f"{pole}.imag"])))
+        elif pole.startswith("pole_") and not part:
+            rows.append((found.value(name), 0.0, found.deviation(name), 0.0))
     return rows
+
+
+def _row(pole: Estimate) -> tuple[float, float, float, float]:
+    (real, imag), (real_deviation, imag_deviation) = pole.values, pole.standard_deviation
+    return float(real), float(imag), float(real_deviation), float(imag_deviation)
+
+
+def _root(damping: float) -> float:
+    return float(np.sqrt(abs(damping**2 - 1.0)))
+
+
+# From natural frequency and damping: both poles where they are real, the upper one of a pair that is complex.
+_POLES: dict[bool, list[Callable[[FloatArray], FloatArray]]] = {
+    False: [
+        lambda row: np.array([-row[0] * (row[1] - _root(row[1])), 0.0]),
+        lambda row: np.array([-row[0] * (row[1] + _root(row[1])), 0.0]),
+    ],
+    True: [lambda row: np.array([-row[0] * row[1], row[0] * _root(row[1])])],
+}

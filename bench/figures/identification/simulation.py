@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.figures.style import REFERENCE_COLOUR, boxed_legend, colour, new_figure
+from bench.figures.style import REFERENCE_COLOUR, colour, new_figure
 from bench.identification.outcome import Outcome
 from bench.identification.settings import report_settings
 from models.identification.signals import twist_stretches
+from models.interface import FloatArray
 
 _LABELS = ("v [m/s]", "omega [rad/s]")
 
@@ -38,14 +39,14 @@ def draw_simulation(outcome: Outcome, path: Path) -> None:
             lower.plot(time[seen], (measured - simulated[rows, i])[seen], color=colour(0), linewidth=0.8)
             lower.axhline(0.0, color="black", linewidth=0.6)
             lower.set_ylabel("residual")
-        boxed_legend(panels[0])
+        panels[0].legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
         panels[-1].set_xlabel("time on the log's clock [s]")
         fit = fitted.validation.fit_percent
-        panels[0].set_title(f"{outcome.name}: validation FIT v {fit[0]:.1f} %, omega {fit[1]:.1f} % (of all stretches)")
+        figure.suptitle(f"{outcome.name}: validation FIT v {fit[0]:.1f} %, omega {fit[1]:.1f} % (of all stretches)")
         figure.align_ylabels(panels)
 
 
-def _busiest(commands: np.ndarray, window: int) -> int:
+def _busiest(commands: FloatArray, window: int) -> int:
     """First row of the window in which the commands, each over its own spread, change most."""
     if len(commands) <= window:
         return 0
