@@ -24,7 +24,7 @@ from models.velocity_model import CHANNELS
 METHOD = (
     "output error (simulation from commands alone), two poles and no zeros for each motor, one dead time, firmware "
     "track with them; effective track from the steady yaw gain of the gyro; all records at once, free initial states, "
-    "Huber weights"
+    "outliers held back"
 )
 _MOTORS = tuple(Motors.model_fields)
 _SIDES = (-1, 1, -1, 1)

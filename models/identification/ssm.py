@@ -32,7 +32,7 @@ from models.velocity_model import CHANNELS
 
 METHOD = (
     "output error (simulation from commands alone), state space with a dead time for each input, data driven local "
-    "coordinates, all records at once, free initial states, Huber weights; starts from an impulse response "
+    "coordinates, all records at once, free initial states, outliers held back; starts from an impulse response "
     "(eigensystem realization) and from the order below"
 )
 LARGEST_ORDER = 5

@@ -45,7 +45,8 @@ def test_a_log_cut_anywhere_and_shifted_in_time_gives_the_same_model():
     moved = Record("moved", whole.start + 1e4, DT, whole.command, twist=whole.twist, yaw_rate=whole.yaw_rate)
     one, two, three = (identify_sm(records, limits=False).parameters for records in ([whole], parts, [moved]))
     assert three.values.tolist() == one.values.tolist()
-    assert np.all(np.abs(two.values - one.values) < 0.3 * one.standard_deviation)
+    # A cut costs the memory of the robot at that place, about a hundredth of the log: a tenth of a deviation.
+    assert np.sqrt(np.mean(((two.values - one.values) / one.standard_deviation) ** 2)) < 0.2
 
 
 def test_outliers_hardly_move_the_model():

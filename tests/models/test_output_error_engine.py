@@ -12,7 +12,7 @@ from models.identification.output_error.linear_system import delayed, sample, se
 from models.identification.output_error.motors import MotorsStructure
 from models.identification.output_error.problem import OutputErrorProblem
 from models.identification.output_error.realisation import balanced, from_impulse_response, impulse_response
-from models.identification.output_error.response import state_response
+from models.identification.output_error.response import StateResponse
 from models.identification.output_error.structures import LocalStateSpace, TwoPolesStructure
 from models.identification.validation.simulation import simulate_stretch
 
@@ -24,7 +24,7 @@ def test_states_are_those_of_the_recursion(seed, n):
     A = stream.normal(size=(n, n))
     A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
     drive, start = stream.normal(size=(n, 3, 40)), stream.normal(size=(n, 3))
-    states = state_response(A, drive, start)
+    states = StateResponse(A)(drive, start)
     x = start
     for k in range(40):
         assert states[:, :, k] == pytest.approx(x, abs=1e-9)
@@ -33,7 +33,7 @@ def test_states_are_those_of_the_recursion(seed, n):
 
 def test_states_where_poles_meet():
     A = np.array([[0.9, 1.0], [0.0, 0.9]])
-    states = state_response(A, np.zeros((2, 1, 50)), np.array([[0.0], [1.0]]))
+    states = StateResponse(A)(np.zeros((2, 1, 50)), np.array([[0.0], [1.0]]))
     k = np.arange(50)
     assert states[0, 0] == pytest.approx(k * 0.9 ** (k - 1.0), abs=1e-12)
 
@@ -46,7 +46,7 @@ def test_sampling_is_that_of_control(name, dead_time):
     ours, theirs = sample(system(model), DT), model.discretise(DT)
     commands = set_points(0, 200, (0.5, 1.0))
     recent, older = delayed(commands, ours.delay)
-    states = state_response(ours.A, (ours.B0 @ recent + ours.B1 @ older)[:, None])[:, 0]
+    states = StateResponse(ours.A)((ours.B0 @ recent + ours.B1 @ older)[:, None])[:, 0]
     past = np.tile(commands[0], (theirs.memory, 1))
     assert pytest.approx(theirs.simulate(commands, past=past), abs=1e-9) == states.T @ model.C.T
 
