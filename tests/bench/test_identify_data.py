@@ -1,0 +1,59 @@
+"""How records are divided, and what is read off their wheels."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.identification.data import divide
+from bench.identification.geometry import firmware_track, wheel_geometry
+from models.logs import Record
+from models.wheels import WheelKinematics
+
+
+def record(count, start=0.0):
+    rows = start + np.arange(count)
+    return Record("drive", start, 1.0, np.column_stack([rows, rows]))
+
+
+@given(st.lists(st.integers(1, 40), min_size=1, max_size=6), st.floats(0.1, 0.9))
+def test_dividing_keeps_every_row_once_and_in_order(counts, share):
+    starts = np.cumsum([0, *counts]) + 10 * np.arange(len(counts) + 1)  # a gap between two records
+    records = [record(count, start) for count, start in zip(counts, starts, strict=False)]
+    first, last = divide(records, share)
+    rows = [np.concatenate([part.command[:, 0] for part in parts]) if parts else np.empty(0) for parts in (first, last)]
+    assert np.array_equal(np.concatenate(rows), np.concatenate([part.command[:, 0] for part in records]))
+    assert len(rows[0]) == round(share * sum(counts))
+    for part in (*first, *last):
+        assert part.start == part.command[0, 0]
+
+
+def driven(radius, track, effective, firmware, gyro=True):
+    """A robot whose wheels obey at once: `firmware` on the way in, `effective` on the way out."""
+    command = np.random.default_rng(0).uniform([-1.0, -1.5], [1.0, 1.5], (200, 2))
+    asked = WheelKinematics(radius, firmware).body_to_wheels @ command.T
+    wheels = np.column_stack([asked[[0, 2]].mean(axis=0), asked[[1, 3]].mean(axis=0)])
+    difference = radius * (wheels[:, 1] - wheels[:, 0])
+    twist = np.column_stack([radius * wheels.mean(axis=1), difference / track])
+    yaw_rate = difference / effective if gyro else None
+    return Record("drive", 0.0, 0.02, command, twist=twist, yaw_rate=yaw_rate, wheels=wheels)
+
+
+@given(*[st.floats(0.05, 2.0)] * 4)
+def test_radius_and_tracks_are_read_off_the_wheels(radius, track, effective, firmware):
+    drive = driven(radius, track, effective, firmware)
+    geometry = wheel_geometry([drive])
+    assert geometry == pytest.approx((radius, track), rel=1e-9)
+    # What the body does for what is commanded: v as asked, omega by the two tracks.
+    gain = np.diag([1.0, firmware / effective])
+    assert firmware_track([drive], geometry, gain) == pytest.approx(firmware, rel=1e-6)
+
+
+def test_without_a_gyro_the_model_s_omega_is_that_of_the_wheels():
+    drive = driven(0.1, 0.4, 0.6, 0.5, gyro=False)
+    geometry = wheel_geometry([drive])
+    assert firmware_track([drive], geometry, np.diag([1.0, 0.5 / 0.4])) == pytest.approx(0.5, rel=1e-9)
+
+
+def test_a_log_without_wheels_has_no_geometry():
+    assert wheel_geometry([record(50)]) is None
