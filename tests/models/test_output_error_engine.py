@@ -13,6 +13,7 @@ from models.identification.output_error.motors import MotorsStructure
 from models.identification.output_error.problem import OutputErrorProblem
 from models.identification.output_error.realisation import balanced, from_impulse_response, impulse_response
 from models.identification.output_error.response import StateResponse
+from models.identification.output_error.robust import spike_weights
 from models.identification.output_error.structures import LocalStateSpace, TwoPolesStructure
 from models.identification.validation.simulation import simulate_stretch
 
@@ -146,3 +147,22 @@ def test_a_simulation_starts_at_the_first_reading():
     stretch = single(np.tile(held, (50, 1)), outputs)
     assert settled_start(system(model), outputs[0])[0] @ model.C.T == pytest.approx(outputs[0])
     assert simulate_stretch(system(model), stretch) == pytest.approx(outputs, abs=1e-12)
+
+
+def test_a_spike_is_held_back_and_a_lasting_error_is_not():
+    residuals = 0.01 * np.random.default_rng(0).normal(size=(2000, 1))
+    residuals[500] += 1.0
+    residuals[1000:1040] += 0.3 * np.exp(-np.arange(40.0) / 10)[:, None]
+    residuals[1500] = np.nan
+    (weights,) = spike_weights([residuals])
+    assert weights[500, 0] < 0.1
+    assert weights[1002:1040].min() == 1.0
+    assert np.mean(weights == 1.0) > 0.995
+
+
+def test_readings_of_a_robot_that_stands_are_no_spikes():
+    """Nine tenths say exactly zero; the rest moves by one count now and then."""
+    residuals = np.zeros((1000, 1))
+    residuals[900:, 0] = 0.01 * np.random.default_rng(1).integers(-1, 2, 100)
+    (weights,) = spike_weights([residuals])
+    assert weights.min() > 0.1
