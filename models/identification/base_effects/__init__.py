@@ -1,0 +1,1 @@
+"""What a base does around its linear dynamics, estimated from records."""
