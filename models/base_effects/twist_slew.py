@@ -30,7 +30,9 @@ class TwistSlew(StrictModel):
         commands = np.asarray(commands, dtype=float)
         columns = [
             _ramps(column, limit * dt, float(first))
-            for column, limit, first in zip(commands.T, (self.v, self.omega), np.asarray(start, dtype=float), strict=True)
+            for column, limit, first in zip(
+                commands.T, (self.v, self.omega), np.asarray(start, dtype=float), strict=True
+            )
         ]
         return np.stack(columns, axis=-1)
 

@@ -32,24 +32,3 @@ def sensed(records: Sequence[Record]) -> list[Stretch]:
         )
         for wheels, body in zip(by_encoders, by_gyro, strict=True)
     ]
-
-
-def held_out(records: Sequence[Record], blocks: int, shortest: float) -> list[tuple[list[Record], list[Record]]]:
-    """For each of `blocks` parts of equal length, in the order of time: the records without it, and it.
-
-    Rests of records shorter than `shortest` [s] are left out.
-    """
-    ends = np.cumsum([len(record.command) for record in records])
-    edges = np.linspace(0, ends[-1], blocks + 1).astype(int)
-    folds = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
-        rest: list[Record] = []
-        block: list[Record] = []
-        for record, end in zip(records, ends, strict=True):
-            start, count = end - len(record.command), len(record.command)
-            a, b = np.clip([low - start, high - start], 0, count).tolist()
-            for part, into in (((0, a), rest), ((a, b), block), ((b, count), rest)):
-                if (part[1] - part[0]) * record.dt >= shortest:
-                    into.append(record if part == (0, count) else record.part(*part))
-        folds.append((rest, block))
-    return folds

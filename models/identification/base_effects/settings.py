@@ -28,6 +28,7 @@ class EffectSettings(StrictModel):
     blocks: int = Field(ge=2, description="of the cross-validation")
     worth: Positive = Field(description="least fall of the logarithm of the held-out error power")
     shortest_part: Positive = Field(description="[s]")
+    evaluations: int = Field(ge=2, description="steps of a search")
     trial: int = Field(ge=2, description="steps of the search in a comparison")
     parts: int = Field(ge=1, description="of a sample")
     difference: Positive = Field(description="step of the finite differences, part of a parameter's usual size")
