@@ -36,6 +36,9 @@ def identify(
         typer.Option(help="Share of each log to identify from; the rest scores it.", show_default="0.6"),
     ] = None,
     order: Annotated[str, typer.Option(metavar="auto|N", help="Order of an ssm, 1 to 5.")] = "auto",
+    effects: Annotated[
+        bool, typer.Option("--effects", help="Look for what the base does around an sm: slew, steps, tyres, veer.")
+    ] = False,
     name: Annotated[str | None, typer.Option(help="Name of the model.", show_default="from the logs")] = None,
 ) -> None:
     """Identify a velocity model from logs; write it with a configuration, a report and figures."""
@@ -48,6 +51,7 @@ def identify(
         mapping=mapping,
         fit_share=fit_share,
         order=order,
+        effects=effects,
         name=name,
         out=out,
     )

@@ -37,6 +37,7 @@ def identify(
     mapping: str | None,
     fit_share: float | None,
     order: str,
+    effects: bool,
     name: str | None,
     out: Path,
 ) -> None:
@@ -50,6 +51,8 @@ def identify(
     wanted = _order(structure, order)
     if validate and fit_share is not None:
         raise ConfigError("--fit-share: with --validate all of the other logs is identified from; give one of them")
+    if effects and structure != "sm":
+        raise ConfigError(f"--effects: they stand around an sm, not an {structure}; give --model sm")
     if name is not None and not name.strip():
         raise ConfigError("--name: it is empty; give the model a name, or leave the option out")
     more = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
@@ -64,7 +67,13 @@ def identify(
             on_findings=_print_findings,
         )
         bar.begin("identification (seconds, for an SSM up to minutes)", 1)
-        fitted = fit(data, structure, wanted)
+        fitted = fit(
+            data,
+            structure,
+            wanted,
+            effects=effects,
+            on_trial=lambda effect: bar.begin(f"does the base show {effect}?", 1),
+        )
         outcome = Outcome(title, data, fitted, from_poses(data, fitted))
         _write(outcome, folder, bar)
     _print(outcome, out)

@@ -9,6 +9,7 @@ from bench.identification.outcome import Outcome
 from bench.identification.settings import report_settings
 from models.interface import FloatArray
 from models.velocity_model import CHANNELS
+from mpc.config import Limits
 
 MODEL_FILE = "model.yaml"
 _UNITS = {"v": "m/s", "omega": "rad/s"}
@@ -32,7 +33,7 @@ def configuration(outcome: Outcome) -> str:
         f"# Controller of {outcome.name}. Fields left out keep the schema's default: diffdrive-mpc config schema",
         f"model: {MODEL_FILE}",
         f"sample_time: {train[0].dt:.6g}   # s, of the log: the period at which `step` is called",
-        "limits:   # v_slew and omega_slew are not in a log: set them if the robot must be driven more gently",
+        *_slew(outcome),
         *(f"  {name}: {limit[i]:.4g}   # {_UNITS[name]}, {reason[i]}" for i, name in enumerate(CHANNELS)),
         *(
             f"  predicted_{name}: {predicted[i]:.4g}   # {_UNITS[name]}, what the model makes of it, with a margin"
@@ -41,6 +42,23 @@ def configuration(outcome: Outcome) -> str:
         *_wheels(outcome, np.minimum(asked, limit)),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _slew(outcome: Outcome) -> list[str]:
+    """Within the slopes that the base follows, where they were found, its linear model is exact."""
+    base = outcome.fitted.base
+    found = {name: base.point[f"slew.{name}"] for name in CHANNELS if f"slew.{name}" in base.point} if base else {}
+    if not found:
+        return ["limits:   # v_slew and omega_slew are not in a log: set them if the robot must be driven more gently"]
+    default = Limits()
+    slew = {name: min(value, getattr(default, f"{name}_slew")) for name, value in found.items()}
+    return [
+        "limits:",
+        *(
+            f"  {name}_slew: {value:.4g}   # {_UNITS[name]} per second, within what the base follows"
+            for name, value in slew.items()
+        ),
+    ]
 
 
 def _wheels(outcome: Outcome, commands: FloatArray) -> list[str]:

@@ -39,7 +39,7 @@ class Outcome:
             found.append(
                 "omega: the log has no gyro, so this is the yaw rate of the wheels; a skid-steered body turns less"
             )
-        return tuple(dict.fromkeys([*found, *score_warnings(self.fitted)]))
+        return tuple(dict.fromkeys([*found, *score_warnings(self.fitted), *mount_warnings(self.poses)]))
 
 
 def score_warnings(fitted: Fitted) -> list[str]:
@@ -65,3 +65,14 @@ def score_warnings(fitted: Fitted) -> list[str]:
                 "bound): the model misses part of the dynamics"
             )
     return found
+
+
+def mount_warnings(poses: PoseResults) -> list[str]:
+    """A sentence if poses are those of a point that the robot does not turn about."""
+    place = {name.rpartition("_")[2].rpartition(".")[2]: poses.parameters.value(name) for name in poses.mount}
+    if not place or np.hypot(place["ahead"], place["left"]) < report_settings().warn.lever_arm:
+        return []
+    return [
+        f"poses: their point sits {place['ahead']:.3f} m ahead and {place['left']:.3f} m to the left of the centre of "
+        "rotation: give the controller poses of that centre (models.base_effects.PoseMount)"
+    ]

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from bench.identification.data import Data
 from bench.identification.fitting import Fitted
 from bench.identification.geometry import WheelGeometry
+from models.base_effects import PoseMount
+from models.identification.base_effects import IdentifiedBase
 from models.identification.estimate import Estimate, joined
 from models.identification.pose_calibration import PoseCalibration, calibrate_gyro, calibrate_wheels
 from models.identification.settings import load_settings
@@ -44,6 +47,26 @@ class PoseResults:
     drift: tuple[PoseDrift, ...]
     warnings: tuple[str, ...]
 
+    @property
+    def mount(self) -> tuple[str, ...]:
+        """Names of the two parameters that say where the pose point is, ahead and left; empty without them."""
+        pairs = (_LEVER_ARM, ("mount.ahead", "mount.left"))
+        return next((pair for pair in pairs if set(pair) <= set(self.parameters.names)), ())
+
+
+class PosePoint(NamedTuple):
+    """What lies between the body's rotation centre and a measured pose."""
+
+    lever_arm: tuple[float, float] = (0.0, 0.0)
+    """Pose point ahead and to the left [m]."""
+    side_slip: float = 0.0
+    """Lateral speed over -v omega [s]."""
+    lag: float = 0.0
+    """By how much poses are late [s]."""
+
+
+Predictions = list[tuple[Record, FloatArray]]
+"""Records with a pose, each with the body's twist (K, 2) v [m/s], omega [rad/s] as predicted from the commands."""
 
 NO_POSES = PoseResults(Estimate((), np.empty(0), np.empty((0, 0))), (), (), ())
 
@@ -58,6 +81,9 @@ def from_poses(data: Data, fitted: Fitted) -> PoseResults:
         return NO_POSES
     warnings: list[str] = []
     laws = _slip_laws(train, fitted.geometry, warnings)
+    if fitted.base:
+        found = fitted.base.pose or NO_POSES.parameters
+        return PoseResults(found, laws, _drift(*_of_base(data, fitted.base), warnings), tuple(warnings))
     gyro = _gyro(train, warnings) if data.yaw == "gyro" else None
     calibrations = [("wheels", laws[0][1])] if laws else []
     calibrations += [("gyro", gyro)] if gyro else []
@@ -66,7 +92,7 @@ def from_poses(data: Data, fitted: Fitted) -> PoseResults:
     if parts and laws and fitted.geometry is None:
         parts[0] = _as_gains(parts[0])
     parameters = joined(parts) if parts else NO_POSES.parameters
-    drift = _drift(data, fitted, laws[0][1].parameters if laws else None, gyro, warnings)
+    drift = _drift(*_of_model(data, fitted, laws[0][1].parameters if laws else None, gyro), warnings)
     return PoseResults(parameters, laws, drift, tuple(warnings))
 
 
@@ -96,10 +122,10 @@ def _gyro(train: Sequence[Record], warnings: list[str]) -> PoseCalibration | Non
         return None
 
 
-def _drift(
-    data: Data, fitted: Fitted, wheels: Estimate | None, gyro: PoseCalibration | None, warnings: list[str]
-) -> tuple[PoseDrift, ...]:
-    """Drift about the rotation centre of the body's twist: the model's output behind the calibration."""
+def _of_model(
+    data: Data, fitted: Fitted, wheels: Estimate | None, gyro: PoseCalibration | None
+) -> tuple[Predictions, PosePoint]:
+    """The body's twist, which is the model's output behind the calibration, and where the pose was taken."""
     place = fitted.geometry or _UNIT_WHEELS
     gain = np.ones(2)
     if wheels:
@@ -108,18 +134,41 @@ def _drift(
             gain[1] = gain[0] * place.track / wheels.value("track")
     if gyro:
         gain[1] = 1.0 / gyro.parameters.value("gyro_scale")
-    pairs = [
+    predictions = [
         (record, gain * (outputs - fitted.identified.offset))
         for record, outputs in zip(data.validation, fitted.simulated, strict=True)
         if record.pose is not None
     ]
-    arm = (wheels.value(_LEVER_ARM[0]), wheels.value(_LEVER_ARM[1])) if wheels else (0.0, 0.0)
-    side_slip = wheels.value("side_slip") if wheels else 0.0
+    if wheels is None:
+        return predictions, PosePoint()
+    arm = (wheels.value(_LEVER_ARM[0]), wheels.value(_LEVER_ARM[1]))
+    return predictions, PosePoint(arm, wheels.value("side_slip"))
+
+
+def _of_base(data: Data, base: IdentifiedBase) -> tuple[Predictions, PosePoint]:
+    """As `_of_model`, with the mount of the pose sensor already taken off the poses."""
+    records = _with_pose(data.validation)
+    predictions = list(zip(records, base.body_twists(records), strict=True))
+    if base.pose is None:
+        return predictions, PosePoint()
+    mount = PoseMount(**{name: base.pose.value(f"mount.{name}") for name in ("ahead", "left", "heading")})
+    centred = [(replace(record, pose=mount.centre(np.asarray(record.pose))), twist) for record, twist in predictions]
+    return centred, PosePoint(lag=base.pose.value("pose.delay"))
+
+
+def _drift(predictions: Predictions, point: PosePoint, warnings: list[str]) -> tuple[PoseDrift, ...]:
+    records, twists = [record for record, _ in predictions], [twist for _, twist in predictions]
     drift: list[PoseDrift] = []
     for horizon in load_settings().validation.horizons:
         try:
-            records, twists = [record for record, _ in pairs], [twist for _, twist in pairs]
-            drift += pose_drift(records, twists, lever_arm=arm, side_slip=side_slip, horizons=[horizon])
+            drift += pose_drift(
+                records,
+                twists,
+                lever_arm=point.lever_arm,
+                side_slip=point.side_slip,
+                pose_lag=point.lag,
+                horizons=[horizon],
+            )
         except ValueError as error:
             warnings.append(f"no pose error at {horizon:g} s: {error}")
     return tuple(drift)

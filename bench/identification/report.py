@@ -12,6 +12,7 @@ from typing import Any
 from bench.identification.outcome import Outcome
 from bench.identification.tables import (
     drift_table,
+    effect_table,
     order_table,
     parameter_table,
     residual_table,
@@ -63,6 +64,8 @@ def markdown(outcome: Outcome, figures: Mapping[str, str], day: date) -> str:
         tables.append(drift_table(outcome))
     if outcome.fitted.orders:
         tables.append(order_table(outcome))
+    if outcome.fitted.base:
+        tables.append(effect_table(outcome))
     tables.append(parameter_table("Parameters", outcome.fitted.identified.parameters))
     if outcome.poses.parameters.names:
         tables.append(parameter_table("Parameters from poses", outcome.poses.parameters))

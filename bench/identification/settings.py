@@ -17,6 +17,7 @@ class WarningSettings(StrictModel):
     low_fit: float = Field(description="[%]")
     fit_drop: Positive = Field(description="[percentage points]")
     unexplained: Positive = Field(description="[-]")
+    lever_arm: Positive = Field(description="[m]")
 
 
 class ReportSettings(StrictModel):

@@ -79,6 +79,25 @@ def order_table(outcome: Outcome) -> Table:
     return Table("Orders compared", columns, tuple(rows), text_columns=2, note=note)
 
 
+def effect_table(outcome: Outcome) -> Table:
+    """What was tried around the linear model, and what was kept."""
+    base = outcome.fitted.base
+    assert base is not None
+    rows = [
+        (
+            trial.effect + (", once more" if trial.again else ""),
+            number(trial.gain),
+            str(trial.blocks),
+            _kept(trial.kept),
+        )
+        for trial in base.trials
+    ]
+    note = "Gain: fall of the logarithm of the error power on parts of the training data that were held out in turn."
+    return Table(
+        "What the base does", ("effect", "gain [-]", "better in blocks", "in the model"), tuple(rows), note=note
+    )
+
+
 def slip_table(outcome: Outcome) -> Table:
     """Slip laws with their errors over a short window."""
     rows = [
@@ -95,3 +114,7 @@ def slip_table(outcome: Outcome) -> Table:
 def _valued(estimate: Estimate) -> list[str]:
     pairs = zip(estimate.names, estimate.values, estimate.standard_deviation, strict=True)
     return [f"{name} {value:.3g} ± {deviation:.1g}" for name, value, deviation in pairs]
+
+
+def _kept(kept: bool) -> str:
+    return "yes" if kept else "no"

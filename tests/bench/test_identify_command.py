@@ -1,6 +1,7 @@
 """From a simulated log to a folder that the controller drives with, through the command line."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -190,3 +191,45 @@ def test_a_model_that_explains_little_is_said_to_in_the_warnings(tmp_path):
     warnings = json.loads((tmp_path / "out" / "report.json").read_text())["warnings"]
     assert any(warning.startswith("omega: validation FIT") for warning in warnings)
     assert not any(warning.startswith("v: validation FIT") for warning in warnings)
+
+
+def test_what_the_base_does_around_the_model_goes_into_both_files(tmp_path):
+    """A base that follows its commands with slopes of 1.2 m/s^2 and 2.4 rad/s^2, then with a lag of 0.1 s."""
+    dt, slopes = 0.05, np.array([1.2, 2.4])
+    columns = drive(seconds=30.0, dt=dt)
+    asked = np.column_stack([columns["v_ref"], columns["omega_ref"]])
+    fine, per = dt / 10, 10
+    limited, twist = np.zeros(2), np.zeros((len(asked), 2))
+    state = np.zeros(2)
+    for k, command in enumerate(asked):
+        twist[k] = state
+        for _ in range(per):
+            limited = limited + np.clip(command - limited, -slopes * fine, slopes * fine)
+            state = state + (1 - np.exp(-fine / 0.1)) * (limited - state)
+    noise = np.random.default_rng(0).normal(0, 0.004, (3, len(asked)))
+    columns |= {"v": twist[:, 0] + noise[0], "omega_wheels": 1.5 * twist[:, 1] + noise[1]}
+    columns["gyro"] = twist[:, 1] + noise[2]
+    log = write_csv(tmp_path / "drive.csv", columns)
+    mapping = write_mapping(tmp_path / "map.yaml", MAPPING.replace("  pose: {x: x, y: y, theta: theta}\n", ""))
+    run("identify", log, "--mapping", mapping, "--effects", "--out", tmp_path / "out")
+    slew = read_model_file(tmp_path / "out" / "model.yaml").base_effects.twist_slew
+    assert (slew.v, slew.omega) == pytest.approx(tuple(slopes), rel=0.05)
+    config = load_config(tmp_path / "out" / "config.yaml")
+    assert config.limits.v_slew == pytest.approx(slew.v, rel=1e-3)
+    assert config.limits.omega_slew == pytest.approx(slew.omega, rel=1e-3)
+    assert "| twist slew | " in (tmp_path / "out" / "report.md").read_text()
+
+
+def test_a_pose_point_beside_the_centre_of_rotation_is_said(tmp_path):
+    columns = drive(seconds=40.0)
+    theta = columns["theta"].copy()
+    columns["x"] = columns["x"] + 0.2 * np.cos(theta) - 0.05 * np.sin(theta)
+    columns["y"] = columns["y"] + 0.2 * np.sin(theta) + 0.05 * np.cos(theta)
+    log = write_csv(tmp_path / "drive.csv", columns)
+    run("identify", log, "--mapping", write_mapping(tmp_path / "map.yaml"), "--out", tmp_path / "out")
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    (line,) = (warning for warning in report["warnings"] if "centre of rotation" in warning)
+    ahead, left = (float(number) for number in re.findall(r"(-?\d\.\d+) m", line))
+    assert (ahead, left) == pytest.approx((0.2, 0.05), abs=0.005)
+    assert report["parameters"]["poses.lever_arm_ahead"]["value"] == pytest.approx(0.2, abs=0.005)
+    assert report["pose_error"][1]["position_rmse_m"] < 0.02

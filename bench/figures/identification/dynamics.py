@@ -77,8 +77,9 @@ def _uncertain_poles(identified: IdentifiedModel) -> list[tuple[float, float, fl
     rows = []
     for name in found.names:
         pole, _, part = name.partition(".")
-        if name.endswith(".natural_frequency"):
-            pair = found.part([name, name.replace("natural_frequency", "damping")])
+        damping = name.replace("natural_frequency", "damping")
+        if damping != name and damping in found.names:
+            pair = found.part([name, damping])
             rows += [_row(pair.derived(("real", "imag"), parts)) for parts in _POLES[bool(pair.values[1] < 1.0)]]
         elif pole.startswith("pole_") and part == "real":
             rows.append(_row(found.part([name, f"{pole}.imag"])))
