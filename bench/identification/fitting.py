@@ -126,7 +126,7 @@ def _with_effects(data: Data, geometry: WheelGeometry | None, on_trial: Callable
 
 
 def _simulated(identified: IdentifiedModel, base: IdentifiedBase | None, records: Sequence[Record]) -> list[FloatArray]:
-    """Forward speed of the encoders and omega of the source that the model predicts, from one free run over each record."""
+    """Speed of the encoders and omega as the model means it, from one free run over each record."""
     if base is None:
         return simulate_records(identified.system, records, identified.yaw)
     return [readings[:, [0, 2]] for readings in base.readings(records)]
