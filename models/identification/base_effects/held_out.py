@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -55,7 +56,7 @@ def blocks(stretches: Sequence[Stretch]) -> list[tuple[Pieces, Pieces]]:
     ends = np.cumsum([stretch.samples for stretch in stretches])
     edges = np.linspace(0, ends[-1], settings.blocks + 1).astype(int)
     folds = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         rest: Pieces = []
         block: Pieces = []
         for i, (stretch, end) in enumerate(zip(stretches, ends, strict=True)):

@@ -1,4 +1,4 @@
-"""Which effects a base has: each is tried in turn, and kept only if it predicts held-out parts of the records better."""
+"""Which effects a base has: each is tried, and kept only if it predicts held-out parts of the records better."""
 
 from __future__ import annotations
 

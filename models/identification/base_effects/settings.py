@@ -30,7 +30,6 @@ class EffectSettings(StrictModel):
     shortest_part: Positive = Field(description="[s]")
     evaluations: int = Field(ge=2, description="steps of a search")
     trial: int = Field(ge=2, description="steps of the search in a comparison")
-    parts: int = Field(ge=1, description="of a sample")
     difference: Positive = Field(description="step of the finite differences, part of a parameter's usual size")
     pose: PoseSettings
 
