@@ -63,10 +63,12 @@ def blocks(stretches: Sequence[Stretch]) -> list[tuple[Pieces, Pieces]]:
             count = stretch.samples
             a, b = np.clip([low - end + count, high - end + count], 0, count).tolist()
             for first, stop, into in ((0, a, rest), (a, b, block), (b, count, rest)):
-                if (stop - first) * stretch.dt >= settings.shortest_part:
+                if (stretch.counts[first:stop].sum(axis=0) >= settings.fewest_readings).all():
                     into.append((i, first, stop))
         if not (rest and block):
-            raise ValueError(f"the records are too short: no part of {settings.shortest_part} s is left in a block")
+            raise ValueError(
+                f"the records are too short to hold any of {settings.blocks} blocks out; give a longer log"
+            )
         folds.append((rest, block))
     return folds
 
