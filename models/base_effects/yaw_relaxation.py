@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
@@ -65,7 +67,7 @@ class YawRelaxation(StrictModel):
         edges = np.concatenate([[0], first, [len(mean)]])
         sides = np.concatenate([[0.0], np.sign(mean[first])])
         begin = np.empty(len(sides))
-        for run, (low, high) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        for run, (low, high) in enumerate(pairwise(edges)):
             begin[run] = strain
             strain = sides[run] + (strain - sides[run]) * float(np.exp(turned[low] - turned[high]))
         counts = np.diff(edges)

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import signal
 
-from models.base_effects import TwistSlew, WheelCommand, YawRelaxation
-from models.identification.base_effects.settings import effect_settings
+from models.base_effects import PARTS, TwistSlew, WheelCommand, YawRelaxation
 from models.identification.output_error.stretch import Stretch
 from models.interface import FloatArray
 
@@ -31,11 +30,10 @@ def free_run(point: Point, stretch: Stretch, *, smooth: bool = False) -> FloatAr
     smooth
         Whether the steps of the wheel command are smoothed to their mean, which has slopes.
     """
-    parts = effect_settings().parts
-    step = stretch.dt / parts
+    step = stretch.dt / PARTS
     first = [stretch.outputs[np.argmax(counts), row] for row, counts in enumerate(stretch.counts.T)]
     start = np.array([first[0] / point["gain.v"], first[1] / (point["gain.omega"] * point["encoders.yaw_ratio"])])
-    asked = _asked(point, np.repeat(stretch.inputs, parts, axis=0), step, start, smooth)
+    asked = _asked(point, np.repeat(stretch.inputs, PARTS, axis=0), step, start, smooth)
     gains = np.array([point["gain.v"], point["gain.omega"]])
     wheels = np.empty_like(asked)
     for row, channel in enumerate(("v", "omega")):
@@ -50,9 +48,9 @@ def free_run(point: Point, stretch: Stretch, *, smooth: bool = False) -> FloatAr
     seen = wheels * np.array([1.0, point["encoders.yaw_ratio"]])
     if "encoders.lag" in point:
         seen = _lagging(seen, point["encoders.lag"], step)
-    at = parts * np.arange(stretch.samples) - point["encoders.delay"] / step
+    at = PARTS * np.arange(stretch.samples) - point["encoders.delay"] / step
     fine = np.arange(len(seen))
-    return np.column_stack([np.interp(at, fine, seen[:, 0]), np.interp(at, fine, seen[:, 1]), gyro[::parts]])
+    return np.column_stack([np.interp(at, fine, seen[:, 0]), np.interp(at, fine, seen[:, 1]), gyro[::PARTS]])
 
 
 def two_lags(drive: FloatArray, start: float, lag: float, spread: float, step: float) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -55,17 +56,19 @@ def blocks(stretches: Sequence[Stretch]) -> list[tuple[Pieces, Pieces]]:
     ends = np.cumsum([stretch.samples for stretch in stretches])
     edges = np.linspace(0, ends[-1], settings.blocks + 1).astype(int)
     folds = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         rest: Pieces = []
         block: Pieces = []
         for i, (stretch, end) in enumerate(zip(stretches, ends, strict=True)):
             count = stretch.samples
             a, b = np.clip([low - end + count, high - end + count], 0, count).tolist()
             for first, stop, into in ((0, a, rest), (a, b, block), (b, count, rest)):
-                if (stop - first) * stretch.dt >= settings.shortest_part:
+                if (stretch.counts[first:stop].sum(axis=0) >= settings.fewest_readings).all():
                     into.append((i, first, stop))
         if not (rest and block):
-            raise ValueError(f"the records are too short: no part of {settings.shortest_part} s is left in a block")
+            raise ValueError(
+                f"the records are too short to hold any of {settings.blocks} blocks out; give a longer log"
+            )
         folds.append((rest, block))
     return folds
 

@@ -29,7 +29,6 @@ METHOD = (
 )
 # What may well be zero, so that a deviation beside it says nothing.
 _MAY_BE_ZERO = ("dead_time", "encoders.delay", "gyro.offset", "veer")
-_AT_BOUND = 1e-3
 _IN_THE_FILE = {"lag": "natural_frequency", "spread": "damping"}
 
 
@@ -170,8 +169,8 @@ def _physical(name: str, value: float) -> float:
 def _doubts(fit: EffectFit, parameters: Estimate) -> list[str]:
     sized = [name for name in parameters.names if not any(part in name for part in _MAY_BE_ZERO)]
     sentences = doubts.badly_known(parameters.part(sized))
-    for name in fit.free:
-        low, high, _ = effect_settings().parameters[name]
-        if min(fit.point[name] - low, high - fit.point[name]) < _AT_BOUND * (high - low) and low != 0.0:
+    for name, (low, high, _) in effect_settings().parameters.items():
+        # Nothing of something is a finding; anything else at a bound is none.
+        if name in fit.point and fit.point[name] in (low, high) and fit.point[name] != 0.0:
             sentences.append(f"{name} = {fit.point[name]:.4g} lies at a bound of the search: the data do not tell it")
     return sentences

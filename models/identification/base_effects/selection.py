@@ -1,4 +1,4 @@
-"""Which effects a base has: each is tried in turn, and kept only if it predicts held-out parts of the records better."""
+"""Which effects a base has: each is tried, and kept only if it predicts held-out parts of the records better."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ EFFECTS: Mapping[str, tuple[str, ...]] = {
 """Parameters of each effect, in the order in which they are tried."""
 _OF_SINGLE_WHEELS = ("top speed of the wheels", "steps and coasting of the wheels")
 _ROUNDS = 2
-# A dead time [s] below this is none: far less than a sample.
-_NO_DEAD_TIME = 2e-3
+_AT_BOUND = 3e-3
+"""Of the range of a parameter."""
 
 
 @dataclass(frozen=True)
@@ -180,10 +180,15 @@ def _little_less_than_fastest(stretches: Sequence[Stretch]) -> float:
 
 
 def _settled(fit: EffectFit, data: Weighted) -> EffectFit:
-    """Fitted to the end; dead times that went to zero are zero, and no longer free."""
-    gone = [name for name in fit.free if name.startswith("dead_time") and fit.point[name] < _NO_DEAD_TIME]
-    free = [name for name in fit.free if name not in gone]
-    return fit_effects({**fit.point, **dict.fromkeys(gone, 0.0)}, free, data)
+    """Fitted to the end; what went to a bound of the search stays there and is no longer free."""
+    point = dict(fit.point)
+    for name in fit.free:
+        low, high, _ = effect_settings().parameters[name]
+        for bound in (low, high):
+            if abs(point[name] - bound) < _AT_BOUND * (high - low):
+                point[name] = bound
+    free = [name for name in fit.free if point[name] not in effect_settings().parameters[name][:2]]
+    return fit_effects(point, free, data, near=True)
 
 
 def _cost(fit: EffectFit) -> float:

@@ -27,10 +27,9 @@ class EffectSettings(StrictModel):
     finer: tuple[Positive, ...] = Field(description="multiples of the best one that are tried")
     blocks: int = Field(ge=2, description="of the cross-validation")
     worth: Positive = Field(description="least fall of the logarithm of the held-out error power")
-    shortest_part: Positive = Field(description="[s]")
+    fewest_readings: int = Field(ge=20, description="of each sensor in a part of a record")
     evaluations: int = Field(ge=2, description="steps of a search")
     trial: int = Field(ge=2, description="steps of the search in a comparison")
-    parts: int = Field(ge=1, description="of a sample")
     difference: Positive = Field(description="step of the finite differences, part of a parameter's usual size")
     pose: PoseSettings
 
