@@ -16,11 +16,11 @@ from bench.identification.poses import from_poses
 from bench.identification.report import write_json, write_markdown
 from bench.identification.tables import drift_table, score_table
 from bench.progress import ProgressBar
-from models.checked_yaml import ConfigError
+from models.checked_yaml import ConfigError, check
 from models.identification.model_file import model_file, write_model_file
 from models.identification.ssm import LARGEST_ORDER
 from models.logs import Finding
-from mpc import Controller, load_config
+from mpc import Controller, ControllerConfig, load_config
 
 STRUCTURES = ("mbm", "sm", "ssm")
 AUTOMATIC = "auto"
@@ -66,6 +66,7 @@ def identify(
             wheels=structure == "mbm",
             on_findings=_print_findings,
         )
+        check(ControllerConfig, {"sample_time": data.train[0].dt}, data.logs[0])
         bar.begin("identification (seconds, for an SSM up to minutes)", 1)
         fitted = fit(
             data,

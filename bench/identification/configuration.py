@@ -68,7 +68,9 @@ def _wheels(outcome: Outcome, commands: FloatArray) -> list[str]:
     if geometry:
         track = firmware_track(outcome.data.train, geometry, outcome.fitted.identified.model.dc_gain)
     if geometry is None or track is None:
-        return ["# The log has no wheel speeds: set limits.wheel_speed, wheels.track and wheels.encoder_track."]
+        return [
+            "# Not in the log: limits.wheel_speed, wheels.track and wheels.encoder_track keep the default; set them."
+        ]
     rim = report_settings().limit_margin * float((commands[:, 0] + 0.5 * track * commands[:, 1]).max())
     return [
         f"  wheel_speed: {rim:.4g}   # m/s at the rim, the fastest that the log asked of a side, with a margin",

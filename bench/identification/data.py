@@ -87,9 +87,8 @@ def read_data(
         log.require_sound()
         read.append(log)
     fitted, tried = read[: len(logs)], read[len(logs) :]
-    yaw: YawSource = (
-        "gyro" if any(record.yaw_rate is not None for log in read for record in log.records) else "encoders"
-    )
+    has_gyro = any(record.yaw_rate is not None for log in fitted for record in log.records)
+    yaw: YawSource = "gyro" if has_gyro else "encoders"
     needed = ("twist", *(["yaw_rate"] if yaw == "gyro" else []), *(["wheels"] if wheels else []))
     if tried:
         train = [record for log in fitted for record in log.records]

@@ -39,6 +39,11 @@ class Outcome:
             found.append(
                 "omega: the log has no gyro, so this is the yaw rate of the wheels; a skid-steered body turns less"
             )
+        if self.fitted.geometry is None:
+            found.append(
+                "wheels: the log has no speeds of theirs: set limits.wheel_speed, wheels.track and wheels.encoder_track in "
+                "config.yaml"
+            )
         return tuple(dict.fromkeys([*found, *score_warnings(self.fitted), *mount_warnings(self.poses)]))
 
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from log_parts import drive, write_csv, write_mapping
 
-from bench.identification.data import divide
+from bench.identification.data import divide, read_data
 from bench.identification.geometry import firmware_track, wheel_geometry
 from models.logs import Record
 from models.wheels import WheelKinematics
@@ -57,3 +58,26 @@ def test_without_a_gyro_the_model_s_omega_is_that_of_the_wheels():
 
 def test_a_log_without_wheels_has_no_geometry():
     assert wheel_geometry([record(50)]) is None
+
+
+def test_all_logs_get_the_sample_time_of_the_first(tmp_path):
+    mapping = str(write_mapping(tmp_path / "map.yaml"))
+    logs = [write_csv(tmp_path / f"{dt}.csv", drive(seconds=20.0, dt=dt)) for dt in (0.02, 0.05)]
+    data = read_data(logs, [], mapping=mapping, fit_share=0.75, wheels=False, on_findings=lambda findings: None)
+    assert {record.dt for record in (*data.train, *data.validation)} == {0.02}
+    spans = [sum(record.end - record.start for record in records) for records in (data.train, data.validation)]
+    assert spans == pytest.approx([30.0, 10.0], abs=0.2)
+
+
+def test_a_stretch_without_the_gyro_is_left_out_with_a_warning(tmp_path):
+    columns = drive(seconds=20.0)
+    rows = np.r_[0:500, 700:1000]  # a gap of four seconds, after which the gyro is silent
+    columns["gyro"] = np.where(columns["t"] > 10.0, np.nan, columns["gyro"])
+    log = write_csv(tmp_path / "drive.csv", {name: column[rows] for name, column in columns.items()})
+    mapping = str(write_mapping(tmp_path / "map.yaml"))
+    data = read_data([log], [], mapping=mapping, fit_share=0.5, wheels=False, on_findings=lambda findings: None)
+    assert data.yaw == "gyro"
+    assert max(record.end for record in (*data.train, *data.validation)) < 10.0
+    assert data.warnings == (
+        "drive.csv, 14.0 to 20.0 s: 0 readings of yaw_rate, fewer than 20; the stretch is not used to validate on",
+    )

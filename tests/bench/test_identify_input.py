@@ -21,6 +21,7 @@ def folder(tmp_path_factory):
     write_mapping(folder / "map.yaml")
     write_mapping(folder / "two_clocks.yaml", MAPPING.replace("{yaw_rate: gyro}", "{yaw_rate: gyro, time: stamp}"))
     write_mapping(folder / "no_gyro.yaml", MAPPING.replace("  gyro: {yaw_rate: gyro}\n", ""))
+    write_mapping(folder / "no_pose.yaml", MAPPING.replace("  pose: {x: x, y: y, theta: theta}\n", ""))
     write_mapping(folder / "evil.yaml", EVIL.format(folder=folder))
     logs = {
         "good": COLUMNS,
@@ -30,6 +31,7 @@ def folder(tmp_path_factory):
         "ten": {name: column[:10] for name, column in COLUMNS.items()},
         "nan": COLUMNS | {"v_ref": np.full(600, np.nan)},
         "stamped": COLUMNS | {"stamp": COLUMNS["t"] + 1.7e9},
+        "slow": COLUMNS | {"t": 50.0 * COLUMNS["t"]},
         "reversed": COLUMNS | {"gyro": -COLUMNS["gyro"]},
     }
     for name, columns in logs.items():
@@ -52,6 +54,10 @@ def folder(tmp_path_factory):
         ("nan.csv --mapping map.yaml", "no row has both a time and a command"),
         ("stamped.csv --mapping two_clocks.yaml", "two clocks"),
         ("reversed.csv --mapping map.yaml", "reversed.csv"),
+        (
+            "slow.csv --mapping no_pose.yaml",
+            "slow.csv: sample_time: Input should be less than or equal to 0.5 (found 1.0)",
+        ),
         ("silent", "neither /odom nor /imu is there"),
         ("damaged", "damaged"),
         ("none.csv", "none.csv: there is no such file or folder"),
