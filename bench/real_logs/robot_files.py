@@ -44,22 +44,22 @@ def configuration(proof: Proof) -> str:
     lines = [
         f"# Controller of {proof.log.robot}. Fields left out keep the schema's default: diffdrive-mpc config schema",
         f"model: {MODEL}",
-        "limits:",
-        f"  v: {largest[0]:.4g}       # m/s, the largest command of the log",
-        f"  omega: {largest[1]:.4g}   # rad/s, likewise",
+        f"# The log knows commands up to {largest[0]:.2f} m/s and {largest[1]:.2f} rad/s; beyond, the model is a guess.",
     ]
+    limits: list[str] = []
     if effects.twist_slew is not None:
         found = base.identified.parameters
         for name in ("v", "omega"):
             slew = found.value(f"slew.{name}") - _INSIDE * found.deviation(f"slew.{name}")
             default = getattr(usual, f"{name}_slew")
             reason = "what the base follows, less two standard deviations" if slew < default else "the default"
-            lines.append(f"  {name}_slew: {min(slew, default):.4g}   # {reason}: inside it the linear model holds")
+            limits.append(f"  {name}_slew: {min(slew, default):.4g}   # {reason}: inside it the linear model holds")
     wheels = effects.wheel_command
     if wheels is not None and wheels.top_speed is not None:
         gain = base.identified.content["channels"]["v"]["gain"]
-        lines.append(f"  wheel_speed: {gain * wheels.top_speed:.4g}   # m/s at the rim, where the motors saturate")
-    if wheels is not None and "encoders.track" in base.point:
+        limits.append(f"  wheel_speed: {gain * wheels.top_speed:.4g}   # m/s at the rim, where the motors saturate")
+    lines += ["limits:", *limits] if limits else []
+    if wheels is not None:
         lines += [
             "wheels:",
             f"  track: {wheels.track:.4g}   # m, by which the base turns omega_ref into rim speeds",

@@ -12,7 +12,7 @@ DT = 0.05
 ENCODER_TRACK = 0.5
 
 
-def linear_model(effects=None):
+def linear_model():
     channel = {"gain": 0.95, "natural_frequency": 14.0, "damping": 1.0}
     data = {
         "name": "made up",
@@ -29,7 +29,7 @@ def step_commands(seed, duration, hold=2.5) -> FloatArray:
     steps = round(duration / hold)
     v, omega = stream.uniform(-0.8, 0.8, steps), stream.uniform(-3.0, 3.0, steps)
     still = stream.uniform(size=steps) < 0.15
-    v[still] = 0.5 * 0.56 * np.abs(omega[still]) * np.sign(v[still])
+    v[still] = 0.5 * 0.54 * np.abs(omega[still]) * np.sign(v[still])
     return np.repeat(np.column_stack([v, omega]), round(hold / DT), axis=0)
 
 

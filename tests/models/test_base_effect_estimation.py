@@ -115,7 +115,7 @@ def test_each_sample_is_held_out_once():
 
 @pytest.fixture(scope="module")
 def found():
-    return identify_with_effects([record_of(TRUE, 7, 240.0, yaw_ratio=RATIO)])
+    return identify_with_effects([record_of(TRUE, 7, 150.0, yaw_ratio=RATIO)])
 
 
 def test_every_effect_is_found(found):

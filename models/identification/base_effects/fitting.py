@@ -127,13 +127,30 @@ def fit_effects(
     free = tuple(free)
     most = evaluations or effect_settings().evaluations
     if start.get("wheels.resolution") and not near:
-        start = _search(start, free, data, most, smooth=True).point
+        start = _best_track(_search(start, free, data, most, smooth=True).point, data)
     return _search(start, free, data, most, smooth=False)
 
 
 def covariance(fit: EffectFit, data: Weighted) -> FloatArray:
     """(q, q) of the free parameters, residual correlation taken into account; see `sandwich`."""
     return sandwich(data.slopes(fit.point, fit.free), data.errors(fit.point)).covariance
+
+
+def _best_track(point: Point, data: Weighted) -> Point:
+    """`point` with its gains shifted so that the true steps fit best.
+
+    Which sides coast depends on the track, which follows from the gains; from one such set to another the search finds
+    no way by slopes.
+    """
+
+    def shifted(part: float) -> Point:
+        gains = {"gain.v": point["gain.v"] / np.sqrt(part), "gain.omega": point["gain.omega"] * np.sqrt(part)}
+        return {**point, **gains}
+
+    def cost(candidate: Point) -> float:
+        return float(sum(np.nansum(error**2) for error in data.errors(candidate)))
+
+    return min((shifted(part) for part in effect_settings().tracks), key=cost)
 
 
 def _search(start: Point, free: tuple[str, ...], data: Weighted, evaluations: int, *, smooth: bool) -> EffectFit:

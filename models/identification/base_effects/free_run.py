@@ -11,6 +11,8 @@ from models.base_effects import PARTS, TwistSlew, WheelCommand, YawRelaxation
 from models.identification.output_error.stretch import Stretch
 from models.interface import FloatArray
 
+_SHARPNESS = 8
+"""How suddenly coasting sets in when it is smoothed: within about half a step of the rim speed."""
 Point = Mapping[str, float]
 """Values of parameters by name; an effect whose parameters are missing is not there."""
 
@@ -107,13 +109,15 @@ def base_track(point: Point) -> float:
 
 
 def smoothed(base: WheelCommand, twist: FloatArray) -> FloatArray:
-    """`base.apply` with each step replaced by its mean: half a step is lost, less near zero."""
+    """`base.apply` without jumps: each step replaced by its mean, and coasting set in gradually."""
     sides = base.sides(twist)
     if base.top_speed is not None:
         sides = np.clip(sides, -base.top_speed, base.top_speed)
     held = sides - 0.5 * base.resolution * np.tanh(sides / base.resolution)
+    unheld = 1.0 / (1.0 + (sides / base.resolution) ** _SHARPNESS)
+    coasting = unheld * (1.0 - unheld[..., ::-1])
     along = np.clip(held[..., ::-1], -base.coasting_speed, base.coasting_speed)
-    return base.twist(np.where(base.coasts(twist), along, held))
+    return base.twist(held + coasting * (along - held))
 
 
 def _late(values: FloatArray, before: float, steps: float) -> FloatArray:

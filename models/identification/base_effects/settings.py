@@ -25,6 +25,7 @@ class EffectSettings(StrictModel):
     parameters: dict[str, tuple[float, float, float]] = Field(description="lowest, highest, first guess")
     resolutions: tuple[Positive, ...] = Field(description="steps of the rim speed that are tried [m/s]")
     finer: tuple[Positive, ...] = Field(description="multiples of the best one that are tried")
+    tracks: tuple[Positive, ...] = Field(description="parts of the track to start from [-]")
     blocks: int = Field(ge=2, description="of the cross-validation")
     worth: Positive = Field(description="least fall of the logarithm of the held-out error power")
     fewest_readings: int = Field(ge=20, description="of each sensor in a part of a record")
