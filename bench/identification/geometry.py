@@ -50,15 +50,15 @@ def firmware_track(records: Sequence[Record], geometry: WheelGeometry, dc_gain: 
         (2, 2) steady gains of the model.
     """
     pairs = [
-        np.column_stack([record.twist[:, 1], record.yaw_rate])[record.fresh_twist & record.fresh_yaw_rate]
+        np.column_stack([record.twist[:, 1], record.yaw_rate])
         for record in records
         if record.twist is not None and record.yaw_rate is not None
-        if record.fresh_twist is not None and record.fresh_yaw_rate is not None
     ]
     effective = geometry.track
     if pairs:
-        wheel_rate, yaw_rate = np.concatenate(pairs).T
-        wheel_rate, yaw_rate = wheel_rate - wheel_rate.mean(), yaw_rate - yaw_rate.mean()
+        both = np.concatenate(pairs)
+        both = both[np.isfinite(both).all(axis=1)]
+        wheel_rate, yaw_rate = (both - both.mean(axis=0)).T if len(both) else both.T
         shared = float(wheel_rate @ yaw_rate)
         if shared <= 0:
             return None

@@ -41,8 +41,8 @@ class Outcome:
             )
         if self.fitted.geometry is None:
             found.append(
-                "wheels: the log has no speeds of theirs: set limits.wheel_speed, wheels.track and wheels.encoder_track in "
-                "config.yaml"
+                "wheels: the log has no speeds of theirs: in config.yaml set limits.wheel_speed, wheels.track and "
+                "wheels.encoder_track"
             )
         return tuple(dict.fromkeys([*found, *score_warnings(self.fitted), *mount_warnings(self.poses)]))
 

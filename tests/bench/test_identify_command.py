@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from log_parts import MAPPING, drive, write_csv, write_mapping
+from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_mapping
 from typer.testing import CliRunner
 
 from bench.cli import app
@@ -149,6 +149,17 @@ def test_motors_are_identified_with_both_tracks(logs):
     content = read_model_file(out / "model.yaml")
     assert content.wheel_radius == pytest.approx(0.0675, rel=1e-6)
     assert load_config(out / "config.yaml").wheels.track == pytest.approx(content.firmware_track, rel=0.05)
+
+
+def test_a_bag_gives_the_model_of_the_csv_of_the_same_drive(tmp_path):
+    columns = drive(seconds=20.0)
+    mapping = write_mapping(tmp_path / "map.yaml", MAPPING.replace("  pose: {x: x, y: y, theta: theta}\n", ""))
+    run("identify", write_csv(tmp_path / "drive.csv", columns), "--mapping", mapping, "--out", tmp_path / "csv")
+    run("identify", write_bag(tmp_path / "bag", bag_topics(columns), "mcap"), "--out", tmp_path / "mcap")
+    reports = [json.loads((tmp_path / name / "report.json").read_text()) for name in ("csv", "mcap")]
+    assert reports[0]["parameters"] == reports[1]["parameters"]
+    assert reports[1]["validation_fit_percent"]["v"] > 95.0
+    assert any("limits.wheel_speed" in warning for warning in reports[1]["warnings"])
 
 
 def test_a_base_that_clips_its_command_says_so_in_model_and_configuration(tmp_path):

@@ -1,5 +1,7 @@
 """How records are divided, and what is read off their wheels."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -81,3 +83,16 @@ def test_a_stretch_without_the_gyro_is_left_out_with_a_warning(tmp_path):
     assert data.warnings == (
         "drive.csv, 14.0 to 20.0 s: 0 readings of yaw_rate, fewer than 20; the stretch is not used to validate on",
     )
+
+
+def test_wheels_and_gyro_that_were_never_read_together_tell_no_track():
+    drive = driven(0.1, 0.4, 0.6, 0.5)
+    even = np.arange(200) % 2 == 0
+    apart = replace(
+        drive,
+        twist=np.where(even[:, None], drive.twist, np.nan),
+        yaw_rate=np.where(even, np.nan, drive.yaw_rate),
+        fresh_twist=even,
+        fresh_yaw_rate=~even,
+    )
+    assert firmware_track([apart], wheel_geometry([apart]), np.eye(2)) is None
