@@ -44,7 +44,7 @@ def configuration(proof: Proof) -> str:
     lines = [
         f"# Controller of {proof.log.robot}. Fields left out keep the schema's default: diffdrive-mpc config schema",
         f"model: {MODEL}",
-        f"# The log knows commands up to {largest[0]:.2f} m/s and {largest[1]:.2f} rad/s; beyond, the model is a guess.",
+        f"# The log knows commands up to {largest[0]:.2f} m/s and {largest[1]:.2f} rad/s; beyond, it guesses.",
     ]
     limits: list[str] = []
     if effects.twist_slew is not None:

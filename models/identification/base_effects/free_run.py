@@ -11,8 +11,6 @@ from models.base_effects import PARTS, TwistSlew, WheelCommand, YawRelaxation
 from models.identification.output_error.stretch import Stretch
 from models.interface import FloatArray
 
-_SHARPNESS = 8
-"""How suddenly coasting sets in when it is smoothed: within about half a step of the rim speed."""
 Point = Mapping[str, float]
 """Values of parameters by name; an effect whose parameters are missing is not there."""
 
@@ -109,12 +107,13 @@ def base_track(point: Point) -> float:
 
 
 def smoothed(base: WheelCommand, twist: FloatArray) -> FloatArray:
-    """`base.apply` without jumps: each step replaced by its mean, and coasting set in gradually."""
+    """`base.apply` without jumps: each step replaced by its mean, and coasting set in over half a step."""
     sides = base.sides(twist)
     if base.top_speed is not None:
         sides = np.clip(sides, -base.top_speed, base.top_speed)
     held = sides - 0.5 * base.resolution * np.tanh(sides / base.resolution)
-    unheld = 1.0 / (1.0 + (sides / base.resolution) ** _SHARPNESS)
+    square = (sides / base.resolution) ** 2
+    unheld = 1.0 / (1.0 + (square * square) ** 2)  # the eighth power by squares, which costs a tenth
     coasting = unheld * (1.0 - unheld[..., ::-1])
     along = np.clip(held[..., ::-1], -base.coasting_speed, base.coasting_speed)
     return base.twist(held + coasting * (along - held))
