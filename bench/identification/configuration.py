@@ -46,19 +46,17 @@ def configuration(outcome: Outcome) -> str:
 
 def _slew(outcome: Outcome) -> list[str]:
     """Within the slopes that the base follows, where they were found, its linear model is exact."""
-    base = outcome.fitted.base
-    found = {name: base.point[f"slew.{name}"] for name in CHANNELS if f"slew.{name}" in base.point} if base else {}
-    if not found:
+    found = outcome.fitted.identified.parameters
+    known = [name for name in CHANNELS if f"slew.{name}" in found.names]
+    if not known:
         return ["limits:   # v_slew and omega_slew are not in a log: set them if the robot must be driven more gently"]
-    default = Limits()
-    slew = {name: min(value, getattr(default, f"{name}_slew")) for name, value in found.items()}
-    return [
-        "limits:",
-        *(
-            f"  {name}_slew: {value:.4g}   # {_UNITS[name]} per second, within what the base follows"
-            for name, value in slew.items()
-        ),
-    ]
+    default, lines = Limits(), ["limits:"]
+    for name in known:
+        value, deviation = found.value(f"slew.{name}"), found.deviation(f"slew.{name}")
+        # Two standard deviations less, so that the base's own limit does not act; a slope hardly seen still allows half.
+        slew = min(max(value - 2.0 * deviation, 0.5 * value), getattr(default, f"{name}_slew"))
+        lines.append(f"  {name}_slew: {slew:.4g}   # {_UNITS[name]} per second, within what the base follows")
+    return lines
 
 
 def _wheels(outcome: Outcome, commands: FloatArray) -> list[str]:

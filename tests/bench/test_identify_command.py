@@ -226,8 +226,9 @@ def test_what_the_base_does_around_the_model_goes_into_both_files(tmp_path):
     slew = read_model_file(tmp_path / "out" / "model.yaml").base_effects.twist_slew
     assert (slew.v, slew.omega) == pytest.approx(tuple(slopes), rel=0.05)
     config = load_config(tmp_path / "out" / "config.yaml")
-    assert config.limits.v_slew == pytest.approx(slew.v, rel=1e-3)
-    assert config.limits.omega_slew == pytest.approx(slew.omega, rel=1e-3)
+    # Inside what the base follows, by no more than it is uncertain.
+    assert 0.9 * slew.v < config.limits.v_slew < slew.v
+    assert 0.9 * slew.omega < config.limits.omega_slew < slew.omega
     assert "| twist slew | " in (tmp_path / "out" / "report.md").read_text()
 
 
