@@ -53,7 +53,7 @@ def _slew(outcome: Outcome) -> list[str]:
     default, lines = Limits(), ["limits:"]
     for name in known:
         value, deviation = found.value(f"slew.{name}"), found.deviation(f"slew.{name}")
-        # Two standard deviations less, so that the base's own limit does not act; a slope hardly seen still allows half.
+        # Two standard deviations less, so the base's own limit does not act; a slope hardly seen still allows half.
         slew = min(max(value - 2.0 * deviation, 0.5 * value), getattr(default, f"{name}_slew"))
         lines.append(f"  {name}_slew: {slew:.4g}   # {_UNITS[name]} per second, within what the base follows")
     return lines
