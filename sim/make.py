@@ -30,7 +30,8 @@ def make_plant(
     Parameters
     ----------
     name
-        "mujoco" for the physics, or "model:NAME" for a velocity model, NAME as `models.load_model` takes it.
+        "mujoco" for the physics, or "model:NAME" for a velocity model with the base effects of its file, NAME as
+        `models.load_model` takes it.
         "model:NAME+SECONDS" puts that dead time on top of the model's own, as `extra_dead_time` does: "model:sm+0.04".
         Where a file has the whole of NAME+SECONDS for a path, it is that file.
     surface
@@ -71,7 +72,7 @@ def make_plant(
         robot = MujocoPlant(floor.friction, sensor_set, seed, scenario=happening if happening.physical else None)
         return DisturbedPlant(robot, happening, load_robot().limits, lambda: robot.crossed)
     if name.startswith(_MODEL_PREFIX):
-        from models.load import load_model  # noqa: PLC0415 - only this plant needs it
+        from models.load import load_base_effects, load_model  # noqa: PLC0415 - only this plant needs it
         from sim.model_plant import ModelPlant  # noqa: PLC0415
 
         if not extra_dead_time >= 0:
@@ -83,7 +84,14 @@ def make_plant(
                 f"scenario '{scenario}' needs a plant with mass, wheels and motors ({', '.join(happening.physical)}): "
                 f"'{name}' has none; use 'mujoco'"
             )
-        plant = ModelPlant(load_model(model), floor.slip, sensor_set, seed, extra_dead_time=extra_dead_time)
+        plant = ModelPlant(
+            load_model(model),
+            floor.slip,
+            sensor_set,
+            seed,
+            extra_dead_time=extra_dead_time,
+            effects=load_base_effects(model),
+        )
         return DisturbedPlant(plant, happening, load_robot().limits) if happening.kinds else plant
     raise ConfigError(
         f"unknown plant '{name}': give 'mujoco' or 'model:NAME' (mbm, sm, ssm or the path of a model file), with more "

@@ -7,11 +7,13 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from models.base_effects import BaseEffects
 from models.interface import FloatArray, Measurement
 from models.pose import integrate_pose
 from models.robot import Robot, load_robot
 from models.velocity_model import VelocityModel
 from models.wheels import WheelKinematics
+from sim.base_motion import BaseMotion
 from sim.link import clip_command
 from sim.sensor_set import SensorSet
 from sim.sensors import Sensors
@@ -22,7 +24,9 @@ class ModelPlant:
     """A velocity model, extra dead time and slip behind the same sensors as the physics; see `sim.plant.Plant`.
 
     The model's v is that of the encoders, its omega that of the gyro on the surface it was identified on. Over a sample
-    the twist is the mean of the outputs at both ends, and the pose moves along the exact arc of that mean.
+    the twist is the mean of the outputs at both ends, and the pose moves along the exact arc of that mean. With effects
+    of a base that holds for each of a few steps of a sample. Poses are those of the centre of rotation, as a pose mount
+    gives them.
 
     Parameters
     ----------
@@ -36,6 +40,8 @@ class ModelPlant:
         Seed of all noise, not negative.
     extra_dead_time
         Dead time on top of the model's own, both channels [s].
+    effects
+        What the base does around the model; nothing by default.
     robot
         Geometry, sample time and limits; by default the robot of the papers.
     """
@@ -48,10 +54,12 @@ class ModelPlant:
         seed: int = 0,
         *,
         extra_dead_time: float = 0.0,
+        effects: BaseEffects | None = None,
         robot: Robot | None = None,
     ) -> None:
         self._robot = robot or load_robot()
-        self._model = model.with_extra_dead_time([extra_dead_time, extra_dead_time]).discretise(self._robot.sample_time)
+        late = model.with_extra_dead_time([extra_dead_time, extra_dead_time])
+        self._motion = BaseMotion(late, effects or BaseEffects(), self._robot.sample_time)
         self._slip = slip
         self._kinematics = WheelKinematics(self._robot.wheel_radius, self._robot.track)
         self._sensors = Sensors(sensors, self._kinematics, self._robot.sample_time, seed=seed, noisy_encoders=True)
@@ -75,15 +83,14 @@ class ModelPlant:
     @property
     def true_twist(self) -> FloatArray:
         """(3,) forward and lateral speed [m/s] and yaw rate [rad/s], body frame."""
-        return self._slipped(self._model.C @ self._state)
+        return self._slipped(self._motion.body)
 
     def reset(self, pose: ArrayLike) -> None:
         """Put the robot at rest at `pose` (3,) at time 0 and restart the noise from the seed."""
         self._tick = 0
         self._sent: tuple[float, float] | None = None
         self._pose = np.array(pose, dtype=float)
-        self._state = np.zeros(self._model.order)
-        self._past = np.zeros((self._model.memory, 2))
+        self._motion.reset()
         self._sensors.reset(self._pose, np.zeros(4))
 
     def measure(self) -> Measurement:
@@ -94,34 +101,31 @@ class ModelPlant:
         """Send `command` (2,) and let one sample pass; raises ValueError unless it is two finite numbers."""
         sent = clip_command(command, self._robot.limits)
         self._sent = (float(sent[0]), float(sent[1]))
-        before = self._model.C @ self._state
-        (recent,), (older,) = self._model.effective_inputs(sent[None], self._past)
-        self._state = self._model.A @ self._state + self._model.B0 @ recent + self._model.B1 @ older
-        self._past = np.vstack([self._past[1:], sent])
-        after = self._model.C @ self._state
-        twist = self._slipped(0.5 * (before + after))
-        end = self._moved(twist, self.sample_time)
-        started = self.time
+        arcs = []
+        for step in range(self._motion.steps):
+            motion = self._motion.advance(sent)
+            twist = self._slipped(motion.mean)
+            arcs.append((self.time + step * self._motion.step_time, self._pose, twist))
+            self._pose = self._moved(self._pose, twist, self._motion.step_time)
         self._tick += 1
         for look in self._sensors.poses_due(self.time):
-            self._sensors.see_pose(look, end if look == self.time else self._moved(twist, look - started))
-        self._pose = end
-        wheels = np.array([after[0], self._slipped(after)[2] / self._slip.wheel_yaw_gain])
-        self._sensors.see_motion(self.time, self._kinematics.wheel_speeds(wheels), float(self._slipped(after)[2]))
+            begin, pose, twist = [arc for arc in arcs if arc[0] <= look][-1]
+            self._sensors.see_pose(look, self._pose if look == self.time else self._moved(pose, twist, look - begin))
+        by_wheels = np.array([motion.wheels[0], self._slipped(motion.wheels)[2] / self._slip.wheel_yaw_gain])
+        wheel_speeds = self._kinematics.wheel_speeds(by_wheels)
+        self._sensors.see_motion(self.time, wheel_speeds, float(self._slipped(motion.body)[2]))
 
     def _slipped(self, output: FloatArray) -> FloatArray:
         """(3,) true twist for the model's output (2,); side-slip points outward, so against the turn."""
         v, omega = self._slip.longitudinal_gain * output[0], self._slip.yaw_gain * output[1]
         return np.array([v, -self._slip.side_slip * v * omega, omega])
 
-    def _moved(self, twist: FloatArray, duration: float) -> FloatArray:
-        """(3,) the pose after `duration` [s] with constant body `twist` (3,)."""
+    def _moved(self, pose: FloatArray, twist: FloatArray, duration: float) -> FloatArray:
+        """(3,) where `pose` (3,) is after `duration` [s] with constant body `twist` (3,)."""
         v, lateral, omega = twist
         # A body that crabs moves along the same arc as one that points in the direction of travel.
         forward = math.copysign(1.0, v)
         crab = math.atan2(forward * lateral, abs(v))
-        moved = integrate_pose(
-            self._pose + np.array([0.0, 0.0, crab]), forward * math.hypot(v, lateral), omega, duration
-        )
+        moved = integrate_pose(pose + np.array([0.0, 0.0, crab]), forward * math.hypot(v, lateral), omega, duration)
         moved[2] -= crab
         return moved

@@ -78,3 +78,17 @@ def calibrate(
         with ProgressBar("calibration (a few minutes), parameters tried:") as bar:
             firmware = fit_firmware(out or FIRMWARE_FILE, on_evaluation=bar.advance)
     output_console().print(calibration_table(firmware).rich())
+
+
+@models_app.command(epilog="Example: diffdrive-mpc models truths --quick")
+def truths(
+    quick: Annotated[bool, typer.Option("--quick", help="Five models instead of all of the study.")] = False,
+) -> None:
+    """Identify random models whose truth is known, and count how often it lies in the stated intervals."""
+    from bench.console import output_console  # noqa: PLC0415
+    from bench.identification_study import coverage_table, run_study  # noqa: PLC0415
+    from bench.progress import ProgressBar  # noqa: PLC0415
+
+    with ProgressBar("known truths (a few seconds each)") as bar:
+        recoveries = run_study(5 if quick else None, on_progress=bar.at)
+    output_console().print(coverage_table(recoveries).rich())

@@ -6,13 +6,14 @@ On the way in, `TwistSlew` then `WheelCommand`; then the velocity model; on the 
 
 from models.base_effects.parameters import BaseEffects
 from models.base_effects.pose_mount import PoseMount
-from models.base_effects.response import Response, respond
+from models.base_effects.response import PARTS, Response, respond
 from models.base_effects.twist_slew import TwistSlew
 from models.base_effects.veer import Veer
 from models.base_effects.wheel_command import WheelCommand
 from models.base_effects.yaw_relaxation import YawRelaxation
 
 __all__ = [
+    "PARTS",
     "BaseEffects",
     "PoseMount",
     "Response",

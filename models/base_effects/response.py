@@ -11,8 +11,8 @@ from models.base_effects.parameters import BaseEffects
 from models.interface import FloatArray
 from models.velocity_model import VelocityModel
 
-# Inside a sample the base ramps; its limited command is held over this fraction of a sample.
-_PARTS = 4
+PARTS = 4
+"""Inside a sample the base ramps; its limited command is held over this fraction of a sample."""
 
 
 class Response(NamedTuple):
@@ -53,17 +53,17 @@ def respond(
     if commands.ndim != 2 or commands.shape[1] != 2 or not np.isfinite(commands).all():
         raise ValueError(f"commands of shape {commands.shape}: expected K rows of finite v_ref, omega_ref")
     start = np.asarray(start, dtype=float)
-    sampled = model.discretise(dt / _PARTS)
-    asked = np.repeat(commands, _PARTS, axis=0)
+    sampled = model.discretise(dt / PARTS)
+    asked = np.repeat(commands, PARTS, axis=0)
     if effects.twist_slew is not None:
-        asked = effects.twist_slew.follow(asked, dt / _PARTS, start)
+        asked = effects.twist_slew.follow(asked, dt / PARTS, start)
     if effects.wheel_command is not None:
         asked, start = effects.wheel_command.apply(asked), effects.wheel_command.apply(start)
     past = np.tile(start, (sampled.memory, 1))
     wheels = sampled.simulate(asked, sampled.settled_state(start), past)
     body = wheels.copy()
     if effects.yaw_relaxation is not None and len(body):
-        body[:, 1] = effects.yaw_relaxation.follow(wheels[:, 1], dt / _PARTS, float(np.sign(wheels[0, 1])))
+        body[:, 1] = effects.yaw_relaxation.follow(wheels[:, 1], dt / PARTS, float(np.sign(wheels[0, 1])))
     if effects.veer is not None:
         body = effects.veer.body(body)
-    return Response(wheels[::_PARTS], body[::_PARTS])
+    return Response(wheels[::PARTS], body[::PARTS])

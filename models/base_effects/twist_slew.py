@@ -28,8 +28,29 @@ class TwistSlew(StrictModel):
     def follow(self, commands: ArrayLike, dt: float, start: ArrayLike) -> FloatArray:
         """Twists (K, 2) inside the base after each sample of `dt` [s] under `commands` (K, 2), from `start` (2,)."""
         commands = np.asarray(commands, dtype=float)
-        reached = np.empty_like(commands)
-        last = np.asarray(start, dtype=float)
-        for k, command in enumerate(commands):
-            last = reached[k] = self.step(last, command, dt)
-        return reached
+        columns = [
+            _ramps(column, limit * dt, float(first))
+            for column, limit, first in zip(
+                commands.T, (self.v, self.omega), np.asarray(start, dtype=float), strict=True
+            )
+        ]
+        return np.stack(columns, axis=-1)
+
+
+def _ramps(commands: FloatArray, reach: float, start: float) -> FloatArray:
+    """(K,) what follows `commands` (K,) by at most `reach` a sample: one ramp for each run of equal commands."""
+    if not len(commands):
+        return np.empty(0)
+    first = np.flatnonzero(np.concatenate([[True], np.diff(commands) != 0]))
+    counts = np.diff(np.append(first, len(commands)))
+    missing = np.empty(len(first))
+    last = start
+    # Plain numbers: a log may well change its command at every sample.
+    for run, (target, count) in enumerate(zip(commands[first].tolist(), counts.tolist(), strict=True)):
+        gap = last - target
+        missing[run] = gap
+        left = abs(gap) - reach * count
+        last = target + (left if gap > 0 else -left) if left > 0 else target
+    passed = np.arange(len(commands)) - np.repeat(first, counts) + 1
+    gap = np.repeat(missing, counts)
+    return np.asarray(commands + np.sign(gap) * np.maximum(np.abs(gap) - reach * passed, 0.0))

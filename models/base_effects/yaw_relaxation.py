@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
@@ -54,9 +56,21 @@ class YawRelaxation(StrictModel):
         `strain` is z at the first sample; 0 for tyres without twist, the sign of the yaw rate for a settled turn.
         """
         rates = np.asarray(yaw_rates, dtype=float)
-        body = np.empty_like(rates)
-        for k, rate in enumerate(rates):
-            if k:
-                strain, _ = self.advance(strain, 0.5 * float(rates[k - 1] + rate), dt)
-            body[k] = abs(rate) * strain
-        return body
+        if not len(rates):
+            return rates
+        mean = 0.5 * (rates[1:] + rates[:-1])
+        turned = np.concatenate([[0.0], np.cumsum(np.abs(mean))]) * dt / self.angle
+        moving = np.flatnonzero(mean)
+        side = np.sign(mean[moving])
+        # Between two reversals the strain decays towards its side with the angle turned.
+        first = moving[np.flatnonzero(np.concatenate([[True], side[1:] != side[:-1]]))] if len(moving) else moving
+        edges = np.concatenate([[0], first, [len(mean)]])
+        sides = np.concatenate([[0.0], np.sign(mean[first])])
+        begin = np.empty(len(sides))
+        for run, (low, high) in enumerate(pairwise(edges)):
+            begin[run] = strain
+            strain = sides[run] + (strain - sides[run]) * float(np.exp(turned[low] - turned[high]))
+        counts = np.diff(edges)
+        towards, since = np.repeat(sides, counts), np.repeat(turned[edges[:-1]], counts)
+        after = towards + (np.repeat(begin, counts) - towards) * np.exp(since - turned[1:])
+        return np.asarray(np.abs(rates) * np.concatenate([begin[:1], after]))

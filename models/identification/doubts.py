@@ -66,4 +66,4 @@ def merged_poles(poles: Estimate, label: str) -> list[str]:
 
 
 def _readable(name: str) -> str:
-    return name.removeprefix("log_").replace("_", " ")
+    return name.removeprefix("log_").replace("_", " ").replace("short", "the shorter time constant")

@@ -20,6 +20,7 @@ from sim import Run, simulate
 COMMANDS = [
     ["simulate"],
     ["bench"],
+    ["identify"],
     ["tracking"],
     ["config", "show"],
     ["config", "check"],
@@ -27,6 +28,7 @@ COMMANDS = [
     ["models", "list"],
     ["models", "show"],
     ["models", "check"],
+    ["models", "truths"],
 ]
 
 runner = CliRunner()

@@ -2,6 +2,15 @@
 
 from models.identification.validation.pose_drift import PoseDrift, pose_drift
 from models.identification.validation.residuals import ResidualCheck, check_residuals
-from models.identification.validation.simulation import Validation, simulate_records, validate
+from models.identification.validation.simulation import Validation, score, simulate_records, validate
 
-__all__ = ["PoseDrift", "ResidualCheck", "Validation", "check_residuals", "pose_drift", "simulate_records", "validate"]
+__all__ = [
+    "PoseDrift",
+    "ResidualCheck",
+    "Validation",
+    "check_residuals",
+    "pose_drift",
+    "score",
+    "simulate_records",
+    "validate",
+]

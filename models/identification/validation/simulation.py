@@ -58,7 +58,11 @@ def validate(system: LinearSystem, records: Sequence[Record], yaw: YawSource = "
         If a record lacks a signal, or a measured signal never changes.
     """
     stretches = twist_stretches(records, yaw)
-    simulated = [simulate_stretch(system, stretch) for stretch in stretches]
+    return score([simulate_stretch(system, stretch) for stretch in stretches], stretches)
+
+
+def score(simulated: Sequence[FloatArray], stretches: Sequence[Stretch]) -> Validation:
+    """Hold simulated outputs (K, 2), one array for each stretch, against its readings; raises as `validate`."""
     errors = [
         np.where(stretch.counts, stretch.outputs - outputs, np.nan)
         for stretch, outputs in zip(stretches, simulated, strict=True)

@@ -1,0 +1,1 @@
+"""The proof on logs of real robots: linear models against models with the effects of their base."""

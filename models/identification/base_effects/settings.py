@@ -1,0 +1,41 @@
+"""Where the estimation of base effects looks: read from `settings.yaml`."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from pydantic import Field
+
+from models.checked_yaml import StrictModel, load_checked
+from models.robot import Positive
+
+
+class PoseSettings(StrictModel):
+    """How the place and delay of a pose sensor are found."""
+
+    window: Positive = Field(description="over which displacements are held against poses [s]")
+    delays: tuple[float, float] = Field(description="between which the delay is looked for [s]")
+    outlier: Positive = Field(description="error of a window beyond which it is left out [m]")
+
+
+class EffectSettings(StrictModel):
+    """Bounds, first guesses and thresholds; the reasons stand in `settings.yaml`."""
+
+    parameters: dict[str, tuple[float, float, float]] = Field(description="lowest, highest, first guess")
+    resolutions: tuple[Positive, ...] = Field(description="steps of the rim speed that are tried [m/s]")
+    finer: tuple[Positive, ...] = Field(description="multiples of the best one that are tried")
+    tracks: tuple[Positive, ...] = Field(description="parts of the track to start from [-]")
+    blocks: int = Field(ge=2, description="of the cross-validation")
+    worth: Positive = Field(description="least fall of the logarithm of the held-out error power")
+    fewest_readings: int = Field(ge=20, description="of each sensor in a part of a record")
+    evaluations: int = Field(ge=2, description="steps of a search")
+    trial: int = Field(ge=2, description="steps of the search in a comparison")
+    difference: Positive = Field(description="step of the finite differences, part of a parameter's usual size")
+    pose: PoseSettings
+
+
+@cache
+def effect_settings() -> EffectSettings:
+    """The shipped settings; raises ConfigError on a mistake in them."""
+    return load_checked(EffectSettings, Path(__file__).with_name("settings.yaml"))

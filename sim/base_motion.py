@@ -1,0 +1,81 @@
+"""A velocity model moved on step by step, with the effects of its base around it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from models.base_effects import PARTS, BaseEffects
+from models.interface import FloatArray
+from models.velocity_model import VelocityModel
+
+
+class Motion(NamedTuple):
+    """What a step brought about."""
+
+    wheels: FloatArray
+    """(2,) v [m/s], omega [rad/s] by the wheels, at its end"""
+    body: FloatArray
+    """(2,) of the body, at its end"""
+    mean: FloatArray
+    """(2,) of the body, mean over the step"""
+
+
+class BaseMotion:
+    """The chain of `models.base_effects.respond` in steps: slew, wheel commands, dynamics, twist of the tyres, veer.
+
+    Parameters
+    ----------
+    model
+        The linear dynamics.
+    effects
+        What the base does around them; without any, a step is a whole sample.
+    sample_time
+        For which a command is held [s].
+    """
+
+    def __init__(self, model: VelocityModel, effects: BaseEffects, sample_time: float) -> None:
+        self._effects = effects
+        self.steps = 1 if effects.model_copy(update={"pose_mount": None}) == BaseEffects() else PARTS
+        self.step_time = sample_time / self.steps
+        self._model = model.discretise(self.step_time)
+        self.reset()
+
+    @property
+    def body(self) -> FloatArray:
+        """(2,) v [m/s], omega [rad/s] of the body now."""
+        return self._body(self._model.C @ self._state)
+
+    def reset(self) -> None:
+        """At rest, tyres without twist."""
+        self._state = np.zeros(self._model.order)
+        self._past = np.zeros((self._model.memory, 2))
+        self._reached = np.zeros(2)
+        self._strain = 0.0
+
+    def advance(self, command: FloatArray) -> Motion:
+        """One step under `command` (2,)."""
+        effects, asked = self._effects, command
+        if effects.twist_slew is not None:
+            asked = self._reached = effects.twist_slew.step(self._reached, command, self.step_time)
+        if effects.wheel_command is not None:
+            asked = effects.wheel_command.apply(asked)
+        before = self._model.C @ self._state
+        (recent,), (older,) = self._model.effective_inputs(asked[None], self._past)
+        self._state = self._model.A @ self._state + self._model.B0 @ recent + self._model.B1 @ older
+        self._past = np.vstack([self._past[1:], asked])
+        wheels = self._model.C @ self._state
+        mean = 0.5 * (before + wheels)
+        if effects.yaw_relaxation is not None:
+            self._strain, mean[1] = effects.yaw_relaxation.advance(self._strain, float(mean[1]), self.step_time)
+        if effects.veer is not None:
+            mean = effects.veer.body(mean)
+        return Motion(wheels, self._body(wheels), mean)
+
+    def _body(self, wheels: FloatArray) -> FloatArray:
+        """(2,) twist of the body for that of the wheels."""
+        body = wheels.copy()
+        if self._effects.yaw_relaxation is not None:
+            body[1] = abs(wheels[1]) * self._strain
+        return body if self._effects.veer is None else self._effects.veer.body(body)

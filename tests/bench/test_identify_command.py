@@ -1,0 +1,247 @@
+"""From a simulated log to a folder that the controller drives with, through the command line."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_mapping
+from typer.testing import CliRunner
+
+from bench.cli import app
+from models import load_model
+from models.load import model_path, read_model_file
+from mpc import load_config
+
+runner = CliRunner()
+REPORT_KEYS = ["model", "train_fit_percent", "validation_fit_percent", "pose_error", "parameters", "warnings"]
+
+
+def run(*words):
+    result = runner.invoke(app, [str(word) for word in words])
+    assert result.exit_code == 0, result.stderr
+    return result.stdout
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """Three closed-loop drives of a plant whose velocity model is the shipped SM, with the default sensors."""
+    folder = tmp_path_factory.mktemp("logs")
+    for trajectory in ("square", "s", "cane"):
+        run(
+            "simulate", "--model", "sm", "--plant", "model:sm", "--trajectory", trajectory, "--log", folder / trajectory
+        )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def mine(logs):
+    """The folder identified from two of them and tried on the third, and what was printed."""
+    out = logs / "mine"
+    return out, run(
+        "identify", logs / "square", logs / "s", "--validate", logs / "cane", "--out", out, "--name", "mine"
+    )
+
+
+def test_the_model_is_the_plant_s(mine):
+    """Gains and mean delays are what tracking lives on; the default sensors report with their own small delay."""
+    found, true = load_model(mine[0] / "model.yaml"), load_model("sm")
+    assert found.name == "mine"
+    assert np.diag(found.dc_gain) == pytest.approx(np.diag(true.dc_gain), rel=0.02)
+    assert found.lag == pytest.approx(true.lag, abs=0.02)
+
+
+def test_the_report_has_the_agreed_keys(mine):
+    report = json.loads((mine[0] / "report.json").read_text())
+    assert list(report) == REPORT_KEYS
+    assert report["model"] == "sm"
+    assert all(set(report[f"{part}_fit_percent"]) == {"v", "omega"} for part in ("train", "validation"))
+    assert min(report["validation_fit_percent"].values()) > 85.0
+    assert [entry["horizon_s"] for entry in report["pose_error"]] == [1.0, 2.0, 5.0]
+    assert all(set(e) == {"horizon_s", "position_rmse_m", "heading_rmse_rad"} for e in report["pose_error"])
+    assert all(set(entry) == {"value", "standard_deviation"} for entry in report["parameters"].values())
+    assert {"v.gain", "omega.dead_time", "poses.track", "poses.gyro_scale"} <= set(report["parameters"])
+    assert any("10 s" in warning for warning in report["warnings"])  # no drive is that long between two poses
+
+
+def test_model_file_report_and_screen_agree(mine):
+    out, screen = mine
+    content = read_model_file(model_path(out / "model.yaml"))
+    report = json.loads((out / "report.json").read_text())
+    words = (out / "report.md").read_text()
+    for part, fit in (("train", content.fit_percent), ("validation", content.validation_fit_percent)):
+        for channel in ("v", "omega"):
+            value = report[f"{part}_fit_percent"][channel]
+            assert getattr(fit, channel) == round(value, 2)
+            assert f" {value:.2f} " in words
+            assert f" {value:.2f} " in screen
+    assert content.provenance.source == "square, s"
+    assert "cane" in content.provenance.notes
+    assert all(f"* {warning}" in words for warning in report["warnings"])
+    assert all(f"warning: {warning}" in screen for warning in report["warnings"])
+    assert set(content.uncertainty.parameters) <= set(report["parameters"])
+
+
+def test_every_figure_is_in_the_report_and_every_link_leads_somewhere(mine):
+    out, _ = mine
+    names = sorted(path.name for path in (out / "figures").iterdir())
+    assert names == ["drift.png", "poles.png", "residuals.png", "simulation.png", "steps.png"]
+    assert all(f"](figures/{name})" in (out / "report.md").read_text() for name in names)
+
+
+def test_the_configuration_drives_the_plant(mine, logs):
+    """Checked as a user would, and as good on the plant as the configuration that was made for it."""
+    config = mine[0] / "config.yaml"
+    assert "valid" in run("config", "check", config)
+    loaded = load_config(config)
+    assert loaded.sample_time == 0.0202
+    assert loaded.wheels.encoder_track == pytest.approx(0.330, rel=1e-3)
+    # The square turns on the spot with 1.0 rad/s and drives with 0.5 m/s; corrections go a little beyond.
+    assert 0.5 <= loaded.limits.v < 0.7
+    assert 1.0 <= loaded.limits.omega < 1.5
+    bench = logs / "bench"
+    run(
+        *f"bench --out {bench} --plant model:sm --trajectories s --seeds 1 --horizons none --jobs 1".split(),
+        "--models",
+        f"sm,{mine[0] / 'model.yaml'}",
+    )
+    shipped, found = json.loads((bench / "bench.json").read_text())["runs"]
+    assert found["completed"]
+    assert found["position_rmse_m"] < 1.2 * shipped["position_rmse_m"]
+
+
+@pytest.mark.parametrize("options", [["--model", "sm"], ["--model", "ssm", "--order", "2"]], ids=["sm", "ssm"])
+def test_the_same_logs_give_the_same_files(tmp_path, options):
+    write_mapping(tmp_path / "map.yaml")
+    log = write_csv(tmp_path / "drive.csv", drive(seconds=10.0))
+    texts = []
+    for name in ("one", "two"):
+        run("identify", log, "--mapping", tmp_path / "map.yaml", "--out", tmp_path / name, *options)
+        files = sorted(path for path in (tmp_path / name).rglob("*") if path.is_file())
+        texts.append({path.relative_to(tmp_path / name): without_times(path) for path in files})
+    assert len(texts[0]) >= 8
+    assert texts[0] == texts[1]
+
+
+def without_times(path: Path) -> bytes:
+    return b"\n".join(line for line in path.read_bytes().split(b"\n") if not line.startswith(b"* Estimation took"))
+
+
+def test_orders_are_compared_and_one_can_be_asked_for(tmp_path):
+    """The drive's robot has one lag on each channel: order 2 holds it, order 1 cannot."""
+    write_mapping(tmp_path / "map.yaml")
+    log = write_csv(tmp_path / "drive.csv", drive(seconds=20.0))
+    words = ["identify", log, "--mapping", tmp_path / "map.yaml", "--model", "ssm", "--out", tmp_path / "out"]
+    screen = run(*words, "--order", "3")
+    assert load_model(tmp_path / "out" / "model.yaml").order == 3
+    assert "order 3: as asked for" in screen
+    assert (tmp_path / "out" / "figures" / "orders.png").is_file()
+    rows = [line for line in (tmp_path / "out" / "report.md").read_text().splitlines() if line.startswith("| 1 |")]
+    (first,) = (row.split("|")[6] for row in rows if len(row.split("|")) > 9)
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["validation_fit_percent"]["v"] > float(first) + 3.0
+
+
+def test_motors_are_identified_with_both_tracks(logs):
+    out = logs / "motors"
+    run("identify", logs / "square", "--model", "mbm", "--out", out)
+    content = read_model_file(out / "model.yaml")
+    assert content.wheel_radius == pytest.approx(0.0675, rel=1e-6)
+    assert load_config(out / "config.yaml").wheels.track == pytest.approx(content.firmware_track, rel=0.05)
+
+
+def test_a_bag_gives_the_model_of_the_csv_of_the_same_drive(tmp_path):
+    columns = drive(seconds=20.0)
+    mapping = write_mapping(tmp_path / "map.yaml", MAPPING.replace("  pose: {x: x, y: y, theta: theta}\n", ""))
+    run("identify", write_csv(tmp_path / "drive.csv", columns), "--mapping", mapping, "--out", tmp_path / "csv")
+    run("identify", write_bag(tmp_path / "bag", bag_topics(columns), "mcap"), "--out", tmp_path / "mcap")
+    reports = [json.loads((tmp_path / name / "report.json").read_text()) for name in ("csv", "mcap")]
+    assert reports[0]["parameters"] == reports[1]["parameters"]
+    assert reports[1]["validation_fit_percent"]["v"] > 95.0
+    assert any("limits.wheel_speed" in warning for warning in reports[1]["warnings"])
+
+
+def test_a_base_that_clips_its_command_says_so_in_model_and_configuration(tmp_path):
+    columns = drive(seconds=30.0)
+    asked = columns["omega_ref"].copy()
+    columns["omega_ref"] = np.where(np.abs(asked) > 0.9, 1.8 * asked, asked)  # it did what was asked up to 0.9 rad/s
+    turned = np.zeros(len(asked))
+    for k in range(1, len(asked)):
+        turned[k] = turned[k - 1] + (1 - np.exp(-0.02 / 0.1)) * (np.clip(asked[k - 1], -0.9, 0.9) - turned[k - 1])
+    columns["gyro"] = turned + np.random.default_rng(0).normal(0, 0.005, len(asked))
+    log = write_csv(tmp_path / "drive.csv", columns)
+    mapping = write_mapping(tmp_path / "map.yaml", MAPPING.replace("  pose: {x: x, y: y, theta: theta}\n", ""))
+    run("identify", log, "--mapping", mapping, "--out", tmp_path / "out")
+    limits = read_model_file(tmp_path / "out" / "model.yaml").limits
+    assert limits.v is None
+    assert limits.omega == pytest.approx(0.9, rel=0.02)
+    config = load_config(tmp_path / "out" / "config.yaml")
+    assert config.limits.omega == pytest.approx(limits.omega, rel=1e-3)
+    assert config.limits.v == pytest.approx(np.abs(columns["v_ref"][:900]).max(), rel=1e-3)
+
+
+def test_without_a_gyro_the_wheels_are_taken_and_the_user_is_told(tmp_path):
+    mapping = write_mapping(tmp_path / "map.yaml", MAPPING.replace("  gyro: {yaw_rate: gyro}\n", ""))
+    log = write_csv(tmp_path / "drive.csv", drive(seconds=40.0))
+    run("identify", log, "--mapping", mapping, "--out", tmp_path / "out")
+    assert load_model(tmp_path / "out" / "model.yaml").dc_gain[1, 1] == pytest.approx(1.6, rel=0.02)
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert any("the log has no gyro" in warning for warning in report["warnings"])
+    # The poses tell how the body turns beside its wheels.
+    assert report["parameters"]["poses.yaw_gain"]["value"] == pytest.approx(1 / 1.6, rel=0.02)
+    assert report["pose_error"][0]["heading_rmse_rad"] < 0.02
+
+
+def test_a_model_that_explains_little_is_said_to_in_the_warnings(tmp_path):
+    """Noise as large as the motion itself."""
+    columns = drive(seconds=20.0)
+    columns["gyro"] = columns["gyro"] + np.random.default_rng(1).normal(0, 0.7, 1000)
+    mapping = write_mapping(tmp_path / "map.yaml")
+    run("identify", write_csv(tmp_path / "drive.csv", columns), "--mapping", mapping, "--out", tmp_path / "out")
+    warnings = json.loads((tmp_path / "out" / "report.json").read_text())["warnings"]
+    assert any(warning.startswith("omega: validation FIT") for warning in warnings)
+    assert not any(warning.startswith("v: validation FIT") for warning in warnings)
+
+
+def test_what_the_base_does_around_the_model_goes_into_both_files(tmp_path):
+    """A base that follows its commands with slopes of 1.2 m/s^2 and 2.4 rad/s^2, then with a lag of 0.1 s."""
+    dt, slopes = 0.05, np.array([1.2, 2.4])
+    columns = drive(seconds=30.0, dt=dt)
+    asked = np.column_stack([columns["v_ref"], columns["omega_ref"]])
+    fine, per = dt / 10, 10
+    limited, twist = np.zeros(2), np.zeros((len(asked), 2))
+    state = np.zeros(2)
+    for k, command in enumerate(asked):
+        twist[k] = state
+        for _ in range(per):
+            limited = limited + np.clip(command - limited, -slopes * fine, slopes * fine)
+            state = state + (1 - np.exp(-fine / 0.1)) * (limited - state)
+    noise = np.random.default_rng(0).normal(0, 0.004, (3, len(asked)))
+    columns |= {"v": twist[:, 0] + noise[0], "omega_wheels": 1.5 * twist[:, 1] + noise[1]}
+    columns["gyro"] = twist[:, 1] + noise[2]
+    log = write_csv(tmp_path / "drive.csv", columns)
+    mapping = write_mapping(tmp_path / "map.yaml", MAPPING.replace("  pose: {x: x, y: y, theta: theta}\n", ""))
+    run("identify", log, "--mapping", mapping, "--effects", "--out", tmp_path / "out")
+    slew = read_model_file(tmp_path / "out" / "model.yaml").base_effects.twist_slew
+    assert (slew.v, slew.omega) == pytest.approx(tuple(slopes), rel=0.05)
+    config = load_config(tmp_path / "out" / "config.yaml")
+    # Inside what the base follows, by no more than it is uncertain.
+    assert 0.9 * slew.v < config.limits.v_slew < slew.v
+    assert 0.9 * slew.omega < config.limits.omega_slew < slew.omega
+    assert "| twist slew | " in (tmp_path / "out" / "report.md").read_text()
+
+
+def test_a_pose_point_beside_the_centre_of_rotation_is_said(tmp_path):
+    columns = drive(seconds=40.0)
+    theta = columns["theta"].copy()
+    columns["x"] = columns["x"] + 0.2 * np.cos(theta) - 0.05 * np.sin(theta)
+    columns["y"] = columns["y"] + 0.2 * np.sin(theta) + 0.05 * np.cos(theta)
+    log = write_csv(tmp_path / "drive.csv", columns)
+    run("identify", log, "--mapping", write_mapping(tmp_path / "map.yaml"), "--out", tmp_path / "out")
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    (line,) = (warning for warning in report["warnings"] if "centre of rotation" in warning)
+    ahead, left = (float(number) for number in re.findall(r"(-?\d\.\d+) m", line))
+    assert (ahead, left) == pytest.approx((0.2, 0.05), abs=0.005)
+    assert report["parameters"]["poses.lever_arm_ahead"]["value"] == pytest.approx(0.2, abs=0.005)
+    assert report["pose_error"][1]["position_rmse_m"] < 0.02

@@ -1,0 +1,129 @@
+"""Bad logs and options end in one line and exit code 2, and leave nothing behind."""
+
+import shlex
+
+import numpy as np
+import pytest
+from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_mapping
+from typer.testing import CliRunner
+
+from bench.cli import app
+
+runner = CliRunner()
+COLUMNS = drive(seconds=12.0)
+EVIL = "!!python/object/apply:os.system ['touch {folder}/executed']\n"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Logs with mistakes."""
+    folder = tmp_path_factory.mktemp("logs")
+    write_mapping(folder / "map.yaml")
+    write_mapping(folder / "two_clocks.yaml", MAPPING.replace("{yaw_rate: gyro}", "{yaw_rate: gyro, time: stamp}"))
+    write_mapping(folder / "no_gyro.yaml", MAPPING.replace("  gyro: {yaw_rate: gyro}\n", ""))
+    write_mapping(folder / "no_pose.yaml", MAPPING.replace("  pose: {x: x, y: y, theta: theta}\n", ""))
+    write_mapping(folder / "evil.yaml", EVIL.format(folder=folder))
+    logs = {
+        "good": COLUMNS,
+        "missing": {name: column for name, column in COLUMNS.items() if name != "gyro"},
+        "degrees": COLUMNS | {"gyro": np.degrees(COLUMNS["gyro"])},
+        "constant": COLUMNS | {"v_ref": np.full(600, 0.5), "omega_ref": np.full(600, 0.2)},
+        "ten": {name: column[:10] for name, column in COLUMNS.items()},
+        "nan": COLUMNS | {"v_ref": np.full(600, np.nan)},
+        "stamped": COLUMNS | {"stamp": COLUMNS["t"] + 1.7e9},
+        "slow": COLUMNS | {"t": 50.0 * COLUMNS["t"]},
+        "reversed": COLUMNS | {"gyro": -COLUMNS["gyro"]},
+    }
+    for name, columns in logs.items():
+        write_csv(folder / f"{name}.csv", columns)
+    (folder / "evil.csv").write_text(EVIL.format(folder=folder))
+    topics = bag_topics(COLUMNS)
+    write_bag(folder / "silent", {"/cmd_vel": topics["/cmd_vel"]})
+    damaged = write_bag(folder / "damaged", topics) / "damaged.db3"
+    damaged.write_bytes(damaged.read_bytes()[:3000])
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("missing.csv --mapping map.yaml", "column 'gyro' is missing"),
+        ("degrees.csv --mapping map.yaml", "degrees and radians"),
+        ("constant.csv --mapping map.yaml", "constant.csv"),
+        ("ten.csv --mapping map.yaml", "10 samples in the longest stretch, at least 20 are needed"),
+        ("nan.csv --mapping map.yaml", "no row has both a time and a command"),
+        ("stamped.csv --mapping two_clocks.yaml", "two clocks"),
+        ("reversed.csv --mapping map.yaml", "reversed.csv"),
+        (
+            "slow.csv --mapping no_pose.yaml",
+            "slow.csv: sample_time: Input should be less than or equal to 0.5 (found 1.0)",
+        ),
+        ("silent", "neither /odom nor /imu is there"),
+        ("damaged", "damaged"),
+        ("none.csv", "none.csv: there is no such file or folder"),
+        ("good.csv", "which column is what? Give a mapping file"),
+        ("good.csv --mapping nope", "unknown mapping 'nope'"),
+        ("good.csv --mapping evil.yaml", "evil.yaml"),
+        ("evil.csv", "evil.csv"),
+        ("good.csv --mapping map.yaml --model smm", "--model 'smm': give one of mbm, sm, ssm"),
+        ("good.csv --mapping map.yaml --model mbm", "wheels"),
+        ("good.csv --mapping no_gyro.yaml --model mbm", "wheels"),
+        ("good.csv --mapping map.yaml --model ssm --order 7", "--order '7': give auto, or 1 to 5"),
+        ("good.csv --mapping map.yaml --order 2", "--order 2: only ssm has a choice of order"),
+        ("good.csv --mapping map.yaml --model ssm --effects", "--effects: they stand around an sm"),
+        ("good.csv --mapping no_gyro.yaml --effects", "--effects: they are told apart by a gyro"),
+        ("good.csv --mapping map.yaml --fit-share 1", "--fit-share 1: give 0.1 to 0.9"),
+        ("good.csv --mapping map.yaml --fit-share nan", "--fit-share nan: give 0.1 to 0.9"),
+        ("good.csv --mapping map.yaml --fit-share 0.5 --validate ten.csv", "--fit-share: with --validate"),
+        ("good.csv --mapping map.yaml --validate good.csv", "good.csv: this log is given twice"),
+        ("good.csv --mapping map.yaml --validate ten.csv", "ten.csv: 10 samples"),
+        ("good.csv --mapping map.yaml --name ''", "--name: it is empty"),
+        ("", "LOG"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(arguments, message, folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(folder)
+    before = sorted(folder.rglob("*"))
+    result = runner.invoke(app, ["identify", "--out", str(tmp_path / "out"), *shlex.split(arguments)])
+    assert result.exit_code == 2, result.stdout
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1
+    assert message in result.stderr
+    assert not (tmp_path / "out").exists()
+    assert sorted(folder.rglob("*")) == before  # nothing of a file was executed either
+
+
+def test_findings_are_shown_before_the_error_that_stops(folder, tmp_path):
+    """A gap is no reason to stop, a gyro in degrees is."""
+    rows = np.r_[0:200, 300:600]
+    columns = {name: column[rows] for name, column in COLUMNS.items()} | {"gyro": np.degrees(COLUMNS["gyro"][rows])}
+    log = write_csv(tmp_path / "gap.csv", columns)
+    result = runner.invoke(
+        app, ["identify", str(log), "--mapping", str(folder / "map.yaml"), "--out", str(tmp_path / "o")]
+    )
+    assert result.exit_code == 2
+    assert result.stdout.startswith("note: gap.csv, 4.0 to 6.0 s: no data")
+    assert "degrees" in result.stderr
+
+
+def test_a_folder_that_is_a_file_is_refused_before_the_logs_are_read(folder, tmp_path):
+    (tmp_path / "taken").write_text("mine")
+    result = runner.invoke(app, ["identify", str(folder / "none.csv"), "--out", str(tmp_path / "taken")])
+    assert result.exit_code == 2
+    assert "taken: cannot be written to" in result.stderr
+    assert (tmp_path / "taken").read_text() == "mine"
+
+
+def test_rows_without_numbers_are_left_out_and_said(folder, tmp_path):
+    columns = COLUMNS | {"v": np.where(np.arange(600) % 50 == 7, np.nan, COLUMNS["v"])}
+    log = write_csv(tmp_path / "nan.csv", columns)
+    result = runner.invoke(
+        app, ["identify", str(log), "--mapping", str(folder / "map.yaml"), "--out", str(tmp_path / "out")]
+    )
+    assert result.exit_code == 0, result.stderr
+    line = (
+        "nan.csv, line 9, 59, 109, 159, 209 and 7 more places: column 'v' is not finite in 12 rows; they are left out"
+    )
+    assert f"warning: {line}" in result.stdout
+    assert line in (tmp_path / "out" / "report.md").read_text()
+    assert line in (tmp_path / "out" / "report.json").read_text()

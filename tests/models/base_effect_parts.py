@@ -1,0 +1,48 @@
+"""Records of a made-up robot with known base effects."""
+
+import numpy as np
+
+from models.base_effects import BaseEffects, respond
+from models.interface import FloatArray
+from models.load import build_model
+from models.logs.record import Record
+from models.structures import SmFile
+
+DT = 0.05
+ENCODER_TRACK = 0.5
+
+
+def linear_model():
+    channel = {"gain": 0.95, "natural_frequency": 14.0, "damping": 1.0}
+    data = {
+        "name": "made up",
+        "structure": "sm",
+        "provenance": {"origin": "identified", "source": "a test"},
+        "channels": {"v": channel, "omega": {**channel, "gain": 0.57, "natural_frequency": 20.0}},
+    }
+    return build_model(SmFile.model_validate(data))
+
+
+def step_commands(seed, duration, hold=2.5) -> FloatArray:
+    """Steps of v and omega together, slow and fast ones, among them such that one side hardly turns."""
+    stream = np.random.default_rng(seed)
+    steps = round(duration / hold)
+    v, omega = stream.uniform(-0.8, 0.8, steps), stream.uniform(-3.0, 3.0, steps)
+    still = stream.uniform(size=steps) < 0.15
+    v[still] = 0.5 * 0.54 * np.abs(omega[still]) * np.sign(v[still])
+    return np.repeat(np.column_stack([v, omega]), round(hold / DT), axis=0)
+
+
+def record_of(effects: BaseEffects, seed, duration, *, noise=1.0, yaw_ratio=1.8, delay=0.05) -> Record:
+    """What encoders (late) and gyro (biased) of the made-up robot read; noise in multiples of the usual."""
+    commands = step_commands(seed, duration)
+    response = respond(linear_model(), effects, commands, DT)
+    stream = np.random.default_rng(seed + 1000)
+    time = DT * np.arange(len(commands))
+    late = np.column_stack([np.interp(time - delay, time, column) for column in response.wheels.T])
+    twist = late * np.array([1.0, yaw_ratio]) + noise * np.array([0.01, 0.03]) * stream.normal(size=late.shape)
+    yaw_rate = response.body[:, 1] + 0.02 + noise * 0.015 * stream.normal(size=len(time))
+    rim = np.stack(
+        [twist[:, 0] - twist[:, 1] * ENCODER_TRACK / 2, twist[:, 0] + twist[:, 1] * ENCODER_TRACK / 2], axis=-1
+    )
+    return Record(f"seed {seed}", 0.0, DT, commands, twist=twist, yaw_rate=yaw_rate, wheels=rim / 0.16)

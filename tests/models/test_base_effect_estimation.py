@@ -1,0 +1,216 @@
+"""Base effects are found where they are, and only there; known truths are recovered."""
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from base_effect_parts import DT, ENCODER_TRACK, linear_model, record_of, step_commands
+from hypothesis import given
+from hypothesis import strategies as st
+
+from models.base_effects import BaseEffects, PoseMount, TwistSlew, WheelCommand, YawRelaxation, respond
+from models.identification.base_effects import identify_with_effects
+from models.identification.base_effects.free_run import free_run, smoothed, two_lags
+from models.identification.base_effects.held_out import blocks
+from models.identification.base_effects.pose_sensor import pose_sensor
+from models.identification.base_effects.sensed import sensed
+from models.identification.output_error.stretch import Stretch
+from models.logs.record import Record
+from models.pose import integrate_pose
+
+TRUE = BaseEffects.model_validate(
+    {
+        "twist_slew": {"v": 1.5, "omega": 2.5},
+        "wheel_command": {"track": 0.54, "resolution": 0.02, "coasting_speed": 0.12},
+        "yaw_relaxation": {"angle": 0.04},
+        "veer": {"yaw_per_metre": -0.06},
+    }
+)
+# Encoders' yaw ratio with which the gains belong to the base's track: 0.95 * 0.54 = ratio * 0.57 * 0.5.
+RATIO = 0.95 * TRUE.wheel_command.track / (0.57 * ENCODER_TRACK)
+POINT = {
+    "gain.v": 0.95,
+    "gain.omega": 0.57,
+    "lag.v": 1 / 14,
+    "lag.omega": 1 / 20,
+    "dead_time.v": 0.0,
+    "dead_time.omega": 0.0,
+    "encoders.delay": 0.0,
+    "encoders.yaw_ratio": RATIO,
+    "gyro.offset": 0.0,
+    "encoders.track": ENCODER_TRACK,
+    "slew.v": 1.5,
+    "slew.omega": 2.5,
+    "wheels.resolution": 0.02,
+    "wheels.coasting": 0.12,
+    "relaxation": 0.04,
+    "veer": -0.06,
+}
+
+
+def at_rest(commands):
+    readings = np.zeros((len(commands), 3))
+    return Stretch("at rest", DT, commands, readings, np.ones(readings.shape, dtype=bool))
+
+
+def test_the_free_run_is_that_of_the_model_file():
+    commands = step_commands(3, 60.0)
+    response = respond(linear_model(), TRUE, commands, DT)
+    expected = np.column_stack([response.wheels * [1.0, RATIO], response.body[:, 1]])
+    np.testing.assert_allclose(free_run(POINT, at_rest(commands)), expected, atol=1e-9)
+
+
+@given(st.floats(0.02, 1.0), st.floats(0.0, 1.5))
+def test_two_lags_are_exact_under_a_zero_order_hold(lag, spread):
+    drive = np.random.default_rng(0).normal(size=50)
+    slow, fast = lag * np.exp(spread), lag * np.exp(-spread)
+    s = control.tf("s")
+    system = control.sample_system(1 / ((slow * s + 1) * (fast * s + 1)), DT, method="zoh")
+    expected = control.forced_response(system, inputs=drive, timepts=DT * np.arange(50)).outputs
+    np.testing.assert_allclose(two_lags(drive, 0.0, lag, spread, DT), expected, atol=1e-6)
+
+
+COMMANDS = st.lists(st.sampled_from([-1.0, -0.3, 0.0, 0.2, 1.0]), min_size=1, max_size=60)
+
+
+@given(COMMANDS, st.floats(0.05, 5.0), st.floats(-2.0, 2.0))
+def test_ramps_are_the_steps_one_by_one(levels, limit, start):
+    slew = TwistSlew(v=limit, omega=2 * limit)
+    commands = np.column_stack([levels, levels[::-1]])
+    last, expected = np.array([start, -start]), []
+    for command in commands:
+        last = slew.step(last, command, DT)
+        expected.append(last)
+    np.testing.assert_allclose(slew.follow(commands, DT, [start, -start]), expected, atol=1e-9)
+
+
+@given(COMMANDS, st.floats(0.005, 0.3), st.floats(-1.0, 1.0))
+def test_relaxation_over_a_run_is_that_of_its_samples(rates, angle, strain):
+    relaxation = YawRelaxation(angle=angle)
+    expected, z = [], strain
+    for k, rate in enumerate(rates):
+        if k:
+            z, _ = relaxation.advance(z, 0.5 * (rates[k - 1] + rate), DT)
+        expected.append(abs(rate) * z)
+    np.testing.assert_allclose(relaxation.follow(rates, DT, strain), expected, atol=1e-9)
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-3.0, 3.0))
+def test_smoothed_steps_stay_within_a_step_of_the_true_ones(v, omega):
+    base = WheelCommand(track=0.5, resolution=0.02)
+    twist = np.array([v, omega])
+    away = base.sides(smoothed(base, twist)) - base.sides(base.apply(twist))
+    assert np.abs(away).max() < base.resolution
+
+
+def test_each_sample_is_held_out_once():
+    stretches = [at_rest(np.zeros((count, 2))) for count in (300, 500, 200)]
+    folds = blocks(stretches)
+    held = [(i, k) for _, block in folds for i, first, stop in block for k in range(first, stop)]
+    assert sorted(held) == [(i, k) for i, stretch in enumerate(stretches) for k in range(stretch.samples)]
+    for rest, block in folds:
+        assert not {(i, k) for i, a, b in rest for k in range(a, b)} & {
+            (i, k) for i, a, b in block for k in range(a, b)
+        }
+
+
+@pytest.fixture(scope="module")
+def found():
+    return identify_with_effects([record_of(TRUE, 7, 150.0, yaw_ratio=RATIO)])
+
+
+def test_every_effect_is_found(found):
+    assert set(found.effects) == {
+        "twist slew",
+        "steps and coasting of the wheels",
+        "yaw relaxation",
+        "veer",
+    }
+
+
+def test_effects_are_recovered_within_their_stated_uncertainty(found):
+    estimate = found.identified.parameters
+    truth = {
+        "v.gain": 0.95,
+        "omega.gain": 0.57,
+        "v.natural_frequency": 14.0,
+        "omega.natural_frequency": 20.0,
+        "encoders.delay": 0.05,
+        "gyro.offset": 0.02,
+        "slew.v": 1.5,
+        "slew.omega": 2.5,
+        "wheels.track": 0.54,
+        "wheels.coasting": 0.12,
+        "relaxation": 0.04,
+        "veer": -0.06,
+    }
+    scores = {name: (estimate.value(name) - true) / estimate.deviation(name) for name, true in truth.items()}
+    assert max(map(abs, scores.values())) < 4, scores
+    assert found.point["wheels.resolution"] == pytest.approx(0.02)
+
+
+def test_the_model_file_holds_what_was_found(found):
+    content = found.identified.file("found", {"origin": "identified", "source": "a test"})
+    assert content.base_effects.twist_slew.omega == pytest.approx(found.point["slew.omega"], rel=1e-6)
+    assert content.base_effects.pose_mount is None
+    assert (found.fit_percent([record_of(TRUE, 8, 60.0, yaw_ratio=RATIO)]) > 93).all()
+
+
+def test_a_base_without_effects_ends_with_none():
+    assert identify_with_effects([record_of(BaseEffects(), 7, 75.0)]).effects == ()
+
+
+def bare(record):
+    """`record` without wheel speeds."""
+    return replace(record, wheels=None)
+
+
+def test_the_same_records_give_the_same_numbers():
+    record = bare(record_of(TRUE, 5, 60.0))
+    first, second = (identify_with_effects([record]) for _ in range(2))
+    assert first.point == second.point
+    np.testing.assert_array_equal(first.identified.parameters.covariance, second.identified.parameters.covariance)
+
+
+def test_the_place_and_delay_of_a_pose_sensor_are_found():
+    record = record_of(BaseEffects(), 11, 120.0, noise=0.1, delay=0.0)
+    mount, travel, late = PoseMount(ahead=0.2, left=-0.05, heading=0.03), 0.93, 3
+    body = respond(linear_model(), BaseEffects(), record.command, DT).body * [travel, 1.0]
+    pose = [np.zeros(3)]
+    for v, omega in 0.5 * (body[1:] + body[:-1]):
+        pose.append(integrate_pose(pose[-1], v, omega, DT))
+    seen = mount.sensor(pose)
+    seen = np.concatenate([np.repeat(seen[:1], late, axis=0), seen[:-late]])
+    with_pose = Record(
+        "with poses",
+        0.0,
+        DT,
+        record.command,
+        twist=record.twist,
+        yaw_rate=record.yaw_rate,
+        pose=seen,
+        wheels=record.wheels,
+    )
+    estimate = pose_sensor([with_pose], {**POINT, "gyro.offset": 0.02})
+    truth = {"pose.travel": travel, "mount.ahead": 0.2, "mount.left": -0.05, "mount.heading": 0.03}
+    for name, true in truth.items():
+        assert abs(estimate.value(name) - true) < max(4 * estimate.deviation(name), 2e-3), name
+    assert estimate.value("pose.delay") == pytest.approx(late * DT, abs=0.2 * DT)
+
+
+def test_records_without_a_pose_tell_nothing_of_its_sensor():
+    assert pose_sensor([record_of(BaseEffects(), 5, 60.0)], POINT) is None
+
+
+def test_without_a_track_single_wheels_are_left_alone_and_that_is_said():
+    found = identify_with_effects([bare(record_of(BaseEffects(), 5, 60.0))])
+    assert not any("wheels" in trial.effect for trial in found.trials)
+    assert any("track of the encoders is not known" in warning for warning in found.identified.warnings)
+
+
+def test_a_record_without_gyro_is_refused_in_one_line():
+    record = record_of(BaseEffects(), 5, 60.0)
+    with pytest.raises(ValueError, match="no yaw_rate") as error:
+        sensed([Record(record.name, 0.0, DT, record.command, twist=record.twist)])
+    assert "\n" not in str(error.value)

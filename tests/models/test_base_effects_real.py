@@ -1,0 +1,44 @@
+"""Base effects on the log of a real robot, where DIFFDRIVE_MPC_DATA says it lies."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.identification.base_effects.fitting import fit_effects, weighted
+from models.identification.base_effects.free_run import base_track
+from models.identification.base_effects.selection import EFFECTS, LINEAR
+from models.identification.base_effects.sensed import sensed
+from models.identification.base_effects.settings import effect_settings
+from models.logs import read_log
+
+# The data are not part of this project, so a checkout without them has no tests of them. CI always has them.
+if "DIFFDRIVE_MPC_DATA" in os.environ:
+    HUSKY = Path(os.environ["DIFFDRIVE_MPC_DATA"]) / "norlab_husky_tile" / "husky_tile.csv"
+    ENCODER_TRACK = 0.480865
+
+    @pytest.fixture(scope="module")
+    def husky():
+        """Five minutes to fit, and the two after them."""
+        record = read_log(HUSKY, "husky_tile").records[0]
+        parts = [record.part(0, 6000), record.part(6000, 8400)]
+        train, held_out = (weighted(sensed([part])) for part in parts)
+        guess = {name: low_high_guess[2] for name, low_high_guess in effect_settings().parameters.items()}
+        linear = fit_effects({name: guess[name] for name in LINEAR} | {"encoders.track": ENCODER_TRACK}, LINEAR, train)
+        more = [name for effect in ("twist slew", "lag of the encoders", "yaw relaxation") for name in EFFECTS[effect]]
+        start = {**linear.point, **{name: guess[name] for name in more}}
+        return linear, fit_effects(start, [*LINEAR, *more], train), held_out
+
+    def test_the_husky_slews_as_its_configuration_says(husky):
+        """max_acceleration 2.0 rad/s^2 of the base's controller (husky_control/config/control.yaml)."""
+        assert husky[1].point["slew.omega"] == pytest.approx(2.0, abs=0.06)
+
+    def test_the_huskys_gains_give_the_track_of_its_configuration(husky):
+        """wheel_separation 0.512 m, in the same file."""
+        assert base_track(husky[1].point) == pytest.approx(0.512, abs=0.015)
+
+    def test_effects_halve_the_error_power_of_omega_on_rows_held_out(husky):
+        linear, effects, held_out = husky
+        power = [np.nansum(np.concatenate(held_out.errors(fit.point)) ** 2, axis=0) for fit in (linear, effects)]
+        assert (power[1][1:] < 0.5 * power[0][1:]).all(), power
