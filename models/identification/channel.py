@@ -15,7 +15,7 @@ from models.identification.output_error.robust import output_spread
 from models.identification.output_error.saturation import find_limits
 from models.identification.output_error.solve import OutputErrorFit, estimate
 from models.identification.output_error.stretch import Stretch
-from models.identification.output_error.structures import TwoPolesStructure
+from models.identification.output_error.structures import TwoPolesStructure, two_poles, two_poles_parameters
 from models.identification.settings import load_settings
 from models.interface import FloatArray
 from models.structures import TwoPoles
@@ -76,7 +76,7 @@ def identify_channel(
         fit = find_limits(fit, stretches, 0, robust)
     named = (*TwoPoles.model_fields, *(_plain(name) for name in fit.layout.names[3:]))
     parameters = Estimate(fit.layout.names, fit.parameters, fit.covariance).derived(
-        named, lambda row: np.concatenate([np.exp(row[:3]), row[3:]])
+        named, lambda row: np.concatenate([two_poles(row[:3]), row[3:]])
     )
     poles = _real_poles(parameters)
     warnings = [
@@ -102,7 +102,7 @@ def first_guesses(layout: Layout, stretches: Sequence[Stretch], label: str) -> l
     problem = OutputErrorProblem(layout, stretches, [stretch.counts / spread for stretch in stretches])
     rest = np.zeros(len(layout.names) - 4)
     grid = [
-        np.concatenate([np.log([gain, frequency, 1.0]), [dead_time], rest])
+        np.concatenate([two_poles_parameters(gain, frequency, 1.0), [dead_time], rest])
         for frequency in settings.start_frequencies
         for dead_time in settings.start_dead_times
     ]

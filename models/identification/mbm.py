@@ -14,6 +14,7 @@ from models.identification.output_error.layout import Layout
 from models.identification.output_error.motors import MotorsStructure
 from models.identification.output_error.solve import OutputErrorFit, estimate
 from models.identification.output_error.stretch import Stretch
+from models.identification.output_error.structures import two_poles, two_poles_parameters
 from models.identification.signals import twist_stretches, wheel_stretches
 from models.interface import FloatArray
 from models.logs.record import Record
@@ -23,7 +24,7 @@ from models.velocity_model import CHANNELS
 METHOD = (
     "output error (simulation from commands alone), two poles and no zeros for each motor, one dead time, firmware "
     "track with them; effective track from the steady yaw gain of the gyro; all records at once, free initial states, "
-    "Huber weights"
+    "outliers held back"
 )
 _MOTORS = tuple(Motors.model_fields)
 _SIDES = (-1, 1, -1, 1)
@@ -96,7 +97,7 @@ def _start(stretches: Sequence[Stretch], sides: tuple[int, ...], radius: float, 
     turning = [_combined(stretch, np.array(sides) * 2 * radius / len(sides), 1) for stretch in stretches]
     v = identify_channel(forward, "wheels", limit=False, robust=robust).parameters
     omega = identify_channel(turning, "wheels' difference", limit=False, robust=robust).parameters
-    motor = np.log([v.value(key) for key in TwoPoles.model_fields])
+    motor = two_poles_parameters(*(v.value(key) for key in TwoPoles.model_fields))
     track = np.log(omega.value("gain") / v.value("gain"))
     return np.concatenate([np.tile(motor, len(sides)), [track, v.value("dead_time")]])
 
@@ -114,9 +115,13 @@ def _combined(stretch: Stretch, weights: FloatArray, column: int) -> Stretch:
 
 def _physical(fit: OutputErrorFit, motors: int) -> Estimate:
     names = [f"{motor}.{key}" for motor in _MOTORS[:motors] for key in TwoPoles.model_fields]
-    own = 3 * motors + 1
+
+    def physical(row: FloatArray) -> FloatArray:
+        each = [two_poles(row[3 * i : 3 * i + 3]) for i in range(motors)]
+        return np.concatenate([*each, np.exp(row[3 * motors : 3 * motors + 1]), row[3 * motors + 1 :]])
+
     return Estimate(fit.layout.names, fit.parameters, fit.covariance).derived(
-        (*names, "firmware_track", "dead_time"), lambda row: np.concatenate([np.exp(row[:own]), row[own:]])
+        (*names, "firmware_track", "dead_time"), physical
     )
 
 

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from models.identification.doubts import badly_known
 from models.identification.estimate import Estimate
 from models.identification.output_error.covariance import sandwich
-from models.identification.output_error.robust import huber_weight, residual_scale
+from models.identification.output_error.robust import residual_scale, spike_weights
 from models.identification.pose_windows import pose_windows
 from models.identification.slip_laws import SlipLaw
 from models.interface import FloatArray
@@ -134,17 +134,16 @@ def displacement(twist: FloatArray, dt: float, lever_arm: FloatArray) -> FloatAr
 
 
 def _solve(errors: Callable[[FloatArray], FloatArray], start: FloatArray, names: tuple[str, ...]) -> PoseCalibration:
-    """Least squares of window errors (n, r), reweighted by their scale and by Huber's weights."""
+    """Least squares of window errors (n, r), reweighted by their scale and by whether their neighbours agree."""
     parameters, found = start, errors(start)
     spread = np.maximum(found.std(axis=0), np.finfo(float).tiny)
     for _ in range(_ROUNDS):
-        scale = residual_scale([found], spread)
-        weight = np.sqrt(huber_weight(found / scale)) / scale
+        trust = spike_weights([found])
+        weight = np.sqrt(trust[0]) / residual_scale([found], trust, spread)
         result = least_squares(_weighted(errors, weight), parameters, jac="3-point", x_scale="jac")
         parameters, found = result.x, errors(result.x)
     rows = result.jac.reshape(*found.shape, len(start))
-    covariance = sandwich([rows], [weight * found], [found / scale]).covariance
-    estimate = Estimate(names, parameters, covariance)
+    estimate = Estimate(names, parameters, sandwich([rows], [weight * found]).covariance)
     warnings = badly_known(estimate.part(_sizes(names)))
     return PoseCalibration(estimate, np.sqrt(np.mean(found**2, axis=0)), len(found), tuple(warnings))
 

@@ -41,8 +41,8 @@ class IdentificationSettings(StrictModel):
     """Bounds, first guesses and thresholds of the identification."""
 
     longest_dead_time: Positive = Field(description="[s]")
-    natural_frequency: Range = Field(description="[rad/s]")
-    damping: Range = Field(description="[-]")
+    lag: Range = Field(description="sum of both time constants [s]")
+    short: Range = Field(description="product of both time constants over their sum [s]")
     gain: Range = Field(description="[-]")
     track: Range = Field(description="[m]")
     start_dead_times: tuple[float, ...] = Field(description="grid of first guesses [s]")

@@ -16,7 +16,7 @@ from models.velocity_model import CHANNELS
 
 METHOD = (
     "output error (simulation from commands alone), two poles, no zeros and a dead time for each channel, all records "
-    "at once, free initial states, Huber weights, several starts"
+    "at once, free initial states, outliers held back, several starts"
 )
 
 

@@ -17,6 +17,7 @@ from models.identification.output_error.realisation import (
     beside,
     from_impulse_response,
     impulse_response,
+    spare_state,
 )
 from models.identification.output_error.solve import OutputErrorFit, estimate
 from models.identification.output_error.stretch import Stretch
@@ -31,7 +32,7 @@ from models.velocity_model import CHANNELS
 
 METHOD = (
     "output error (simulation from commands alone), state space with a dead time for each input, data driven local "
-    "coordinates, all records at once, free initial states, Huber weights; starts from an impulse response "
+    "coordinates, all records at once, free initial states, outliers held back; starts from an impulse response "
     "(eigensystem realization) and from the order below"
 )
 LARGEST_ORDER = 5
@@ -120,9 +121,9 @@ def _fit(
             for stretch, residuals in zip(stretches, below.residuals, strict=True)
         ]
         more = from_impulse_response(impulse_response(left, system.dead_time, length), 1, dt)
-        if more:
-            candidates.append(candidate(beside((system.A, system.B, system.C), more), system.dead_time))
-    if not candidates:  # an impulse response too noisy to realise: one pole for both channels
+        known = (system.A, system.B, system.C)
+        candidates.append(candidate(beside(known, more or spare_state(*known)), system.dead_time))
+    if not candidates:
         candidates.append(candidate(_common_pole(channels), dead_time))
     scale = np.concatenate([channel.fit.scale for channel in channels])
     return estimate(candidates, stretches, robust, scale=scale)
@@ -144,6 +145,7 @@ def _side_by_side(channels: tuple[ChannelEstimate, ChannelEstimate], poles: int)
 
 
 def _common_pole(channels: tuple[ChannelEstimate, ChannelEstimate]) -> Realisation:
+    """One pole for both channels, for an impulse response too noisy to realise."""
     A, B, C = _side_by_side(channels, 1)
     return A[:1, :1], B[:1], C[:, :1]
 

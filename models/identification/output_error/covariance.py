@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from models.identification.output_error.robust import HUBER
 from models.interface import FloatArray
 
 # Correlations of scores are capped here in the choice of the window: beyond, the window would take in everything.
@@ -31,7 +30,7 @@ class Sandwich(NamedTuple):
     """condition number of the information matrix, scaled to unit diagonal"""
 
 
-def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray], scaled: Sequence[FloatArray]) -> Sandwich:
+def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> Sandwich:
     """Covariance of parameters at the optimum of a weighted least-squares problem.
 
     Parameters
@@ -39,22 +38,20 @@ def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray], scal
     jacobians
         For each stretch (K, p, q) derivatives of the weighted residuals, initial states projected out.
     errors
-        For each stretch (K, p) weighted residuals.
-    scaled
-        For each stretch (K, p) residuals over their scale, NaN where they do not count.
+        For each stretch (K, p) weighted residuals, NaN where they do not count.
     """
     count = jacobians[0].shape[2]
-    information = np.zeros((count, count))
-    for jacobian, z in zip(jacobians, scaled, strict=True):
-        for row in range(jacobian.shape[1]):
-            information += _curvature(z[:, row]) * jacobian[:, row].T @ jacobian[:, row]
-    scores = [np.einsum("kpq,kp->kq", j, e, optimize=True) for j, e in zip(jacobians, errors, strict=True)]
+    rows = [jacobian.reshape(-1, count) for jacobian in jacobians]
+    information = np.sum([row.T @ row for row in rows], axis=0)
+    scores = [
+        np.einsum("kpq,kp->kq", j, np.nan_to_num(e), optimize=True) for j, e in zip(jacobians, errors, strict=True)
+    ]
     spread = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     shaped = information / np.outer(spread, spread)
     bread = np.linalg.pinv(shaped, rcond=1e-14, hermitian=True) / np.outer(spread, spread)
-    used = sum(int(np.isfinite(z).sum()) for z in scaled)
+    used = sum(int(np.isfinite(error).sum()) for error in errors)
     covariance = bread @ long_run_covariance(scores) @ bread * used / max(used - count, 1)
-    return Sandwich(covariance, effective_samples(scaled), float(np.linalg.cond(shaped)))
+    return Sandwich(covariance, effective_samples(errors), float(np.linalg.cond(shaped)))
 
 
 def long_run_covariance(scores: Sequence[FloatArray], window: int | None = None) -> FloatArray:
@@ -74,12 +71,12 @@ def long_run_covariance(scores: Sequence[FloatArray], window: int | None = None)
     return total
 
 
-def effective_samples(scaled: Sequence[FloatArray]) -> FloatArray:
+def effective_samples(errors: Sequence[FloatArray]) -> FloatArray:
     """(p,) readings divided by the integrated autocorrelation of the residuals (K, p), NaN where they do not count."""
     worth = []
-    for row in range(scaled[0].shape[1]):
-        column = [np.clip(np.nan_to_num(z[:, row : row + 1]), -HUBER, HUBER) for z in scaled]
-        used = sum(int(np.isfinite(z[:, row]).sum()) for z in scaled)
+    for row in range(errors[0].shape[1]):
+        column = [np.nan_to_num(error[:, row : row + 1]) for error in errors]
+        used = sum(int(np.isfinite(error[:, row]).sum()) for error in errors)
         power = sum(float((c**2).sum()) for c in column)
         inflation = float(long_run_covariance(column)[0, 0]) / power if power else 1.0
         worth.append(used / max(inflation, 1.0))
@@ -94,11 +91,3 @@ def _window(scores: Sequence[FloatArray]) -> int:
     rho = min(rho, _MOST_CORRELATED)
     samples = sum(map(len, scores))
     return int(1.1447 * (4 * rho**2 / (1 - rho**2) ** 2 * samples) ** (1 / 3))
-
-
-def _curvature(scaled: FloatArray) -> float:
-    """Share of information that Huber's weights overstate: mean slope of the clipped residual over mean weight."""
-    size = np.abs(scaled[np.isfinite(scaled)])
-    if not len(size):
-        return 1.0
-    return float(np.mean(size < HUBER) / np.mean(HUBER / np.maximum(size, HUBER)))

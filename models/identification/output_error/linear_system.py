@@ -66,19 +66,26 @@ def sample(system: LinearSystem, dt: float) -> SampledSystem:
     return SampledSystem(whole[..., :n, :n], B0, whole[..., :n, n:] - B0, delay)
 
 
-def delayed(inputs: FloatArray, delay: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
-    """Inputs (K, m) as B0 and B1 see them, each (m, K); before sample 0 the first row was in force."""
-    rows = np.arange(len(inputs))
-    columns = [[inputs[np.maximum(rows - d - older, 0), j] for j, d in enumerate(delay)] for older in (0, 1)]
-    return np.array(columns[0]), np.array(columns[1])
+def delayed(
+    inputs: FloatArray, delay: NDArray[np.int64], before: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Inputs (K, m) as B0 and B1 see them, each (m, K).
+
+    Before sample 0 `before` (m,) was in force; by default the first row.
+    """
+    longest = int(delay.max()) + 1
+    line = np.vstack([np.tile(inputs[0] if before is None else before, (longest, 1)), inputs])
+    rows = np.arange(len(inputs)) + longest
+    recent, older = ([line[rows - d - lag, j] for j, d in enumerate(delay)] for lag in (0, 1))
+    return np.array(recent), np.array(older)
 
 
-def settled_start(system: LinearSystem, outputs: FloatArray) -> FloatArray:
-    """(n,) the settled state whose output is `outputs` (p,); with fewer inputs than outputs, the nearest.
+def settled_start(system: LinearSystem, outputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The settled state (n,) whose output is `outputs` (p,), and the input (m,) that holds it.
 
-    A settled state is one that some constant input holds: for a single two-pole transfer function the output is as
-    given and its derivative zero; where outputs determine the state, it is that state.
+    For a single two-pole transfer function the output is as given and its derivative zero; where outputs determine the
+    state, it is that state. With fewer inputs than outputs it is the nearest.
     """
     hold = -np.linalg.solve(system.A, system.B)
     inputs = np.linalg.lstsq(system.C @ hold, outputs - system.offset, rcond=None)[0]
-    return np.asarray(hold @ inputs)
+    return np.asarray(hold @ inputs), np.asarray(inputs)

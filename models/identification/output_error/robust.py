@@ -1,6 +1,9 @@
 """Weights that keep outliers from deciding.
 
-Source: Huber, Robust Statistics, Wiley 1981: minimax weights min(1, c / |z|) of residuals z over their scale.
+In a log an outlier is a reading that its neighbours contradict. What a model cannot explain lasts longer than that, and
+is no outlier: holding it back would fit the quiet parts of a log and give up the rest.
+
+Source of the weights: Huber, Robust Statistics, Wiley 1981: min(1, c / |z|) of residuals z over their scale.
 """
 
 from __future__ import annotations
@@ -8,27 +11,46 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import ndimage
 
 from models.identification.output_error.stretch import Stretch
 from models.interface import FloatArray
 
-HUBER = 2.0
-"""c: residuals beyond so many scales are held back. On normal noise it costs one percent of efficiency."""
-# A normal variable stays within these multiples of its standard deviation for a half and nine tenths of the time.
-_MEDIAN, _NINE_TENTHS = 0.6745, 1.6449
-_LEAST_SHARE = 0.5
-# No signal of a robot is known better than this part of its own size: keeps noise-free data from dividing by zero.
-_FINEST = 1e-9
+_SPIKE = 5.0
+"""c for single readings: on normal noise next to none is held back."""
+_NEIGHBOURS = 5
+# The median size of a normal variable is this part of its standard deviation.
+_MEDIAN = 0.6745
+# Quantised readings of a robot that stands do not scatter at all: the scale of spikes is not taken below this part of
+# the residuals.
+_LEAST_SHARE = 0.1
 
 
-def residual_scale(residuals: Sequence[FloatArray], spread: FloatArray) -> FloatArray:
-    """(p,) scale of each output's residuals (K, p), NaN where they do not count, from the median of their size.
+def spike_weights(residuals: Sequence[FloatArray]) -> list[FloatArray]:
+    """For each stretch (K, p) weights of its residuals (K, p), NaN where they do not count: 1, and less for spikes.
 
-    A robot that stands has quantised sensors that say exactly zero, so half of the residuals may be nothing: the scale
-    is not taken below half of what their ninth decile gives. `spread` (p,) of the outputs keeps it from vanishing.
+    A spike is the difference from the median of five readings around; its scale is that of all stretches together.
     """
-    median, decile = np.nanquantile(np.abs(np.concatenate(residuals)), [0.5, 0.9], axis=0)
-    return np.asarray(np.maximum.reduce([median / _MEDIAN, _LEAST_SHARE * decile / _NINE_TENTHS, _FINEST * spread]))
+    spikes = [np.full_like(rows, np.nan) for rows in residuals]
+    for spike, rows in zip(spikes, residuals, strict=True):
+        for column in range(rows.shape[1]):
+            known = np.isfinite(rows[:, column])
+            reading = rows[known, column]
+            spike[known, column] = reading - ndimage.median_filter(reading, _NEIGHBOURS, mode="nearest")
+    whole = np.concatenate(residuals)
+    scale = np.nanmedian(np.abs(np.concatenate(spikes)), axis=0) / _MEDIAN
+    scale = np.maximum(scale, _LEAST_SHARE * np.sqrt(np.nanmean(whole**2, axis=0)))
+    scale = np.maximum(scale, np.finfo(float).tiny)
+    return [_SPIKE / np.maximum(np.nan_to_num(np.abs(spike / scale)), _SPIKE) for spike in spikes]
+
+
+def residual_scale(residuals: Sequence[FloatArray], weights: Sequence[FloatArray], spread: FloatArray) -> FloatArray:
+    """(p,) root mean square of weighted residuals (K, p), NaN where they do not count.
+
+    Never below a tiny part of the outputs' `spread` (p,), which keeps noise-free data from dividing by zero.
+    """
+    weighted = np.concatenate([weight * rows for weight, rows in zip(weights, residuals, strict=True)])
+    return np.asarray(np.maximum(np.sqrt(np.nanmean(weighted**2, axis=0)), 1e-9 * spread))
 
 
 def output_spread(stretches: Sequence[Stretch]) -> FloatArray:
@@ -39,14 +61,3 @@ def output_spread(stretches: Sequence[Stretch]) -> FloatArray:
     if min(spread) == 0.0:
         raise ValueError("the outputs never change: is the sensor connected, and did the robot move?")
     return np.array(spread)
-
-
-def huber_weight(scaled: FloatArray) -> FloatArray:
-    """Weights of residuals over their scale, any shape: 1 inside `HUBER`, falling outside."""
-    return np.asarray(HUBER / np.maximum(np.abs(scaled), HUBER))
-
-
-def huber_loss(scaled: FloatArray) -> FloatArray:
-    """The loss that these weights belong to: z^2 inside `HUBER`, a straight line outside; any shape."""
-    size = np.abs(scaled)
-    return np.asarray(np.where(size < HUBER, size**2, 2 * HUBER * size - HUBER**2))

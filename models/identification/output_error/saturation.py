@@ -19,7 +19,7 @@ _TRIAL = 6
 def find_limits(fit: OutputErrorFit, stretches: Sequence[Stretch], channel: int, robust: bool = True) -> OutputErrorFit:
     """Let input `channel` have a limit, and keep it if the data clearly show one.
 
-    The robust loss has to fall by more than the information criterion (Schwarz, Annals of Statistics 1978, 6(2)) asks
+    The weighted loss has to fall by more than the information criterion (Schwarz, Annals of Statistics 1978, 6(2)) asks
     for, counted in effective samples; enough commands have to lie beyond the level; and the level has to lie below the
     largest command by two standard deviations.
 

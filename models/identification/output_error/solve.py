@@ -14,7 +14,7 @@ from models.identification.output_error.covariance import Sandwich, sandwich
 from models.identification.output_error.layout import Layout
 from models.identification.output_error.linear_system import LinearSystem
 from models.identification.output_error.problem import OutputErrorProblem
-from models.identification.output_error.robust import huber_loss, huber_weight, output_spread, residual_scale
+from models.identification.output_error.robust import output_spread, residual_scale, spike_weights
 from models.identification.output_error.stretch import Stretch
 from models.interface import FloatArray
 
@@ -39,6 +39,8 @@ class OutputErrorFit:
         (p,) scale of the residuals, units of the outputs.
     residuals
         For each stretch (K, p) measured minus simulated, from the best initial state; NaN where it does not count.
+    trust
+        For each stretch (K, p) weights of the residuals: 1, and less for outliers.
     effective_samples
         (p,) how many independent readings the correlated residuals are worth.
     condition
@@ -50,6 +52,7 @@ class OutputErrorFit:
     covariance: FloatArray
     scale: FloatArray
     residuals: list[FloatArray]
+    trust: list[FloatArray]
     effective_samples: FloatArray
     condition: float
 
@@ -59,8 +62,9 @@ class OutputErrorFit:
         return self.layout.system(self.parameters)
 
     def loss(self, scale: FloatArray) -> FloatArray:
-        """(p,) Huber's loss of each output's residuals over `scale` (p,); twice the cost where there is no outlier."""
-        return np.asarray(sum(np.nansum(huber_loss(r / scale), axis=0) for r in self.residuals))
+        """(p,) weighted sum of squares of each output's residuals over `scale` (p,)."""
+        parts = [np.nansum(w * (r / scale) ** 2, axis=0) for w, r in zip(self.trust, self.residuals, strict=True)]
+        return np.asarray(np.sum(parts, axis=0))
 
 
 def estimate(
@@ -73,8 +77,8 @@ def estimate(
     """Fit every candidate, go on with the best, and find its covariance.
 
     Weighted least squares with a trust region (scipy), reweighted until it settles: outputs by the scale of their
-    residuals, single readings by Huber's weights. The commands before a stretch are not known, so the first readings,
-    for as long as the dead time, do not count.
+    residuals, single readings by whether their neighbours agree. The commands before a stretch are not known, so the
+    first readings, for as long as the dead time, do not count.
 
     Parameters
     ----------
@@ -106,16 +110,17 @@ def estimate(
         layout, parameters, cost, weights = min(fits, key=lambda fit: fit[2])
         for _ in range(_ROUNDS):
             residuals = _residuals(layout, parameters, stretches, weights)
-            scale = residual_scale(residuals, spread)
-            weights = _weights(layout, parameters, stretches, scale, residuals if robust else None)
+            trust = spike_weights(residuals) if robust else [np.ones_like(rows) for rows in residuals]
+            scale = residual_scale(residuals, trust, spread)
+            weights = _weights(layout, parameters, stretches, scale, trust)
             before = _cost(layout, parameters, stretches, weights)
             layout, parameters, cost = _solve(layout, parameters, stretches, weights, _EVALUATIONS)
             if before - cost < _SETTLED * cost:
                 break
         residuals = _residuals(layout, parameters, stretches, weights)
-        found = _covariance(layout, parameters, stretches, weights, residuals, scale)
+        found = _covariance(layout, parameters, stretches, weights)
     return OutputErrorFit(
-        layout, parameters, found.covariance, scale, residuals, found.effective_samples, found.condition
+        layout, parameters, found.covariance, scale, residuals, trust, found.effective_samples, found.condition
     )
 
 
@@ -166,32 +171,20 @@ def _weights(
     parameters: FloatArray,
     stretches: Sequence[Stretch],
     scale: FloatArray,
-    residuals: list[FloatArray] | None = None,
+    trust: list[FloatArray] | None = None,
 ) -> list[FloatArray]:
     """Square roots of the weights, over the scale."""
-    weights = []
-    for i, stretch in enumerate(stretches):
-        weight = (stretch.counts & known_commands(layout, parameters, stretch)[:, None]) / scale
-        if residuals is not None:
-            weight = weight * np.sqrt(huber_weight(np.nan_to_num(residuals[i] / scale)))
-        weights.append(np.asarray(weight))
-    return weights
+    weights = [(stretch.counts & known_commands(layout, parameters, stretch)[:, None]) / scale for stretch in stretches]
+    if trust is None:
+        return weights
+    return [weight * np.sqrt(part) for weight, part in zip(weights, trust, strict=True)]
 
 
 def _covariance(
-    layout: Layout,
-    parameters: FloatArray,
-    stretches: Sequence[Stretch],
-    weights: list[FloatArray],
-    residuals: list[FloatArray],
-    scale: FloatArray,
+    layout: Layout, parameters: FloatArray, stretches: Sequence[Stretch], weights: list[FloatArray]
 ) -> Sandwich:
     problem = OutputErrorProblem(layout, stretches, weights)
-    jacobian, error = problem.jacobian(parameters), problem.residuals(parameters)
-    outputs = layout.outputs
+    jacobian, error = problem.jacobian(parameters), problem.residuals(parameters).reshape(-1, layout.outputs)
+    error = np.where(np.concatenate(weights) > 0, error, np.nan)
     cuts = np.cumsum([stretch.samples for stretch in stretches])[:-1]
-    return sandwich(
-        np.split(jacobian.reshape(-1, outputs, jacobian.shape[1]), cuts),
-        np.split(error.reshape(-1, outputs), cuts),
-        [r / scale for r in residuals],
-    )
+    return sandwich(np.split(jacobian.reshape(*error.shape, -1), cuts), np.split(error, cuts))

@@ -13,26 +13,40 @@ from models.interface import FloatArray
 
 @dataclass(frozen=True)
 class TwoPolesStructure:
-    """gain w^2 / (s^2 + 2 damping w s + w^2); the parameters are logarithms, so that all stay positive."""
+    """gain / (1 + lag s + lag short s^2), two poles and no zeros; the parameters are logarithms of these three.
 
-    names: tuple[str, ...] = ("log_gain", "log_natural_frequency", "log_damping")
+    Poles may be complex, and one may be far faster than the other, without any parameter going to extremes.
+    """
+
+    names: tuple[str, ...] = ("log_gain", "log_lag", "log_short")
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """(3,) bounds from the settings."""
         settings = load_settings()
-        ranges = np.log([settings.gain, settings.natural_frequency, settings.damping])
+        ranges = np.log([settings.gain, settings.lag, settings.short])
         return ranges[:, 0], ranges[:, 1]
 
     def matrices(self, parameters: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
         """The realisation of `models.structures.TwoPoles`."""
-        gain, w, damping = np.exp(parameters)
+        gain, w, damping = two_poles(parameters)
         A = np.array([[0.0, w], [-w, -2 * damping * w]])
         return A, np.array([[0.0], [gain * w]]), np.array([[1.0, 0.0]], dtype=parameters.dtype)
 
     def recentred(self, parameters: FloatArray) -> tuple[TwoPolesStructure, FloatArray]:
         """Logarithms suit everywhere."""
         return self, parameters
+
+
+def two_poles(parameters: AnyArray) -> AnyArray:
+    """(3,) gain [-], natural frequency [rad/s] and damping [-] of the parameters of `TwoPolesStructure`."""
+    gain, lag, short = np.exp(parameters)
+    return np.array([gain, 1 / np.sqrt(lag * short), 0.5 * np.sqrt(lag / short)])
+
+
+def two_poles_parameters(gain: float, natural_frequency: float, damping: float) -> FloatArray:
+    """(3,) the inverse of `two_poles`."""
+    return np.log([gain, 2 * damping / natural_frequency, 0.5 / (damping * natural_frequency)])
 
 
 @dataclass(frozen=True)

@@ -79,10 +79,11 @@ def simulate_records(system: LinearSystem, records: Sequence[Record], yaw: YawSo
 
 
 def simulate_stretch(system: LinearSystem, stretch: Stretch) -> FloatArray:
-    """(K, p) outputs from the inputs alone, from the settled state that gives each output's first reading."""
+    """(K, p) outputs from the inputs alone, after rest in the settled state that gives each output's first reading."""
     first = np.array([stretch.outputs[np.argmax(counts), row] for row, counts in enumerate(stretch.counts.T)])
     sampled = sample(system, stretch.dt)
-    recent, older = delayed(np.clip(stretch.inputs, -system.limit, system.limit), sampled.delay)
+    start, before = settled_start(system, first)
+    recent, older = delayed(np.clip(stretch.inputs, -system.limit, system.limit), sampled.delay, before)
     drive = sampled.B0 @ recent + sampled.B1 @ older
-    states = state_response(sampled.A, drive[:, None, :], settled_start(system, first)[:, None])[:, 0]
+    states = state_response(sampled.A, drive[:, None, :], start[:, None])[:, 0]
     return np.asarray(states.T @ system.C.T + system.offset)

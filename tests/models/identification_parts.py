@@ -1,0 +1,51 @@
+"""Drives with a known truth, for the tests of the identification."""
+
+import numpy as np
+
+from models import VelocityModel, load_model
+from models.identification.output_error.linear_system import LinearSystem
+from models.identification.output_error.stretch import Stretch
+from models.logs import Record
+
+DT = 0.02
+
+
+def set_points(seed, count, scale, hold=40):
+    """(count, len(scale)) random levels, each held for `hold` samples."""
+    levels = np.random.default_rng(seed).uniform(-1, 1, (-(-count // hold), len(scale)))
+    return np.repeat(levels, hold, axis=0)[:count] * scale
+
+
+def published_ssm(dead_time=(0.043, 0.052)):
+    return load_model("ssm").with_extra_dead_time(dead_time)
+
+
+def system(model):
+    return LinearSystem(model.A, model.B, model.C, model.dead_time, np.zeros(2), np.full(2, np.inf))
+
+
+def record(commands, twist, name="drive", start=0.0, **more):
+    return Record(name, start, DT, commands, twist=twist, yaw_rate=twist[:, 1].copy(), **more)
+
+
+def noisy_drive(model, seed, count=3000, noise=(0.01, 0.03), limit=np.inf):
+    """One record of `model`, white noise on both sensors; the robot clips |omega_ref| at `limit`."""
+    commands = set_points(seed, count, (0.8, 1.5))
+    taken = commands.copy()
+    taken[:, 1] = np.clip(taken[:, 1], -limit, limit)
+    clean = model.discretise(DT).simulate(taken)
+    return record(commands, clean + np.array(noise) * np.random.default_rng(seed + 1000).normal(size=clean.shape))
+
+
+def two_channels(v, omega, dead_time=(0.05, 0.03)):
+    """A velocity model of two decoupled channels (gain, natural frequency, damping)."""
+    A, B, C = np.zeros((4, 4)), np.zeros((4, 2)), np.zeros((2, 4))
+    for row, (gain, w, damping) in enumerate((v, omega)):
+        rows = slice(2 * row, 2 * row + 2)
+        A[rows, rows] = [[0.0, w], [-w, -2 * damping * w]]
+        B[2 * row + 1, row], C[row, 2 * row] = gain * w, 1.0
+    return VelocityModel("truth", "sm", A, B, C, np.array(dead_time))
+
+
+def single(stretch_inputs, outputs):
+    return Stretch("one", DT, stretch_inputs, outputs, np.ones(outputs.shape, dtype=bool))

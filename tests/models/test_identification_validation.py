@@ -1,0 +1,99 @@
+"""The protocol of validation: one free run per record, residuals that may be white, poses about the rotation centre."""
+
+import numpy as np
+import pytest
+from identification_parts import DT, noisy_drive, published_ssm, record, set_points, system
+
+from models import integrate_pose
+from models.identification import fit_percent
+from models.identification.output_error.linear_system import LinearSystem
+from models.identification.validation import pose_drift, simulate_records, validate
+
+MODEL = published_ssm()
+
+
+def test_fit_is_that_of_a_free_run_from_the_first_reading():
+    drive = noisy_drive(MODEL, 1)
+    drives = [drive.part(0, 1400), drive.part(1500, 3000)]
+    found = validate(system(MODEL), drives)
+    simulated = simulate_records(system(MODEL), drives)
+    for row, measured in enumerate(("twist", "yaw_rate")):
+        y = np.concatenate([getattr(r, measured).reshape(len(r.command), -1)[:, 0] for r in drives])
+        yhat = np.concatenate([outputs[:, row] for outputs in simulated])
+        assert found.fit_percent[row] == pytest.approx(fit_percent(y, yhat))
+        assert found.rmse[row] == pytest.approx(np.sqrt(np.mean((y - yhat) ** 2)))
+    for outputs, r in zip(simulated, drives, strict=True):
+        assert outputs[0] == pytest.approx([r.twist[0, 0], r.yaw_rate[0]])
+
+
+def test_a_limit_and_an_offset_are_part_of_the_prediction():
+    drive = noisy_drive(MODEL, 2, limit=0.6, noise=(0.0, 0.0))
+    plain = system(MODEL)
+    right = LinearSystem(*plain[:4], np.array([0.0, 0.05]), np.array([np.inf, 0.6]))
+    drive = record(drive.command, drive.twist + [0.0, 0.05])
+    assert validate(right, [drive]).fit_percent.min() > 99.0
+    assert validate(plain, [drive]).fit_percent[1] < 80.0
+
+
+def test_white_residuals_pass_and_coloured_ones_do_not():
+    white = noisy_drive(MODEL, 3)
+    stream = np.random.default_rng(4)
+    noise = np.zeros((3000, 2))
+    for k in range(1, 3000):
+        noise[k] = 0.6 * noise[k - 1] + 0.01 * stream.normal(size=2)
+    clean = MODEL.discretise(DT).simulate(white.command)
+    good, bad = (validate(system(MODEL), [r]).residuals for r in (white, record(white.command, clean + noise)))
+    # The first reading is noisy, and the run starts there: a short transient that a white noise test forgives.
+    assert good.ljung_box_p.min() > 1e-3
+    assert bad.ljung_box_p.max() < 1e-9
+    assert bad.autocorrelation[:, 1] == pytest.approx([0.6, 0.6], abs=0.05)
+    inside = np.abs(good.autocorrelation[:, 1:]) < good.whiteness_bound
+    assert inside.mean() > 0.9
+    assert good.autocorrelation[:, 0] == pytest.approx([1.0, 1.0])
+
+
+def test_a_model_that_misses_its_command_is_correlated_with_it():
+    drive = noisy_drive(MODEL, 5)
+    wrong = published_ssm(dead_time=(0.043, 0.152))
+    good, bad = (validate(system(m), [drive]).residuals.unexplained for m in (MODEL, wrong))
+    assert good.max() < 2.5
+    assert bad[1, 1] > 2 * good[1, 1]
+    assert bad[1, 1] > bad[1, 0]
+
+
+def driven(twist, lever_arm=(0.0, 0.0), lag=0):
+    """A record whose poses follow `twist` (K, 2) exactly, seen at a point off the centre and late."""
+    poses = [np.zeros(3)]
+    for v, omega in 0.5 * (twist[1:] + twist[:-1]):
+        poses.append(integrate_pose(poses[-1], v, omega, DT, 0.1))
+    pose = np.array(poses)
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    ahead, left = lever_arm
+    pose = pose + np.column_stack([ahead * c - left * s, ahead * s + left * c, 0 * c])
+    return record(twist, twist, pose=pose[np.maximum(np.arange(len(pose)) - lag, 0)])
+
+
+def test_a_true_twist_does_not_drift():
+    twist = set_points(6, 1500, (0.5, 1.0))
+    settings = {"lever_arm": (0.146, 0.02), "side_slip": 0.1, "horizons": (1.0, 5.0)}
+    exact = pose_drift([driven(twist, (0.146, 0.02))], [twist], **settings)
+    assert [drift.horizon for drift in exact] == [1.0, 5.0]
+    assert max(drift.position_rmse for drift in exact) < 1e-9
+    assert max(drift.heading_rmse for drift in exact) < 1e-9
+    late = pose_drift([driven(twist, (0.146, 0.02), lag=5)], [twist], pose_lag=5 * DT, **settings)
+    assert max(drift.position_rmse for drift in late) < 1e-9
+
+
+def test_a_speed_error_drifts_in_proportion_to_time():
+    twist = np.tile([0.5, 0.0], (1500, 1))
+    drifts = pose_drift([driven(twist)], [1.02 * twist])
+    assert [drift.position_rmse for drift in drifts] == pytest.approx([0.01, 0.02, 0.05, 0.1])
+    assert [drift.starts for drift in drifts] == [29, 28, 25, 20]
+
+
+def test_a_record_without_poses_or_too_short_is_refused():
+    drive = noisy_drive(MODEL, 7, count=100)
+    with pytest.raises(ValueError, match="no pose"):
+        pose_drift([drive], [drive.twist])
+    with pytest.raises(ValueError, match="no record is 10 s long"):
+        pose_drift([driven(drive.twist)], [drive.twist], horizons=(10.0,))

@@ -1,0 +1,218 @@
+"""SM, SSM and MBM find the robot that made the log, and know how well."""
+
+import numpy as np
+import pytest
+from identification_parts import DT, noisy_drive, published_ssm, record, set_points, two_channels
+
+from models.identification.channel import identify_channel
+from models.identification.mbm import identify_mbm
+from models.identification.order import choose_order
+from models.identification.output_error.covariance import effective_samples, long_run_covariance
+from models.identification.signals import twist_stretches
+from models.identification.sm import identify_sm
+from models.identification.ssm import identify_ssm
+from models.logs import Record
+
+SM = two_channels((0.95, 10.0, 1.3), (0.7, 7.0, 0.7), dead_time=(0.053, 0.031))
+SM_TRUTH = {
+    "v.gain": 0.95,
+    "v.natural_frequency": 10.0,
+    "v.damping": 1.3,
+    "v.dead_time": 0.053,
+    "omega.gain": 0.7,
+    "omega.natural_frequency": 7.0,
+    "omega.damping": 0.7,
+    "omega.dead_time": 0.031,
+}
+
+
+def agrees(parameters, truth, within=4.0):
+    for name, value in truth.items():
+        off = abs(parameters.value(name) - value) / parameters.deviation(name)
+        assert off < within, f"{name}: {off:.1f} standard deviations"
+
+
+def test_sm_without_noise_is_exact():
+    found = identify_sm([noisy_drive(SM, 1, noise=(0.0, 0.0), count=1000)], limits=False)
+    for name, value in SM_TRUTH.items():
+        assert found.parameters.value(name) == pytest.approx(value, rel=1e-4, abs=1e-5), name
+    assert found.limits == {}
+
+
+def test_a_log_cut_anywhere_and_shifted_in_time_gives_the_same_model():
+    whole = noisy_drive(SM, 2)
+    parts = [whole.part(1700, 3000), whole.part(0, 1700)]
+    moved = Record("moved", whole.start + 1e4, DT, whole.command, twist=whole.twist, yaw_rate=whole.yaw_rate)
+    one, two, three = (identify_sm(records, limits=False).parameters for records in ([whole], parts, [moved]))
+    assert three.values.tolist() == one.values.tolist()
+    # A cut costs the memory of the robot at that place, about a hundredth of the log: a tenth of a deviation.
+    assert np.sqrt(np.mean(((two.values - one.values) / one.standard_deviation) ** 2)) < 0.2
+
+
+def test_outliers_hardly_move_the_model():
+    clean = noisy_drive(SM, 3)
+    twist = clean.twist.copy()
+    twist[np.random.default_rng(0).integers(0, len(twist), 60), 0] += 2.0
+    spoilt = Record("spoilt", 0.0, DT, clean.command, twist=twist, yaw_rate=clean.yaw_rate)
+    robust, plain = (identify_sm([spoilt], limits=False, robust=how).parameters for how in (True, False))
+    agrees(robust, SM_TRUTH)
+    assert robust.deviation("v.gain") < 0.5 * plain.deviation("v.gain")
+
+
+def test_only_fresh_readings_count():
+    """Encoders at a fifth of the rate, anything in between."""
+    full = noisy_drive(SM, 4)
+    fresh = np.arange(len(full.command)) % 5 == 0
+    twist = np.where(fresh[:, None], full.twist, np.nan)
+    slow = Record("slow", 0.0, DT, full.command, twist=twist, yaw_rate=full.yaw_rate, fresh_twist=fresh)
+    found = identify_sm([slow], limits=False).parameters
+    agrees(found, SM_TRUTH)
+    assert found.deviation("v.gain") > 1.5 * identify_sm([full], limits=False).parameters.deviation("v.gain")
+
+
+def test_a_gyro_bias_is_told_from_a_turn():
+    drive = noisy_drive(SM, 5)
+    biased = Record("biased", 0.0, DT, drive.command, twist=drive.twist, yaw_rate=drive.yaw_rate + 0.04)
+    found = identify_sm([biased], limits=False).parameters
+    agrees(found, {**SM_TRUTH, "omega.offset": 0.04})
+
+
+def test_four_times_the_data_halve_the_deviation():
+    short, long = (noisy_drive(SM, 6, count=count) for count in (2000, 8000))
+    ratio = [
+        a / b
+        for a, b in zip(
+            *(identify_sm([r], limits=False).parameters.part(list(SM_TRUTH)).standard_deviation for r in (short, long)),
+            strict=True,
+        )
+    ]
+    assert np.mean(ratio) == pytest.approx(2.0, rel=0.15)
+
+
+def test_coloured_noise_is_worth_fewer_samples():
+    stream = np.random.default_rng(0)
+    white = stream.normal(size=(20000, 1))
+    coloured = np.zeros_like(white)
+    for k in range(1, len(white)):
+        coloured[k] = 0.8 * coloured[k - 1] + 0.6 * white[k]
+    # A first-order process of correlation rho has a long-run variance of (1 + rho) / (1 - rho) times its own.
+    assert effective_samples([coloured])[0] == pytest.approx(20000 / 9, rel=0.2)
+    assert effective_samples([white])[0] > 18000
+    parts = [coloured[:7000], coloured[7000:]]
+    assert long_run_covariance(parts)[0, 0] == pytest.approx(long_run_covariance([coloured])[0, 0], rel=0.05)
+
+
+def test_a_limit_of_the_base_is_found_where_there_is_one():
+    limited, free = (noisy_drive(SM, 7, limit=limit) for limit in (0.9, np.inf))
+    found = identify_sm([limited])
+    assert set(found.limits) == {"omega"}
+    agrees(found.parameters, {**SM_TRUTH, "omega.limit": 0.9})
+    assert identify_sm([free]).limits == {}
+
+
+def test_a_pole_too_fast_to_see_is_said():
+    lag = two_channels((1.0, 80.0, 5.5), (1.0, 7.0, 0.7))
+    stretches = [s.channel(0, 0) for s in twist_stretches([noisy_drive(lag, 8, count=1500)])]
+    assert any("natural_frequency" in warning for warning in identify_channel(stretches, "v", limit=False).warnings)
+
+
+def test_two_poles_that_meet_are_said():
+    twin = two_channels((1.0, 8.0, 1.01), (1.0, 7.0, 0.7))
+    said = [
+        warning
+        for seed in (9, 10, 11, 12)
+        for warning in identify_sm([noisy_drive(twin, seed, count=1000, noise=(0.05, 0.05))], limits=False).warnings
+    ]
+    assert any("cannot be told apart" in warning for warning in said)
+
+
+def test_a_dead_time_longer_than_the_search_is_said():
+    late = two_channels((1.0, 10.0, 0.9), (1.0, 7.0, 0.7), dead_time=(0.9, 0.03))
+    found = identify_sm([noisy_drive(late, 13, count=1500)], limits=False)
+    assert any("v: dead time" in warning and "bound" in warning for warning in found.warnings)
+
+
+def test_ssm_finds_the_published_model():
+    model = published_ssm()
+    drive = noisy_drive(model, 14)
+    found = identify_ssm([drive.part(0, 1400), drive.part(1500, 3000)], 2, limits=False)
+    gain, poles = model.dc_gain, sorted(model.poles.real, reverse=True)
+    truth = {
+        "gain.v_ref_to_v": gain[0, 0],
+        "gain.omega_ref_to_v": gain[0, 1],
+        "gain.v_ref_to_omega": gain[1, 0],
+        "gain.omega_ref_to_omega": gain[1, 1],
+        "pole_1": poles[0],
+        "pole_2": poles[1],
+        "dead_time.v": 0.043,
+        "dead_time.omega": 0.052,
+    }
+    agrees(found.parameters, truth)
+    assert found.model.dc_gain == pytest.approx(gain, abs=0.02)
+
+
+def test_the_order_of_a_second_order_robot_is_two():
+    model = published_ssm()
+    train, held_out = noisy_drive(model, 15, count=1500), noisy_drive(model, 16, count=1000)
+    choice = choose_order([train], [held_out], largest=3)
+    assert choice.order == 2
+    assert choose_order([train], largest=3).order == 2
+    fits = [row.train_fit_percent.mean() for row in choice.rows]
+    assert fits[0] < fits[1] - 10
+    assert [row.parameters for row in choice.rows] == [4 + 3, 8 + 3, 12 + 3]
+
+
+@pytest.mark.parametrize("four", [True, False])
+def test_mbm_finds_motors_and_both_tracks(four):
+    radius, firmware, effective = 0.07, 0.4, 0.62
+    commands = set_points(17, 2000, (0.6, 1.2))
+    motors = [(0.95, 12.0, 0.9), (1.02, 10.0, 1.2)]
+    rims = commands @ np.array([[1.0, 1.0], [-firmware / 2, firmware / 2]])
+    both = two_channels(*motors, dead_time=(0.047, 0.047)).discretise(DT).simulate(rims / radius)
+    yaw_rate = radius * (both[:, 1] - both[:, 0]) / effective
+    stream = np.random.default_rng(18)
+    wheels = both + 0.1 * stream.normal(size=both.shape)
+    twist = np.column_stack([radius * wheels.mean(axis=1), yaw_rate])
+    drive = Record(
+        "drive",
+        0.0,
+        DT,
+        commands,
+        twist=twist,
+        yaw_rate=yaw_rate + 0.02 * stream.normal(size=len(yaw_rate)),
+        wheels=wheels,
+        wheel_speeds=np.tile(both, 2) + 0.1 * stream.normal(size=(2000, 4)) if four else None,
+    )
+    found = identify_mbm([drive], radius)
+    truth = {"firmware_track": firmware, "dead_time": 0.047}
+    for side, motor in zip(("left", "right"), motors, strict=True):
+        for name, value in zip(("gain", "natural_frequency", "damping"), motor, strict=True):
+            truth |= {f"{axle}_{side}.{name}": value for axle in (("front", "rear") if four else ("front",))}
+    agrees(found.parameters, truth)
+    assert found.parameters.value("effective_track") == pytest.approx(effective, rel=0.02)
+    assert found.model.order == 8
+
+
+def test_the_same_log_gives_the_same_numbers():
+    drive = noisy_drive(SM, 19, count=1000)
+    first, second = (identify_sm([drive]).parameters for _ in range(2))
+    assert first.values.tolist() == second.values.tolist()
+    assert first.covariance.tolist() == second.covariance.tolist()
+
+
+def test_bad_input_is_one_clear_line():
+    drive = noisy_drive(SM, 20, count=200)
+    with pytest.raises(ValueError, match="at least one record"):
+        identify_sm([])
+    with pytest.raises(ValueError, match="no yaw_rate"):
+        identify_sm([Record("mute", 0.0, DT, drive.command, twist=drive.twist)])
+    with pytest.raises(ValueError, match="no wheels"):
+        identify_mbm([drive], 0.07)
+    with pytest.raises(ValueError, match="at least 20"):
+        identify_sm([drive.part(0, 10)])
+    with pytest.raises(ValueError, match="never changes"):
+        identify_sm([record(np.ones((100, 2)), drive.twist[:100])])
+    with pytest.raises(ValueError, match="did the robot move"):
+        identify_sm([record(drive.command, np.zeros((200, 2)))])
+    with pytest.raises(ValueError, match="order 7"):
+        identify_ssm([drive], 7)

@@ -1,0 +1,148 @@
+"""The engine simulates what control and plain recursion simulate, and its derivatives are those of its values."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from identification_parts import DT, published_ssm, set_points, single, system, two_channels
+
+from models import load_model
+from models.identification.output_error.layout import Layout
+from models.identification.output_error.linear_system import delayed, sample, settled_start
+from models.identification.output_error.motors import MotorsStructure
+from models.identification.output_error.problem import OutputErrorProblem
+from models.identification.output_error.realisation import balanced, from_impulse_response, impulse_response
+from models.identification.output_error.response import state_response
+from models.identification.output_error.structures import LocalStateSpace, TwoPolesStructure
+from models.identification.validation.simulation import simulate_stretch
+
+
+@given(seed=st.integers(0, 10_000), n=st.integers(1, 5))
+@settings(max_examples=30)
+def test_states_are_those_of_the_recursion(seed, n):
+    stream = np.random.default_rng(seed)
+    A = stream.normal(size=(n, n))
+    A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
+    drive, start = stream.normal(size=(n, 3, 40)), stream.normal(size=(n, 3))
+    states = state_response(A, drive, start)
+    x = start
+    for k in range(40):
+        assert states[:, :, k] == pytest.approx(x, abs=1e-9)
+        x = A @ x + drive[:, :, k]
+
+
+def test_states_where_poles_meet():
+    A = np.array([[0.9, 1.0], [0.0, 0.9]])
+    states = state_response(A, np.zeros((2, 1, 50)), np.array([[0.0], [1.0]]))
+    k = np.arange(50)
+    assert states[0, 0] == pytest.approx(k * 0.9 ** (k - 1.0), abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["mbm", "sm", "ssm"])
+@given(dead_time=st.tuples(st.floats(0, 0.3), st.floats(0, 0.3)))
+@settings(max_examples=20)
+def test_sampling_is_that_of_control(name, dead_time):
+    model = load_model(name).with_extra_dead_time(dead_time)
+    ours, theirs = sample(system(model), DT), model.discretise(DT)
+    commands = set_points(0, 200, (0.5, 1.0))
+    recent, older = delayed(commands, ours.delay)
+    states = state_response(ours.A, (ours.B0 @ recent + ours.B1 @ older)[:, None])[:, 0]
+    past = np.tile(commands[0], (theirs.memory, 1))
+    assert pytest.approx(theirs.simulate(commands, past=past), abs=1e-9) == states.T @ model.C.T
+
+
+STRUCTURES = {
+    "two poles": (
+        Layout(TwoPolesStructure(), 1, 1, offset=(True,), limited=(True,)),
+        [np.log(0.9), np.log(0.2), np.log(0.05), 0.043, 0.1, 0.7],
+    ),
+    "state space": (
+        Layout(LocalStateSpace(*balanced(*(getattr(load_model("ssm"), x) for x in "ABC"))), 2, 2, offset=(False, True)),
+        [*(0.1 * np.cos(np.arange(8.0))), 0.043, 0.09, 0.1],
+    ),
+    "motors": (
+        Layout(MotorsStructure((-1, 1), 0.07), 2, 2, shared_dead_time=True),
+        [*np.log([0.9, 0.2, 0.05, 1.1, 0.15, 0.06, 0.4]), 0.055],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_the_gradient_is_that_of_finite_differences(name):
+    layout, parameters = STRUCTURES[name]
+    parameters = np.array(parameters)
+    stream = np.random.default_rng(0)
+    inputs = set_points(1, 300, np.ones(layout.inputs), hold=30)
+    stretch = single(inputs, stream.normal(size=(300, layout.outputs)))
+    problem = OutputErrorProblem(layout, [stretch, stretch], [stream.uniform(size=(300, layout.outputs))] * 2)
+    gradient = problem.jacobian(parameters).T @ problem.residuals(parameters)
+    for i, slope in enumerate(gradient):
+        step = 1e-6 * np.eye(len(parameters))[i]
+        high, low = (np.sum(problem.residuals(parameters + sign * step) ** 2) for sign in (1, -1))
+        assert slope == pytest.approx((high - low) / 4e-6, rel=1e-4, abs=1e-4), layout.names[i]
+
+
+def test_an_initial_state_costs_nothing():
+    """Two stretches that begin in motion are explained exactly by the model that made them."""
+    model = published_ssm((0.04, 0.02))
+    layout = Layout(LocalStateSpace(model.A, model.B, model.C), 2, 2)
+    commands = set_points(2, 400, (0.5, 1.0))
+    outputs = model.discretise(DT).simulate(commands)
+    parts = [single(commands[rows], outputs[rows]) for rows in (slice(0, 170), slice(170, 400))]
+    weights = [np.ones(part.outputs.shape) for part in parts]
+    # The commands before a part act on its first samples, and are not known.
+    for weight in weights:
+        weight[:3] = 0.0
+    residuals = OutputErrorProblem(layout, parts, weights).residuals(np.array([0.0] * 8 + [0.04, 0.02]))
+    assert np.abs(residuals).max() < 1e-9
+
+
+def test_an_unstable_model_is_infinitely_bad():
+    layout = Layout(LocalStateSpace(np.eye(2), np.eye(2), np.eye(2)), 2, 2)
+    problem = OutputErrorProblem(layout, [single(np.ones((30, 2)), np.ones((30, 2)))], [np.ones((30, 2))])
+    assert np.isinf(problem.residuals(np.zeros(10))).all()
+
+
+@given(seed=st.integers(0, 10_000), n=st.integers(1, 5))
+@settings(max_examples=20)
+def test_local_coordinates_leave_out_what_outputs_do_not_show(seed, n):
+    """n (m + p) of them; a change of state coordinates is no direction of theirs to first order."""
+    stream = np.random.default_rng(seed)
+    A, B, C = stream.normal(size=(n, n)) - 3 * np.eye(n), stream.normal(size=(n, 2)), stream.normal(size=(2, n))
+    structure = LocalStateSpace(A, B, C)
+    assert structure.basis.shape == (n * (n + 4), 4 * n)
+    unit = stream.normal(size=(n, n))
+    move = np.concatenate([(A @ unit - unit @ A).ravel(), (-unit @ B).ravel(), (C @ unit).ravel()])
+    assert structure.basis.T @ move == pytest.approx(np.zeros(4 * n), abs=1e-9)
+
+
+@given(seed=st.integers(0, 10_000), n=st.integers(1, 4))
+@settings(max_examples=20)
+def test_balancing_changes_no_output(seed, n):
+    stream = np.random.default_rng(seed)
+    A, B, C = stream.normal(size=(n, n)), stream.normal(size=(n, 2)), stream.normal(size=(2, n))
+    A -= (np.linalg.eigvals(A).real.max() + 1.0) * np.eye(n)
+    tidy = balanced(A, B, C)
+    for s in (0.0, 1.0j, 5.0j):
+        plain, other = (c @ np.linalg.solve(s * np.eye(n) - a, b) for a, b, c in ((A, B, C), tidy))
+        assert np.abs(other - plain).max() < 1e-6 * (1 + np.abs(plain).max())
+
+
+def test_an_impulse_response_gives_the_model_back():
+    model = published_ssm((0.0, 0.0))
+    commands = np.random.default_rng(5).normal(size=(3000, 2))
+    outputs = model.discretise(DT).simulate(commands)
+    response = impulse_response([single(commands, outputs)], np.zeros(2), 60)
+    A, B, C = from_impulse_response(response, 2, DT)
+    assert np.sort(np.linalg.eigvals(A)) == pytest.approx(np.sort(model.poles), rel=2e-2)
+    # The response is cut after 60 samples and ridged: a place to start from.
+    assert -C @ np.linalg.solve(A, B) == pytest.approx(model.dc_gain, abs=5e-2)
+
+
+def test_a_simulation_starts_at_the_first_reading():
+    model = two_channels((0.9, 10.0, 1.2), (0.6, 6.0, 0.7))
+    outputs = np.tile([0.3, -0.2], (50, 1))
+    held = outputs[:1] / np.diag(model.dc_gain)
+    stretch = single(np.tile(held, (50, 1)), outputs)
+    assert settled_start(system(model), outputs[0])[0] @ model.C.T == pytest.approx(outputs[0])
+    assert simulate_stretch(system(model), stretch) == pytest.approx(outputs, abs=1e-12)
