@@ -48,6 +48,16 @@ class PublishedTrack(StrictModel):
     exchanged: list[tuple[int, int]]
 
 
+class Rules(StrictModel):
+    """Thresholds that decide findings."""
+
+    worthwhile_fit_percent: float
+    good_fit_percent: float
+    quicker: float
+    much_quicker: float
+    certain: float
+
+
 class Published(StrictModel):
     """Everything that the reproduction is held against; keys and units as in `published.yaml`."""
 
@@ -55,10 +65,10 @@ class Published(StrictModel):
     sm_fit_percent: ChannelFit
     odometry: dict[str, dict[str, PublishedErrors]]
     orders: dict[int, PublishedFit]
-    worthwhile_fit_percent: float
     free_drives: list[PublishedDrive]
     cost: dict[str, PublishedCost]
     virtual_track: PublishedTrack
+    rules: Rules
 
 
 @cache
