@@ -15,6 +15,7 @@ from bench.reproduce.experiments.mbm_and_sm import MbmSmResult
 from bench.reproduce.experiments.state_space import SsmResult
 from bench.reproduce.experiments.virtual_track import VirtualTrackResult
 from bench.reproduce.study import Study
+from models.checked_yaml import StrictModel
 
 # Whole paths are for figures: they would fill the file.
 _NOT_WRITTEN = "paths"
@@ -51,6 +52,8 @@ def plain(value: object) -> Any:  # noqa: ANN401 - whatever JSON takes
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = [field.name for field in dataclasses.fields(value) if field.name != _NOT_WRITTEN]
         return {name: plain(getattr(value, name)) for name in fields}
+    if isinstance(value, StrictModel):
+        return plain(value.model_dump(mode="json"))
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):

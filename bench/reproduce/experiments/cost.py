@@ -30,7 +30,7 @@ class Cost:
     order
         Number of states.
     time_per_step
-        [s].
+        Of the processor [s].
     memory
         Most that a run held at a time beyond what was there before it [MB].
     """
@@ -43,8 +43,9 @@ class Cost:
 def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -> dict[str, Cost]:
     """Simulate the shipped models from commands to poses, one after the other, on one core with one BLAS thread.
 
-    The numbers in a model do not change what it costs. Models take turns from run to run, so that a disturbance of the
-    machine meets all of them. Memory is measured in runs of its own, since watching it takes time.
+    The numbers in a model do not change what it costs. Time is processor time: on a machine that does nothing else it is
+    the time that passes, and what else runs does not count. Memory is measured in runs of its own, since watching it
+    takes time.
 
     Parameters
     ----------
@@ -67,9 +68,9 @@ def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -
             run(model)
         for _ in range(study.runs):
             for name, model in models.items():
-                began = time.perf_counter()
+                began = time.thread_time()
                 run(model)
-                took[name].append((time.perf_counter() - began) / study.steps)
+                took[name].append((time.thread_time() - began) / study.steps)
             on_done()
         for _ in range(study.runs):
             for name, model in models.items():

@@ -8,6 +8,8 @@ from bench.reproduce.experiments.cost import Cost
 from bench.reproduce.published import Published
 from bench.table import Table
 
+_ROUNDING = 1e-9
+
 
 def cost_table(cost: Mapping[str, Cost], published: Published) -> Table:
     """Mean and standard deviation over runs, in microseconds and kilobytes."""
@@ -27,12 +29,13 @@ def cost_table(cost: Mapping[str, Cost], published: Published) -> Table:
     )
     note = (
         "Mean ± standard deviation over runs. Published: P0, Table 3 (MBM and SM in Simulink; its Table 4 prints 32 MB "
-        "and 5.3 MB for what Table 3 gives as 0.032 and 0.0053 MB); P1, Table 5 (SSM in MATLAB). Ours: from commands to "
-        "poses, one process, one BLAS thread; memory is the most held at a time."
+        "and 5.3 MB for what Table 3 gives as 0.032 and 0.0053 MB); P1, Table 5 (SSM in MATLAB). Ours: from commands "
+        "to poses, one process, one BLAS thread, processor time; memory is the most held at a time."
     )
     return Table("Cost of a simulation", columns, tuple(rows), note=note)
 
 
 def _pair(values: tuple[float, float], factor: float) -> str:
     mean, deviation = (factor * value for value in values)
-    return f"{mean:.3g} ± {deviation:.2g}"
+    # Runs that hold the same amount differ by rounding of the mean only.
+    return f"{mean:.3g} ± {deviation:.2g}" if deviation > _ROUNDING * mean else f"{mean:.3g} ± 0"

@@ -15,6 +15,8 @@ from models.interface import FloatArray
 
 _FIT_COLUMNS = ("FIT v [%]", "FIT omega [%]", "RMSE v [m/s]", "RMSE omega [rad/s]")
 _PUBLISHED = "published"
+_DIGITS = {True: (2, 2, 2, 2), False: (2, 2, 4, 4)}
+"""Of FIT and RMSE: the paper's, ours."""
 
 
 def order_table(results: Sequence[SsmResult], published: Published) -> Table:
@@ -61,7 +63,7 @@ def free_drive_tables(results: Sequence[SsmResult], published: Published) -> lis
         Table(
             "SSM on free drives, velocity",
             ("model", "drive", *_FIT_COLUMNS),
-            tuple((name, drive, *_ranges(row[..., :4], (2, 2, 4, 4))) for name, drive, row in lines),
+            tuple((name, drive, *_ranges(row[..., :4], _DIGITS[name == _PUBLISHED])) for name, drive, row in lines),
             text_columns=2,
             note=f"Published: P1, Table 3. {note}",
         ),
