@@ -21,10 +21,8 @@ def draw_odometry(results: Sequence[MbmSmResult], path: Path) -> None:
     """Draw the paths of the first repetition, and the mean RMSE over all of them."""
     first = results[0]
     with new_figure(path, 10.0, 6.2) as figure:
-        upper, lower = (
-            figure.add_subfigure(halves := figure.add_gridspec(2, 1)[0]),
-            figure.add_subfigure(halves.get_gridspec()[1]),
-        )
+        halves = figure.add_gridspec(2, 1)
+        upper, lower = (figure.add_subfigure(halves[row]) for row in (0, 1))
         upper.suptitle("Driven on the simulated robot, and predicted from commands alone")
         for axes, (name, paths) in zip(
             upper.subplots(1, len(first.paths), squeeze=False)[0], first.paths.items(), strict=True

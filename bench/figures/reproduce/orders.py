@@ -37,4 +37,4 @@ def draw_orders(results: Sequence[SsmResult], path: Path) -> None:
             axes.errorbar(tested, mean, yerr=reach, fmt="o-", color=colour(0), capsize=3.0, label=label)
             axes.axhline(0.0, color="black", linewidth=0.6)
             axes.set(title=channel, xlabel="order", xticks=tested, ylabel="test FIT over order 2 [points]")
-            axes.legend(loc="lower left")
+            axes.legend(loc="best")

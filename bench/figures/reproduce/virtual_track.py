@@ -31,7 +31,7 @@ def _draw(axes: Axes, tests: FloatArray, printed: TrackLine, fitted: TrackLine) 
     for number, (rate, track) in enumerate(tests, start=1):
         axes.annotate(str(number), (rate, track), (4, 3), textcoords="offset points", fontsize=7.0)
     axes.axhline(printed.p0, color=REFERENCE_COLOUR, linewidth=0.8)
-    axes.annotate("true track", (0.0, printed.p0), (2, -9), textcoords="offset points", fontsize=7.0)
+    axes.annotate("true track", (1.1, printed.p0), (-36, -9), textcoords="offset points", fontsize=7.0)
     axes.set_xlabel("yaw rate [rad/s]")
     axes.legend(loc="lower center")
     axes.margins(y=0.15)

@@ -32,9 +32,7 @@ def report_tables(results: Reproduction) -> list[Table]:
 def findings_table(findings: Sequence[Finding], repetitions: int) -> Table:
     """Every rule with its verdict."""
     rows = tuple((one.claim, one.source, one.published, one.plant, one.verdict) for one in findings)
-    note = (
-        f"Holds: in every repetition (there {'was one' if repetitions == 1 else f'were {repetitions}'}, with drives and "
-        "noise of their own), in none, or in how many of them. Numbers are means over repetitions."
-    )
+    count = "one repetition" if repetitions == 1 else f"{repetitions} repetitions, with drives and noise of their own"
+    note = f"From {count}. Holds: in all (yes), in none (no), or in how many. Numbers are means over repetitions."
     columns = ("finding", "source", "published", "on our plant", "holds")
     return Table("Findings", columns, rows, text_columns=len(columns), note=note)

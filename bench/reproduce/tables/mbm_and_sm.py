@@ -41,12 +41,12 @@ def fit_table(results: Sequence[MbmSmResult], published: Published) -> Table:
 def odometry_tables(results: Sequence[MbmSmResult], published: Published) -> list[Table]:
     """Position and heading errors by trajectory and statistic."""
     return [
-        _odometry(results, published, "position", "Position errors of open-loop odometry [m]"),
-        _odometry(results, published, "heading", "Heading errors of open-loop odometry [rad]"),
+        _odometry(results, published, "position", "Position errors of open-loop odometry", "error [m]"),
+        _odometry(results, published, "heading", "Heading errors of open-loop odometry", "error [rad]"),
     ]
 
 
-def _odometry(results: Sequence[MbmSmResult], published: Published, quantity: str, title: str) -> Table:
+def _odometry(results: Sequence[MbmSmResult], published: Published, quantity: str, title: str, error: str) -> Table:
     names = list(results[0].errors[SM])
     ours = {model: _errors(results, model, quantity) for model in COMPARED}
     printed = {
@@ -59,7 +59,7 @@ def _odometry(results: Sequence[MbmSmResult], published: Published, quantity: st
             of_paper = [_cell(printed[model], k, i) for model in printed]
             of_plant = [_cell(ours[model], k, i) for model in COMPARED]
             rows.append((statistic, name, *of_paper, *of_plant))
-    columns = ("error", "trajectory", "published MBM", "published SM", *COMPARED)
+    columns = (error, "trajectory", "published MBM", "published SM", *COMPARED)
     note = (
         "Predicted from commands alone, against the true pose; mean over repetitions. Published: P0, Table 2, "
         "averages from its rows. The paper's twists and durations are not in its text: the paths are of one shape, "

@@ -61,14 +61,14 @@ def free_drive_tables(results: Sequence[SsmResult], published: Published) -> lis
     note = f"SSM of order 2. '{PRINTED}': the paper's matrices; our plant's firmware was calibrated to them."
     return [
         Table(
-            "SSM on free drives, velocity",
+            "SSM velocity on free drives",
             ("model", "drive", *_FIT_COLUMNS),
             tuple((name, drive, *_ranges(row[..., :4], _DIGITS[name == _PUBLISHED])) for name, drive, row in lines),
             text_columns=2,
             note=f"Published: P1, Table 3. {note}",
         ),
         Table(
-            "SSM on free drives, odometry",
+            "SSM odometry on free drives",
             (
                 "model",
                 "drive",
