@@ -43,9 +43,8 @@ class Cost:
 def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -> dict[str, Cost]:
     """Simulate the shipped models from commands to poses, one after the other, on one core with one BLAS thread.
 
-    The numbers in a model do not change what it costs. Time is processor time: on a machine that does nothing else it is
-    the time that passes, and what else runs does not count. Memory is measured in runs of its own, since watching it
-    takes time.
+    The numbers in a model do not change what it costs. Time is processor time: on an idle machine it is the time that
+    passes, and what else runs does not count. Memory is measured in runs of its own, since watching it takes time.
 
     Parameters
     ----------
