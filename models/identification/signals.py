@@ -55,5 +55,5 @@ def wheel_stretches(records: Sequence[Record]) -> list[Stretch]:
 def _signal(record: Record, name: str, mask: str) -> tuple[FloatArray, BoolArray]:
     value, fresh = getattr(record, name), getattr(record, mask)
     if value is None:
-        raise ValueError(f"record '{record.name}': no {name}, which this model is identified from; map it or omit it")
+        raise ValueError(f"record '{record.name}': no {name}, which this model is identified from: map its column")
     return value, np.asarray(fresh & np.isfinite(value).reshape(len(value), -1).all(axis=1))

@@ -5,7 +5,7 @@ import numpy as np
 from models import VelocityModel, load_model
 from models.identification.output_error.linear_system import LinearSystem
 from models.identification.output_error.stretch import Stretch
-from models.logs import Record
+from models.logs.record import Record
 
 DT = 0.02
 

@@ -14,7 +14,7 @@ from models.identification.model_file import model_file, write_model_file
 from models.identification.sm import identify_sm
 from models.identification.ssm import identify_ssm
 from models.load import read_model_file
-from models.logs import Record
+from models.logs.record import Record
 
 DRIVE = noisy_drive(published_ssm(), 21, count=1500, limit=0.9)
 WHEELS = DRIVE.twist @ np.array([[1.0, 1.0], [-0.2, 0.2]]) / 0.07

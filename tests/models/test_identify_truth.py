@@ -11,7 +11,7 @@ from models.identification.output_error.covariance import effective_samples, lon
 from models.identification.signals import twist_stretches
 from models.identification.sm import identify_sm
 from models.identification.ssm import identify_ssm
-from models.logs import Record
+from models.logs.record import Record
 
 SM = two_channels((0.95, 10.0, 1.3), (0.7, 7.0, 0.7), dead_time=(0.053, 0.031))
 SM_TRUTH = {

@@ -12,7 +12,8 @@ from models.identification.output_error.linear_system import delayed, sample, se
 from models.identification.output_error.motors import MotorsStructure
 from models.identification.output_error.problem import OutputErrorProblem
 from models.identification.output_error.realisation import balanced, from_impulse_response, impulse_response
-from models.identification.output_error.response import state_response
+from models.identification.output_error.response import StateResponse
+from models.identification.output_error.robust import spike_weights
 from models.identification.output_error.structures import LocalStateSpace, TwoPolesStructure
 from models.identification.validation.simulation import simulate_stretch
 
@@ -24,7 +25,7 @@ def test_states_are_those_of_the_recursion(seed, n):
     A = stream.normal(size=(n, n))
     A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
     drive, start = stream.normal(size=(n, 3, 40)), stream.normal(size=(n, 3))
-    states = state_response(A, drive, start)
+    states = StateResponse(A)(drive, start)
     x = start
     for k in range(40):
         assert states[:, :, k] == pytest.approx(x, abs=1e-9)
@@ -33,7 +34,7 @@ def test_states_are_those_of_the_recursion(seed, n):
 
 def test_states_where_poles_meet():
     A = np.array([[0.9, 1.0], [0.0, 0.9]])
-    states = state_response(A, np.zeros((2, 1, 50)), np.array([[0.0], [1.0]]))
+    states = StateResponse(A)(np.zeros((2, 1, 50)), np.array([[0.0], [1.0]]))
     k = np.arange(50)
     assert states[0, 0] == pytest.approx(k * 0.9 ** (k - 1.0), abs=1e-12)
 
@@ -46,7 +47,7 @@ def test_sampling_is_that_of_control(name, dead_time):
     ours, theirs = sample(system(model), DT), model.discretise(DT)
     commands = set_points(0, 200, (0.5, 1.0))
     recent, older = delayed(commands, ours.delay)
-    states = state_response(ours.A, (ours.B0 @ recent + ours.B1 @ older)[:, None])[:, 0]
+    states = StateResponse(ours.A)((ours.B0 @ recent + ours.B1 @ older)[:, None])[:, 0]
     past = np.tile(commands[0], (theirs.memory, 1))
     assert pytest.approx(theirs.simulate(commands, past=past), abs=1e-9) == states.T @ model.C.T
 
@@ -146,3 +147,22 @@ def test_a_simulation_starts_at_the_first_reading():
     stretch = single(np.tile(held, (50, 1)), outputs)
     assert settled_start(system(model), outputs[0])[0] @ model.C.T == pytest.approx(outputs[0])
     assert simulate_stretch(system(model), stretch) == pytest.approx(outputs, abs=1e-12)
+
+
+def test_a_spike_is_held_back_and_a_lasting_error_is_not():
+    residuals = 0.01 * np.random.default_rng(0).normal(size=(2000, 1))
+    residuals[500] += 1.0
+    residuals[1000:1040] += 0.3 * np.exp(-np.arange(40.0) / 10)[:, None]
+    residuals[1500] = np.nan
+    (weights,) = spike_weights([residuals])
+    assert weights[500, 0] < 0.1
+    assert weights[1002:1040].min() == 1.0
+    assert np.mean(weights == 1.0) > 0.995
+
+
+def test_readings_of_a_robot_that_stands_are_no_spikes():
+    """Nine tenths say exactly zero; the rest moves by one count now and then."""
+    residuals = np.zeros((1000, 1))
+    residuals[900:, 0] = 0.01 * np.random.default_rng(1).integers(-1, 2, 100)
+    (weights,) = spike_weights([residuals])
+    assert weights.min() > 0.1

@@ -10,7 +10,7 @@ from models import integrate_pose
 from models.identification.pose_calibration import calibrate_gyro, calibrate_wheels, displacement
 from models.identification.slip_laws import ConstantTrack, SlipPolynomial, VirtualTrack
 from models.identification.validation.pose_drift import rotation_centre
-from models.logs import Record
+from models.logs.record import Record
 
 RADIUS, TRACK = 0.07, 0.4
 

@@ -20,7 +20,7 @@ from models.identification.output_error.linear_system import (
     delayed,
     sample,
 )
-from models.identification.output_error.response import state_response
+from models.identification.output_error.response import StateResponse
 from models.identification.output_error.stretch import Stretch
 from models.interface import FloatArray
 
@@ -41,13 +41,21 @@ class _Drive(NamedTuple):
     older_clipped: FloatArray
 
 
+class _Model(NamedTuple):
+    """A system sampled at one rate, with what every stretch of that rate shares."""
+
+    system: LinearSystem
+    sampled: SampledSystem
+    respond: StateResponse
+    free: FloatArray
+    """(n, n, E) states from each unit initial state, until they have decayed."""
+
+
 class _InitialState(NamedTuple):
     """What an initial state can explain, E early samples long."""
 
     seen: FloatArray
     """(E p, r) orthonormal basis of the weighted outputs that initial states give."""
-    free: FloatArray
-    """(n, n, E) states from each unit initial state."""
     recover: FloatArray
     """(n, r) from components along the basis to the initial state."""
 
@@ -68,30 +76,33 @@ class OutputErrorProblem:
     def __init__(self, layout: Layout, stretches: Sequence[Stretch], weights: Sequence[FloatArray]) -> None:
         self._layout, self._stretches, self._weights = layout, list(stretches), list(weights)
         self._rows = sum(weight.size for weight in weights)
-        self._sample_times = {stretch.dt for stretch in stretches}
+        self._longest = {stretch.dt: 0 for stretch in stretches}
+        for stretch in stretches:
+            self._longest[stretch.dt] = max(self._longest[stretch.dt], stretch.samples)
 
     def residuals(self, parameters: FloatArray) -> FloatArray:
         """(rows,) weighted residuals, stretch by stretch, sample by sample; infinite where the model is unstable."""
         system = self._layout.system(parameters)
         if np.linalg.eigvals(system.A).real.max() >= 0:
             return np.full(self._rows, np.inf)
-        sampled_at = {dt: sample(system, dt) for dt in self._sample_times}
+        models = self._models(system)
         parts = []
         for stretch, weight in zip(self._stretches, self._weights, strict=True):
-            sampled = sampled_at[stretch.dt]
-            states = _forced(sampled, _drive(system, sampled, stretch))
+            model = models[stretch.dt]
+            states = _forced(model, _drive(model, stretch))
             error = (weight * (stretch.outputs - system.offset - states.T @ system.C.T)).ravel()
-            _project(error, _initial_state(system, sampled, weight).seen)
+            _project(error, _initial_state(model, weight).seen)
             parts.append(error)
         return np.concatenate(parts)
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """(rows, q) derivatives of `residuals`."""
         system = self._layout.system(parameters)
-        slopes = {dt: (sample(system, dt), *self._derivatives(parameters, dt)) for dt in self._sample_times}
+        models = self._models(system)
+        slopes = {dt: self._derivatives(parameters, dt) for dt in models}
         return np.concatenate(
             [
-                self._stretch_jacobian(system, *slopes[stretch.dt], stretch, weight)
+                _stretch_jacobian(models[stretch.dt], *slopes[stretch.dt], stretch, weight)
                 for stretch, weight in zip(self._stretches, self._weights, strict=True)
             ]
         )
@@ -99,43 +110,22 @@ class OutputErrorProblem:
     def simulations(self, parameters: FloatArray) -> list[FloatArray]:
         """For each stretch the simulated outputs (K, p), sensor offset included, from the best initial state."""
         system = self._layout.system(parameters)
+        models = self._models(system)
         return [
-            self._simulate(system, sample(system, stretch.dt), stretch, weight)[0].T @ system.C.T + system.offset
+            _simulate(models[stretch.dt], stretch, weight)[0].T @ system.C.T + system.offset
             for stretch, weight in zip(self._stretches, self._weights, strict=True)
         ]
 
-    def _simulate(
-        self, system: LinearSystem, sampled: SampledSystem, stretch: Stretch, weight: FloatArray
-    ) -> tuple[FloatArray, _Drive, _InitialState]:
-        """States (n, K) from the best initial state, what drives them, and what an initial state can explain."""
-        drive, initial = _drive(system, sampled, stretch), _initial_state(system, sampled, weight)
-        states = _forced(sampled, drive)
-        early = len(initial.seen) // stretch.outputs.shape[1]
-        error = weight * (stretch.outputs - system.offset - states.T @ system.C.T)
-        start = initial.recover @ (initial.seen.T @ error[:early].ravel())
-        states[:, :early] += np.tensordot(initial.free, start, (1, 0))
-        return states, drive, initial
-
-    def _stretch_jacobian(
-        self,
-        system: LinearSystem,
-        sampled: SampledSystem,
-        slope: LinearSystem,
-        sampled_slope: SampledSystem,
-        stretch: Stretch,
-        weight: FloatArray,
-    ) -> FloatArray:
-        states, drive, initial = self._simulate(system, sampled, stretch, weight)
-        forcing = sampled_slope.A @ states + sampled_slope.B0 @ drive.recent + sampled_slope.B1 @ drive.older
-        if slope.limit.any():
-            forcing += (sampled.B0 * slope.limit[:, None, :]) @ drive.recent_clipped
-            forcing += (sampled.B1 * slope.limit[:, None, :]) @ drive.older_clipped
-        sensitivity = state_response(sampled.A, np.moveaxis(forcing, 0, 1))
-        change = np.tensordot(system.C, sensitivity, 1) + np.moveaxis(slope.C @ states, 0, 1)
-        change += slope.offset.T[:, :, None]
-        rows = -(weight[:, :, None] * np.moveaxis(change, 2, 0)).reshape(weight.size, -1)
-        _project(rows, initial.seen)
-        return np.asarray(rows)
+    def _models(self, system: LinearSystem) -> dict[float, _Model]:
+        """The system at every sample time of the data."""
+        n, slowest = len(system.A), np.linalg.eigvals(system.A).real.max()
+        models = {}
+        for dt, longest in self._longest.items():
+            sampled = sample(system, dt)
+            respond = StateResponse(sampled.A)
+            early = int(min(longest, n + np.log(_DECAYED) / (slowest * dt)))
+            models[dt] = _Model(system, sampled, respond, respond(np.zeros((n, n, early)), np.eye(n)))
+        return models
 
     def _derivatives(self, parameters: FloatArray, dt: float) -> tuple[LinearSystem, SampledSystem]:
         """Derivatives by each parameter, (q, ...), of the continuous and of the sampled system."""
@@ -151,26 +141,52 @@ class OutputErrorProblem:
         )
 
 
-def _drive(system: LinearSystem, sampled: SampledSystem, stretch: Stretch) -> _Drive:
-    clipped = np.clip(stretch.inputs, -system.limit, system.limit)
-    beyond = np.where(np.abs(stretch.inputs) > system.limit, np.sign(stretch.inputs), 0.0)
-    return _Drive(*delayed(clipped, sampled.delay), *delayed(beyond, sampled.delay))
+def _simulate(model: _Model, stretch: Stretch, weight: FloatArray) -> tuple[FloatArray, _Drive, _InitialState]:
+    """States (n, K) from the best initial state, what drives them, and what an initial state can explain."""
+    system, drive, initial = model.system, _drive(model, stretch), _initial_state(model, weight)
+    states = _forced(model, drive)
+    early = len(initial.seen) // stretch.outputs.shape[1]
+    error = weight * (stretch.outputs - system.offset - states.T @ system.C.T)
+    start = initial.recover @ (initial.seen.T @ error[:early].ravel())
+    states[:, :early] += np.tensordot(model.free[..., :early], start, (1, 0))
+    return states, drive, initial
 
 
-def _forced(sampled: SampledSystem, drive: _Drive) -> FloatArray:
+def _stretch_jacobian(
+    model: _Model, slope: LinearSystem, sampled_slope: SampledSystem, stretch: Stretch, weight: FloatArray
+) -> FloatArray:
+    """(K p, q) derivatives of a stretch's weighted residuals."""
+    states, drive, initial = _simulate(model, stretch, weight)
+    forcing = sampled_slope.A @ states + sampled_slope.B0 @ drive.recent + sampled_slope.B1 @ drive.older
+    if slope.limit.any():
+        forcing += (model.sampled.B0 * slope.limit[:, None, :]) @ drive.recent_clipped
+        forcing += (model.sampled.B1 * slope.limit[:, None, :]) @ drive.older_clipped
+    sensitivity = model.respond(np.moveaxis(forcing, 0, 1))
+    change = np.tensordot(model.system.C, sensitivity, 1) + np.moveaxis(slope.C @ states, 0, 1)
+    change += slope.offset.T[:, :, None]
+    rows = -(weight[:, :, None] * np.moveaxis(change, 2, 0)).reshape(weight.size, -1)
+    _project(rows, initial.seen)
+    return np.asarray(rows)
+
+
+def _drive(model: _Model, stretch: Stretch) -> _Drive:
+    limit, delay = model.system.limit, model.sampled.delay
+    clipped = np.clip(stretch.inputs, -limit, limit)
+    beyond = np.where(np.abs(stretch.inputs) > limit, np.sign(stretch.inputs), 0.0)
+    return _Drive(*delayed(clipped, delay), *delayed(beyond, delay))
+
+
+def _forced(model: _Model, drive: _Drive) -> FloatArray:
     """(n, K) states from rest."""
-    return state_response(sampled.A, (sampled.B0 @ drive.recent + sampled.B1 @ drive.older)[:, None, :])[:, 0]
+    return model.respond((model.sampled.B0 @ drive.recent + model.sampled.B1 @ drive.older)[:, None, :])[:, 0]
 
 
-def _initial_state(system: LinearSystem, sampled: SampledSystem, weight: FloatArray) -> _InitialState:
-    n, (count, outputs) = len(sampled.A), weight.shape
-    slowest = np.abs(np.linalg.eigvals(sampled.A)).max()
-    early = min(count, n + int(np.log(_DECAYED) / np.log(slowest)))
-    free = state_response(sampled.A, np.zeros((n, n, early)), np.eye(n))
-    rows = weight[:early, :, None] * np.moveaxis(np.tensordot(system.C, free, 1), 2, 0)
-    left, values, right = np.linalg.svd(rows.reshape(early * outputs, n), full_matrices=False)
+def _initial_state(model: _Model, weight: FloatArray) -> _InitialState:
+    free = model.free[..., : len(weight)]
+    rows = weight[: free.shape[-1], :, None] * np.moveaxis(np.tensordot(model.system.C, free, 1), 2, 0)
+    left, values, right = np.linalg.svd(rows.reshape(-1, len(free)), full_matrices=False)
     keep = values > _SEEN * max(values[0], np.finfo(float).tiny)
-    return _InitialState(left[:, keep], free, right[keep].T / values[keep])
+    return _InitialState(left[:, keep], right[keep].T / values[keep])
 
 
 def _project(rows: FloatArray, seen: FloatArray) -> None:

@@ -8,8 +8,8 @@ from scipy import linalg, signal
 from models.interface import FloatArray
 
 
-def state_response(A: FloatArray, drive: FloatArray, start: FloatArray | None = None) -> FloatArray:
-    """States of x[k + 1] = A x[k] + drive[k] for many drives at once.
+class StateResponse:
+    """The states of x[k + 1] = A x[k] + drive[k], for any number of drives.
 
     In Schur coordinates A is triangular, so that each state is a first-order filter of the states after it; unlike a
     diagonal form this stays exact where poles meet.
@@ -18,26 +18,31 @@ def state_response(A: FloatArray, drive: FloatArray, start: FloatArray | None = 
     ----------
     A
         (n, n).
-    drive
-        (n, S, K): S drives of K samples.
-    start
-        (n, S) states at sample 0; zero by default.
-
-    Returns
-    -------
-    FloatArray
-        (n, S, K) states at samples 0 to K - 1.
     """
-    triangle, basis = linalg.schur(A)
-    if np.any(np.diag(triangle, -1)):  # complex poles
-        triangle, basis = linalg.rsf2csf(triangle, basis)
-    adjoint = basis.conj().T
-    states = np.tensordot(adjoint, drive, 1)
-    first = np.tensordot(adjoint, np.zeros(drive.shape[:2]) if start is None else start, 1)
-    for i in reversed(range(len(A))):
-        for j in range(i + 1, len(A)):
-            if triangle[i, j] != 0.0:
-                states[i] += triangle[i, j] * states[j]
-        # lfilter's memory ahead of sample 0 is the state there.
-        states[i] = signal.lfilter([0.0, 1.0], [1.0, -triangle[i, i]], states[i], zi=first[i][:, None])[0]
-    return np.asarray(np.tensordot(basis, states, 1).real)
+
+    def __init__(self, A: FloatArray) -> None:
+        triangle, basis = linalg.schur(A)
+        if np.any(np.diag(triangle, -1)):  # complex poles
+            triangle, basis = linalg.rsf2csf(triangle, basis)
+        self._triangle, self._basis = triangle, basis
+
+    def __call__(self, drive: FloatArray, start: FloatArray | None = None) -> FloatArray:
+        """States (n, S, K) at samples 0 to K - 1.
+
+        Parameters
+        ----------
+        drive
+            (n, S, K): S drives of K samples.
+        start
+            (n, S) states at sample 0; zero by default.
+        """
+        adjoint, triangle = self._basis.conj().T, self._triangle
+        states = np.tensordot(adjoint, drive, 1)
+        first = np.tensordot(adjoint, np.zeros(drive.shape[:2]) if start is None else start, 1)
+        for i in reversed(range(len(states))):
+            for j in range(i + 1, len(states)):
+                if triangle[i, j] != 0.0:
+                    states[i] += triangle[i, j] * states[j]
+            # lfilter's memory ahead of sample 0 is the state there.
+            states[i] = signal.lfilter([0.0, 1.0], [1.0, -triangle[i, i]], states[i], zi=first[i][:, None])[0]
+        return np.asarray(np.tensordot(self._basis, states, 1).real)

@@ -21,15 +21,15 @@ _SPIKE = 5.0
 _NEIGHBOURS = 5
 # The median size of a normal variable is this part of its standard deviation.
 _MEDIAN = 0.6745
-# Quantised readings of a robot that stands do not scatter at all: the scale of spikes is not taken below this part of
-# the residuals.
+# The scale of spikes is not taken below this part of the residuals.
 _LEAST_SHARE = 0.1
 
 
 def spike_weights(residuals: Sequence[FloatArray]) -> list[FloatArray]:
     """For each stretch (K, p) weights of its residuals (K, p), NaN where they do not count: 1, and less for spikes.
 
-    A spike is the difference from the median of five readings around; its scale is that of all stretches together.
+    A spike is the difference from the median of five readings around; its scale is the median of all that differ. (The
+    quantised readings of a robot that stands do not, and say nothing about noise.)
     """
     spikes = [np.full_like(rows, np.nan) for rows in residuals]
     for spike, rows in zip(spikes, residuals, strict=True):
@@ -38,9 +38,9 @@ def spike_weights(residuals: Sequence[FloatArray]) -> list[FloatArray]:
             reading = rows[known, column]
             spike[known, column] = reading - ndimage.median_filter(reading, _NEIGHBOURS, mode="nearest")
     whole = np.concatenate(residuals)
-    scale = np.nanmedian(np.abs(np.concatenate(spikes)), axis=0) / _MEDIAN
-    scale = np.maximum(scale, _LEAST_SHARE * np.sqrt(np.nanmean(whole**2, axis=0)))
-    scale = np.maximum(scale, np.finfo(float).tiny)
+    size = np.abs(np.concatenate(spikes))
+    scale = np.array([_median(column[column > 0]) for column in size.T]) / _MEDIAN
+    scale = np.maximum(scale, _LEAST_SHARE * np.sqrt(np.nanmean(whole**2, axis=0)) + np.finfo(float).tiny)
     return [_SPIKE / np.maximum(np.nan_to_num(np.abs(spike / scale)), _SPIKE) for spike in spikes]
 
 
@@ -61,3 +61,7 @@ def output_spread(stretches: Sequence[Stretch]) -> FloatArray:
     if min(spread) == 0.0:
         raise ValueError("the outputs never change: is the sensor connected, and did the robot move?")
     return np.array(spread)
+
+
+def _median(values: FloatArray) -> float:
+    return float(np.median(values)) if len(values) else 0.0

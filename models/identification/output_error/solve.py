@@ -160,7 +160,7 @@ def _residuals(
     ]
 
 
-def known_commands(layout: Layout, parameters: FloatArray, stretch: Stretch) -> NDArray[np.bool_]:
+def _known_commands(layout: Layout, parameters: FloatArray, stretch: Stretch) -> NDArray[np.bool_]:
     """(K,) from where on every command that still acts lies inside the stretch."""
     longest = float(layout.system(parameters).dead_time.max())
     return np.asarray(np.arange(stretch.samples) > np.floor(longest / stretch.dt))
@@ -174,7 +174,9 @@ def _weights(
     trust: list[FloatArray] | None = None,
 ) -> list[FloatArray]:
     """Square roots of the weights, over the scale."""
-    weights = [(stretch.counts & known_commands(layout, parameters, stretch)[:, None]) / scale for stretch in stretches]
+    weights = [
+        (stretch.counts & _known_commands(layout, parameters, stretch)[:, None]) / scale for stretch in stretches
+    ]
     if trust is None:
         return weights
     return [weight * np.sqrt(part) for weight, part in zip(weights, trust, strict=True)]

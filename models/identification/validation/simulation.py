@@ -13,7 +13,7 @@ import numpy as np
 
 from models.identification.fit import pooled_fit_percent
 from models.identification.output_error.linear_system import LinearSystem, delayed, sample, settled_start
-from models.identification.output_error.response import state_response
+from models.identification.output_error.response import StateResponse
 from models.identification.output_error.stretch import Stretch
 from models.identification.signals import YawSource, twist_stretches
 from models.identification.validation.residuals import ResidualCheck, check_residuals
@@ -85,5 +85,5 @@ def simulate_stretch(system: LinearSystem, stretch: Stretch) -> FloatArray:
     start, before = settled_start(system, first)
     recent, older = delayed(np.clip(stretch.inputs, -system.limit, system.limit), sampled.delay, before)
     drive = sampled.B0 @ recent + sampled.B1 @ older
-    states = state_response(sampled.A, drive[:, None, :], start[:, None])[:, 0]
+    states = StateResponse(sampled.A)(drive[:, None, :], start[:, None])[:, 0]
     return np.asarray(states.T @ system.C.T + system.offset)
