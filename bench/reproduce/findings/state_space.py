@@ -41,7 +41,7 @@ def _worthwhile(fits: dict[int, FloatArray], printed: dict[int, FloatArray], lea
         f"orders 3 and 4 bring less than {least:g} points of test FIT over order 2, in v and in omega",
         _TABLE,
         "at most {:+.2f} and {:+.2f}".format(*published.max(axis=0)),
-        "at most {:+.2f} and {:+.2f}".format(*most),
+        "at most {:+.3f} and {:+.3f}".format(*most),
         each((gains < least).all(axis=(0, 2))),
     )
 
@@ -55,9 +55,9 @@ def _best(fits: dict[int, FloatArray], printed: dict[int, FloatArray]) -> Findin
     return Finding(
         f"order {winner} has the best test FIT (mean of v and omega, orders 2 to 5)",
         _TABLE,
-        f"order {winner}; orders differ by {np.ptp(paper):.2f} points",
+        f"order {winner}; orders differ by {np.ptp(paper):.3f} points",
         f"order {', '.join(str(orders[i]) for i in ours.argmax(axis=0))} by repetition; "
-        f"orders differ by {spread:.2f} points",
+        f"orders differ by {spread:.3f} points",
         each(ours.argmax(axis=0) == orders.index(winner)),
     )
 
@@ -68,7 +68,7 @@ def _overfits(fits: dict[int, FloatArray], printed: dict[int, FloatArray]) -> Fi
         "order 5 explains omega worse than order 2 (test FIT)",
         _TABLE,
         f"{printed[_HIGHEST][1] - printed[PAPERS_ORDER][1]:+.2f} points",
-        f"{fall.mean():+.2f} points",
+        f"{fall.mean():+.3f} points",
         each(fall < 0),
     )
 
