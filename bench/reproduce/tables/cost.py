@@ -29,7 +29,7 @@ def cost_table(cost: Mapping[str, Cost], published: Published) -> Table:
     )
     note = (
         "Mean ± standard deviation over runs. Published: P0, Table 3 (MBM and SM in Simulink; its Table 4 prints 32 MB "
-        "and 5.3 MB for what Table 3 gives as 0.032 and 0.0053 MB); P1, Table 5 (SSM in MATLAB). Ours: from commands "
+        "and 5.3 MB for what Table 3 gives as 0.032 and 0.0053 MB); P1, Table 5 (SSM). Ours: from commands "
         "to poses, one process, one BLAS thread, processor time; memory is the most held at a time."
     )
     return Table("Cost of a simulation", columns, tuple(rows), note=note)
