@@ -10,8 +10,8 @@ import numpy as np
 from bench.table import Table, duration, number
 from bench.tracking.results import StudyResults, group, mean
 from bench.tracking.row import Row
-from bench.tracking.targets import Verdict, judge, not_completed, worst_arc
 from bench.tracking.variants import BOUND_NAME, variant_names, variants
+from bench.tracking.verdicts import Verdict, judge, not_completed, worst_arc
 from models.load import MODEL_NAMES
 
 _ERRORS = ("position_rmse_m", "lateral_rmse_m", "course_rmse_rad", "heading_rmse_rad")

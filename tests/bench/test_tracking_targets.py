@@ -12,7 +12,8 @@ from bench.tracking.plan import plan_study
 from bench.tracking.row import Recovered
 from bench.tracking.study import load_study
 from bench.tracking.tables import target_table
-from bench.tracking.targets import judge, load_targets, worst_arc
+from bench.tracking.targets import load_targets
+from bench.tracking.verdicts import judge, worst_arc
 
 STUDY = load_study(quick=True)
 CASES = plan_study(STUDY, ["targets"]).all
