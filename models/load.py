@@ -38,20 +38,6 @@ def load_model(name: str | Path) -> VelocityModel:
         raise ModelError(f"{path.name}: {error}") from error
 
 
-def build_model(data: ModelFile) -> VelocityModel:
-    """The model that the content of a parameter file describes; raises ModelError as `load_model`."""
-    A, B, C = data.matrices()
-    return VelocityModel(
-        name=data.name,
-        structure=getattr(data, "structure", ""),
-        A=A,
-        B=B,
-        C=C,
-        dead_time=[data.dead_time.v, data.dead_time.omega],  # type: ignore[arg-type]  # converted on construction
-        provenance=data.provenance.model_dump(),
-    )
-
-
 def load_base_effects(name: str | Path) -> BaseEffects:
     """Load what a model file says about the base around its linear model; raises ConfigError as `load_model`."""
     return read_model_file(model_path(name)).base_effects
@@ -69,3 +55,17 @@ def read_model_file(path: str | Path) -> ModelFile:
     if structure not in STRUCTURES:
         raise ConfigError(f"{path}: structure: expected one of {', '.join(STRUCTURES)}, found {structure!r}")
     return check(STRUCTURES[structure], data, str(path))
+
+
+def build_model(data: ModelFile) -> VelocityModel:
+    """The model that the content of a parameter file describes; raises ModelError as `load_model`."""
+    A, B, C = data.matrices()
+    return VelocityModel(
+        name=data.name,
+        structure=getattr(data, "structure", ""),
+        A=A,
+        B=B,
+        C=C,
+        dead_time=[data.dead_time.v, data.dead_time.omega],  # type: ignore[arg-type]  # converted on construction
+        provenance=data.provenance.model_dump(),
+    )

@@ -68,10 +68,10 @@ class ModelFile(StrictModel):
     provenance: Provenance
     fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of the stated experiments")
     validation_fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of records held out")
-    dead_time: DeadTime = DeadTime()
     limits: CommandLimits | None = Field(default=None, description="levels at which the robot clips a command")
     uncertainty: Uncertainty | None = Field(default=None, description="how well the identified parameters are known")
     warnings: list[str] = Field(default_factory=list, description="what the identification did not trust")
+    dead_time: DeadTime = DeadTime()
     base_effects: BaseEffects = Field(default=BaseEffects(), description="what the base does around the linear model")
 
     def matrices(self) -> Matrices:
