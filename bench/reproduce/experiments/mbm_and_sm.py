@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bench.reproduce.experiments.odometry import PoseError, pose_error, predict_path, sampled
-from bench.reproduce.experiments.robot_logs import RobotLogs
+from bench.reproduce.experiments.robot_logs import STEP_KINDS, RobotLogs
 from bench.reproduce.study import MbmSmStudy
 from models.identification.fit import pooled_fit_percent
 from models.identification.identified import IdentifiedModel
@@ -66,7 +66,7 @@ def compare_mbm_and_sm(study: MbmSmStudy, repetition: int) -> MbmSmResult:
     "MBM, own tracks" has the track of the firmware and the one that the gyro asks for, both identified.
     """
     logs, robot = RobotLogs(repetition), load_robot()
-    used, held_out = ({kind: logs.steps(kind) for kind in ("wheels", "v", "omega")} for _ in range(2))
+    used, held_out = ({kind: logs.steps(kind) for kind in STEP_KINDS} for _ in range(2))
     free = logs.free(study.free_drives, study.free_duration)
     own_tracks = identify_mbm([*used["wheels"], *used["omega"]], robot.wheel_radius)
     sm = identify_sm([*used["v"], *used["omega"]], limits=False)

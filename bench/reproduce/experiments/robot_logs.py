@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import Literal
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from mpc.trajectories import load_segments
 from sim.drives import random_drive, step_drives
 from sim.log import record
 from sim.make import make_plant
+
+StepKind = Literal["wheels", "v", "omega"]
+STEP_KINDS: tuple[StepKind, ...] = ("wheels", "v", "omega")
 
 _SEEDS_EACH = 1000
 
@@ -32,9 +36,9 @@ class RobotLogs:
     def __init__(self, repetition: int) -> None:
         self._seeds: Iterator[int] = iter(range(_SEEDS_EACH * repetition, _SEEDS_EACH * (repetition + 1)))
 
-    def steps(self, kind: str) -> list[Record]:
+    def steps(self, kind: StepKind) -> list[Record]:
         """The steps of "wheels", "v" or "omega"; see `sim.drives.step_drives`."""
-        return self._driven(f"step of {kind}", step_drives(kind))  # type: ignore[arg-type]
+        return self._driven(f"step of {kind}", step_drives(kind))
 
     def free(self, drives: int, duration: float) -> list[Record]:
         """Free drives of `duration` [s] each: smoothed random set-points."""
