@@ -74,15 +74,14 @@ def compare_mbm_and_sm(study: MbmSmStudy, repetition: int) -> MbmSmResult:
     mbm = replace(own_tracks, content={**own_tracks.content, **geometric})
     models = {MBM: mbm, MBM_TRACKS: own_tracks, SM: sm}
     paths = {name: _paths(models, logs.trajectory(name)) for name in study.trajectories}
-    steps = (used, held_out)
+    of_motors = dict(zip(DATA, (used["wheels"], held_out["wheels"], free), strict=True))
+    # Each channel has steps of its own, as in the paper.
+    of_v = dict(zip(DATA, (used["v"], held_out["v"], free), strict=True))
+    of_omega = dict(zip(DATA, (used["omega"], held_out["omega"], free), strict=True))
     return MbmSmResult(
         repetition,
-        motor_fit=dict(
-            zip(
-                DATA, (motor_fit(own_tracks, records) for records in (*(s["wheels"] for s in steps), free)), strict=True
-            )
-        ),
-        sm_fit=dict(zip(DATA, (*(_steps_fit(sm, s) for s in steps), _fit(sm, free)), strict=True)),
+        motor_fit={name: motor_fit(own_tracks, records) for name, records in of_motors.items()},
+        sm_fit={name: (_fit(sm, of_v[name], 0), _fit(sm, of_omega[name], 1)) for name in DATA},
         errors={
             model: {name: pose_error(found[model], found["driven"]) for name, found in paths.items()}
             for model in models
@@ -103,14 +102,8 @@ def motor_fit(mbm: IdentifiedModel, records: Sequence[Record]) -> tuple[float, .
     )
 
 
-def _steps_fit(sm: IdentifiedModel, steps: Mapping[str, Sequence[Record]]) -> tuple[float, float]:
-    """Each channel on its own steps, as in the paper."""
-    return _fit(sm, steps["v"])[0], _fit(sm, steps["omega"])[1]
-
-
-def _fit(sm: IdentifiedModel, records: Sequence[Record]) -> tuple[float, float]:
-    v, omega = validate(sm.system, records).fit_percent
-    return float(v), float(omega)
+def _fit(sm: IdentifiedModel, records: Sequence[Record], channel: int) -> float:
+    return float(validate(sm.system, records).fit_percent[channel])
 
 
 def _paths(models: Mapping[str, IdentifiedModel], driven: Record) -> dict[str, FloatArray]:
