@@ -3,8 +3,10 @@ PYTHON ?= python3
 VENV ?= .venv
 OUT ?= out/bench
 TRACKING_OUT ?= out/tracking
-# Options of the tracking study: make tracking TRACKING=--quick
+REPRODUCE_OUT ?= out/reproduce
+# Options of the studies: make tracking TRACKING=--quick
 TRACKING ?=
+REPRODUCE ?=
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
@@ -12,7 +14,7 @@ READY := $(VENV)/.ready
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench tracking test lint types format models calibrate readme requirements clean
+.PHONY: help bench tracking reproduce test lint types format models calibrate readme requirements clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -29,6 +31,9 @@ bench: $(READY) ## models x trajectories x seeds and the horizon sweep: tables a
 
 tracking: $(READY) ## what the tracking reaches, what each part is worth, how much is left: tables and figures in out/tracking
 	$(BIN)/diffdrive-mpc tracking --out $(TRACKING_OUT) $(TRACKING)
+
+reproduce: $(READY) ## the papers' experiments on the simulated robot, beside the papers' figures: out/reproduce
+	$(BIN)/diffdrive-mpc reproduce --out $(REPRODUCE_OUT) $(REPRODUCE)
 
 test: $(READY) ## all tests
 	$(BIN)/pytest -n 2
@@ -50,8 +55,8 @@ models: $(READY) ## identify MBM and SM again from experiments on the simulated 
 calibrate: $(READY) ## fit the simulated robot to the published SSM again
 	$(BIN)/diffdrive-mpc models calibrate
 
-readme: $(READY) ## copy the tables and figures of the last `make bench` and `make tracking` into README and docs
-	$(BIN)/python -m bench.documents $(OUT) $(wildcard $(TRACKING_OUT))
+readme: $(READY) ## copy the tables and figures of the last `make bench`, `make tracking` and `make reproduce` into README and docs
+	$(BIN)/python -m bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT))
 
 requirements: ## pin all dependencies anew (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \

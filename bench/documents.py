@@ -1,6 +1,6 @@
-"""Copy tables and figures of a bench run and a tracking study into the documents, so that they show what was produced.
+"""Copy tables and figures of a bench run and of studies into the documents, so that they show what was produced.
 
-Run as ``python -m bench.documents OUT [TRACKING_OUT]``, from the top of the repository.
+Run as ``python -m bench.documents OUT [STUDY_OUT ...]``, from the top of the repository.
 """
 
 from __future__ import annotations
@@ -8,16 +8,27 @@ from __future__ import annotations
 import re
 import shutil
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 from models.checked_yaml import ConfigError
 
 COPIED = ("bench.md", "bench.json", "figures/overview.png", "figures/horizon.png")
 """What the documents show of a report."""
-TRACKING_FIGURES = ("ablation.png", "error-sources.png")
-"""Figures of the tracking report."""
-_SECTION = re.compile(r"<!-- (tracking-[a-z-]+):begin -->")
 _NOT_RUN = "This part was not run."
+
+
+@dataclass(frozen=True)
+class Study:
+    """A report `NAME.md` with figures, which `make NAME` writes and docs/NAME.md shows."""
+
+    name: str
+    figures: tuple[str, ...]
+
+
+TRACKING = Study("tracking", ("ablation.png", "error-sources.png"))
+REPRODUCE = Study("reproduce", ("odometry.png", "orders.png", "virtual-track.png"))
+STUDIES = (TRACKING, REPRODUCE)
 
 
 def copy_report(out: Path, documents: Path) -> None:
@@ -54,64 +65,71 @@ def insert(document: str, text: str, name: str = "bench") -> str:
     return f"{before}{begin}\n{text}\n{end}{rest.split(end, 1)[1]}"
 
 
-def copy_tracking(out: Path, documents: Path) -> None:
-    """Copy the tracking report in `out` and its figures to `documents`; figures of an earlier one go.
+def copy_study(study: Study, out: Path, documents: Path) -> None:
+    """Copy the report of a study in `out` and its figures to `documents`; figures of an earlier one go.
 
     Raises
     ------
     models.checked_yaml.ConfigError
         If `out` holds no report.
     """
-    if not (out / "tracking.md").is_file():
-        raise ConfigError(f"{out}: no tracking.md; run `make tracking` first")
+    name = f"{study.name}.md"
+    if not (out / name).is_file():
+        raise ConfigError(f"{out}: no {name}; run `make {study.name}` first")
     documents.mkdir(parents=True, exist_ok=True)
-    report = (out / "tracking.md").read_text(encoding="utf-8")
-    for name in TRACKING_FIGURES:
-        (documents / name).unlink(missing_ok=True)
-        if f"](figures/{name})" in report:
-            shutil.copyfile(out / "figures" / name, documents / name)
-    (documents / "tracking.md").write_text(report.replace("](figures/", "]("), encoding="utf-8")
+    report = (out / name).read_text(encoding="utf-8")
+    for figure in study.figures:
+        (documents / figure).unlink(missing_ok=True)
+        if f"](figures/{figure})" in report:
+            shutil.copyfile(out / "figures" / figure, documents / figure)
+    (documents / name).write_text(report.replace("](figures/", "]("), encoding="utf-8")
 
 
-def tracking_sections(report: str) -> dict[str, str]:
-    """The facts, figures and tables of a `tracking.md` by the names of their markers."""
+def study_sections(study: Study, report: str) -> dict[str, str]:
+    """The facts, figures and tables of a study's report by the names of their markers."""
     head, *sections = report.split("\n## ")
     lines = head.splitlines()
-    parts = {"tracking-runs": "\n".join(line for line in lines if line.startswith("* "))}
+    parts = {f"{study.name}-runs": "\n".join(line for line in lines if line.startswith("* "))}
     for line in lines:
         if line.startswith("!["):
             name = line[2:].partition("]")[0]
-            parts[f"tracking-figure-{name}"] = line.replace("](", "](tracking/")
+            parts[f"{study.name}-figure-{name}"] = line.replace("](", f"]({study.name}/")
     for section in sections:
         title, _, body = section.partition("\n")
-        parts[f"tracking-{title.lower().replace(' ', '-')}"] = body.strip()
+        parts[f"{study.name}-{title.lower().replace(' ', '-')}"] = body.strip()
     return parts
 
 
-def with_tracking(document: str, report: str) -> str:
+def with_study(study: Study, document: str, report: str) -> str:
     """`document` with every part of the report between its markers; parts that were not run say so."""
-    parts = tracking_sections(report)
-    for name in _SECTION.findall(document):
+    parts = study_sections(study, report)
+    for name in re.findall(rf"<!-- ({study.name}-[a-z-]+):begin -->", document):
         document = insert(document, parts.get(name, _NOT_RUN), name)
     return document
 
 
-def main(out: Path, tracking: Path | None = None) -> None:
-    """Update docs/bench and the README, and with a tracking report docs/tracking, below the current folder."""
+def main(out: Path, *studies: Path) -> None:
+    """Update docs/bench and the README, and the pages of those studies whose reports are given.
+
+    Everything is below the current folder.
+    """
     copy_report(out, Path("docs/bench"))
     readme = Path("README.md")
     text = summary(Path("docs/bench/bench.md").read_text(encoding="utf-8"))
     readme.write_text(insert(readme.read_text(encoding="utf-8"), text), encoding="utf-8")
-    if tracking is not None:
-        update_tracking(tracking)
+    for folder in studies:
+        update_study(folder)
 
 
-def update_tracking(out: Path) -> None:
-    """Update docs/tracking and docs/tracking.md below the current folder."""
-    copy_tracking(out, Path("docs/tracking"))
-    report = Path("docs/tracking/tracking.md").read_text(encoding="utf-8")
-    page = Path("docs/tracking.md")
-    page.write_text(with_tracking(page.read_text(encoding="utf-8"), report), encoding="utf-8")
+def update_study(out: Path) -> None:
+    """Update docs/NAME and docs/NAME.md with the report in `out`; raises ConfigError if there is none."""
+    study = next((study for study in STUDIES if (out / f"{study.name}.md").is_file()), None)
+    if study is None:
+        raise ConfigError(f"{out}: no report of {', '.join(study.name for study in STUDIES)}")
+    copy_study(study, out, Path("docs") / study.name)
+    report = (Path("docs") / study.name / f"{study.name}.md").read_text(encoding="utf-8")
+    page = Path("docs") / f"{study.name}.md"
+    page.write_text(with_study(study, page.read_text(encoding="utf-8"), report), encoding="utf-8")
 
 
 if __name__ == "__main__":

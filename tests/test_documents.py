@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from bench.documents import insert, summary, with_tracking
+from bench.documents import STUDIES, insert, summary, with_study
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 # What make would set up is set up already; .ci/run calls these as they stand.
-RUN_BY_CI = re.compile(r"make (bench|tracking|test|lint|types)$")
+RUN_BY_CI = re.compile(r"make (bench|tracking|reproduce|test|lint|types)$")
 
 
 def blocks(document):
@@ -56,7 +56,7 @@ def run(command, folder):
 def test_ci_runs_what_the_documents_leave_to_it():
     script = (ROOT / ".ci" / "run").read_text()
     called = " ".join(line for line in script.splitlines() if line.lstrip().startswith("make "))
-    for target in ("bench", "tracking", "test", "lint", "types"):
+    for target in ("bench", "tracking", "reproduce", "test", "lint", "types"):
         assert re.search(rf"\b{target}\b", called), target
 
 
@@ -73,10 +73,11 @@ def test_the_readme_shows_the_committed_report():
     assert insert(readme, summary(report)) == readme
 
 
-def test_the_tracking_page_shows_the_committed_report():
-    page = (ROOT / "docs" / "tracking.md").read_text(encoding="utf-8")
-    report = (ROOT / "docs" / "tracking" / "tracking.md").read_text(encoding="utf-8")
-    assert with_tracking(page, report) == page
+@pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.name)
+def test_a_study_s_page_shows_the_committed_report(study):
+    page = (ROOT / "docs" / f"{study.name}.md").read_text(encoding="utf-8")
+    report = (ROOT / "docs" / study.name / f"{study.name}.md").read_text(encoding="utf-8")
+    assert with_study(study, page, report) == page
 
 
 @pytest.mark.parametrize(

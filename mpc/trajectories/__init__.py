@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mpc.trajectories.limits import TrajectoryLimits
-from mpc.trajectories.load import BUILT_IN, load_trajectory
+from mpc.trajectories.load import BUILT_IN, load_segments, load_trajectory
 from mpc.trajectories.trajectory import Trajectory
 
-__all__ = ["BUILT_IN", "Trajectory", "TrajectoryLimits", "load_trajectory"]
+__all__ = ["BUILT_IN", "Trajectory", "TrajectoryLimits", "load_segments", "load_trajectory"]

@@ -8,7 +8,7 @@ from pathlib import Path
 from models.checked_yaml import ConfigError, check, read_yaml
 from models.named_file import named_file, shipped_names
 from mpc.trajectories.limits import TrajectoryLimits
-from mpc.trajectories.segments import SegmentFile, lay_segments
+from mpc.trajectories.segments import Segment, SegmentFile, lay_segments
 from mpc.trajectories.settings import load_settings
 from mpc.trajectories.timed_poses import read_timed_poses
 from mpc.trajectories.trajectory import Trajectory
@@ -44,6 +44,18 @@ def load_trajectory(name_or_path: str | Path, limits: TrajectoryLimits | None = 
             f"{path}: it lasts {trajectory.duration:.3g} s, the longest is {longest:g} s: are times in s?"
         )
     return trajectory
+
+
+def load_segments(name_or_path: str | Path) -> tuple[Segment, ...]:
+    """The segments of a trajectory as its file states them: twists that jump, as a script would command them.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the name is unknown, or the file is missing, malformed or made of something else than segments.
+    """
+    path = named_file("trajectory", _FOLDER, name_or_path, BUILT_IN)
+    return tuple(check(SegmentFile, read_yaml(path), str(path)).segments)
 
 
 def _read(path: Path, limits: TrajectoryLimits) -> Trajectory:

@@ -11,7 +11,7 @@ from tracking_parts import made_up, row, tiny_study
 from typer.testing import CliRunner
 
 from bench.cli import app
-from bench.documents import copy_tracking, tracking_sections, with_tracking
+from bench.documents import TRACKING, copy_study, study_sections, with_study
 from bench.tracking.plan import plan_study
 from bench.tracking.report import write_report
 from bench.tracking.results import collect
@@ -113,14 +113,14 @@ after
 
 
 def test_the_page_shows_every_part_of_the_report_between_its_markers(report: Path, tmp_path: Path):
-    copy_tracking(report, tmp_path / "tracking")
+    copy_study(TRACKING, report, tmp_path / "tracking")
     text = (tmp_path / "tracking" / "tracking.md").read_text()
-    page = with_tracking(PAGE, text)
+    page = with_study(TRACKING, PAGE, text)
     assert "![ablation](tracking/ablation.png)" in page
     assert "| SM | 8.0* | 8.0 |" in page
     assert "old" not in page
     assert "\nbetween\n" in page and page.endswith("\nafter\n")
-    assert with_tracking(page, text) == page
+    assert with_study(TRACKING, page, text) == page
     assert {path.name for path in (tmp_path / "tracking").iterdir()} == {
         "tracking.md",
         "ablation.png",
@@ -129,22 +129,22 @@ def test_the_page_shows_every_part_of_the_report_between_its_markers(report: Pat
 
 
 def test_parts_that_were_not_run_say_so_and_their_figures_go(report: Path, tmp_path: Path):
-    copy_tracking(report, tmp_path / "tracking")
+    copy_study(TRACKING, report, tmp_path / "tracking")
     results = made_up()
     part = replace(results, parts={"bound": results.parts["bound"]})
     (tmp_path / "out").mkdir()
     write_report(part, tmp_path / "out")
-    copy_tracking(tmp_path / "out", tmp_path / "tracking")
+    copy_study(TRACKING, tmp_path / "out", tmp_path / "tracking")
     text = (tmp_path / "tracking" / "tracking.md").read_text()
-    assert set(tracking_sections(text)) == {"tracking-runs", "tracking-bound"}
-    page = with_tracking(PAGE, text)
+    assert set(study_sections(TRACKING, text)) == {"tracking-runs", "tracking-bound"}
+    page = with_study(TRACKING, PAGE, text)
     assert page.count("This part was not run.") == 2
     assert [path.name for path in (tmp_path / "tracking").iterdir()] == ["tracking.md"]
 
 
 def test_without_a_report_nothing_is_copied(tmp_path: Path):
     with pytest.raises(ConfigError, match="run `make tracking` first"):
-        copy_tracking(tmp_path, tmp_path / "docs")
+        copy_study(TRACKING, tmp_path, tmp_path / "docs")
 
 
 def test_the_command_drives_a_small_study_and_writes_its_report(tmp_path: Path):

@@ -1,0 +1,1 @@
+"""The papers' experiments on the simulated robot, beside the papers' figures."""

@@ -1,0 +1,64 @@
+"""Repeat the papers' experiments for the command line: run, print, report."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from bench.atomic import staged
+from bench.console import output_console
+from bench.machine import describe_machine, git_revision, project_version
+from bench.progress import ProgressBar
+from bench.reproduce.report import FIGURES, REPORT_FILES, write_report
+from bench.reproduce.results import Reproduction
+from bench.reproduce.runner import count_steps, run_parts
+from bench.reproduce.study import PARTS, Study, check_parts
+from bench.reproduce.tables import report_tables
+from bench.runner import available_cores
+
+
+def repeat(study: Study, out: Path, only: Sequence[str] = PARTS, jobs: int | None = None) -> Reproduction:
+    """Run some parts of a study, print the tables and write the report into `out`.
+
+    Parameters
+    ----------
+    study
+        What to run.
+    out
+        Folder of the report.
+    only
+        Names of parts.
+    jobs
+        Processes; by default one for each core.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError, ValueError, OSError
+        If the study names something that cannot be used or `out` cannot be written to; then `out` keeps what it held.
+    """
+    began = time.perf_counter()
+    check_parts(only)
+    with staged(out, files=REPORT_FILES, folders=(FIGURES,)) as folder, ProgressBar("running") as bar:
+        bar.begin("running", count_steps(study, only))
+        parts = run_parts(study, only, jobs or available_cores(), bar.advance)
+        results = Reproduction(study, _describe(only, time.perf_counter() - began), **parts)
+        write_report(results, folder)
+    console = output_console()
+    for table in report_tables(results):
+        console.print(table.rich())
+    console.print(f"{time.perf_counter() - began:.0f} s; report in {out}", highlight=False)
+    return results
+
+
+def _describe(only: Sequence[str], wall_time: float) -> dict[str, object]:
+    return {
+        "project": "diffdrive-mpc",
+        "version": project_version(),
+        "revision": git_revision(),
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": describe_machine(),
+        "wall_time_s": round(wall_time, 1),
+        "parts": [part for part in PARTS if part in only],
+    }

@@ -1,0 +1,1 @@
+"""One experiment each, from drives to numbers."""

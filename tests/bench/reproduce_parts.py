@@ -1,0 +1,84 @@
+"""Results of a reproduction that was never driven."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.reproduce.experiments.cost import Cost
+from bench.reproduce.experiments.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, SM, MbmSmResult
+from bench.reproduce.experiments.odometry import PoseError, Spread
+from bench.reproduce.experiments.state_space import (
+    IDENTIFIED,
+    PRINTED,
+    FreeDrive,
+    OrderResult,
+    SsmResult,
+    VelocityFit,
+)
+from bench.reproduce.experiments.virtual_track import check_virtual_track
+from bench.reproduce.published import load_published
+from bench.reproduce.results import Reproduction
+from bench.reproduce.study import load_study
+
+NAMES = ("circle", "square", "s", "cane")
+META = {
+    "machine": {"cpu": "c", "cores": 2, "os": "o", "python": "3", "packages": {"numpy": "2"}},
+    "revision": "abc",
+    "version": "1",
+    "date": "2026-01-01",
+    "wall_time_s": 1.0,
+    "parts": ["mbm_sm", "ssm", "cost", "virtual_track"],
+}
+
+
+def pose_error(size: float) -> PoseError:
+    return PoseError(Spread.of([0.5 * size, size]), Spread.of([0.5 * size, size]))
+
+
+def mbm_sm(repetition: int = 1, *, mbm: float = 0.1, tracks: float = 0.2, sm: float = 0.3, **changes) -> MbmSmResult:
+    """Errors grow from the last trajectory to the first, as in the paper."""
+    sizes = {MBM: mbm, MBM_TRACKS: tracks, SM: sm}
+    path = np.column_stack([np.linspace(0.0, 1.0, 5)] * 3)
+    values = {
+        "motor_fit": dict.fromkeys(DATA, (95.0, 94.0, 93.0, 92.0)),
+        "sm_fit": dict.fromkeys(DATA, (97.0, 88.0)),
+        "errors": {
+            model: {name: pose_error(size / (k + 1)) for k, name in enumerate(NAMES)} for model, size in sizes.items()
+        },
+        "paths": {name: dict.fromkeys(("driven", *COMPARED), path) for name in NAMES},
+        "parameters": {"MBM": {"dead_time": 0.05}},
+        "warnings": {"MBM": ("doubt",)},
+    }
+    return MbmSmResult(repetition, **{**values, **changes})
+
+
+def ssm(repetition: int = 1, *, omega: tuple[float, ...] = (0.0, 90.0, 90.1, 90.2, 80.0), chosen: int = 2) -> SsmResult:
+    """Test FIT of omega by order; v is the same for all orders."""
+    orders = tuple(
+        OrderResult(
+            order,
+            train=VelocityFit((98.0, fit), (0.01, 0.05)),
+            test=VelocityFit((97.0, fit), (0.01, 0.05)),
+            bic=float(order),
+            warnings=(),
+        )
+        for order, fit in enumerate(omega, start=1)
+    )
+    drives = (FreeDrive(VelocityFit((95.0, 92.0), (0.01, 0.05)), pose_error(0.5)),) * 2
+    return SsmResult(repetition, orders, chosen, "the lowest", {IDENTIFIED: drives, PRINTED: drives})
+
+
+def cost(mbm: float = 4e-6, sm: float = 3e-6, one: float = 2e-7) -> dict[str, Cost]:
+    times = {"mbm": (8, mbm), "sm": (4, sm), "ssm": (2, one)}
+    return {name: Cost(order, (time, 1e-7), (0.01 * order, 0.0)) for name, (order, time) in times.items()}
+
+
+def made_up(repetitions: int = 2) -> Reproduction:
+    return Reproduction(
+        load_study(quick=True),
+        META,
+        mbm_sm=tuple(mbm_sm(k) for k in range(1, repetitions + 1)),
+        ssm=tuple(ssm(k) for k in range(1, repetitions + 1)),
+        cost=cost(),
+        virtual_track=check_virtual_track(load_published().virtual_track),
+    )

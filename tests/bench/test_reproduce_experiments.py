@@ -1,0 +1,155 @@
+"""The experiments of `reproduce`: kinematics, drives, lines and what is taken from the papers."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from bench.reproduce.experiments.cost import measure_cost
+from bench.reproduce.experiments.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, compare_mbm_and_sm
+from bench.reproduce.experiments.odometry import Spread, dead_reckon, pose_error
+from bench.reproduce.experiments.robot_logs import RobotLogs, trajectory_commands
+from bench.reproduce.experiments.state_space import IDENTIFIED, PRINTED, compare_orders
+from bench.reproduce.experiments.virtual_track import check_virtual_track, fit_line
+from bench.reproduce.published import load_published
+from bench.reproduce.results import plain
+from bench.reproduce.runner import count_steps, run_parts
+from bench.reproduce.study import CostStudy, MbmSmStudy, SsmStudy, load_study
+from models.pose import integrate_pose
+from models.robot import load_robot
+from mpc import load_trajectory
+
+DT = load_robot().sample_time
+twists = arrays(float, st.tuples(st.integers(2, 30), st.just(2)), elements=st.floats(-2.0, 2.0))
+
+
+@given(twists)
+def test_dead_reckoning_goes_arc_by_arc(twist):
+    pose = np.array([0.3, -0.2, 2.0])
+    one_by_one = [pose]
+    for before, after in pairwise(twist):
+        one_by_one.append(integrate_pose(one_by_one[-1], *(0.5 * (before + after)), DT))
+    assert dead_reckon(twist, pose, DT) == pytest.approx(np.array(one_by_one), abs=1e-12)
+
+
+@given(arrays(float, st.integers(1, 40), elements=st.floats(-10.0, 10.0)))
+def test_statistics_of_an_error_agree_with_each_other(error):
+    found = Spread.of(error)
+    assert found.rmse**2 == pytest.approx(found.mean**2 + found.std**2, abs=1e-9)
+    assert found.mean <= found.rmse + 1e-9
+    assert found.rmse <= found.max + 1e-9
+
+
+def test_an_error_counts_in_place_and_in_heading():
+    driven = np.zeros((2, 3))
+    predicted = np.array([[0.0, 0.0, 0.0], [3.0, 4.0, -0.2]])
+    error = pose_error(predicted, driven)
+    assert (error.position.max, error.heading.max) == (5.0, 0.2)
+
+
+@pytest.mark.parametrize("name", ["circle", "square", "s", "cane"])
+def test_open_loop_commands_trace_the_reference(name):
+    """A robot that obeyed at once would end where the reference ends, but for the part of a sample at each jump."""
+    commands = trajectory_commands(name)
+    pose = np.zeros(3)
+    for v, omega in commands:
+        pose = integrate_pose(pose, v, omega, DT)
+    reference = load_trajectory(name)
+    assert pose == pytest.approx(reference.sample([reference.duration]).pose[0], abs=0.05)
+
+
+def test_every_drive_has_noise_of_its_own_and_every_repetition_repeats():
+    one, other = RobotLogs(31), RobotLogs(31)
+    first, second = one.free(2, 2.0)
+    again = other.free(1, 2.0)[0]
+    assert np.array_equal(first.yaw_rate, again.yaw_rate)
+    assert np.array_equal(first.pose, again.pose)
+    assert not np.array_equal(first.command, second.command)
+    steps = one.steps("v")
+    assert np.array_equal(steps[0].command[0], steps[1].command[0])
+    assert not np.array_equal(steps[0].yaw_rate[:20], steps[1].yaw_rate[:20])
+
+
+def test_the_printed_tests_contradict_the_printed_line():
+    """The slope has the wrong sign; four tracks exchanged, it is the printed one."""
+    found = check_virtual_track(load_published().virtual_track)
+    assert (found.fitted.p1, found.fitted.p0) == pytest.approx((-0.022, 0.337), abs=5e-4)
+    assert (found.fitted_exchanged.p1, found.fitted_exchanged.p0) == pytest.approx((0.054, 0.283), abs=5e-4)
+    assert sorted(found.tests[:, 1]) == sorted(found.exchanged[:, 1])
+    assert found.printed.misfit(found.exchanged) < 0.2 * found.printed.misfit(found.tests)
+
+
+def test_a_line_is_found_whatever_the_sign_of_the_yaw_rate():
+    rates = np.array([-1.0, 0.3, -0.5, 0.9])
+    line = fit_line(np.column_stack([rates, 0.05 * np.abs(rates) + 0.3]))
+    assert (line.p1, line.p0) == pytest.approx((0.05, 0.3))
+    assert line.misfit(np.column_stack([np.abs(rates), 0.05 * np.abs(rates) + 0.3])) < 1e-12
+
+
+def test_the_papers_statistics_are_copied_without_slips():
+    """In every printed set RMSE, mean and standard deviation belong together, and averages are those of the rows."""
+    published = load_published()
+    printed = [errors for rows in published.odometry.values() for errors in rows.values()]
+    printed += [drive.odometry for drive in published.free_drives]
+    for errors in printed:
+        for rmse, mean, std, largest in (errors.position, errors.heading):
+            assert rmse == pytest.approx(np.hypot(mean, std), abs=0.008)
+            assert rmse < largest
+    averages = {"mbm": (0.309, 0.170), "sm": (0.414, 0.239)}
+    for model, (position, heading) in averages.items():
+        rows = published.odometry[model].values()
+        assert np.mean([row.position[0] for row in rows]) == pytest.approx(position, abs=0.0006)
+        assert np.mean([row.heading[0] for row in rows]) == pytest.approx(heading, abs=0.0006)
+
+
+def test_a_larger_model_holds_more():
+    done = []
+    study = CostStudy(runs=2, steps=400)
+    found = measure_cost(study, lambda: done.append(1))
+    assert len(done) == 2 * study.runs
+    assert found["mbm"].memory[0] > found["sm"].memory[0]
+    assert all(one.time_per_step[0] > 0 for one in found.values())
+
+
+SMALL = SsmStudy(train_duration=8.0, largest_order=2, test_drives=1, free_drives=1, free_duration=6.0)
+
+
+def test_results_depend_on_the_repetition_and_not_on_the_processes():
+    study = load_study(quick=True).model_copy(update={"ssm": SMALL, "repetitions": (31, 32)})
+    done = []
+    results = run_parts(study, ["ssm"], 2, lambda: done.append(1))["ssm"]
+    assert len(done) == count_steps(study, ["ssm"]) == 2
+    assert plain(results[0]) == plain(compare_orders(SMALL, 31))
+    assert results[0].orders[1].test != results[1].orders[1].test
+    for result in results:
+        assert set(result.free_drives) == {IDENTIFIED, PRINTED}
+        assert result.orders[1].train.fit_percent[1] > result.orders[0].train.fit_percent[1]
+
+
+def test_both_tracks_alone_tell_the_two_mbm_apart():
+    """Where the robot is told to go straight, wheels differ only as motors do, and the track out of them counts.
+
+    Told to turn, it is the ratio of the track into the motors to the one out of them: one for the robot's own track.
+    """
+    study = MbmSmStudy(trajectories=("cane",), free_drives=1, free_duration=6.0)
+    found = compare_mbm_and_sm(study, 31)
+    paths, tracks = found.paths["cane"], found.parameters[MBM]
+    straight = slice(0, round(4.0 / DT))
+    out = load_robot().track / tracks["effective_track"]
+    assert np.abs(paths[MBM][straight, 2]).max() > 1e-4
+    assert paths[MBM_TRACKS][straight, 2] == pytest.approx(out * paths[MBM][straight, 2], abs=1e-9)
+    turned = {model: paths[model][-1, 2] - paths[model][straight.stop, 2] for model in (MBM, MBM_TRACKS)}
+    ratio = tracks["firmware_track"] / tracks["effective_track"]
+    assert turned[MBM_TRACKS] == pytest.approx(ratio * turned[MBM], rel=1e-3)
+    for model in COMPARED:
+        assert np.array_equal(paths[model][0], paths["driven"][0])
+        assert found.errors[model]["cane"] == pose_error(paths[model], paths["driven"])
+    for data in DATA:
+        assert len(found.motor_fit[data]) == 4
+        assert max(found.motor_fit[data]) < 100
+    assert found.motor_fit[DATA[0]] != found.motor_fit[DATA[1]]

@@ -1,0 +1,91 @@
+"""Findings follow from the numbers: turned numbers turn the verdict."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from reproduce_parts import cost, made_up, mbm_sm, ssm
+
+from bench.reproduce.experiments.virtual_track import VirtualTrackResult, fit_line
+from bench.reproduce.findings import find
+
+
+def verdicts(results):
+    return {finding.claim: finding.verdict for finding in find(results)}
+
+
+def verdict(results, *words):
+    (found,) = [value for claim, value in verdicts(results).items() if all(word in claim for word in words)]
+    return found
+
+
+def test_the_paper_s_own_numbers_hold():
+    """Results made up after the papers: everything holds but what the papers' own tables contradict."""
+    no = [claim for claim, value in verdicts(made_up()).items() if value != "yes"]
+    assert no == ["the printed tests give the printed p1 within 2 standard deviations"]
+
+
+def test_who_beats_whom_is_counted_by_repetition():
+    results = made_up()
+    better, worse = mbm_sm(1, mbm=0.1, sm=0.3), mbm_sm(2, mbm=0.4, sm=0.3)
+    for pair, expected in (((better, better), "yes"), ((better, worse), "1 of 2"), ((worse, worse), "no")):
+        assert verdict(replace(results, mbm_sm=pair), "MBM predicts the position") == expected
+        assert verdict(replace(results, mbm_sm=pair), "MBM predicts the heading") == expected
+
+
+def test_one_trajectory_lost_is_enough_to_lose():
+    good = mbm_sm(1, mbm=0.1, sm=0.3)
+    errors = {model: dict(rows) for model, rows in good.errors.items()}
+    errors["MBM"]["s"], errors["SM"]["s"] = errors["SM"]["s"], errors["MBM"]["s"]
+    results = replace(made_up(), mbm_sm=(replace(good, errors=errors),))
+    assert verdict(results, "MBM predicts the position") == "no"
+    (finding,) = [one for one in find(results) if one.claim.startswith("MBM predicts the position")]
+    assert finding.plant.startswith("3 of 4;")
+
+
+def test_means_and_the_difference_are_those_of_the_tables():
+    (finding,) = [one for one in find(made_up()) if one.claim.startswith("MBM predicts the position")]
+    assert "0.309 against 0.413 m (-25 %)" in finding.published
+    assert "(-67 %)" in finding.plant
+
+
+def test_the_circle_has_to_be_worst_for_both():
+    one = mbm_sm(1)
+    errors = {model: dict(rows) for model, rows in one.errors.items()}
+    errors["SM"]["circle"], errors["SM"]["cane"] = errors["SM"]["cane"], errors["SM"]["circle"]
+    results = replace(made_up(), mbm_sm=(replace(one, errors=errors),))
+    assert verdict(results, "the circle") == "no"
+    assert "MBM: circle, SM: cane" in {finding.plant for finding in find(results)}
+
+
+@pytest.mark.parametrize(
+    ("omega", "words", "expected"),
+    [
+        ((0.0, 90.0, 90.1, 90.6, 80.0), "orders 3 and 4 bring", "no"),
+        ((0.0, 90.0, 90.3, 90.2, 80.0), "order 4 has the best", "no"),
+        ((0.0, 90.0, 90.1, 90.2, 90.1), "order 5 explains omega worse", "no"),
+        ((0.0, 90.0, 90.1, 90.2, 89.9), "order 5 explains omega worse", "yes"),
+    ],
+)
+def test_orders_are_judged_by_their_test_fit(omega, words, expected):
+    assert verdict(replace(made_up(), ssm=(ssm(1, omega=omega),)), words) == expected
+
+
+def test_orders_that_were_not_run_are_not_judged():
+    claims = verdicts(replace(made_up(), ssm=(ssm(1, omega=(0.0, 90.0)),)))
+    assert not [claim for claim in claims if "order 4" in claim or "order 5" in claim]
+    assert verdict(replace(made_up(), ssm=(ssm(1, chosen=3),)), "is the choice") == "no"
+
+
+def test_cost_is_judged_by_means():
+    assert verdict(replace(made_up(), cost=cost(mbm=3e-6, sm=3e-6)), "a step of SM takes") == "no"
+    assert verdict(replace(made_up(), cost=cost(sm=3e-6, one=1e-6)), "a step of SSM") == "no"
+
+
+def test_tests_on_the_printed_line_would_hold():
+    results = made_up()
+    found = results.virtual_track
+    assert isinstance(found, VirtualTrackResult)
+    mended = replace(found, fitted=fit_line(found.exchanged))
+    assert verdict(replace(results, virtual_track=mended), "the printed tests") == "yes"

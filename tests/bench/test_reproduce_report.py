@@ -1,0 +1,103 @@
+"""The report of `reproduce`, from results that were made up, and the command."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from reproduce_parts import made_up
+from typer.testing import CliRunner
+
+from bench.cli import app
+from bench.documents import REPRODUCE, study_sections
+from bench.reproduce.report import write_report
+from bench.reproduce.tables import report_tables
+
+runner = CliRunner()
+FIGURES = ("odometry.png", "orders.png", "virtual-track.png")
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report")
+    write_report(made_up(), folder)
+    return folder
+
+
+def test_every_table_is_filled_and_published_numbers_stand_beside_ours():
+    tables = {table.title: table for table in report_tables(made_up())}
+    assert list(tables) == [
+        "Findings",
+        "FIT of motors and of SM",
+        "Position errors of open-loop odometry",
+        "Heading errors of open-loop odometry",
+        "SSM by order",
+        "SSM velocity on free drives",
+        "SSM odometry on free drives",
+        "Cost of a simulation",
+        "Virtual track",
+    ]
+    for table in tables.values():
+        assert table.rows
+        assert all(cell for cells in table.rows for cell in cells)
+    assert ("RMSE", "circle", "0.848", "1.057", "0.079", "0.158", "0.237") in tables[
+        "Position errors of open-loop odometry"
+    ].rows
+    order_5 = tables["SSM by order"].rows[4]
+    assert order_5[:5] == ("5", "97.41", "85.23", "0.03", "0.09")
+    assert order_5[5:7] == ("97.00", "80.00")
+
+
+def test_averages_of_the_free_drives_are_the_paper_s():
+    tables = {table.title: table for table in report_tables(made_up())}
+    averages = [cells for cells in tables["SSM odometry on free drives"].rows if cells[1] == "average"]
+    assert averages[0][2:6] == ("0.85", "0.67", "0.53", "1.65")
+
+
+def test_the_report_has_every_figure_and_the_verdicts(report: Path):
+    data = json.loads((report / "reproduce.json").read_text())
+    verdicts = {finding["claim"]: finding["verdict"] for finding in data["findings"]}
+    assert verdicts["the printed tests give the printed p1 within 2 standard deviations"] == "no"
+    assert len(data["mbm_sm"]) == len(data["ssm"]) == 2
+    assert "paths" not in data["mbm_sm"][0]
+    text = (report / "reproduce.md").read_text()
+    for name in FIGURES:
+        assert (report / "figures" / name).stat().st_size > 20_000
+        assert f"](figures/{name})" in text
+
+
+def test_the_same_results_give_the_same_files(report: Path, tmp_path: Path):
+    write_report(made_up(), tmp_path)
+    for name in ("reproduce.json", "reproduce.md", *(f"figures/{name}" for name in FIGURES)):
+        assert (tmp_path / name).read_bytes() == (report / name).read_bytes()
+
+
+def test_every_table_and_figure_has_its_place_on_the_page(report: Path):
+    parts = study_sections(REPRODUCE, (report / "reproduce.md").read_text())
+    page = (Path(__file__).parents[2] / "docs" / "reproduce.md").read_text(encoding="utf-8")
+    for name in parts:
+        assert f"<!-- {name}:begin -->" in page
+
+
+def test_parts_that_were_not_run_leave_nothing(tmp_path: Path):
+    write_report(replace(made_up(), mbm_sm=(), ssm=(), cost=None), tmp_path)
+    assert [path.name for path in (tmp_path / "figures").iterdir()] == ["virtual-track.png"]
+    text = (tmp_path / "reproduce.md").read_text()
+    assert [line for line in text.splitlines() if line.startswith("## ")] == ["## Findings", "## Virtual track"]
+
+
+def test_the_command_writes_its_report(tmp_path: Path):
+    out = tmp_path / "out"
+    result = runner.invoke(app, ["reproduce", "--out", str(out), "--quick", "--only", "virtual_track"])
+    assert result.exit_code == 0, result.stderr
+    assert sorted(path.name for path in out.iterdir()) == ["figures", "reproduce.json", "reproduce.md"]
+    assert "-0.022 ± 0.021" in result.stdout
+
+
+def test_an_unknown_part_is_one_line_and_nothing_is_made(tmp_path: Path):
+    result = runner.invoke(app, ["reproduce", "--out", str(tmp_path / "out"), "--only", "ssm,costs"])
+    assert result.exit_code == 2
+    assert result.stderr == "error: --only: unknown part 'costs'; known: mbm_sm, ssm, cost, virtual_track\n"
+    assert not (tmp_path / "out").exists()
