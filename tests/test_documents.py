@@ -15,6 +15,7 @@ DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 # What make would set up is set up already; .ci/run calls these as they stand.
+CI_SCRIPT = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 RUN_BY_CI = re.compile(r"make (bench|tracking|reproduce|test|lint|types)$")
 
 
@@ -41,6 +42,8 @@ def test_every_command_and_example_runs(document, tmp_path):
                 words = shlex.split(line)
                 if words[0] == "make":
                     assert RUN_BY_CI.match(line), f"{named(document)}: `{line}` is run by no test"
+                elif "$DIFFDRIVE_MPC_DATA" in line or "real-logs" in line:
+                    assert f"\n{line}\n" in CI_SCRIPT, f"{named(document)}: .ci/run does not have `{line}`"
                 else:
                     assert words[0] == "diffdrive-mpc"
                     run([str(COMMAND), *words[1:]], tmp_path)
@@ -54,8 +57,7 @@ def run(command, folder):
 
 
 def test_ci_runs_what_the_documents_leave_to_it():
-    script = (ROOT / ".ci" / "run").read_text()
-    called = " ".join(line for line in script.splitlines() if line.lstrip().startswith("make "))
+    called = " ".join(line for line in CI_SCRIPT.splitlines() if line.lstrip().startswith("make "))
     for target in ("bench", "tracking", "reproduce", "test", "lint", "types"):
         assert re.search(rf"\b{target}\b", called), target
 

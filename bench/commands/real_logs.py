@@ -9,7 +9,7 @@ import typer
 
 from bench.commands.out_folder import out_folder
 
-EXAMPLE = "Example: diffdrive-mpc real-logs husky --data ../shared/data --out husky"
+EXAMPLE = "Example: diffdrive-mpc real-logs husky --data logs --out husky"
 
 
 def real_logs(
