@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import subprocess
+from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -11,6 +12,18 @@ from bench.runner import available_cores
 
 PACKAGES = ("numpy", "scipy", "casadi", "osqp", "mujoco", "control", "joblib")
 """Packages whose version can change a figure."""
+
+
+def describe_run(wall_time: float) -> dict[str, object]:
+    """What every result says of the run behind it: version, revision, day, machine, duration `wall_time` [s]."""
+    return {
+        "project": "diffdrive-mpc",
+        "version": project_version(),
+        "revision": git_revision(),
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": describe_machine(),
+        "wall_time_s": round(wall_time, 1),
+    }
 
 
 def describe_machine() -> dict[str, object]:

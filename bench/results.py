@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 from bench.case import NO_SCENARIO, label
 from bench.controllers import PEERS, controller_config
 from bench.experiment import Experiment
-from bench.machine import describe_machine, git_revision, project_version
+from bench.machine import describe_run
 from bench.runner import Outcome
 from sim.metric_settings import metric_settings
 
@@ -105,12 +104,7 @@ def describe(experiment: Experiment, wall_time: float, cpu_share: float) -> dict
     if not ours:
         asked["models"] = []
     return {
-        "project": "diffdrive-mpc",
-        "version": project_version(),
-        "revision": git_revision(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": describe_machine(),
-        "wall_time_s": round(wall_time, 1),
+        **describe_run(wall_time),
         "step_times": TIMING,
         "step_times_cpu_share": round(cpu_share, 3),
         "statistics": STATISTICS,

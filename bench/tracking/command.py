@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 
 from bench.atomic import staged
 from bench.console import output_console
-from bench.machine import describe_machine, git_revision, project_version
+from bench.machine import describe_run
 from bench.progress import ProgressBar
 from bench.results import STATISTICS
 from bench.runner import available_cores
@@ -59,12 +58,7 @@ def track(study: Study, out: Path, only: Sequence[str] = PARTS, jobs: int | None
 
 def _describe(study: Study, only: Sequence[str], wall_time: float) -> dict[str, object]:
     return {
-        "project": "diffdrive-mpc",
-        "version": project_version(),
-        "revision": git_revision(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": describe_machine(),
-        "wall_time_s": round(wall_time, 1),
+        **describe_run(wall_time),
         "statistics": STATISTICS,
         "parts": [part for part in PARTS if part in only],
         "study": study.model_dump(mode="json"),
