@@ -158,7 +158,7 @@ class ControlLoop:
         self.times.begin(self._steady())
         try:
             tick = self._decide(self.inbox.now)
-        except Exception as error:  # noqa: BLE001 - whatever happens, the robot has to stop
+        except Exception as error:  # whatever happens, the robot has to stop
             self.state, self._reason = LoopState.FAULT, f"{type(error).__name__}: {error}; call start to begin anew"
             tick = self._standing()
         self.last = tick

@@ -67,7 +67,7 @@ def odometry_pose(message: Odometry, epoch: int) -> Stamped:
 
 
 def odometry_twist(message: Odometry, epoch: int) -> Stamped:
-    """v [m/s] and omega [rad/s] of the wheels; raises MessageError if they are not finite."""
+    """Twist v [m/s], omega [rad/s] of the wheels; raises MessageError if they are not finite."""
     twist = message.twist.twist
     value = (twist.linear.x, twist.angular.z)
     if not all(map(math.isfinite, value)):
@@ -102,9 +102,7 @@ def twist_message(command: Sequence[float] | FloatArray) -> Twist:
 def pose_message(pose: Sequence[float] | FloatArray) -> Pose:
     """A planar pose x, y [m], theta [rad]."""
     x, y, theta = (float(value) for value in pose)
-    return Pose(
-        position=Point(x=x, y=y), orientation=Quaternion(z=math.sin(0.5 * theta), w=math.cos(0.5 * theta))
-    )
+    return Pose(position=Point(x=x, y=y), orientation=Quaternion(z=math.sin(0.5 * theta), w=math.cos(0.5 * theta)))
 
 
 def stamped_pose_message(pose: Sequence[float] | FloatArray, time: int, frame: str) -> PoseStamped:

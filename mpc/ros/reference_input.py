@@ -58,9 +58,7 @@ def trajectory_reference(message: MultiDOFJointTrajectory, frame: str, limits: L
             raise MessageError(f"point {index} has {len(point.transforms)} transforms, expected one: the robot's pose")
         at = point.transforms[0].translation
         times.append(point.time_from_start.sec + point.time_from_start.nanosec / NANOSECONDS)
-        poses.append(
-            planar_pose(Pose(position=Point(x=at.x, y=at.y), orientation=point.transforms[0].rotation))
-        )
+        poses.append(planar_pose(Pose(position=Point(x=at.x, y=at.y), orientation=point.transforms[0].rotation)))
     return _lay(times, poses, limits, "trajectory")
 
 

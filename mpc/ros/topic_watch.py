@@ -65,7 +65,9 @@ class TopicWatch:
         age = self.age(now)
         if -timeout <= age <= timeout:
             return ""
-        late = f"no {self.name} yet" if math.isinf(age) else f"{self.name} is {age:.2f} s old, the limit is {timeout:g} s"
-        if age < 0:
+        late = f"{self.name} is {age:.2f} s old, the limit is {timeout:g} s"
+        if math.isinf(age):
+            late = f"no {self.name} yet"
+        elif age < 0:
             late = f"{self.name} is {-age:.2f} s in the future: are the clocks in step?"
         return f"{late}; {self.reason}" if self.reason else late
