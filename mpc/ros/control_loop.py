@@ -141,7 +141,7 @@ class ControlLoop:
         return f"begins '{self._reference.name}', {self._reference.duration:.1f} s" if self._reference else ""
 
     def pause(self, reason: str = "paused; call start to drive on") -> str:
-        """Brake and stand; the reference waits. Returns what it does; raises RefusedError if there is nothing to pause."""
+        """Brake and stand; the reference waits. Returns what it does; raises RefusedError if it stands idle."""
         if self._begin_when_ready:
             self._begin_when_ready = False
             return "does not begin any more"
