@@ -36,7 +36,7 @@ def time_message(time: int) -> TimeMessage:
 
 def yaw_of(q: Quaternion) -> float:
     """Yaw [rad] of an orientation (REP 103); raises MessageError if it is none."""
-    norm = math.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2)
+    norm = math.hypot(q.x, q.y, q.z, q.w)
     if not abs(norm - 1.0) <= _NORM_TOLERANCE:
         raise MessageError(f"its orientation is no unit quaternion (norm {norm:.3g})")
     return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))

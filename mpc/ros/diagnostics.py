@@ -33,7 +33,8 @@ def diagnostics(name: str, time: int, lifecycle: str, loop: ControlLoop | None) 
         values |= _values(loop)
         status.level = _level(loop)
         if loop.last is not None:
-            status.message = f"{loop.last.mode}: {loop.last.message}" if loop.last.message else loop.last.mode
+            words = "; ".join(filter(None, [loop.last.message, loop.inbox.fault]))
+            status.message = f"{loop.last.mode}: {words}" if words else loop.last.mode
     status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
     array = DiagnosticArray(status=[status])
     array.header.stamp = time_message(time)
@@ -48,7 +49,7 @@ def _level(loop: ControlLoop) -> bytes:
         return DiagnosticStatus.OK
     if tick.result.mode in (Mode.BRAKING, Mode.STOPPED) and loop.state is LoopState.DRIVING:
         return DiagnosticStatus.ERROR
-    well = tick.result.mode in (Mode.TRACKING, Mode.FINISHED) and not tick.message
+    well = tick.result.mode in (Mode.TRACKING, Mode.FINISHED) and not tick.message and not loop.inbox.fault
     return DiagnosticStatus.OK if well else DiagnosticStatus.WARN
 
 
@@ -62,7 +63,7 @@ def _values(loop: ControlLoop) -> dict[str, str]:
         "deadline misses": str(times.misses),
         "fallbacks": str(loop.fallbacks),
     }
-    for watch in (inbox.odometry, inbox.imu, inbox.pose):
+    for watch in inbox.topics:
         values[f"{watch.name} age [s]"] = f"{watch.age(inbox.now):.3f}"
         values[f"{watch.name} delay on arrival [s]"] = f"{watch.delay:.3f}"
         values[f"{watch.name} messages"] = f"{watch.accepted} accepted, {watch.refused} refused"

@@ -55,6 +55,19 @@ class Inbox:
         return seconds(self._clock(), self._epoch)
 
     @property
+    def topics(self) -> list[TopicWatch]:
+        """Those that are used."""
+        settings = self._settings
+        chosen = ((self.odometry, True), (self.imu, settings.use_imu), (self.pose, settings.use_pose_topic))
+        return [topic for topic, used in chosen if used]
+
+    @property
+    def fault(self) -> str:
+        """Which topic is stale that the robot can drive without, in words; empty if none is."""
+        settings = self._settings
+        return self.imu.fault(self.now, settings.odom_timeout) if settings.use_imu else ""
+
+    @property
     def frame(self) -> str:
         """Frame that control is in."""
         return self._settings.map_frame if self._settings.use_pose_topic else self._settings.odom_frame

@@ -58,6 +58,7 @@ class FakeBase:
         self.times = []
         self.tamper = lambda odometry: odometry
         self.held = False
+        self.gyro = True
 
     @property
     def now(self):
@@ -87,15 +88,19 @@ class FakeBase:
         odometry = self.tamper(odometry)
         if odometry is not None:
             self.odom.publish(odometry)
-        imu = Imu()
-        imu.header.stamp, imu.header.frame_id = time_message(self.now), "base_link"
-        imu.angular_velocity.z = float(measured.yaw_rate.value)
-        self.imu.publish(imu)
+        if self.gyro:
+            self.publish_imu(measured.yaw_rate.value)
         if self.pose_topic:
             pose = PoseWithCovarianceStamped()
             pose.header.stamp, pose.header.frame_id = time_message(self.now), "map"
             pose.pose.pose = pose_message(measured.pose.value)
             self.pose.publish(pose)
+
+    def publish_imu(self, yaw_rate):
+        imu = Imu()
+        imu.header.stamp, imu.header.frame_id = time_message(self.now), "base_link"
+        imu.angular_velocity.z = float(yaw_rate)
+        self.imu.publish(imu)
 
     def advance_clock(self):
         """Sensors and clock of the next tick."""

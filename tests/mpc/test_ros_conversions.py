@@ -55,7 +55,7 @@ def test_yaw_is_that_of_the_x_axis_on_the_floor(yaw, pitch, roll):
     assert abs(wrap_angle(yaw_of(q) - yaw)) < 1e-9
 
 
-@pytest.mark.parametrize("q", [Quaternion(w=0.0), Quaternion(w=2.0), Quaternion(w=math.nan)])
+@pytest.mark.parametrize("q", [Quaternion(w=0.0), Quaternion(w=2.0), Quaternion(w=math.nan), Quaternion(x=1e200)])
 def test_what_is_no_rotation_is_refused(q):
     with pytest.raises(MessageError, match="no unit quaternion"):
         yaw_of(q)

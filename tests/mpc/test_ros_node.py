@@ -299,6 +299,13 @@ def test_diagnostics_tell_times_ages_and_faults():
         assert 0.0 < p50 <= p99 <= largest
         assert values["period jitter p50/p99/max [ms]"] == "0.00 / 0.00 / 0.00"
         assert float(values["odometry age [s]"]) == pytest.approx(0.0, abs=DT)
+        assert "pose age [s]" not in values
+        s.base.gyro = False
+        s.base.run(15)
+        heard.clear()
+        s.base.until(lambda: heard, "diagnostics")
+        assert heard[-1].status[0].level == DiagnosticStatus.WARN
+        assert "TRACKING: imu is 0." in heard[-1].status[0].message
         s.base.tamper = lambda odometry: None
         s.base.run(40)
         heard.clear()
