@@ -108,6 +108,9 @@ class Pursuit:
         assert reference is not None
         if not self._settings.enabled or since_start < 0.0:
             return self._chase(reference, time, estimate)
+        if self._resumes:
+            # Until now it was not asked to move.
+            self._blocked.restart()
         if self._way_back is not None and time >= self._way_back.joins:
             self._way_back = None
         followed: Reference = self._way_back or reference

@@ -174,7 +174,9 @@ def test_a_blocked_robot_is_paused():
         assert_smooth(np.vstack([before, held]))
         s.base.held = False
         assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
-        assert np.abs(s.base.run(20)).max() > 0.05
+        assert s.base.run(40)[-1, 0] > 0.3
+        assert s.loop.last.mode == Mode.TRACKING
+        assert s.loop.state is LoopState.DRIVING
 
 
 def test_pushed_beyond_the_limit_it_stops_and_says_so():
