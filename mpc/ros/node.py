@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import wraps
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry, Path
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
@@ -25,34 +22,14 @@ from mpc.reference_check import check_speeds
 from mpc.ros.control_loop import ControlLoop, RefusedError
 from mpc.ros.diagnostics import diagnostics
 from mpc.ros.inbox import Inbox
+from mpc.ros.parameter_changes import ParameterChanges
 from mpc.ros.parameters import declare, fields, read
 from mpc.ros.publishers import Publishers
 from mpc.ros.reference_input import path_reference, trajectory_reference
 from mpc.ros.settings import NodeSettings
+from mpc.ros.transitions import logged
 from mpc.trajectories import Trajectory, load_trajectory
 from mpc.trajectories.spline import SplineTrajectory
-
-_WHILE_DRIVING = ("weights.", "limits.")
-_Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
-
-
-def _logged(transition: _Transition) -> _Transition:
-    """Say why a transition fails, which rclpy does not: bad input is refused, anything else is an error."""
-
-    @wraps(transition)
-    def logged(self: TrackingNode, state: LifecycleState) -> TransitionCallbackReturn:
-        try:
-            return transition(self, state)
-        except (ValueError, OSError) as error:
-            self.failure = str(error)
-            self.get_logger().error(self.failure)
-            return TransitionCallbackReturn.FAILURE
-        except Exception as error:
-            self.failure = f"{type(error).__name__}: {error}"
-            self.get_logger().fatal(self.failure)
-            return TransitionCallbackReturn.ERROR
-
-    return logged
 
 
 class TrackingNode(LifecycleNode):
@@ -86,13 +63,11 @@ class TrackingNode(LifecycleNode):
     ) -> None:
         super().__init__("diffdrive_mpc", **options)
         defaults = defaults or NodeSettings()
-        own = dict(fields(NodeSettings))
-        declare(self, defaults, read_only=True, skip=tuple(key for key in own if key != "config"))
+        others = tuple(key for key, _ in fields(NodeSettings) if key != "config")
+        declare(self, defaults, read_only=True, skip=others)
         declare(self, defaults, skip=("config",))
         declare(self, load_config(self.get_parameter("config").value, overrides))
-        self._known = {*own, *(key for key, _ in fields(ControllerConfig)), "use_sim_time"}
-        self.add_on_set_parameters_callback(self._judge_parameters)
-        self.add_post_set_parameters_callback(self._apply_parameters)
+        self._changes = ParameterChanges(self, lambda: None if self._loop is None else self._controller)
         self.failure = ""
         self._label = "unconfigured"
         self._controller: Controller | None = None
@@ -120,17 +95,17 @@ class TrackingNode(LifecycleNode):
         self.destroy_timer(self._timer)
         self._outgoing.stop(self.get_clock().now().nanoseconds)
 
-    @_logged
+    @logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Build controller, subscriptions and publishers from the parameters."""
         self._build()
         self._label = "inactive"
         return super().on_configure(state)
 
-    @_logged
+    @logged
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to send commands: zero until driving begins."""
-        if self._changed:
+        if self._changes.pending:
             self._tear_down()
             self._build()
         answer = super().on_activate(state)
@@ -151,14 +126,14 @@ class TrackingNode(LifecycleNode):
         self._label = "active"
         return answer
 
-    @_logged
+    @logged
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Send zero, then no more commands."""
         self.stop()
         self._label = "inactive"
         return super().on_deactivate(state)
 
-    @_logged
+    @logged
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Drop what `on_configure` built."""
         answer = super().on_cleanup(state)
@@ -166,7 +141,7 @@ class TrackingNode(LifecycleNode):
         self._label = "unconfigured"
         return answer
 
-    @_logged
+    @logged
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Send zero if active, and drop everything."""
         self.stop()
@@ -175,7 +150,7 @@ class TrackingNode(LifecycleNode):
         self._label = "finalized"
         return answer
 
-    @_logged
+    @logged
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Send zero and be unconfigured."""
         self.stop()
@@ -190,7 +165,7 @@ class TrackingNode(LifecycleNode):
             trajectory = load_trajectory(settings.trajectory)
             check_speeds(trajectory, config.limits, config.sample_time)
         self._controller = Controller(config)
-        self._settings, self._trajectory, self._changed = settings, trajectory, False
+        self._settings, self._trajectory, self._changes.pending = settings, trajectory, False
         self._inbox = Inbox(settings, lambda: self.get_clock().now().nanoseconds, self.get_clock().now().nanoseconds)
         self._outgoing = Publishers(self, settings, self._inbox.frame)
         sensors, inbox = qos_profile_sensor_data, self._inbox
@@ -273,38 +248,3 @@ class TrackingNode(LifecycleNode):
             self.get_logger().error(f"reference refused: {error}")
         else:
             self.get_logger().info(f"reference accepted: {reference.duration:.1f} s")
-
-    def _judge_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Whether the new values fit; nothing changes here."""
-        changes = {item.name: item.value for item in parameters if item.name in self._known}
-        fixed = [name for name, value in changes.items() if self._is_fixed_now(name, value)]
-        if fixed:
-            reason = f"{fixed[0]} cannot change while the node is active; pause, deactivate, set it, activate"
-            return SetParametersResult(successful=False, reason=reason)
-        try:
-            read(self, NodeSettings, changes)
-            config = read(self, ControllerConfig, changes)
-            if any(not name.startswith(_WHILE_DRIVING) for name in changes):
-                Controller(config)
-        except ValueError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
-
-    def _is_fixed_now(self, name: str, value: object) -> bool:
-        return (
-            self._loop is not None and not name.startswith(_WHILE_DRIVING) and self.get_parameter(name).value != value
-        )
-
-    def _apply_parameters(self, parameters: list[Parameter]) -> None:
-        """Take over values that were judged good: between two ticks while active, else at the next activation."""
-        changes = {item.name: item.value for item in parameters if item.name in self._known}
-        if not changes:
-            return
-        self._changed = True
-        if self._loop is not None and self._controller is not None:
-            groups = {prefix: _of_group(changes, prefix) for prefix in _WHILE_DRIVING}
-            self._controller.update(weights=groups["weights."], limits=groups["limits."])
-
-
-def _of_group(changes: dict[str, Any], prefix: str) -> dict[str, float]:
-    return {name.removeprefix(prefix): value for name, value in changes.items() if name.startswith(prefix)}
