@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable
 from typing import Any
 
@@ -92,6 +93,7 @@ class TrackingNode(LifecycleNode):
         if self._loop is None:
             return
         self._loop = None
+        gc.unfreeze()
         self.destroy_timer(self._timer)
         self._outgoing.stop(self.get_clock().now().nanoseconds)
 
@@ -116,6 +118,9 @@ class TrackingNode(LifecycleNode):
         self._loop = ControlLoop(
             self._controller, self._settings, self._inbox, self._trajectory, in_sim_time=in_sim_time
         )
+        # A full collection walks all that was built, for some 60 ms, three ticks: it is set aside until deactivation.
+        gc.collect()
+        gc.freeze()
         clock = self.get_clock() if in_sim_time else Clock(clock_type=ClockType.STEADY_TIME)
         period = self._controller.config.sample_time
         self._timer = self.create_timer(period, self._tick, clock=clock)
@@ -196,11 +201,8 @@ class TrackingNode(LifecycleNode):
         if loop is None:
             return
         time = self.get_clock().now().nanoseconds
-        before = loop.last
         tick = loop.tick()
         outgoing.command(tick.command, time)
-        if before is None or tick.mode != before.mode:
-            self.get_logger().info(f"{tick.mode}: {tick.message}" if tick.message else tick.mode)
         outgoing.mode(tick)
         if loop.placed is not None and loop.placed is not self._shown:
             self._shown = loop.placed

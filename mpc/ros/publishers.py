@@ -74,10 +74,12 @@ class Publishers:
         self._command.wait_for_all_acked(Duration(seconds=_LAST_WORDS))
 
     def mode(self, tick: Tick) -> None:
-        """Say mode and message when the mode changes."""
+        """Say mode and message when the mode changes, in the log too."""
         if tick.mode != self._said:
             self._said = tick.mode
-            self._mode.publish(String(data=f"{tick.mode}: {tick.message}" if tick.message else tick.mode))
+            words = f"{tick.mode}: {tick.message}" if tick.message else tick.mode
+            self._mode.publish(String(data=words))
+            self._node.get_logger().info(words)
 
     def error(self, result: StepResult, time: int) -> None:
         """Send the tracking error: x along, y across [m], z heading [rad]."""

@@ -17,8 +17,8 @@ from mpc.trajectories.limits import TrajectoryLimits
 from mpc.trajectories.spline import SplineTrajectory
 from mpc.trajectories.timed_poses import lay_timed_poses
 
-# More poses than this would keep the control loop waiting while they are checked.
-_MOST_POSES = 5000
+# Checking more would take longer than a tick; these take 15 ms.
+_MOST_POSES = 1000
 
 
 def path_reference(message: Path, frame: str, limits: Limits) -> SplineTrajectory:
@@ -69,7 +69,7 @@ def _parameter() -> str:
 def _check_header(found: str, frame: str, count: int) -> None:
     check_frame(found, frame, _parameter())
     if not 2 <= count <= _MOST_POSES:
-        raise MessageError(f"it has {count} poses; give 2 to {_MOST_POSES}")
+        raise MessageError(f"it has {count} poses; give 2 to {_MOST_POSES}, further apart if need be")
 
 
 def _lay(times: list[float], poses: list[tuple[float, float, float]], limits: Limits, name: str) -> SplineTrajectory:

@@ -1,5 +1,6 @@
 """Lifecycle, services, references by topic and what the node publishes, over DDS."""
 
+import gc
 import math
 
 import numpy as np
@@ -88,6 +89,17 @@ def test_the_states_of_the_lifecycle():
         assert change(s, Transition.TRANSITION_ACTIVE_SHUTDOWN)
         assert s.base.commands[-1] == (0.0, 0.0)
         assert state(s) == State.PRIMARY_STATE_FINALIZED
+
+
+def test_while_active_a_full_collection_of_garbage_has_little_to_walk():
+    """Counted, not timed: what was built before is set aside, and comes back."""
+    with stack(autostart=False) as s:
+        assert change(s, Transition.TRANSITION_CONFIGURE)
+        before = len(gc.get_objects())
+        assert change(s, Transition.TRANSITION_ACTIVATE)
+        assert len(gc.get_objects()) < 0.1 * before
+        assert change(s, Transition.TRANSITION_DEACTIVATE)
+        assert len(gc.get_objects()) > 0.9 * before
 
 
 def test_what_cannot_be_configured_is_refused_with_a_reason():
