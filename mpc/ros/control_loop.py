@@ -110,8 +110,7 @@ class ControlLoop:
         ValueError
             If it is faster than the limits.
         """
-        config = self._controller.config
-        check_speeds(reference, config.limits, config.sample_time)
+        self._check_speeds(reference)
         # It states its frame, so it stays where it is.
         self._reference, self._moves_to_robot = reference, False
         if self.state is LoopState.DRIVING:
@@ -124,8 +123,8 @@ class ControlLoop:
 
         Raises
         ------
-        RefusedError
-            If the robot drives already, there is no reference, or measurements are missing.
+        ValueError
+            If the robot drives already, measurements are missing, or there is no reference within the limits.
         """
         if self.state is LoopState.PAUSED:
             self._refuse_if_missing()
@@ -135,10 +134,12 @@ class ControlLoop:
         if self.state is LoopState.DRIVING and not standing:
             raise RefusedError("it is driving already; pause it first")
         self._refuse_if_missing()
+        assert self._reference is not None
+        self._check_speeds(self._reference)
         if self.state is LoopState.FAULT:
             self._controller.reset()
         self.state, self._reason, self._begin_when_ready = LoopState.IDLE, "", True
-        return f"begins '{self._reference.name}', {self._reference.duration:.1f} s" if self._reference else ""
+        return f"begins '{self._reference.name}', {self._reference.duration:.1f} s"
 
     def pause(self, reason: str = "paused; call start to drive on") -> str:
         """Brake and stand; the reference waits. Returns what it does; raises RefusedError if it stands idle."""
@@ -175,8 +176,9 @@ class ControlLoop:
 
     def _decide(self, t: float) -> Tick:
         if self._begin_when_ready and self._reference is not None and not self._missing():
+            self._begin_when_ready = False
             self._start_controller(self._reference)
-            self.state, self._begin_when_ready = LoopState.DRIVING, False
+            self.state = LoopState.DRIVING
         if self.state in (LoopState.IDLE, LoopState.FAULT):
             return self._standing()
         result = self._controller.step(t, self.inbox.measurement(), self._hold(t))
@@ -209,6 +211,10 @@ class ControlLoop:
         missing = self._missing()
         if missing:
             raise RefusedError(missing)
+
+    def _check_speeds(self, reference: Reference) -> None:
+        config = self._controller.config
+        check_speeds(reference, config.limits, config.sample_time)
 
     def _start_controller(self, reference: Reference) -> None:
         pose = self.inbox.newest_pose

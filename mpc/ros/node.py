@@ -214,8 +214,8 @@ class TrackingNode(LifecycleNode):
         self._ticks += 1
 
     def _diagnose(self) -> None:
-        now = self.get_clock().now().nanoseconds
-        self._diagnostics.publish(diagnostics(self.get_name(), now, self._label, self._loop))
+        time = self.get_clock().now().nanoseconds
+        self._diagnostics.publish(diagnostics(self.get_name(), time, self._label, self._loop))
 
     def _serve(self, request: Callable[[ControlLoop], str]) -> Callable[[Any, Any], Any]:
         """A service that asks the control loop, and answers why not."""

@@ -11,6 +11,7 @@ from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from ros_parts import CONFIG, stack
+from std_srvs.srv import Trigger
 
 from models.checked_yaml import ConfigError, check
 from mpc.config import ControllerConfig
@@ -106,6 +107,19 @@ def test_weights_and_limits_change_between_two_ticks():
         assert slower[-1, 0] <= 0.3
         steps = abs(slower[1:, 0] - slower[:-1, 0])
         assert (steps <= CONFIG.limits.v_slew * CONFIG.sample_time + 1e-9).all()
+
+
+def test_limits_below_the_speed_of_the_reference_refuse_its_next_start():
+    with stack(drive=True) as s:
+        assert set_over_dds(s, limits__v=0.3).successful
+        s.base.run(10)
+        for name in ("pause", "start", "pause", "reset"):
+            assert s.call(Trigger, f"/diffdrive_mpc/{name}", Trigger.Request()).success
+            s.base.run(30)
+        answer = s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request())
+        assert not answer.success
+        assert "v = 0.5 at" in answer.message
+        assert not s.base.run(5).any()
 
 
 @pytest.mark.parametrize(
