@@ -31,11 +31,13 @@ def test_imports_run_one_way(package):
         assert ours <= ALLOWED[package], path
         if package != "sim":
             assert "mujoco" not in set(imported(path)), path
+        if path.parent.name != "ros":
+            assert "rclpy" not in set(imported(path)), path
 
 
-def test_the_controller_runs_without_mujoco():
+def test_the_controller_runs_without_mujoco_and_ros():
     code = (
-        "import sys; sys.modules['mujoco'] = None\n"
+        "import sys; sys.modules['mujoco'] = sys.modules['rclpy'] = None\n"
         "from mpc import Controller, load_config, load_trajectory, Measurement\n"
         "import sim, bench.cli\n"
         "c = Controller(load_config('ssm')); c.start(load_trajectory('circle'), 0.0)\n"
