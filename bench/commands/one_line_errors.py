@@ -17,7 +17,10 @@ FAILED = 1
 INTERRUPTED = 130
 """Exit code after Ctrl-C: 128 plus the number of the signal, as shells have it."""
 
-OPTIONAL_PACKAGES = {"mujoco": "install diffdrive-mpc[sim], or use --plant model:ssm"}
+OPTIONAL_PACKAGES = {
+    "mujoco": "install diffdrive-mpc[sim], or use --plant model:ssm",
+    "rclpy": "source ROS 2 Jazzy, or install diffdrive-mpc[ros]",
+}
 """Packages that only some commands need, and what to do without them."""
 
 

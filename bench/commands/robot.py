@@ -1,0 +1,82 @@
+"""`diffdrive-mpc robot`: the simulated robot as a ROS 2 node."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from models.checked_yaml import ConfigError
+
+EXAMPLE = "Example: diffdrive-mpc robot --trajectory s --lock-step --record out/drive"
+
+
+def robot(
+    *,
+    trajectory: Annotated[str, typer.Option(help="Start at the beginning of this trajectory: a name or a path.")] = (
+        "circle"
+    ),
+    plant: Annotated[str, typer.Option(help="mujoco, model:NAME, or model:NAME+DEAD_TIME.")] = "mujoco",
+    surface: Annotated[str, typer.Option(help="Floor of the mujoco plant, slip of a model: plant.")] = "default",
+    sensors: Annotated[str, typer.Option(help="Sensor set.")] = "default",
+    scenario: Annotated[
+        str, typer.Option(help="What happens to the robot: none, push, ..., or the path of a file.")
+    ] = "none",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the noise.")] = 0,
+    lock_step: Annotated[
+        bool, typer.Option("--lock-step/--real-time", help="Publish /clock and wait for the command to each tick.")
+    ] = False,
+    duration: Annotated[
+        float | None, typer.Option(help="End after so many seconds on the robot's clock.", show_default="go on")
+    ] = None,
+    base: Annotated[
+        Path | None, typer.Option(help="Base settings (YAML): rates, timeouts.", show_default="shipped")
+    ] = None,
+    stamped: Annotated[
+        bool | None,
+        typer.Option("--stamped/--unstamped", help="Commands are TwistStamped or Twist.", show_default="as --base"),
+    ] = None,
+    command_timeout: Annotated[
+        float | None, typer.Option(help="Stop after so many seconds without a command.", show_default="as --base")
+    ] = None,
+    odometry_pose: Annotated[
+        Literal["dead_reckoning", "pose_sensor"] | None,
+        typer.Option(help="Where the pose in odom comes from.", show_default="as --base"),
+    ] = None,
+    record: Annotated[Path | None, typer.Option(help="Folder for a bag of the drive.", show_default=False)] = None,
+    storage: Annotated[Literal["mcap", "sqlite3"], typer.Option(help="Kind of that bag.")] = "mcap",
+    ros_arguments: Annotated[
+        list[str] | None, typer.Argument(metavar="-- --ros-args", help="Remappings and the like.")
+    ] = None,
+) -> None:
+    """Run the simulated robot as a ROS 2 node: twist in; odometry, IMU, pose, joint states and ground truth out.
+
+    It ends on Ctrl-C.
+    """
+    if duration is not None and not duration > 0:
+        raise ConfigError(f"--duration {duration}: give a time in seconds, more than zero")
+    if ros_arguments and ros_arguments[0] != "--ros-args":
+        raise ConfigError(f"'{ros_arguments[0]}': unexpected; ROS arguments come as `-- --ros-args ...`")
+
+    import rclpy  # noqa: F401, PLC0415 - before anything slow, so that its absence is said at once
+
+    from mpc import load_trajectory  # noqa: PLC0415
+    from sim import make_plant  # noqa: PLC0415
+    from sim.ros.base_settings import load_base_settings  # noqa: PLC0415
+    from sim.ros.run_robot import run_robot  # noqa: PLC0415
+    from sim.sensor_set import load_sensor_set  # noqa: PLC0415
+
+    settings = load_base_settings(base, stamped=stamped, command_timeout=command_timeout, odometry_pose=odometry_pose)
+    start = load_trajectory(trajectory).sample([0.0]).pose[0]
+    run_robot(
+        make_plant(plant, surface, sensors, seed, scenario=scenario),
+        start,
+        settings,
+        load_sensor_set(sensors),
+        lock_step=lock_step,
+        duration=duration,
+        record=record,
+        storage=storage,
+        ros_arguments=ros_arguments or (),
+    )
