@@ -23,7 +23,8 @@ def drive_in_lock_step(
     """Drive until `going` says no.
 
     The clock stands until somebody is connected who publishes commands. From then on every tick waits for its command
-    for the answer timeout at most: a controller that has died slows the robot down, and the command timeout acts.
+    for the answer timeout at most, or as long as a repeat of the clock takes while nobody is connected any more: when a
+    controller falls silent or dies the robot goes on, slowly, and the command timeout acts.
 
     Raises
     ------
@@ -51,10 +52,10 @@ def _wait_for_answer(
     spin: Spin,
     going: Callable[[], bool],
 ) -> None:
-    start = time.monotonic()
-    end, repeat = start + settings.answer_timeout, start
+    start = repeat = time.monotonic()
     while going() and not base.inbox.answers(now):
         moment = time.monotonic()
+        end = start + (settings.answer_timeout if base.commanded else settings.clock_repeat)
         if moment >= end:
             break
         if moment >= repeat:
