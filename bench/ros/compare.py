@@ -16,7 +16,7 @@ from bench.console import output_console
 from bench.ros.loop_timing import LoopTiming, loop_timing
 from bench.ros.recorded_drive import read_drive
 from bench.ros.two_processes import drive_over_dds
-from bench.table import Column, Table
+from bench.table import Table
 from sim import Run, simulate
 
 TRAJECTORIES = ("circle", "s")
@@ -74,3 +74,49 @@ def compare(case: Case, *, lock_step: bool = True, timeout: float = 300.0) -> Co
         over_dds = read_drive(bag, reference, plant.sample_time)
         timing = loop_timing(bag, plant.sample_time)
     return Comparison(case, over_dds, simulate(controller, plant, reference), timing)
+
+
+def comparison_table(comparisons: Sequence[Comparison]) -> Table:
+    """Statistics over DDS, in one process, and the one over the other."""
+    rows = []
+    for item in comparisons:
+        for statistic in COMPARED:
+            words, _, unit = statistic.rpartition("_")
+            there, here = (getattr(run.metrics, statistic) for run in (item.over_dds, item.in_process))
+            name = f"{words.replace('_', ' ').replace('rmse', 'RMSE')} [{unit}]"
+            rows.append((item.case.labels["trajectory"], name, f"{there:.4f}", f"{here:.4f}", f"{item.ratio(statistic):.2f}"))
+    return Table("Over DDS and in one process", ("trajectory", "error", "DDS", "one process", "ratio"), tuple(rows), 2)
+
+
+def timing_table(comparisons: Sequence[Comparison]) -> Table:
+    """Control period and latency of the drives over DDS, in milliseconds."""
+    rows = []
+    for item in comparisons:
+        for name, spread in (("period", item.timing.period), ("odometry to command", item.timing.latency)):
+            times = (f"{1e3 * value:.2f}" for value in (spread.p50, spread.p99, spread.max))
+            rows.append((item.case.labels["trajectory"], name, *times, str(item.timing.misses)))
+    columns = ("trajectory", "time", "p50 [ms]", "p99 [ms]", "max [ms]", "missed periods")
+    return Table("Times over DDS", columns, tuple(rows), 2)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Compare and print."""
+    parser = argparse.ArgumentParser(prog="python -m bench.ros.compare", description="The drive over DDS beside that in one process")
+    parser.add_argument("trajectories", nargs="*", default=TRAJECTORIES, help="names or paths")
+    parser.add_argument("--model", default="ssm")
+    parser.add_argument("--sensors", default="default")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--real-time", action="store_true")
+    chosen = parser.parse_args(arguments)
+    found = []
+    for trajectory in chosen.trajectories:
+        case = Case("mpc", chosen.model, trajectory, "mujoco", "default", chosen.sensors, chosen.seed)
+        found.append(compare(case, lock_step=not chosen.real_time))
+    console = output_console()
+    console.print(comparison_table(found).rich())
+    if chosen.real_time:
+        console.print(timing_table(found).rich())
+
+
+if __name__ == "__main__":
+    main()
