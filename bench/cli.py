@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from bench.commands import bench, robot, simulate, tracking
+from bench.commands import bench, node, robot, simulate, tracking
 from bench.commands.config import config_app
 from bench.commands.models import models_app
 from bench.commands.one_line_errors import OneLineErrors
@@ -21,7 +21,8 @@ app = typer.Typer(
 app.command("simulate", epilog=simulate.EXAMPLE)(simulate.simulate)
 app.command("bench", epilog=bench.EXAMPLE)(bench.bench)
 app.command("tracking", epilog=tracking.EXAMPLE)(tracking.tracking)
-app.command("robot", epilog=robot.EXAMPLE)(robot.robot)
+app.command("node", epilog=node.EXAMPLE, context_settings=node.ROS_ARGUMENTS)(node.node)
+app.command("robot", epilog=robot.EXAMPLE, context_settings=node.ROS_ARGUMENTS)(robot.robot)
 app.add_typer(config_app, name="config")
 app.add_typer(models_app, name="models")
 

@@ -7,12 +7,14 @@ from typing import Annotated, Literal
 
 import typer
 
+from bench.commands.node import ros_arguments
 from models.checked_yaml import ConfigError
 
 EXAMPLE = "Example: diffdrive-mpc robot --trajectory s --lock-step --record out/drive"
 
 
 def robot(
+    context: typer.Context,
     *,
     trajectory: Annotated[str, typer.Option(help="Start at the beginning of this trajectory: a name or a path.")] = (
         "circle"
@@ -46,18 +48,14 @@ def robot(
     ] = None,
     record: Annotated[Path | None, typer.Option(help="Folder for a bag of the drive.", show_default=False)] = None,
     storage: Annotated[Literal["mcap", "sqlite3"], typer.Option(help="Kind of that bag.")] = "mcap",
-    ros_arguments: Annotated[
-        list[str] | None, typer.Argument(metavar="-- --ros-args", help="Remappings and the like.")
-    ] = None,
 ) -> None:
     """Run the simulated robot as a ROS 2 node: twist in; odometry, IMU, pose, joint states and ground truth out.
 
-    It ends on Ctrl-C.
+    It ends on Ctrl-C. What follows `--ros-args` goes to ROS: remappings, parameters.
     """
     if duration is not None and not duration > 0:
         raise ConfigError(f"--duration {duration}: give a time in seconds, more than zero")
-    if ros_arguments and ros_arguments[0] != "--ros-args":
-        raise ConfigError(f"'{ros_arguments[0]}': unexpected; ROS arguments come as `-- --ros-args ...`")
+    arguments = ros_arguments(context)
 
     import rclpy  # noqa: F401, PLC0415 - before anything slow, so that its absence is said at once
 
@@ -78,5 +76,5 @@ def robot(
         duration=duration,
         record=record,
         storage=storage,
-        ros_arguments=ros_arguments or (),
+        ros_arguments=arguments,
     )

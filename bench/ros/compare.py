@@ -84,7 +84,9 @@ def comparison_table(comparisons: Sequence[Comparison]) -> Table:
             words, _, unit = statistic.rpartition("_")
             there, here = (getattr(run.metrics, statistic) for run in (item.over_dds, item.in_process))
             name = f"{words.replace('_', ' ').replace('rmse', 'RMSE')} [{unit}]"
-            rows.append((item.case.labels["trajectory"], name, f"{there:.4f}", f"{here:.4f}", f"{item.ratio(statistic):.2f}"))
+            rows.append(
+                (item.case.labels["trajectory"], name, f"{there:.4f}", f"{here:.4f}", f"{item.ratio(statistic):.2f}")
+            )
     return Table("Over DDS and in one process", ("trajectory", "error", "DDS", "one process", "ratio"), tuple(rows), 2)
 
 
@@ -101,7 +103,9 @@ def timing_table(comparisons: Sequence[Comparison]) -> Table:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Compare and print."""
-    parser = argparse.ArgumentParser(prog="python -m bench.ros.compare", description="The drive over DDS beside that in one process")
+    parser = argparse.ArgumentParser(
+        prog="python -m bench.ros.compare", description="The drive over DDS beside that in one process"
+    )
     parser.add_argument("trajectories", nargs="*", default=TRAJECTORIES, help="names or paths")
     parser.add_argument("--model", default="ssm")
     parser.add_argument("--sensors", default="default")

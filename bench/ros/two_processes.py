@@ -61,9 +61,11 @@ def drive_over_dds(case: Case, duration: float, bag: Path, *, lock_step: bool, t
     node += ["-p", f"use_sim_time:={str(lock_step).lower()}"]
     with tempfile.TemporaryDirectory() as folder:
         environment = _own_domain(Path(folder))
-        with _process("node", node, environment, Path(folder)) as controller:
-            with _process("robot", robot, environment, Path(folder)) as base:
-                _wait(base, controller, time.monotonic() + timeout)
+        with (
+            _process("node", node, environment, Path(folder)) as controller,
+            _process("robot", robot, environment, Path(folder)) as base,
+        ):
+            _wait(base, controller, time.monotonic() + timeout)
 
 
 def _own_domain(folder: Path) -> dict[str, str]:

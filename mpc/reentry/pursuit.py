@@ -131,7 +131,7 @@ class Pursuit:
             if self._clock.on_time:
                 return Target(followed, time)
         still = self._blocked.look(since_start, estimate.pose) if late > 1.0 or self._way_back else 0.0
-        return Target(self._clock.clocked(followed), since_start, self._words(still), still > 0.0)
+        return Target(self._clock.clocked(followed), since_start, self._words(still), still)
 
     def _chase(self, reference: Reference, time: float, estimate: Estimate) -> Target | TooFar:
         """The reference on time, whatever the robot does."""
