@@ -49,8 +49,8 @@ def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
     needed = int(np.ceil((reference.duration - TIME_TOLERANCE) / sample_time)) + 1
     if len(time) < needed or time[needed - 1] < reference.duration - TIME_TOLERANCE:
         raise ConfigError(
-            f"{bag}: it ends {time[-1]:.1f} s after the start of the drive, the reference {reference.duration:.1f} s after "
-            "it; record for longer"
+            f"{bag}: it ends {time[-1]:.1f} s after the start, the reference {reference.duration:.1f} s after it; "
+            "record for longer"
         )
     rows = slice(first, first + needed)
     time = time[:needed]

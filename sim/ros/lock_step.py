@@ -22,7 +22,7 @@ def drive_in_lock_step(
 ) -> None:
     """Drive until `going` says no.
 
-    The clock stands until somebody is connected who publishes commands. From then on every tick waits for its command
+    The clock stands until somebody who publishes commands is connected. From then on every tick waits for its command
     for the answer timeout at most, or as long as a repeat of the clock takes while nobody is connected any more: when a
     controller falls silent or dies the robot goes on, slowly, and the command timeout acts.
 
@@ -32,16 +32,37 @@ def drive_in_lock_step(
         If the robot is lost.
     """
     ticker = base.node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
-    if not base.commanded:
-        base.node.get_logger().info(f"lock step: waiting for somebody to publish commands on {base.command_topic}")
-    while going() and not base.commanded:
-        ticker.publish(messages.clock(clock()))
-        spin(settings.clock_repeat)
+    # One sample before the first tick, so that a timer that this wakes falls due again on the first tick.
+    before = messages.clock(clock.at(-1))
+    _wait_for_company(base, lambda: ticker.publish(before), settings, spin, going)
     while going():
         now = clock.at(base.tick)
         base.publish_sensors(now, clock.origin)
         _wait_for_answer(base, now, ticker.publish, settings, spin, going)
         base.advance(now)
+
+
+def _wait_for_company(
+    base: SimulatedBase, publish: Callable[[], None], settings: LockStep, spin: Spin, going: Callable[[], bool]
+) -> None:
+    """Until commands have a publisher and, though not for longer than an answer may take, odometry has a reader.
+
+    Nothing must have connected during the last repeat of the clock: the first tick is for all who are about to come.
+    """
+    if not base.commanded:
+        base.node.get_logger().info(f"lock step: waiting for somebody to publish commands on {base.command_topic}")
+    patience: float | None = None
+    connected: tuple[int, ...] = ()
+    while going():
+        moment = time.monotonic()
+        if base.commanded:
+            patience = patience or moment + settings.answer_timeout
+            if connected == base.connections and (base.observed or moment >= patience):
+                return
+        connected = base.connections
+        publish()
+        while going() and (left := moment + settings.clock_repeat - time.monotonic()) > 0:
+            spin(left)
 
 
 def _wait_for_answer(

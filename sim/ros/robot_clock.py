@@ -32,7 +32,7 @@ class SteppedClock:
         return self._now
 
     def at(self, tick: int) -> int:
-        """Go to the instant of a tick and return it [ns]."""
+        """Go to the instant of a tick, which may lie before the first one, and return it [ns]."""
         self._now = self.origin + round(1e9 * tick * self._sample)
         return self._now
 

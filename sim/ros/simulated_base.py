@@ -88,6 +88,17 @@ class SimulatedBase:
         return self._commands.get_publisher_count() > 0
 
     @property
+    def observed(self) -> bool:
+        """Whether somebody is connected who reads the odometry."""
+        return bool(self._publishers["odom"].get_subscription_count() > 0)
+
+    @property
+    def connections(self) -> tuple[int, ...]:
+        """How many are connected to each topic."""
+        readers = (publisher.get_subscription_count() for publisher in self._publishers.values())
+        return (self._commands.get_publisher_count(), *readers)
+
+    @property
     def command_topic(self) -> str:
         """Full name of the topic of commands."""
         return str(self._commands.topic_name)

@@ -15,10 +15,13 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from rosgraph_msgs.msg import Clock
 
+from sim.ros.base_settings import load_base_settings
+
 DOMAIN = str(1 + os.getpid() % 101)
 """Each test process has a domain of its own: nobody else's robot can be driven by mistake."""
 BOUND = 60.0
 """No test waits for longer [s]; it fails then."""
+FIRST_TICK = load_base_settings().lock_step.first_tick
 
 
 def own_domain(monkeypatch, folder):
@@ -36,7 +39,7 @@ class Driver(threading.Thread):
     def __init__(self, commands, sample_time, *, stamped=True, stamp=lambda now: now):
         super().__init__(daemon=True)
         self.commands, self.sample, self.stamped, self.stamp = commands, sample_time, stamped, stamp
-        self.odometry, self.first, self.finished, self.done = [], None, False, threading.Event()
+        self.odometry, self.finished, self.done = [], False, threading.Event()
 
     def __enter__(self):
         self.start()
@@ -68,8 +71,9 @@ class Driver(threading.Thread):
 
     def answer(self, message):
         now = message.clock.sec * 10**9 + message.clock.nanosec
-        self.first = self.first or now
-        tick = round((now - self.first) * 1e-9 / self.sample)
+        tick = round(now * 1e-9 / self.sample) - FIRST_TICK
+        if tick < 0:
+            return
         if tick >= len(self.commands):
             self.finished = tick == len(self.commands)
             return
