@@ -117,7 +117,7 @@ def _kind(field: FieldInfo) -> type:
     """Type of the field's values; of an optional one, the type beside None."""
     kinds = [kind for kind in get_args(field.annotation) or (field.annotation,) if kind is not NoneType]
     inner = get_args(kinds[0])
-    return inner[0] if inner else kinds[0]  # type: ignore[return-value]  # Annotated or plain, a class stands first
+    return inner[0] if inner else kinds[0]
 
 
 def _optional(field: FieldInfo) -> bool:
