@@ -42,6 +42,12 @@ def robot(
     command_timeout: Annotated[
         float | None, typer.Option(help="Stop after so many seconds without a command.", show_default="as --base")
     ] = None,
+    answer_timeout: Annotated[
+        float | None,
+        typer.Option(
+            help="In lock step: longest wait for the command to a tick, in seconds.", show_default="as --base"
+        ),
+    ] = None,
     odometry_pose: Annotated[
         Literal["dead_reckoning", "pose_sensor"] | None,
         typer.Option(help="Where the pose in odom comes from.", show_default="as --base"),
@@ -65,7 +71,13 @@ def robot(
     from sim.ros.run_robot import run_robot  # noqa: PLC0415
     from sim.sensor_set import load_sensor_set  # noqa: PLC0415
 
-    settings = load_base_settings(base, stamped=stamped, command_timeout=command_timeout, odometry_pose=odometry_pose)
+    changes = {
+        "stamped": stamped,
+        "command_timeout": command_timeout,
+        "odometry_pose": odometry_pose,
+        "lock_step.answer_timeout": answer_timeout,
+    }
+    settings = load_base_settings(base, changes)
     start = load_trajectory(trajectory).sample([0.0]).pose[0]
     run_robot(
         make_plant(plant, surface, sensors, seed, scenario=scenario),

@@ -22,6 +22,8 @@ _LAST_WORDS = 20.0
 # Robot time before the start, while the node gets its first measurements, and after the end [s].
 _MARGIN = 2.0
 _LOOKS_EVERY = 0.05
+# In lock step, a busy machine may hold up a command [s]; going on without it would change the drive.
+_PATIENCE = 20.0
 
 
 class DriveFailedError(RuntimeError):
@@ -52,6 +54,7 @@ def drive_over_dds(case: Case, duration: float, bag: Path, *, lock_step: bool, t
     robot = [
         *("robot", "--plant", case.plant, "--surface", case.surface, "--sensors", case.sensors),
         *("--scenario", case.scenario, "--seed", str(case.seed), "--trajectory", case.trajectory),
+        *("--answer-timeout", str(_PATIENCE)),
         *("--lock-step" if lock_step else "--real-time", "--duration", str(duration + _MARGIN), "--record", str(bag)),
     ]
     node = ["node", "--config", case.config or case.model, "--trajectory", case.trajectory, "--drive"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import reduce
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -50,7 +52,7 @@ class BaseSettings(StrictModel):
     real_time: RealTime
 
 
-def load_base_settings(path: str | Path | None = None, **changes: object) -> BaseSettings:
+def load_base_settings(path: str | Path | None = None, changes: Mapping[str, object] | None = None) -> BaseSettings:
     """Read base settings; without a path, the shipped ones.
 
     Parameters
@@ -58,14 +60,17 @@ def load_base_settings(path: str | Path | None = None, **changes: object) -> Bas
     path
         A YAML file with all settings.
     changes
-        Values that replace those of the file, by their key at the top level; None leaves the file's.
+        Values that replace those of the file, by dotted key such as "lock_step.answer_timeout"; None leaves the file's.
 
     Raises
     ------
     models.checked_yaml.ConfigError
         If the file cannot be read or a value is missing, unknown or out of range.
     """
-    path = path or SHIPPED
-    settings = load_checked(BaseSettings, path)
-    given = {key: value for key, value in changes.items() if value is not None}
-    return check(BaseSettings, settings.model_dump() | given, "base settings") if given else settings
+    settings = load_checked(BaseSettings, path or SHIPPED)
+    values = settings.model_dump()
+    for key, value in (changes or {}).items():
+        if value is not None:
+            *groups, name = key.split(".")
+            reduce(dict.__getitem__, groups, values)[name] = value
+    return check(BaseSettings, values, "base settings")

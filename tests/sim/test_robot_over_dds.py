@@ -18,10 +18,9 @@ DT = load_robot().sample_time
 TICKS = 60
 
 
-def settings(answer_timeout=30.0, clock_repeat=0.02, **changes):
-    shipped = load_base_settings(**changes).model_dump()
-    shipped["lock_step"] |= {"answer_timeout": answer_timeout, "clock_repeat": clock_repeat}
-    return BaseSettings.model_validate(shipped)
+def settings(answer_timeout=30.0, **changes):
+    lock_step = {"lock_step.answer_timeout": answer_timeout, "lock_step.clock_repeat": 0.02}
+    return load_base_settings(changes=lock_step | changes)
 
 
 @pytest.fixture(autouse=True)
@@ -114,9 +113,7 @@ def test_commands_that_cannot_be_meant_do_not_move_it(tmp_path):
 
 
 def test_topics_carry_frames_and_rates(tmp_path):
-    base = settings()
-    base = base.model_copy(update={"every": base.every.model_copy(update={"imu": 3})})
-    driver = driven(tmp_path / "bag", commands(), base=base)
+    driver = driven(tmp_path / "bag", commands(), base=settings(**{"every.imu": 3}))
     odom, imu = recorded(tmp_path / "bag", "/odom")[1], recorded(tmp_path / "bag", "/imu")[1]
     assert (odom[0].header.frame_id, odom[0].child_frame_id) == ("odom", "base_link")
     assert recorded(tmp_path / "bag", "/pose")[1][0].header.frame_id == "map"

@@ -140,6 +140,7 @@ def test_the_wall_clock_never_goes_back():
 
 
 def test_changed_settings_are_checked_too():
-    assert load_base_settings(stamped=False, command_timeout=None).stamped is False
+    assert load_base_settings(changes={"stamped": False, "command_timeout": None}).stamped is False
+    assert load_base_settings(changes={"lock_step.answer_timeout": 3.0}).lock_step.answer_timeout == 3.0
     with pytest.raises(ValueError, match="base settings: command_timeout: .* greater than 0"):
-        load_base_settings(command_timeout=-1.0)
+        load_base_settings(changes={"command_timeout": -1.0})
