@@ -33,6 +33,13 @@ def test_imports_run_one_way(package):
             assert "mujoco" not in set(imported(path)), path
 
 
+@pytest.mark.parametrize("package", ALLOWED)
+def test_ros_is_imported_where_the_nodes_are_and_nowhere_else(package):
+    for path in (ROOT / package).rglob("*.py"):
+        if path.parent not in (ROOT / "mpc" / "ros", ROOT / "sim" / "ros"):
+            assert not {name for name in imported(path) if name == "rclpy" or name.endswith("_msgs")}, path
+
+
 def test_the_controller_runs_without_mujoco():
     code = (
         "import sys; sys.modules['mujoco'] = None\n"

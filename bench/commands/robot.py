@@ -63,9 +63,7 @@ def robot(
         raise ConfigError(f"--duration {duration}: give a time in seconds, more than zero")
     arguments = ros_arguments(context)
 
-    import rclpy  # noqa: F401, PLC0415 - before anything slow, so that its absence is said at once
-
-    from mpc import load_trajectory  # noqa: PLC0415
+    from mpc import load_trajectory  # noqa: PLC0415 - --help does without it, and without ROS
     from sim import make_plant  # noqa: PLC0415
     from sim.ros.base_settings import load_base_settings  # noqa: PLC0415
     from sim.ros.run_robot import run_robot  # noqa: PLC0415

@@ -22,6 +22,7 @@ _LAST_WORDS = 20.0
 # Robot time before the start, while the node gets its first measurements, and after the end [s].
 _MARGIN = 2.0
 _LOOKS_EVERY = 0.05
+_WORDS_SHOWN = 1000
 # In lock step, a busy machine may hold up a command [s]; going on without it would change the drive.
 _PATIENCE = 20.0
 
@@ -63,15 +64,15 @@ def drive_over_dds(case: Case, duration: float, bag: Path, *, lock_step: bool, t
     node += ["--ros-args", "-p", "use_pose_topic:=true", "-p", "start_at_robot:=false"]
     node += ["-p", f"use_sim_time:={str(lock_step).lower()}"]
     with tempfile.TemporaryDirectory() as folder:
-        environment = _own_domain(Path(folder))
+        environment = own_domain(Path(folder))
         with (
-            _process("node", node, environment, Path(folder)) as controller,
-            _process("robot", robot, environment, Path(folder)) as base,
+            running("node", node, environment, Path(folder)) as controller,
+            running("robot", robot, environment, Path(folder)) as base,
         ):
             _wait(base, controller, time.monotonic() + timeout)
 
 
-def _own_domain(folder: Path) -> dict[str, str]:
+def own_domain(folder: Path) -> dict[str, str]:
     """An environment in which the two meet nobody else, and leave no logs behind."""
     return os.environ | {
         "ROS_DOMAIN_ID": str(1 + os.getpid() % _DOMAINS),
@@ -80,16 +81,35 @@ def _own_domain(folder: Path) -> dict[str, str]:
     }
 
 
-class _Process:
+class Process:
+    """One command of `diffdrive-mpc`, running.
+
+    Parameters
+    ----------
+    name
+        For messages.
+    words
+        Command and options.
+    environment
+        Of the process.
+    folder
+        Where its output is kept.
+    """
+
     def __init__(self, name: str, words: Sequence[str], environment: dict[str, str], folder: Path) -> None:
         self.name = name
-        self._said = (folder / name).open("w+", encoding="utf-8")
+        self._path = folder / name
+        self._said = self._path.open("w", encoding="utf-8")
         self.popen = subprocess.Popen([*_COMMAND, *words], env=environment, stdout=self._said, stderr=self._said)
+
+    @property
+    def output(self) -> str:
+        """What it has printed so far."""
+        return self._path.read_text(encoding="utf-8")
 
     def failure(self, what: str) -> DriveFailedError:
         """An error with the last words of this process."""
-        self._said.seek(0)
-        words = " ".join(self._said.read().split())[-1000:]
+        words = " ".join(self.output.split())[-_WORDS_SHOWN:]
         return DriveFailedError(f"{self.name}: {what}; it said: {words or 'nothing'}")
 
     def end(self) -> None:
@@ -105,15 +125,16 @@ class _Process:
 
 
 @contextmanager
-def _process(name: str, words: Sequence[str], environment: dict[str, str], folder: Path) -> Iterator[_Process]:
-    process = _Process(name, words, environment, folder)
+def running(name: str, words: Sequence[str], environment: dict[str, str], folder: Path) -> Iterator[Process]:
+    """A process that does not outlive the context; parameters as for `Process`."""
+    process = Process(name, words, environment, folder)
     try:
         yield process
     finally:
         process.end()
 
 
-def _wait(robot: _Process, controller: _Process, end: float) -> None:
+def _wait(robot: Process, controller: Process, end: float) -> None:
     """Until the robot ends by itself."""
     while robot.popen.poll() is None:
         if controller.popen.poll() is not None:
