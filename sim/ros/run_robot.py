@@ -39,7 +39,9 @@ def run_robot(
     storage: Storage = "mcap",
     ros_arguments: Sequence[str] = (),
 ) -> None:
-    """Put `plant` at `start` and let it live on its topics until SIGINT, SIGTERM or the end of `duration`.
+    """Put `plant` at `start` and let it live on its topics until SIGINT, SIGTERM, SIGHUP or the end of `duration`.
+
+    To be called from the main thread, which signals reach.
 
     Parameters
     ----------
@@ -92,7 +94,7 @@ def _told_to_end(plant: Plant, duration: float | None) -> Iterator[Callable[[], 
         nonlocal told
         told = True
 
-    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     last = math.inf if duration is None else duration
     try:
         # Half a sample: times are sums of samples.
