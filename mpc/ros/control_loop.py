@@ -120,7 +120,7 @@ class ControlLoop:
             self._begin_when_ready = True
 
     def start(self) -> str:
-        """Begin to drive, or drive on after a pause; returns what it does.
+        """Begin to drive with the next tick, or drive on after a pause; returns what it does.
 
         Raises
         ------
@@ -128,16 +128,23 @@ class ControlLoop:
             If the robot drives already, there is no reference, or measurements are missing.
         """
         if self.state is LoopState.PAUSED:
-            self._refuse_without_measurements()
+            self._refuse_if_missing()
             self.state, self._reason = LoopState.DRIVING, ""
             return "drives on"
         standing = self.last is not None and self.last.mode in (Mode.FINISHED, Mode.STOPPED)
         if self.state is LoopState.DRIVING and not standing:
             raise RefusedError("it is driving already; pause it first")
-        return self._begin()
+        self._refuse_if_missing()
+        if self.state is LoopState.FAULT:
+            self._controller.reset()
+        self.state, self._reason, self._begin_when_ready = LoopState.IDLE, "", True
+        return f"begins '{self._reference.name}', {self._reference.duration:.1f} s" if self._reference else ""
 
     def pause(self, reason: str = "paused; call start to drive on") -> str:
-        """Brake and stand; the reference waits. Returns what it does; raises RefusedError if it does not drive."""
+        """Brake and stand; the reference waits. Returns what it does; raises RefusedError if it stands idle."""
+        if self._begin_when_ready:
+            self._begin_when_ready = False
+            return "does not begin any more"
         if self.state is not LoopState.DRIVING:
             raise RefusedError(f"it does not drive ({self.state})")
         self.state, self._reason = LoopState.PAUSED, reason
@@ -167,8 +174,9 @@ class ControlLoop:
         return tick
 
     def _decide(self, t: float) -> Tick:
-        if self._begin_when_ready and self.state is LoopState.IDLE and not self._missing():
-            self._begin()
+        if self._begin_when_ready and self._reference is not None and not self._missing():
+            self._start_controller(self._reference)
+            self.state, self._begin_when_ready = LoopState.DRIVING, False
         if self.state in (LoopState.IDLE, LoopState.FAULT):
             return self._standing()
         result = self._controller.step(t, self.inbox.measurement(), self._hold(t))
@@ -197,19 +205,10 @@ class ControlLoop:
             fault = "there is no reference: set the parameter trajectory, or publish one"
         return fault
 
-    def _refuse_without_measurements(self) -> None:
+    def _refuse_if_missing(self) -> None:
         missing = self._missing()
         if missing:
             raise RefusedError(missing)
-
-    def _begin(self) -> str:
-        self._refuse_without_measurements()
-        assert self._reference is not None
-        if self.state is LoopState.FAULT:
-            self._controller.reset()
-        self._start_controller(self._reference)
-        self.state, self._reason, self._begin_when_ready = LoopState.DRIVING, "", False
-        return f"begins '{self._reference.name}', {self._reference.duration:.1f} s"
 
     def _start_controller(self, reference: Reference) -> None:
         pose = self.inbox.newest_pose

@@ -41,7 +41,6 @@ def _logged(transition: _Transition) -> _Transition:
 
     @wraps(transition)
     def logged(self: TrackingNode, state: LifecycleState) -> TransitionCallbackReturn:
-        self.failure = ""
         try:
             return transition(self, state)
         except (ValueError, OSError) as error:
@@ -71,7 +70,7 @@ class TrackingNode(LifecycleNode):
     Attributes
     ----------
     failure
-        Why the last transition failed; empty if it did not.
+        Why the last transition that failed did; empty if none has.
 
     Raises
     ------

@@ -19,6 +19,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
+from std_srvs.srv import Trigger
 
 from mpc.config_file import load_config
 from mpc.ros.conversions import nanoseconds, pose_message, time_message
@@ -30,7 +31,7 @@ DT = CONFIG.sample_time
 PERIOD = round(DT * 1e9)
 START = 10**9
 # Far more than anything here takes; only a fault reaches it.
-PATIENCE = 20.0
+PATIENCE = 10.0
 
 
 class FakeBase:
@@ -96,12 +97,16 @@ class FakeBase:
             pose.pose.pose = pose_message(measured.pose.value)
             self.pose.publish(pose)
 
-    def step(self):
-        """One tick in lock step: sensors, clock, command, motion."""
+    def advance_clock(self):
+        """Sensors and clock of the next tick."""
         self.tick += 1
         self.publish_sensors()
         self.clock.publish(Clock(clock=time_message(self.now)))
+
+    def step(self):
+        """One tick in lock step: sensors, clock, command, motion."""
         count = len(self.commands)
+        self.advance_clock()
         self.until(lambda: len(self.commands) > count and self.times[-1] == self.now, f"command of tick {self.tick}")
         self.plant.advance((0.0, 0.0) if self.held else self.commands[-1])
         return np.array(self.commands[-1])
@@ -114,9 +119,7 @@ class FakeBase:
         """Ticks to which the node must not answer."""
         count = len(self.commands)
         for _ in range(ticks):
-            self.tick += 1
-            self.publish_sensors()
-            self.clock.publish(Clock(clock=time_message(self.now)))
+            self.advance_clock()
             for _ in range(10):
                 self.spin()
             self.plant.advance((0.0, 0.0))
@@ -129,28 +132,40 @@ class FakeBase:
 
 
 class Stack:
-    """The node in a context of its own, and the base that it drives."""
+    """The node in a context of its own, and the base that it drives; with `drive` it has just been told to start."""
 
-    def __init__(self, overrides=None, *, plant="model:ssm+0.005", pose_topic=False, **parameters):
-        self.context = Context()
+    def __init__(self, overrides=None, *, plant="model:ssm+0.005", pose_topic=False, drive=False, **parameters):
+        parameters = {"autostart": True, "start_at_robot": False, "use_pose_topic": pose_topic, **parameters}
         words = ["--ros-args", "-p", "use_sim_time:=true", "--log-level", "warn"]
-        for name, value in {"autostart": True, "start_at_robot": False, **parameters}.items():
+        for name, value in parameters.items():
             words += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
-        if pose_topic:
-            words += ["-p", "use_pose_topic:=true"]
+        self.context = Context()
         rclpy.init(context=self.context, args=words)
         self.node = TrackingNode(overrides=overrides, context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
-        self.base = FakeBase(
-            self.spin, plant, stamped=parameters.get("stamped", True), pose_topic=pose_topic
-        )
+        self.base = FakeBase(self.spin, plant, stamped=parameters.get("stamped", True), pose_topic=pose_topic)
+        try:
+            self.base.until(self.knows_the_time, "the first clock")
+            self.node.bring_up()
+            if parameters["autostart"]:
+                self.base.until(self.hears, "sensors")
+            if drive:
+                assert self.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+        except BaseException:
+            self.close()
+            raise
+
+    def knows_the_time(self):
         self.base.clock.publish(Clock(clock=time_message(self.base.now)))
-        self.base.until(lambda: self.node.get_clock().now().nanoseconds == START, "the first clock")
-        self.node.bring_up()
-        self.base.until(lambda: self.base.odom.get_subscription_count() == 1, "the node's subscriptions") if parameters.get(
-            "autostart", True
-        ) else None
+        return self.node.get_clock().now().nanoseconds == START
+
+    def hears(self):
+        """Whether everything has arrived once: before that, messages may be lost to discovery."""
+        self.base.silent(1)
+        inbox = self.node._inbox
+        topics = [inbox.odometry, inbox.imu, inbox.pose] if self.base.pose_topic else [inbox.odometry, inbox.imu]
+        return all(topic.accepted for topic in topics) and bool(self.base.commands)
 
     def spin(self):
         self.executor.spin_once(timeout_sec=0.0)
