@@ -1,5 +1,7 @@
 """The drive over DDS beside the simulation in one process, with the same seed.
 
+`minute.yaml` beside this file is a trajectory long enough for figures of jitter and latency.
+
 Run as ``python -m bench.ros.compare [--real-time] [--model MODEL] [--seed SEED] [TRAJECTORY ...]``.
 """
 
@@ -94,9 +96,11 @@ def timing_table(comparisons: Sequence[Comparison]) -> Table:
     """Control period and latency of the drives over DDS, in milliseconds."""
     rows = []
     for item in comparisons:
-        for name, spread in (("period", item.timing.period), ("odometry to command", item.timing.latency)):
+        timing = item.timing
+        named = (("period", timing.period), ("jitter", timing.jitter), ("odometry to command", timing.latency))
+        for name, spread in named:
             times = (f"{1e3 * value:.2f}" for value in (spread.p50, spread.p99, spread.max))
-            rows.append((item.case.labels["trajectory"], name, *times, str(item.timing.misses)))
+            rows.append((item.case.labels["trajectory"], name, *times, str(timing.misses)))
     columns = ("trajectory", "time", "p50 [ms]", "p99 [ms]", "max [ms]", "missed periods")
     return Table("Times over DDS", columns, tuple(rows), 2)
 

@@ -36,6 +36,8 @@ class LoopTiming:
         Number of commands.
     period
         From one command's stamp to the next.
+    jitter
+        By how much a period differs from the sample time, either way.
     latency
         From the stamp of the newest odometry at hand to the receipt of the command at the robot.
     misses
@@ -44,6 +46,7 @@ class LoopTiming:
 
     commands: int
     period: Spread
+    jitter: Spread
     latency: Spread
     misses: int
 
@@ -67,7 +70,8 @@ def loop_timing(bag: Path, sample_time: float) -> LoopTiming:
     periods = 1e-9 * np.diff(times[counted])
     latency = 1e-9 * (commands.received - odometry.stamped[newest])[counted]
     misses = int(np.count_nonzero(periods > _MISSED * sample_time))
-    return LoopTiming(int(np.count_nonzero(counted)), _spread(periods), _spread(latency), misses)
+    jitter = np.abs(periods - sample_time)
+    return LoopTiming(int(np.count_nonzero(counted)), _spread(periods), _spread(jitter), _spread(latency), misses)
 
 
 def _spread(times: ArrayLike) -> Spread:

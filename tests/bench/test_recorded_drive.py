@@ -73,4 +73,5 @@ def test_times_of_the_loop_are_those_of_stamps_and_receipts(tmp_path):
     timing = loop_timing(tmp_path / "bag", DT)
     assert (timing.commands, timing.misses) == (99, 1)
     assert timing.period.p50 == pytest.approx(DT) and timing.period.max == pytest.approx(2 * DT)
+    assert timing.jitter.p50 < 1e-9 and timing.jitter.max == pytest.approx(DT)
     assert timing.latency.p50 == pytest.approx(0.004) and timing.latency.max == pytest.approx(0.004)
