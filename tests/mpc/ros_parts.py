@@ -131,12 +131,33 @@ class FakeBase:
         rclpy.shutdown(context=self.context)
 
 
+class WallClockBase(FakeBase):
+    """The same in real time, more or less: it does not wait for commands, and publishes no clock."""
+
+    @property
+    def now(self):
+        return self.node.get_clock().now().nanoseconds
+
+    def advance_clock(self):
+        self.publish_sensors()
+        time.sleep(DT)
+
+    def drive(self):
+        """A sample: sensors, whatever commands come, motion."""
+        self.advance_clock()
+        for _ in range(10):
+            self.spin()
+        self.plant.advance(self.commands[-1])
+
+
 class Stack:
     """The node in a context of its own, and the base that it drives; with `drive` it has just been told to start."""
 
-    def __init__(self, overrides=None, *, plant="model:ssm+0.005", pose_topic=False, drive=False, **parameters):
+    def __init__(
+        self, overrides=None, *, plant="model:ssm+0.005", pose_topic=False, drive=False, sim_time=True, **parameters
+    ):
         parameters = {"autostart": True, "start_at_robot": False, "use_pose_topic": pose_topic, **parameters}
-        words = ["--ros-args", "-p", "use_sim_time:=true", "--log-level", "warn"]
+        words = ["--ros-args", "-p", f"use_sim_time:={str(sim_time).lower()}", "--log-level", "warn"]
         for name, value in parameters.items():
             words += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
         self.context = Context()
@@ -144,9 +165,11 @@ class Stack:
         self.node = TrackingNode(overrides=overrides, context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
-        self.base = FakeBase(self.spin, plant, stamped=parameters.get("stamped", True), pose_topic=pose_topic)
+        kind = FakeBase if sim_time else WallClockBase
+        self.base = kind(self.spin, plant, stamped=parameters.get("stamped", True), pose_topic=pose_topic)
         try:
-            self.base.until(self.knows_the_time, "the first clock")
+            if sim_time:
+                self.base.until(self.knows_the_time, "the first clock")
             self.node.bring_up()
             if parameters["autostart"]:
                 self.base.until(self.hears, "sensors")

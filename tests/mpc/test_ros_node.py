@@ -54,6 +54,16 @@ def test_in_lock_step_it_commands_what_the_simulation_does():
     np.testing.assert_allclose(commands, run.command[:ticks], atol=1e-6)
 
 
+def test_on_the_wall_clock_it_drives_and_stops_without_odometry():
+    """Nothing is said of times: how fast this computer is today does not matter."""
+    with stack(sim_time=False, drive=True) as s:
+        s.base.until(lambda: s.base.drive() or s.base.plant.true_pose[0] > 0.1, "the robot to move")
+        assert s.loop.times.latency.percentiles().p50 > 0.0
+        s.base.tamper = lambda odometry: None
+        s.base.until(lambda: s.base.drive() or s.loop.last.mode == Mode.STOPPED, "the robot to stop")
+        assert s.base.commands[-1] == (0.0, 0.0)
+
+
 def test_the_states_of_the_lifecycle():
     with stack(autostart=False) as s:
         assert state(s) == State.PRIMARY_STATE_UNCONFIGURED
