@@ -15,6 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from models.checked_yaml import ConfigError
 from sim.plant import Plant
 from sim.ros.bag_recorder import Storage, bag_recorder
 from sim.ros.base_settings import BaseSettings
@@ -65,14 +66,14 @@ def run_robot(
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the bag cannot be written.
+        If the bag cannot be written, or the ROS arguments cannot be used.
     sim.plant.RobotLostError
         If the robot tips over or its motion diverges.
     """
     with ExitStack() as stack:
         going = stack.enter_context(_told_to_end(plant, duration))
-        recorder = None if record is None else stack.enter_context(bag_recorder(record, storage))
         node, spin = stack.enter_context(_ros_node(ros_arguments))
+        recorder = None if record is None else stack.enter_context(bag_recorder(record, storage))
         clock: SteppedClock | WallClock = (
             SteppedClock(settings.lock_step.first_tick, plant.sample_time) if lock_step else WallClock()
         )
@@ -107,7 +108,10 @@ def _told_to_end(plant: Plant, duration: float | None) -> Iterator[Callable[[], 
 @contextmanager
 def _ros_node(arguments: Sequence[str]) -> Iterator[tuple[Node, Callable[[float], None]]]:
     """A node, and a function that handles one of its messages."""
-    rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # the base of rclpy's errors, which have no public names
+        raise ConfigError(f"ROS cannot start with the arguments '{' '.join(arguments)}': {error}") from error
     try:
         node = rclpy.create_node(NODE_NAME)
         executor = SingleThreadedExecutor()
