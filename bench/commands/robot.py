@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 import typer
 
 from bench.commands.node import ros_arguments
-from models.checked_yaml import ConfigError
 
 EXAMPLE = "Example: diffdrive-mpc robot --trajectory s --lock-step --record out/drive"
 
@@ -60,7 +59,7 @@ def robot(
     It ends on Ctrl-C. What follows `--ros-args` goes to ROS: remappings, parameters.
     """
     if duration is not None and not duration > 0:
-        raise ConfigError(f"--duration {duration}: give a time in seconds, more than zero")
+        raise ValueError(f"--duration {duration}: give a time in seconds, more than zero")
     arguments = ros_arguments(context)
 
     from mpc import load_trajectory  # noqa: PLC0415 - --help does without it, and without ROS
