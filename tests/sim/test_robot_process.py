@@ -4,7 +4,9 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -22,26 +24,28 @@ def ros(monkeypatch, tmp_path):
     own_domain(monkeypatch, tmp_path / "ros")
 
 
-def started(*words, ready="ready"):
-    """The process, once it says that it is ready."""
+@contextmanager
+def started(*words, says):
+    """The process, once it has said these words; it does not outlive the context, nor the bound."""
     robot = subprocess.Popen([COMMAND, "robot", "--plant", "model:ssm", *words], stderr=subprocess.PIPE, text=True)
-    end = time.monotonic() + BOUND
-    for line in robot.stderr:
-        if ready in line:
-            return robot
-        assert time.monotonic() < end
-    raise AssertionError("the robot ended before it was ready")
+    watchdog = threading.Timer(BOUND, robot.kill)
+    watchdog.start()
+    try:
+        assert any(says in line for line in robot.stderr), "it ended before it was ready"
+        yield robot
+    finally:
+        watchdog.cancel()
+        robot.kill()
+        robot.communicate()
 
 
-@pytest.mark.parametrize(("number", "mode"), [(signal.SIGINT, "--real-time"), (signal.SIGTERM, "--lock-step")])
-def test_a_signal_ends_it_cleanly(number, mode, tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("mode", "says"), [("--real-time", "ready, in real time"), ("--lock-step", "waiting for")])
+def test_a_signal_ends_it_cleanly(number, mode, says, tmp_path):
     """Also in lock step with nobody there, where it waits."""
-    ready = "waiting" if mode == "--lock-step" else "ready"
-    robot = started(mode, "--record", str(tmp_path / "bag"), ready=ready)
-    if mode == "--real-time":
-        time.sleep(0.2)
-    robot.send_signal(number)
-    _, errors = robot.communicate(timeout=BOUND)
+    with started(mode, "--record", str(tmp_path / "bag"), says=says) as robot:
+        robot.send_signal(number)
+        _, errors = robot.communicate()
     assert robot.returncode == 0, errors
     assert "Traceback" not in errors
     assert (tmp_path / "bag" / "metadata.yaml").exists()
