@@ -36,7 +36,8 @@ def started(*words, says):
     finally:
         watchdog.cancel()
         robot.kill()
-        robot.communicate()
+        robot.wait()
+        robot.stderr.close()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
