@@ -31,8 +31,13 @@ def test_imports_run_one_way(package):
         assert ours <= ALLOWED[package], path
         if package != "sim":
             assert "mujoco" not in set(imported(path)), path
-        if path.parent.name != "ros":
-            assert "rclpy" not in set(imported(path)), path
+
+
+@pytest.mark.parametrize("package", ALLOWED)
+def test_ros_is_imported_where_the_nodes_are_and_nowhere_else(package):
+    for path in (ROOT / package).rglob("*.py"):
+        if path.parent not in (ROOT / "mpc" / "ros", ROOT / "sim" / "ros"):
+            assert not {name for name in imported(path) if name == "rclpy" or name.endswith("_msgs")}, path
 
 
 def test_the_controller_runs_without_mujoco_and_ros():
