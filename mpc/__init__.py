@@ -5,6 +5,7 @@ from mpc.config import ControllerConfig
 from mpc.config_file import load_config
 from mpc.controller import Controller
 from mpc.estimator import Estimate
+from mpc.hold import Hold
 from mpc.solver_report import SolverReport, SolverStatus
 from mpc.step_result import Mode, StepResult
 from mpc.trajectories import Trajectory, load_trajectory
@@ -13,6 +14,7 @@ __all__ = [
     "Controller",
     "ControllerConfig",
     "Estimate",
+    "Hold",
     "Measurement",
     "Mode",
     "SolverReport",

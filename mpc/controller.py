@@ -17,6 +17,7 @@ from mpc.config import ControllerConfig
 from mpc.config_file import replace_values
 from mpc.estimator import Estimate, StateEstimator
 from mpc.finish import FinishWatch
+from mpc.hold import Hold
 from mpc.planner import Plan, Planner
 from mpc.reentry import Pursuit, Target, TooFar
 from mpc.reference_check import check_speeds
@@ -36,6 +37,7 @@ class _Outcome:
     mode: Mode
     solver: SolverReport = _NOT_RUN
     plan: Plan | None = None
+    blocked_for: float = 0.0
 
 
 class Controller:
@@ -151,11 +153,12 @@ class Controller:
         self._pending = replace_values(self._pending or self._config, changes)
         return self._pending
 
-    def step(self, t: float, measurement: Measurement) -> StepResult:
+    def step(self, t: float, measurement: Measurement, hold: Hold | None = None) -> StepResult:
         """Decide the command for the tick at `t` [s] from what arrived since the last one.
 
         Never raises on data: a measurement that is not finite, jumps or is too old is rejected and `message` says so;
         the robot dead-reckons, and brakes when no pose was accepted for `failure.max_pose_age`.
+        With `hold` it brakes and stands instead of driving; it goes on measuring.
 
         Raises
         ------
@@ -174,7 +177,7 @@ class Controller:
             notes.extend(self._estimator.update(t, measurement))
             return replace(self._result, message="; ".join(notes), step_time=time.perf_counter() - started)
         if kind is TickKind.NEW:
-            outcome = self._tick(t, measurement, self._reference, notes)
+            outcome = self._tick(t, measurement, self._reference, notes, hold)
             self._estimator.commands.append(outcome.command)
         else:
             outcome = self._lost_time(kind, notes)
@@ -193,6 +196,7 @@ class Controller:
             progress=self._pursuit.progress,
             reference_delay=self._pursuit.delay,
             estimate=self._estimator.estimate if self._estimator.ready else None,
+            blocked_for=outcome.blocked_for,
             step_time=time.perf_counter() - started,
         )
         return self._result
@@ -212,7 +216,9 @@ class Controller:
             self._estimator.commands.clear()
         return outcome if kind is TickKind.FAULTY else _Outcome(np.zeros(2), Mode.STOPPED)
 
-    def _tick(self, t: float, measurement: Measurement, reference: Reference, notes: list[str]) -> _Outcome:
+    def _tick(
+        self, t: float, measurement: Measurement, reference: Reference, notes: list[str], hold: Hold | None
+    ) -> _Outcome:
         estimator, failure = self._estimator, self._config.failure
         reference_time = self._pursuit.advance(t - self._t0)
         notes.extend(estimator.correct_sent(measurement.sent))
@@ -220,6 +226,8 @@ class Controller:
             self._last = self._slew_base()
         estimator.advance(t)
         notes.extend(estimator.update(t, measurement))
+        if hold is not None:
+            return self._brake(notes, hold.reason, failure=hold.failure)
         if not estimator.ready:
             return self._brake(notes, "no pose has arrived yet")
         if estimator.moved and not self._restart():
@@ -250,8 +258,8 @@ class Controller:
         if plan is not None:
             self._plan, self._plan_age = plan, 0
             # A base that is held must not be asked for more and more: let go, it would leap.
-            share = self._config.reentry.blocked_share if target.blocked else 1.0
-            return _Outcome(self._inside(plan.commands[0], share), Mode.TRACKING, report, plan)
+            share = self._config.reentry.blocked_share if target.blocked_for else 1.0
+            return _Outcome(self._inside(plan.commands[0], share), Mode.TRACKING, report, plan, target.blocked_for)
         notes.append(f"solve failed: {report.status}")
         self._plan_age += 1
         usable = min(self._config.failure.max_reused_ticks, self._config.horizon - 1)
@@ -260,12 +268,12 @@ class Controller:
             return _Outcome(command, Mode.REUSED_PLAN, report, self._plan)
         return replace(self._brake(notes), solver=report)
 
-    def _brake(self, notes: list[str], *reasons: str) -> _Outcome:
+    def _brake(self, notes: list[str], *reasons: str, failure: bool = True) -> _Outcome:
         notes.extend(reasons)
         self._plan = None
         self._planner.reset()
         # Waiting for the first pose is no failure to be latched.
-        self._latched = self._latched or (self._has_driven and not self._config.failure.resume)
+        self._latched = self._latched or (failure and self._has_driven and not self._config.failure.resume)
         command = self._ramp()
         return _Outcome(command, Mode.BRAKING if command.any() else Mode.STOPPED)
 

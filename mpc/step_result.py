@@ -51,6 +51,8 @@ class StepResult:
         How far the reference's clock is behind the controller's [s]; negative where the robot was carried ahead.
     estimate
         The estimate that the command is based on; None before the first pose.
+    blocked_for
+        How long the robot has not moved although it is asked to [s]; 0 when it does.
     step_time
         Duration of the whole step [s].
     """
@@ -65,4 +67,5 @@ class StepResult:
     progress: float
     reference_delay: float
     estimate: Estimate | None
+    blocked_for: float
     step_time: float

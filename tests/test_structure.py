@@ -33,9 +33,16 @@ def test_imports_run_one_way(package):
             assert "mujoco" not in set(imported(path)), path
 
 
-def test_the_controller_runs_without_mujoco():
+@pytest.mark.parametrize("package", ALLOWED)
+def test_ros_is_imported_where_the_nodes_are_and_nowhere_else(package):
+    for path in (ROOT / package).rglob("*.py"):
+        if path.parent not in (ROOT / "mpc" / "ros", ROOT / "sim" / "ros"):
+            assert not {name for name in imported(path) if name == "rclpy" or name.endswith("_msgs")}, path
+
+
+def test_the_controller_runs_without_mujoco_and_ros():
     code = (
-        "import sys; sys.modules['mujoco'] = None\n"
+        "import sys; sys.modules['mujoco'] = sys.modules['rclpy'] = None\n"
         "from mpc import Controller, load_config, load_trajectory, Measurement\n"
         "import sim, bench.cli\n"
         "c = Controller(load_config('ssm')); c.start(load_trajectory('circle'), 0.0)\n"

@@ -17,7 +17,13 @@ FAILED = 1
 INTERRUPTED = 130
 """Exit code after Ctrl-C: 128 plus the number of the signal, as shells have it."""
 
-OPTIONAL_PACKAGES = {"mujoco": "install diffdrive-mpc[sim], or use --plant model:ssm"}
+_ROS = "install diffdrive-mpc[ros], or source the setup file of ROS 2 Jazzy"
+OPTIONAL_PACKAGES = {
+    "mujoco": "install diffdrive-mpc[sim], or use --plant model:ssm",
+    "rclpy": _ROS,
+    "builtin_interfaces": _ROS,
+    "geometry_msgs": _ROS,
+}
 """Packages that only some commands need, and what to do without them."""
 
 

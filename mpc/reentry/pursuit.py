@@ -108,6 +108,9 @@ class Pursuit:
         assert reference is not None
         if not self._settings.enabled or since_start < 0.0:
             return self._chase(reference, time, estimate)
+        if self._resumes:
+            # Until now it was not asked to move.
+            self._blocked.restart()
         if self._way_back is not None and time >= self._way_back.joins:
             self._way_back = None
         followed: Reference = self._way_back or reference
@@ -131,7 +134,7 @@ class Pursuit:
             if self._clock.on_time:
                 return Target(followed, time)
         still = self._blocked.look(since_start, estimate.pose) if late > 1.0 or self._way_back else 0.0
-        return Target(self._clock.clocked(followed), since_start, self._words(still), still > 0.0)
+        return Target(self._clock.clocked(followed), since_start, self._words(still), still)
 
     def _chase(self, reference: Reference, time: float, estimate: Estimate) -> Target | TooFar:
         """The reference on time, whatever the robot does."""

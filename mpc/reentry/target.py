@@ -17,14 +17,14 @@ class Target:
         A reference and the time at which it stands now [s].
     message
         In words, what is out of the ordinary; empty when the robot is on its path and on time.
-    blocked
-        Whether the robot does not move although it is asked to.
+    blocked_for
+        How long the robot has not moved although it is asked to [s]; 0 when it does.
     """
 
     reference: Reference
     time: float
     message: str = ""
-    blocked: bool = False
+    blocked_for: float = 0.0
 
 
 @dataclass(frozen=True)

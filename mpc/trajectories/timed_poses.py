@@ -1,4 +1,4 @@
-"""Trajectories from a CSV file of timed poses, interpolated by cubic splines in time."""
+"""Trajectories through timed poses, from a CSV file or from memory, interpolated by cubic splines in time."""
 
 from __future__ import annotations
 
@@ -18,11 +18,9 @@ _COLUMNS = ("t", "x", "y", "theta")
 
 
 def read_timed_poses(path: Path, limits: TrajectoryLimits) -> SplineTrajectory:
-    """Lay twice continuously differentiable splines through the timed poses of a CSV file.
+    """Lay a trajectory through the timed poses of a CSV file; see `lay_timed_poses`.
 
-    The file has a header with the columns t [s], x, y [m] and theta [rad]; others are ignored. The first row becomes
-    time 0. theta may be wrapped: it is taken to turn by less than pi from row to row. Speeds are checked between the
-    rows as well as at them. Accelerations are not checked: the file alone decides them.
+    The file has a header with the columns t [s], x, y [m] and theta [rad]; others are ignored.
 
     Raises
     ------
@@ -30,15 +28,37 @@ def read_timed_poses(path: Path, limits: TrajectoryLimits) -> SplineTrajectory:
         If the file cannot be read, has fewer than two rows, a value that is no finite number, a time that does not
         increase, a speed beyond `limits`, or a heading that does not point along the direction of travel.
     """
-    rows = _read(path)
+    return lay_timed_poses(_read(path), limits, name=path.stem, where=str(path))
+
+
+def lay_timed_poses(rows: FloatArray, limits: TrajectoryLimits, *, name: str, where: str) -> SplineTrajectory:
+    """Lay twice continuously differentiable splines through timed poses.
+
+    Parameters
+    ----------
+    rows
+        (m, 4), m >= 2, of finite numbers: t [s], which increases and whose first becomes time 0; x, y [m];
+        theta [rad], which may be wrapped: it is taken to turn by less than pi from row to row.
+    limits
+        Speeds to respect, between the rows as well as at them. Accelerations are not checked: the rows decide them.
+    name
+        Name for tables and figures.
+    where
+        Source of the rows, for error messages.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If a speed is beyond `limits`, or a heading does not point along the direction of travel.
+    """
     splines = CubicSpline(rows[:, 0] - rows[0, 0], np.column_stack([rows[:, 1:3], np.unwrap(rows[:, 3])]))
     pieces = load_settings().pieces_per_row
     share = np.arange(pieces) / pieces
     times = np.append((splines.x[:-1, None] + np.diff(splines.x)[:, None] * share).ravel(), splines.x[-1])
     poses, rates = splines(times), splines(times, 1)
-    _check_speeds(path, times + rows[0, 0], poses, rates, limits)
+    _check_speeds(where, times + rows[0, 0], poses, rates, limits)
     # The Hermite form through nodes of a cubic spline is that spline.
-    return SplineTrajectory.through(path.stem, times, poses, rates)
+    return SplineTrajectory.through(name, times, poses, rates)
 
 
 def _read(path: Path) -> FloatArray:
@@ -87,7 +107,7 @@ def _numbers(path: Path, line: int, cells: list[str], columns: list[int]) -> lis
 
 
 def _check_speeds(
-    path: Path, times: FloatArray, poses: FloatArray, rates: FloatArray, limits: TrajectoryLimits
+    where: str, times: FloatArray, poses: FloatArray, rates: FloatArray, limits: TrajectoryLimits
 ) -> None:
     """Refuse speeds beyond the limits and sideways travel."""
     settings = load_settings()
@@ -103,6 +123,6 @@ def _check_speeds(
         worst = int(np.argmax(np.abs(speed)))
         if abs(speed[worst]) > bound * (1 + excess):
             raise ConfigError(
-                f"{path}: {name} = {speed[worst]:.3g} {unit} at t = {times[worst]:.3f} s is beyond the limit of "
+                f"{where}: {name} = {speed[worst]:.3g} {unit} at t = {times[worst]:.3f} s is beyond the limit of "
                 f"{bound:.3g} {unit}; {remedy}"
             )

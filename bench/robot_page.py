@@ -1,0 +1,77 @@
+"""Write the table of the node's parameters into docs/robot.md. Run as ``python -m bench.robot_page``, from the top."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bench.config_report import FieldRow, schema_rows
+from bench.documents import insert
+from models.checked_yaml import ConfigError, read_yaml
+from mpc.config import ControllerConfig
+from mpc.ros.settings import NodeSettings
+
+PAGE = Path("docs/robot.md")
+MARKER = "parameters"
+_ADVICE = Path(__file__).parent / "parameter_advice.yaml"
+_HEAD = (
+    "| parameter | unit | default | range | what it does | when to change it |\n| --- | --- | --- | --- | --- | --- |"
+)
+_TITLES = {
+    "": "The controller as a whole",
+    "extra_dead_time": "Dead time that the model file does not carry",
+    "weights": "Weights, also while driving",
+    "limits": "Limits, also while driving",
+    "wheels": "Wheels",
+    "solver": "Solver",
+    "compensation": "Compensation",
+    "estimator": "Estimator",
+    "failure": "Failure",
+    "reentry": "Re-entry",
+    "finish": "Finish",
+}
+
+
+def parameter_tables() -> str:
+    """Every parameter of the node in a table for each group, from the schemas and the advice file.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If a parameter has no advice, or an advice no parameter.
+    """
+    advice: dict[str, str] = read_yaml(_ADVICE)
+    own, controller = schema_rows(NodeSettings), schema_rows(ControllerConfig)
+    keys = [row.key for row in own + controller]
+    known = {*keys, *(key.partition(".")[0] for key in keys)}
+    for name in advice:
+        if name not in known:
+            raise ConfigError(f"{_ADVICE.name}: '{name}' is no parameter and no group; remove it")
+    parts = [_table("The node", own, advice)]
+    groups: dict[str, list[FieldRow]] = {}
+    for row in controller:
+        groups.setdefault(row.key.rpartition(".")[0], []).append(row)
+    parts += [_table(_TITLES[group], rows, advice) for group, rows in groups.items()]
+    return "\n\n".join(parts)
+
+
+def with_tables(page: str) -> str:
+    """`page` with the tables as they are now."""
+    return insert(page, parameter_tables(), MARKER)
+
+
+def _table(title: str, rows: list[FieldRow], advice: dict[str, str]) -> str:
+    return "\n".join([f"### {title}\n", _HEAD, *(_line(row, advice) for row in rows)])
+
+
+def _line(row: FieldRow, advice: dict[str, str]) -> str:
+    when = advice.get(row.key) or advice.get(row.key.partition(".")[0])
+    if when is None:
+        raise ConfigError(f"{_ADVICE.name}: no advice on '{row.key}'; add when to change it")
+    # A ROS parameter cannot be null.
+    default = "0 (none)" if row.default == "null" else row.default
+    cells = (f"`{row.key}`", row.unit, default, row.range, row.help, when)
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,0 +1,130 @@
+"""The drive over DDS beside the simulation in one process, with the same seed.
+
+`minute.yaml` beside this file is a trajectory long enough for figures of jitter and latency.
+
+Run as ``python -m bench.ros.compare [--real-time] [--model MODEL] [--seed SEED] [TRAJECTORY ...]``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from bench.case import Case, build
+from bench.console import output_console
+from bench.ros.loop_timing import LoopTiming, loop_timing
+from bench.ros.recorded_drive import read_drive
+from bench.ros.two_processes import drive_over_dds
+from bench.table import Table
+from sim import Run, simulate
+
+TRAJECTORIES = ("circle", "s")
+COMPARED = ("position_rmse_m", "lateral_rmse_m", "heading_rmse_rad", "position_max_m")
+"""Statistics that are set side by side."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One trajectory both ways.
+
+    Attributes
+    ----------
+    case
+        What was driven.
+    over_dds, in_process
+        The two runs.
+    timing
+        Of the loop over DDS; says something in real time only.
+    """
+
+    case: Case
+    over_dds: Run
+    in_process: Run
+    timing: LoopTiming
+
+    def ratio(self, statistic: str) -> float:
+        """A statistic over DDS over that in one process."""
+        return float(getattr(self.over_dds.metrics, statistic) / getattr(self.in_process.metrics, statistic))
+
+
+def compare(case: Case, *, lock_step: bool = True, timeout: float = 300.0) -> Comparison:
+    """Drive `case` over DDS and in one process.
+
+    Parameters
+    ----------
+    case
+        Of the controller "mpc".
+    lock_step
+        Whether clock and commands take turns over DDS; otherwise in real time.
+    timeout
+        Longest time that the drive over DDS may take [s].
+
+    Raises
+    ------
+    bench.ros.two_processes.DriveFailedError
+        If a process fails or takes too long.
+    models.checked_yaml.ConfigError
+        If a name or a file cannot be used, or the drive is not complete.
+    """
+    controller, plant, reference = build(case)
+    with tempfile.TemporaryDirectory() as folder:
+        bag = Path(folder) / "drive"
+        drive_over_dds(case, reference.duration, bag, lock_step=lock_step, timeout=timeout)
+        over_dds = read_drive(bag, reference, plant.sample_time)
+        timing = loop_timing(bag, plant.sample_time)
+    return Comparison(case, over_dds, simulate(controller, plant, reference), timing)
+
+
+def comparison_table(comparisons: Sequence[Comparison]) -> Table:
+    """Statistics over DDS, in one process, and the one over the other."""
+    rows = []
+    for item in comparisons:
+        for statistic in COMPARED:
+            words, _, unit = statistic.rpartition("_")
+            there, here = (getattr(run.metrics, statistic) for run in (item.over_dds, item.in_process))
+            name = f"{words.replace('_', ' ').replace('rmse', 'RMSE')} [{unit}]"
+            rows.append(
+                (item.case.labels["trajectory"], name, f"{there:.4f}", f"{here:.4f}", f"{item.ratio(statistic):.2f}")
+            )
+    return Table("Over DDS and in one process", ("trajectory", "error", "DDS", "one process", "ratio"), tuple(rows), 2)
+
+
+def timing_table(comparisons: Sequence[Comparison]) -> Table:
+    """Control period and latency of the drives over DDS, in milliseconds."""
+    rows = []
+    for item in comparisons:
+        timing = item.timing
+        named = (("period", timing.period), ("jitter", timing.jitter), ("odometry to command", timing.latency))
+        for name, spread in named:
+            times = (f"{1e3 * value:.2f}" for value in (spread.p50, spread.p99, spread.max))
+            rows.append((item.case.labels["trajectory"], name, *times, str(timing.misses)))
+    columns = ("trajectory", "time", "p50 [ms]", "p99 [ms]", "max [ms]", "missed periods")
+    return Table("Times over DDS", columns, tuple(rows), 2)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Compare and print."""
+    parser = argparse.ArgumentParser(
+        prog="python -m bench.ros.compare", description="The drive over DDS beside that in one process"
+    )
+    parser.add_argument("trajectories", nargs="*", default=TRAJECTORIES, help="names or paths")
+    parser.add_argument("--model", default="ssm")
+    parser.add_argument("--sensors", default="default")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--real-time", action="store_true")
+    chosen = parser.parse_args(arguments)
+    found = []
+    for trajectory in chosen.trajectories:
+        case = Case("mpc", chosen.model, trajectory, "mujoco", "default", chosen.sensors, chosen.seed)
+        found.append(compare(case, lock_step=not chosen.real_time))
+    console = output_console()
+    console.print(comparison_table(found).rich())
+    if chosen.real_time:
+        console.print(timing_table(found).rich())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""ROS messages to the types of the controller and back. What cannot be used is refused with a reason."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Time as TimeMessage
+from geometry_msgs.msg import Point, Pose, PoseStamped, PoseWithCovarianceStamped, Quaternion, Twist
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Imu
+
+from models.interface import FloatArray, Stamped
+
+NANOSECONDS = 1_000_000_000
+# Rows of x, y and yaw in the 6 x 6 covariance of a pose message.
+_PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
+# Rounding to single precision on the way here does not bring a quaternion's norm further from 1.
+_NORM_TOLERANCE = 1e-2
+
+
+class MessageError(ValueError):
+    """A message cannot be used; says why, in few words."""
+
+
+def nanoseconds(stamp: TimeMessage) -> int:
+    """A stamp as whole nanoseconds."""
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def time_message(time: int) -> TimeMessage:
+    """`time` [ns] as a stamp."""
+    return TimeMessage(sec=time // NANOSECONDS, nanosec=time % NANOSECONDS)
+
+
+def yaw_of(q: Quaternion) -> float:
+    """Yaw [rad] of an orientation (REP 103); raises MessageError if it is none."""
+    norm = math.hypot(q.x, q.y, q.z, q.w)
+    if not abs(norm - 1.0) <= _NORM_TOLERANCE:
+        raise MessageError(f"its orientation is no unit quaternion (norm {norm:.3g})")
+    return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
+
+
+def planar_pose(pose: Pose) -> tuple[float, float, float]:
+    """x, y [m], yaw [rad]; raises MessageError if they are no finite numbers."""
+    found = (pose.position.x, pose.position.y, yaw_of(pose.orientation))
+    if not all(map(math.isfinite, found)):
+        raise MessageError("its pose is not finite")
+    return found
+
+
+def check_frame(found: str, expected: str, parameter: str, what: str = "frame_id") -> None:
+    """Raise MessageError unless the frames agree; `parameter` is where the expected one is set."""
+    if found != expected:
+        raise MessageError(f"its {what} is '{found}', expected '{expected}' (parameter {parameter})")
+
+
+def seconds(time: int, epoch: int) -> float:
+    """Time [s] between two times [ns]: the difference is exact before it is rounded."""
+    return (time - epoch) / NANOSECONDS
+
+
+def odometry_pose(message: Odometry, epoch: int) -> Stamped:
+    """Pose of an odometry message. Its covariance grows with the drift of its frame, which is no error in it."""
+    return Stamped(planar_pose(message.pose.pose), seconds(nanoseconds(message.header.stamp), epoch))
+
+
+def odometry_twist(message: Odometry, epoch: int) -> Stamped:
+    """Twist v [m/s], omega [rad/s] of the wheels; raises MessageError if they are not finite."""
+    twist = message.twist.twist
+    value = (twist.linear.x, twist.angular.z)
+    if not all(map(math.isfinite, value)):
+        raise MessageError("its twist is not finite")
+    return Stamped(value, seconds(nanoseconds(message.header.stamp), epoch))
+
+
+def imu_yaw_rate(message: Imu, epoch: int) -> Stamped:
+    """Yaw rate [rad/s] of the gyro; raises MessageError if it is not finite."""
+    if not math.isfinite(message.angular_velocity.z):
+        raise MessageError("its yaw rate is not finite")
+    return Stamped(message.angular_velocity.z, seconds(nanoseconds(message.header.stamp), epoch))
+
+
+def measured_pose(message: PoseWithCovarianceStamped, epoch: int, *, covariance: bool) -> Stamped:
+    """Pose of a pose sensor, with its covariance where that is wanted and stated: zero means unknown."""
+    stated = np.asarray(message.pose.covariance, dtype=float).reshape(6, 6)[_PLANAR]
+    return Stamped(
+        planar_pose(message.pose.pose),
+        seconds(nanoseconds(message.header.stamp), epoch),
+        stated if covariance and stated.any() else None,
+    )
+
+
+def twist_message(command: Sequence[float] | FloatArray) -> Twist:
+    """A command v [m/s], omega [rad/s]."""
+    message = Twist()
+    message.linear.x, message.angular.z = float(command[0]), float(command[1])
+    return message
+
+
+def pose_message(pose: Sequence[float] | FloatArray) -> Pose:
+    """A planar pose x, y [m], theta [rad]."""
+    x, y, theta = (float(value) for value in pose)
+    return Pose(position=Point(x=x, y=y), orientation=Quaternion(z=math.sin(0.5 * theta), w=math.cos(0.5 * theta)))
+
+
+def stamped_pose_message(pose: Sequence[float] | FloatArray, time: int, frame: str) -> PoseStamped:
+    """The same with its time [ns] and frame."""
+    message = PoseStamped(pose=pose_message(pose))
+    message.header.stamp, message.header.frame_id = time_message(time), frame
+    return message

@@ -1,0 +1,92 @@
+"""What the node says about itself on /diagnostics."""
+
+from __future__ import annotations
+
+import math
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from mpc.ros.control_loop import ControlLoop, LoopState
+from mpc.ros.conversions import time_message
+from mpc.ros.latency import Durations
+from mpc.ros.tracking_error import tracking_error
+from mpc.step_result import Mode, StepResult
+
+
+def diagnostics(name: str, time: int, lifecycle: str, loop: ControlLoop | None) -> DiagnosticArray:
+    """One status named after the node.
+
+    Parameters
+    ----------
+    name
+        Name of the node.
+    time
+        Now [ns].
+    lifecycle
+        Label of the lifecycle state.
+    loop
+        The control loop; None while the node is not active.
+    """
+    status = DiagnosticStatus(name=f"{name}: control", hardware_id=name, level=DiagnosticStatus.OK, message=lifecycle)
+    values = {"lifecycle": lifecycle}
+    if loop is not None:
+        values |= _values(loop)
+        status.level = _level(loop)
+        if loop.last is not None:
+            words = "; ".join(filter(None, [loop.last.message, loop.inbox.fault]))
+            status.message = f"{loop.last.mode}: {words}" if words else loop.last.mode
+    status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
+    array = DiagnosticArray(status=[status])
+    array.header.stamp = time_message(time)
+    return array
+
+
+def _level(loop: ControlLoop) -> bytes:
+    if loop.state is LoopState.FAULT:
+        return DiagnosticStatus.ERROR
+    tick = loop.last
+    if tick is None or tick.result is None:
+        return DiagnosticStatus.OK
+    if tick.result.mode in (Mode.BRAKING, Mode.STOPPED) and loop.state is LoopState.DRIVING:
+        return DiagnosticStatus.ERROR
+    well = tick.result.mode in (Mode.TRACKING, Mode.FINISHED) and not tick.message and not loop.inbox.fault
+    return DiagnosticStatus.OK if well else DiagnosticStatus.WARN
+
+
+def _values(loop: ControlLoop) -> dict[str, str]:
+    times, inbox = loop.times, loop.inbox
+    values = {
+        "state": str(loop.state),
+        "step time p50/p99/max [ms]": _milliseconds(times.step),
+        "period jitter p50/p99/max [ms]": _milliseconds(times.jitter),
+        "odometry stamp to command p50/p99/max [ms]": _milliseconds(times.latency),
+        "deadline misses": str(times.misses),
+        "fallbacks": str(loop.fallbacks),
+    }
+    for watch in inbox.topics:
+        values[f"{watch.name} age [s]"] = f"{watch.age(inbox.now):.3f}"
+        values[f"{watch.name} delay on arrival [s]"] = f"{watch.delay:.3f}"
+        values[f"{watch.name} messages"] = f"{watch.accepted} accepted, {watch.refused} refused"
+        if watch.last_refusal:
+            values[f"{watch.name} last refusal"] = watch.last_refusal
+    if loop.last is not None and loop.last.result is not None:
+        values |= _result(loop.last.result)
+    return values
+
+
+def _result(result: StepResult) -> dict[str, str]:
+    values = {
+        "mode": str(result.mode),
+        "solver": f"{result.solver.status}, {result.solver.iterations} iterations",
+        "reference progress": f"{result.progress:.2f}",
+        "reference delay [s]": f"{result.reference_delay:.2f}",
+    }
+    error = tracking_error(result)
+    if error is not None:
+        values["error along, across [m], heading [rad]"] = "{:.4f}, {:.4f}, {:.4f}".format(*error)
+    return values
+
+
+def _milliseconds(durations: Durations) -> str:
+    found = durations.percentiles()
+    return " / ".join("-" if math.isnan(v) else f"{1e3 * v:.2f}" for v in (found.p50, found.p99, found.max))

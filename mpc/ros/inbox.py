@@ -1,0 +1,118 @@
+"""The input buffer: sensor messages come in as they arrive, and one measurement goes out with each tick."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Imu
+
+from models.interface import Measurement, Stamped
+from mpc.ros.conversions import (
+    MessageError,
+    check_frame,
+    imu_yaw_rate,
+    measured_pose,
+    odometry_pose,
+    odometry_twist,
+    seconds,
+)
+from mpc.ros.settings import NodeSettings
+from mpc.ros.topic_watch import TopicWatch
+
+
+class Inbox:
+    """Checks messages and keeps the newest good one of each kind until the next tick takes it.
+
+    Parameters
+    ----------
+    settings
+        Frames, and what is used.
+    clock
+        The node's clock [ns].
+    epoch
+        Where the controller's time begins on that clock [ns].
+    """
+
+    def __init__(self, settings: NodeSettings, clock: Callable[[], int], epoch: int) -> None:
+        self._settings, self._clock, self._epoch = settings, clock, epoch
+        self.odometry, self.imu, self.pose = TopicWatch("odometry"), TopicWatch("imu"), TopicWatch("pose")
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything that arrived."""
+        self.newest_pose: Stamped | None = None
+        self._pose: Stamped | None = None
+        self._twist: Stamped | None = None
+        self._yaw_rate: Stamped | None = None
+        for watch in (self.odometry, self.imu, self.pose):
+            watch.restart()
+
+    @property
+    def now(self) -> float:
+        """Time on the controller's clock [s]."""
+        return seconds(self._clock(), self._epoch)
+
+    @property
+    def topics(self) -> list[TopicWatch]:
+        """Those that are used."""
+        settings = self._settings
+        chosen = ((self.odometry, True), (self.imu, settings.use_imu), (self.pose, settings.use_pose_topic))
+        return [topic for topic, used in chosen if used]
+
+    @property
+    def fault(self) -> str:
+        """Which topic is stale that the robot can drive without, in words; empty if none is."""
+        settings = self._settings
+        return self.imu.fault(self.now, settings.odom_timeout) if settings.use_imu else ""
+
+    @property
+    def frame(self) -> str:
+        """Frame that control is in."""
+        return self._settings.map_frame if self._settings.use_pose_topic else self._settings.odom_frame
+
+    def take_odometry(self, message: Odometry) -> None:
+        """Take in wheel odometry: its twist, and its pose unless poses have a topic of their own."""
+        settings = self._settings
+        try:
+            check_frame(message.child_frame_id, settings.base_frame, "base_frame", "child_frame_id")
+            twist = odometry_twist(message, self._epoch)
+            pose = None
+            if not settings.use_pose_topic:
+                check_frame(message.header.frame_id, settings.odom_frame, "odom_frame")
+                pose = odometry_pose(message, self._epoch)
+            self.odometry.accept(twist.time, self.now)
+        except MessageError as error:
+            self.odometry.refuse(str(error))
+            return
+        self._twist = twist
+        if pose is not None:
+            self.newest_pose = self._pose = pose
+
+    def take_imu(self, message: Imu) -> None:
+        """Take in the yaw rate of the gyro."""
+        try:
+            yaw_rate = imu_yaw_rate(message, self._epoch)
+            self.imu.accept(yaw_rate.time, self.now)
+        except MessageError as error:
+            self.imu.refuse(str(error))
+            return
+        self._yaw_rate = yaw_rate
+
+    def take_pose(self, message: PoseWithCovarianceStamped) -> None:
+        """Take in a pose, such as that of a SLAM."""
+        try:
+            check_frame(message.header.frame_id, self._settings.map_frame, "map_frame")
+            pose = measured_pose(message, self._epoch, covariance=self._settings.pose_covariance)
+            self.pose.accept(pose.time, self.now)
+        except MessageError as error:
+            self.pose.refuse(str(error))
+            return
+        self.newest_pose = self._pose = pose
+
+    def measurement(self) -> Measurement:
+        """What arrived since the last call."""
+        found = Measurement(pose=self._pose, wheel_twist=self._twist, yaw_rate=self._yaw_rate)
+        self._pose = self._twist = self._yaw_rate = None
+        return found

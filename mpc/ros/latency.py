@@ -1,0 +1,86 @@
+"""How long things take and how old they are: percentiles over the last ticks."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class Percentiles:
+    """Median, 99th percentile and maximum [s] of `count` values; NaN where there are none."""
+
+    p50: float
+    p99: float
+    max: float
+    count: int
+
+
+class Durations:
+    """The last durations of one kind.
+
+    Parameters
+    ----------
+    window
+        How many of them are kept.
+    """
+
+    def __init__(self, window: int) -> None:
+        self._values: deque[float] = deque(maxlen=window)
+
+    def add(self, value: float) -> None:
+        """Take in one duration [s]."""
+        self._values.append(value)
+
+    def percentiles(self) -> Percentiles:
+        """Over what is kept."""
+        if not self._values:
+            return Percentiles(np.nan, np.nan, np.nan, 0)
+        p50, p99, largest = np.percentile(self._values, [50, 99, 100]).tolist()
+        return Percentiles(p50, p99, largest, len(self._values))
+
+
+class LoopTimes:
+    """Durations of the control loop.
+
+    Parameters
+    ----------
+    period
+        Nominal time between two ticks [s].
+    window
+        How many ticks are kept.
+
+    Attributes
+    ----------
+    step
+        Time of one whole tick [s].
+    jitter
+        Absolute deviation of the time between two ticks from the nominal [s].
+    latency
+        From the stamp of the newest odometry to the command that used it [s].
+    misses
+        Ticks that took longer than the period, or came so late that another one was lost.
+    """
+
+    def __init__(self, period: float, window: int) -> None:
+        self._period = period
+        self.step, self.jitter, self.latency = Durations(window), Durations(window), Durations(window)
+        self.misses = 0
+        self._last: float | None = None
+
+    def begin(self, now: float) -> None:
+        """A tick begins at `now` [s]."""
+        if self._last is not None:
+            gap = now - self._last
+            self.jitter.add(abs(gap - self._period))
+            self.misses += gap > 1.5 * self._period
+        self._last = now
+
+    def end(self, duration: float, latency: float | None) -> None:
+        """It took `duration` [s]; `latency` [s] where odometry has arrived."""
+        self.step.add(duration)
+        self.misses += duration > self._period
+        if latency is not None:
+            self.latency.add(latency)

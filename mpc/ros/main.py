@@ -1,0 +1,78 @@
+"""Run the node as a process: signals end it with zero as its last command."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Mapping, Sequence
+from types import FrameType
+
+import rclpy
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from mpc.ros.node import TrackingNode
+from mpc.ros.settings import NodeSettings
+
+# How long a signal may wait while nothing else happens [s].
+_LONGEST_WAIT = 0.1
+
+
+def run(
+    arguments: Sequence[str],
+    settings: NodeSettings | None = None,
+    overrides: Mapping[str, object] | None = None,
+) -> None:
+    """Run the node until SIGINT, SIGTERM or SIGHUP.
+
+    Parameters
+    ----------
+    arguments
+        Arguments for ROS, such as `--ros-args -r cmd_vel:=/base/cmd_vel`.
+    settings
+        Defaults of the node's own parameters.
+    overrides
+        Values of the controller's configuration by dotted key, in place of those of the file.
+
+    Raises
+    ------
+    ValueError
+        If a parameter cannot be used, or the node does not start though it shall; one line.
+    """
+    # rclpy's own handlers would end all communication before zero could be sent.
+    rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    signals: list[int] = []
+
+    def note(number: int, _: FrameType | None) -> None:
+        signals.append(number)
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, note)
+    executor = SingleThreadedExecutor()
+    try:
+        try:
+            node = TrackingNode(settings, dict(overrides or {}))
+        except ParameterException as error:
+            raise ValueError(str(error)) from error
+        executor.add_node(node)
+        try:
+            node.bring_up()
+            while not signals:
+                executor.spin_once(timeout_sec=_LONGEST_WAIT)
+        except ExternalShutdownException:
+            pass
+        finally:
+            node.stop()
+            node.destroy_node()
+    finally:
+        executor.shutdown()
+        rclpy.try_shutdown()
+
+
+def main() -> None:
+    """Entry point of the colcon package: everything comes from ROS parameters."""
+    try:
+        run(sys.argv)
+    except (ValueError, OSError) as error:
+        sys.exit(f"error: {error}")

@@ -1,0 +1,78 @@
+"""Changes of parameters while the node runs: judged before, without side effects, and applied after."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from mpc.config import ControllerConfig
+from mpc.controller import Controller
+from mpc.ros.parameters import fields, read
+from mpc.ros.settings import NodeSettings
+
+_WHILE_DRIVING = ("weights.", "limits.")
+_KNOWN = {name for schema in (NodeSettings, ControllerConfig) for name, _ in fields(schema)} | {"use_sim_time"}
+
+
+class ParameterChanges:
+    """Watches the declared parameters of a node; those of others pass.
+
+    Parameters
+    ----------
+    node
+        The node.
+    running
+        The controller that drives; None while the node is not active.
+
+    Attributes
+    ----------
+    pending
+        Whether values have changed since this was last set to False.
+    """
+
+    def __init__(self, node: Node, running: Callable[[], Controller | None]) -> None:
+        self._node, self._running = node, running
+        self.pending = False
+        node.add_on_set_parameters_callback(self._judge)
+        node.add_post_set_parameters_callback(self._apply)
+
+    def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
+        changes = _ours(parameters)
+        fixed = [name for name, value in changes.items() if self._is_fixed_now(name, value)]
+        if fixed:
+            reason = f"{fixed[0]} cannot change while the node is active; pause, deactivate, set it, activate"
+            return SetParametersResult(successful=False, reason=reason)
+        try:
+            read(self._node, NodeSettings, changes)
+            config = read(self._node, ControllerConfig, changes)
+            if any(not name.startswith(_WHILE_DRIVING) for name in changes):
+                Controller(config)
+        except (ValueError, OSError) as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _is_fixed_now(self, name: str, value: object) -> bool:
+        if self._running() is None or name.startswith(_WHILE_DRIVING):
+            return False
+        return bool(self._node.get_parameter(name).value != value)
+
+    def _apply(self, parameters: list[Parameter]) -> None:
+        """Between two ticks while active, else at the next activation."""
+        changes = _ours(parameters)
+        self.pending = self.pending or bool(changes)
+        controller = self._running()
+        if controller is not None and changes:
+            weights, limits = (_of_group(changes, prefix) for prefix in _WHILE_DRIVING)
+            controller.update(weights=weights, limits=limits)
+
+
+def _ours(parameters: Iterable[Parameter]) -> dict[str, Any]:
+    return {item.name: item.value for item in parameters if item.name in _KNOWN}
+
+
+def _of_group(changes: Mapping[str, Any], prefix: str) -> dict[str, float]:
+    return {name.removeprefix(prefix): value for name, value in changes.items() if name.startswith(prefix)}

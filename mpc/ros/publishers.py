@@ -1,0 +1,123 @@
+"""Everything that the node publishes, except for diagnostics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from geometry_msgs.msg import Point, Twist, TwistStamped, Vector3Stamped
+from nav_msgs.msg import Path
+from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleNode
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+from visualization_msgs.msg import Marker
+
+from models.interface import FloatArray, Reference
+from mpc.ros.control_loop import Tick
+from mpc.ros.conversions import stamped_pose_message, time_message, twist_message
+from mpc.ros.settings import NodeSettings
+from mpc.ros.tracking_error import tracking_error
+from mpc.step_result import Mode, StepResult
+
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+# A path of more poses only costs time to send and to draw.
+_MOST_POSES = 500
+# How long the last command may take to reach the base when the node stops [s].
+_LAST_WORDS = 0.3
+_LINE_WIDTH = 0.02
+_GREEN, _RED = (0.1, 0.8, 0.2), (0.9, 0.1, 0.1)
+
+
+class Publishers:
+    """The node's publishers; those of a lifecycle node are silent while it is not active.
+
+    Parameters
+    ----------
+    node
+        The node.
+    settings
+        Its settings.
+    frame
+        Frame that control is in.
+    """
+
+    def __init__(self, node: LifecycleNode, settings: NodeSettings, frame: str) -> None:
+        self._node, self._settings, self._frame = node, settings, frame
+        create = node.create_lifecycle_publisher
+        self._command = create(TwistStamped if settings.stamped else Twist, "cmd_vel", QoSProfile(depth=1))
+        self._predicted = create(Path, "~/predicted_path", 1)
+        self._reference = create(Path, "~/reference_path", _LATCHED)
+        self._marker = create(Marker, "~/error_marker", 1)
+        self._error = create(Vector3Stamped, "~/tracking_error", 10)
+        self._mode = create(String, "~/mode", _LATCHED)
+        self._said = ""
+
+    def destroy(self) -> None:
+        """Destroy them all."""
+        for publisher in (self._command, self._predicted, self._reference, self._marker, self._error, self._mode):
+            self._node.destroy_lifecycle_publisher(publisher)
+
+    def command(self, command: FloatArray, time: int) -> None:
+        """Send `command` (2,) v [m/s], omega [rad/s], decided at `time` [ns]."""
+        twist = twist_message(command)
+        if not self._settings.stamped:
+            self._command.publish(twist)
+            return
+        message = TwistStamped(twist=twist)
+        message.header.stamp, message.header.frame_id = time_message(time), self._settings.base_frame
+        self._command.publish(message)
+
+    def stop(self, time: int) -> None:
+        """Send zero and wait until it has arrived, though not for long."""
+        self.command(np.zeros(2), time)
+        self._command.wait_for_all_acked(Duration(seconds=_LAST_WORDS))
+
+    def mode(self, tick: Tick) -> None:
+        """Say mode and message when the mode changes, in the log too."""
+        if tick.mode != self._said:
+            self._said = tick.mode
+            words = f"{tick.mode}: {tick.message}" if tick.message else tick.mode
+            self._mode.publish(String(data=words))
+            self._node.get_logger().info(words)
+
+    def error(self, result: StepResult, time: int) -> None:
+        """Send the tracking error: x along, y across [m], z heading [rad]."""
+        error = tracking_error(result)
+        if error is None or not self._error.get_subscription_count():
+            return
+        message = Vector3Stamped()
+        message.header.stamp, message.header.frame_id = time_message(time), self._settings.base_frame
+        message.vector.x, message.vector.y, message.vector.z = error
+        self._error.publish(message)
+
+    def reference(self, reference: Reference, time: int) -> None:
+        """Send the whole path of `reference` that begins at `time` [ns]; late subscribers get it too."""
+        times = np.linspace(0.0, reference.duration, min(_MOST_POSES, 2 + int(reference.duration * 20)))
+        stamps = time + np.round(times * 1e9).astype(np.int64)
+        self._reference.publish(self._path(reference.sample(times).pose, stamps.tolist(), time))
+
+    def visuals(self, result: StepResult, period: int, time: int) -> None:
+        """Send the predicted path, a pose each `period` [ns], and the marker, where anybody looks at them."""
+        if result.plan is not None and self._predicted.get_subscription_count():
+            stamps = (time + period * index for index in range(len(result.plan)))
+            self._predicted.publish(self._path(result.plan, stamps, time))
+        if result.reference is not None and result.estimate is not None and self._marker.get_subscription_count():
+            self._marker.publish(self._line(result.estimate.pose, result.reference[0], result.mode, time))
+
+    def _path(self, poses: FloatArray, stamps: Iterable[int], time: int) -> Path:
+        path = Path(
+            poses=[stamped_pose_message(pose, stamp, self._frame) for pose, stamp in zip(poses, stamps, strict=True)]
+        )
+        path.header.stamp, path.header.frame_id = time_message(time), self._frame
+        return path
+
+    def _line(self, robot: FloatArray, reference: FloatArray, mode: Mode, time: int) -> Marker:
+        """A line from the robot to the pose that it tracks, green while all is well."""
+        marker = Marker(ns="tracking_error", type=Marker.LINE_STRIP, action=Marker.ADD)
+        marker.header.stamp, marker.header.frame_id = time_message(time), self._frame
+        marker.scale.x = _LINE_WIDTH
+        marker.color.r, marker.color.g, marker.color.b = _GREEN if mode is Mode.TRACKING else _RED
+        marker.color.a = 1.0
+        marker.points = [Point(x=float(pose[0]), y=float(pose[1])) for pose in (robot, reference)]
+        return marker

@@ -1,0 +1,86 @@
+"""References that arrive as messages: checked as strictly as those from files."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from geometry_msgs.msg import Point, Pose
+from nav_msgs.msg import Path
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from models.interface import FloatArray
+from models.robot import load_robot
+from mpc.config import Limits
+from mpc.ros.conversions import NANOSECONDS, MessageError, check_frame, nanoseconds, planar_pose
+from mpc.trajectories.limits import TrajectoryLimits
+from mpc.trajectories.spline import SplineTrajectory
+from mpc.trajectories.timed_poses import lay_timed_poses
+
+# Checking more would take longer than a tick; these take 15 ms.
+_MOST_POSES = 1000
+
+
+def path_reference(message: Path, frame: str, limits: Limits) -> SplineTrajectory:
+    """A path whose poses carry their times in their headers; only the differences count.
+
+    Parameters
+    ----------
+    message
+        The path.
+    frame
+        Frame that control is in; the path, and each pose that names one, must have the same.
+    limits
+        Speeds to respect.
+
+    Raises
+    ------
+    MessageError, models.checked_yaml.ConfigError
+        With one line that says what is wrong.
+    """
+    _check_header(message.header.frame_id, frame, len(message.poses))
+    for pose in message.poses:
+        check_frame(pose.header.frame_id or frame, frame, _parameter(), "frame_id of a pose")
+    first = nanoseconds(message.poses[0].header.stamp)
+    times = [(nanoseconds(pose.header.stamp) - first) / NANOSECONDS for pose in message.poses]
+    return _lay(times, [planar_pose(pose.pose) for pose in message.poses], limits, "path")
+
+
+def trajectory_reference(message: MultiDOFJointTrajectory, frame: str, limits: Limits) -> SplineTrajectory:
+    """A trajectory of one joint, the planar pose of the robot: the first transform of each point at its time.
+
+    Parameters and errors are those of `path_reference`.
+    """
+    _check_header(message.header.frame_id, frame, len(message.points))
+    times, poses = [], []
+    for index, point in enumerate(message.points):
+        if len(point.transforms) != 1:
+            raise MessageError(f"point {index} has {len(point.transforms)} transforms, expected one: the robot's pose")
+        at = point.transforms[0].translation
+        times.append(point.time_from_start.sec + point.time_from_start.nanosec / NANOSECONDS)
+        poses.append(planar_pose(Pose(position=Point(x=at.x, y=at.y), orientation=point.transforms[0].rotation)))
+    return _lay(times, poses, limits, "trajectory")
+
+
+def _parameter() -> str:
+    return "odom_frame, or map_frame with use_pose_topic"
+
+
+def _check_header(found: str, frame: str, count: int) -> None:
+    check_frame(found, frame, _parameter())
+    if not 2 <= count <= _MOST_POSES:
+        raise MessageError(f"it has {count} poses; give 2 to {_MOST_POSES}, further apart if need be")
+
+
+def _lay(times: list[float], poses: list[tuple[float, float, float]], limits: Limits, name: str) -> SplineTrajectory:
+    rows: FloatArray = np.column_stack([times, poses])
+    late = np.flatnonzero(np.diff(rows[:, 0]) <= 0)
+    if late.size:
+        raise MessageError(
+            f"pose {late[0] + 1} at {rows[late[0] + 1, 0]:g} s does not come after the one before; give each its time"
+        )
+    if not all(map(math.isfinite, rows.ravel())):
+        raise MessageError("it holds a number that is not finite")
+    acceleration = load_robot().reference_acceleration
+    bounds = TrajectoryLimits(limits.v, limits.omega, acceleration.v, acceleration.omega)
+    return lay_timed_poses(rows, bounds, name=name, where=name)

@@ -1,0 +1,73 @@
+"""What is known of one incoming topic: how old its last good message is, and why messages were refused."""
+
+from __future__ import annotations
+
+import math
+
+from mpc.ros.conversions import MessageError
+
+
+class TopicWatch:
+    """Keeps account of one topic.
+
+    Parameters
+    ----------
+    name
+        Name of the topic, for people.
+
+    Attributes
+    ----------
+    accepted, refused
+        How many messages were.
+    reason
+        Why the last message was refused; empty once a good one came.
+    last_refusal
+        The same, kept for diagnostics.
+    delay
+        From the stamp of the last good message to its arrival [s]; NaN before the first.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.accepted = self.refused = 0
+        self.reason = self.last_refusal = ""
+        self.delay = math.nan
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the stamps: the next message is the first."""
+        self._stamp: float | None = None
+
+    def accept(self, stamp: float, now: float) -> None:
+        """Take in a good message with `stamp` [s], arrived at `now` [s].
+
+        Raises
+        ------
+        MessageError
+            If its stamp is not newer than that of the last.
+        """
+        if self._stamp is not None and stamp <= self._stamp:
+            raise MessageError(f"its stamp is {self._stamp - stamp:.3f} s before the last; reset if the clock was set")
+        self._stamp, self.delay, self.reason = stamp, now - stamp, ""
+        self.accepted += 1
+
+    def refuse(self, reason: str) -> None:
+        """Count a message that cannot be used, and why."""
+        self.reason = self.last_refusal = f"{self.name} refused: {reason}"
+        self.refused += 1
+
+    def age(self, now: float) -> float:
+        """Time since the stamp of the last good message [s]; infinite before the first."""
+        return math.inf if self._stamp is None else now - self._stamp
+
+    def fault(self, now: float, timeout: float) -> str:
+        """Why the topic cannot be relied on at `now` [s]; empty if it can."""
+        age = self.age(now)
+        if -timeout <= age <= timeout:
+            return ""
+        late = f"{self.name} is {age:.2f} s old, the limit is {timeout:g} s"
+        if math.isinf(age):
+            late = f"no {self.name} yet"
+        elif age < 0:
+            late = f"{self.name} is {-age:.2f} s in the future: are the clocks in step?"
+        return f"{late}; {self.reason}" if self.reason else late

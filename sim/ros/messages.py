@@ -1,0 +1,121 @@
+"""Numbers as ROS messages: SI units, frames and signs after REP 103 and REP 105."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Pose, PoseStamped, PoseWithCovarianceStamped, Quaternion, Twist, TwistStamped
+from nav_msgs.msg import Odometry
+from numpy.typing import ArrayLike
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Header
+
+from models.interface import Stamped
+
+MAP, ODOM, BASE, IMU = "map", "odom", "base_link", "imu_link"
+"""Frames. map and odom coincide at the start of a run."""
+WHEEL_JOINTS = ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel")
+
+_NANO = 10**9
+# Rows of (x, y, yaw) and of (x, yaw) in ROS' 6 x 6 covariances over x, y, z, roll, pitch, yaw.
+_PLANE, _FORWARD = (0, 1, 5), (0, 5)
+
+
+def time_message(nanoseconds: int) -> Any:  # noqa: ANN401 - ROS messages have no types to check
+    """A time of whole nanoseconds."""
+    return Time(sec=nanoseconds // _NANO, nanosec=nanoseconds % _NANO)
+
+
+def nanoseconds(time: Any) -> int:  # noqa: ANN401
+    """Whole nanoseconds of a time message."""
+    return int(time.sec) * _NANO + int(time.nanosec)
+
+
+def clock(now: int) -> Any:  # noqa: ANN401
+    """rosgraph_msgs/Clock at `now` [ns]."""
+    return Clock(clock=time_message(now))
+
+
+def odometry(now: int, pose: ArrayLike, twist: Stamped) -> Any:  # noqa: ANN401
+    """nav_msgs/Odometry: pose (3,) in odom, twist of the encoders (2,) in base_link.
+
+    A covariance of zeros means that none is known, as usual in ROS; that of a summed pose never is.
+    """
+    message = Odometry(header=_header(now, ODOM), child_frame_id=BASE)
+    message.pose.pose = pose_message(pose)
+    message.twist.twist = twist_message(twist.value)
+    message.twist.covariance = _covariance(twist.covariance, _FORWARD)
+    return message
+
+
+def imu(now: int, yaw_rate: Stamped) -> Any:  # noqa: ANN401
+    """sensor_msgs/Imu with the yaw rate (); orientation and acceleration are marked as not measured."""
+    message = Imu(header=_header(now, IMU))
+    message.angular_velocity.z = float(np.asarray(yaw_rate.value))
+    message.orientation_covariance[0] = message.linear_acceleration_covariance[0] = -1.0
+    if yaw_rate.covariance is not None:
+        message.angular_velocity_covariance[8] = float(np.asarray(yaw_rate.covariance)[0, 0])
+    return message
+
+
+def sensed_pose(stamp: int, pose: Stamped) -> Any:  # noqa: ANN401
+    """geometry_msgs/PoseWithCovarianceStamped in map, stamped with the instant that it describes [ns]."""
+    message = PoseWithCovarianceStamped(header=_header(stamp, MAP))
+    message.pose.pose = pose_message(pose.value)
+    message.pose.covariance = _covariance(pose.covariance, _PLANE)
+    return message
+
+
+def joint_state(now: int, angles: ArrayLike, speeds: ArrayLike) -> Any:  # noqa: ANN401
+    """sensor_msgs/JointState: angles (4,) [rad] and speeds (4,) [rad/s] of the wheels."""
+    return JointState(
+        header=_header(now, ""),
+        name=list(WHEEL_JOINTS),
+        position=np.asarray(angles, dtype=float).tolist(),
+        velocity=np.asarray(speeds, dtype=float).tolist(),
+    )
+
+
+def true_pose(now: int, pose: ArrayLike) -> Any:  # noqa: ANN401
+    """geometry_msgs/PoseStamped in map: the pose (3,) without error or delay."""
+    return PoseStamped(header=_header(now, MAP), pose=pose_message(pose))
+
+
+def true_twist(now: int, twist: ArrayLike) -> Any:  # noqa: ANN401
+    """geometry_msgs/TwistStamped in base_link: forward and lateral speed [m/s], yaw rate [rad/s] (3,)."""
+    forward, lateral, yaw_rate = (float(value) for value in np.asarray(twist))
+    message = TwistStamped(header=_header(now, BASE), twist=twist_message((forward, yaw_rate)))
+    message.twist.linear.y = lateral
+    return message
+
+
+def pose_message(pose: ArrayLike) -> Any:  # noqa: ANN401
+    """geometry_msgs/Pose of x [m], y [m], theta [rad] (3,)."""
+    x, y, theta = (float(value) for value in np.asarray(pose))
+    message = Pose(orientation=Quaternion(z=math.sin(theta / 2), w=math.cos(theta / 2)))
+    message.position.x, message.position.y = x, y
+    return message
+
+
+def twist_message(twist: ArrayLike) -> Any:  # noqa: ANN401
+    """geometry_msgs/Twist of v [m/s], omega [rad/s] (2,)."""
+    v, omega = (float(value) for value in np.asarray(twist))
+    message = Twist()
+    message.linear.x, message.angular.z = v, omega
+    return message
+
+
+def _header(stamp: int, frame: str) -> Any:  # noqa: ANN401
+    return Header(stamp=time_message(stamp), frame_id=frame)
+
+
+def _covariance(known: ArrayLike | None, rows: tuple[int, ...]) -> list[float]:
+    """(36,) row by row, zero where nothing is known."""
+    whole = np.zeros((6, 6))
+    if known is not None:
+        whole[np.ix_(rows, rows)] = known
+    return [float(value) for value in whole.ravel()]

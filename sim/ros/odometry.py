@@ -1,0 +1,74 @@
+"""The pose that a base reports in its odometry: wheels and gyro, with or without a pose sensor."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from models.interface import FloatArray, Measurement
+from models.pose import integrate_pose
+
+
+class Odometry:
+    """Sums up v of the wheels and the yaw rate of the gyro, and can be pulled onto the poses of a sensor.
+
+    Parameters
+    ----------
+    pose
+        (3,) x [m], y [m], theta [rad] at the start: odom and map coincide there.
+    memory
+        Ticks by which a pose of the sensor may be late.
+    use_pose_sensor
+        Carry the newest pose of the sensor on to now; otherwise it is not used.
+    """
+
+    def __init__(self, pose: ArrayLike, memory: int, *, use_pose_sensor: bool) -> None:
+        start = np.array(pose, dtype=float)
+        self._summed = start
+        self._twist = np.zeros(2)
+        self._time = 0.0
+        self._past: deque[tuple[float, FloatArray]] = deque([(0.0, start)], maxlen=memory + 2)
+        self._use_pose_sensor = use_pose_sensor
+        self._sensed, self._anchor = start, start
+
+    def update(self, time: float, measurement: Measurement) -> FloatArray:
+        """Go on to `time` [s] with what the sensors delivered.
+
+        A sensor without news keeps its last value.
+
+        Returns
+        -------
+        FloatArray
+            (3,) x [m], y [m], theta [rad, unwrapped].
+        """
+        twist = self._twist.copy()
+        if measurement.wheel_twist is not None:
+            twist[0] = np.asarray(measurement.wheel_twist.value)[0]
+        if measurement.yaw_rate is not None:
+            twist[1] = measurement.yaw_rate.value
+        mean = 0.5 * (self._twist + twist)
+        self._summed = integrate_pose(self._summed, mean[0], mean[1], time - self._time)
+        self._time, self._twist = time, twist
+        self._past.append((time, self._summed))
+        if not self._use_pose_sensor:
+            return self._summed
+        if measurement.pose is not None:
+            self._sensed = np.asarray(measurement.pose.value, dtype=float)
+            self._anchor = self._summed_at(measurement.pose.time)
+        return _moved(self._sensed, self._anchor, self._summed)
+
+    def _summed_at(self, time: float) -> FloatArray:
+        """(3,) the sum at an instant of the past [s]; before the start, the robot rested."""
+        times = np.array([at for at, _ in self._past])
+        poses = np.array([pose for _, pose in self._past])
+        return np.array([np.interp(time, times, poses[:, i]) for i in range(3)])
+
+
+def _moved(pose: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:
+    """(3,) `pose` after the motion of a rigid body that takes `before` to `after`."""
+    turn = pose[2] - before[2]
+    c, s = np.cos(turn), np.sin(turn)
+    x, y = after[:2] - before[:2]
+    return np.array([pose[0] + c * x - s * y, pose[1] + s * x + c * y, after[2] + turn])

@@ -1,0 +1,167 @@
+"""A plant with the topics of a mobile base."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist, TwistStamped
+from nav_msgs.msg import Odometry as OdometryMessage
+from numpy.typing import ArrayLike
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import Imu, JointState
+
+from sim.plant import Plant
+from sim.ros import messages
+from sim.ros.bag_recorder import Record
+from sim.ros.base_settings import BaseSettings
+from sim.ros.command_inbox import CommandInbox
+from sim.ros.odometry import Odometry
+
+# rclpy's throttling of repeated warnings [s].
+_WARN_EVERY = 1.0
+
+
+class SimulatedBase:
+    """Publishes what the plant's sensors deliver, and drives it with the commands that arrive.
+
+    Sensors are published best effort, commands are taken reliably, the newest only. Who holds the object says when a
+    sample passes: `sim.ros.lock_step` or `sim.ros.real_time`.
+
+    Parameters
+    ----------
+    node
+        The node that the topics belong to.
+    plant
+        The robot stand-in; it is reset.
+    start
+        (3,) x [m], y [m], theta [rad] where it starts, at rest.
+    settings
+        Rates, timeout and kind of command.
+    pose_memory
+        Ticks by which a pose of its pose sensor may be late.
+    clock
+        Gives the robot's time [ns].
+    record
+        Takes every message sent or received; None to record nothing.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        plant: Plant,
+        start: ArrayLike,
+        settings: BaseSettings,
+        *,
+        pose_memory: int,
+        clock: Callable[[], int],
+        record: Record | None = None,
+    ) -> None:
+        self.node, self.plant = node, plant
+        self._settings, self._clock, self._record = settings, clock, record
+        plant.reset(start)
+        self._odometry = Odometry(plant.true_pose, pose_memory, use_pose_sensor=settings.odometry_pose == "pose_sensor")
+        self._wheel_angles, self._wheel_speeds = np.zeros(4), np.zeros(4)
+        self.tick = 0
+        tolerance = round(0.5e9 * plant.sample_time)
+        self.inbox = CommandInbox(round(1e9 * settings.command_timeout), tolerance)
+        self._was_lapsed = False
+        kinds = {
+            "odom": OdometryMessage,
+            "imu": Imu,
+            "pose": PoseWithCovarianceStamped,
+            "joint_states": JointState,
+            "ground_truth/pose": PoseStamped,
+            "ground_truth/twist": TwistStamped,
+        }
+        self._publishers = {
+            topic: node.create_publisher(kind, topic, qos_profile_sensor_data) for topic, kind in kinds.items()
+        }
+        kind = TwistStamped if settings.stamped else Twist
+        self._commands = node.create_subscription(kind, "cmd_vel", self._receive, QoSProfile(depth=1))
+
+    @property
+    def commanded(self) -> bool:
+        """Whether somebody is connected who publishes commands."""
+        return self._commands.get_publisher_count() > 0
+
+    @property
+    def observed(self) -> bool:
+        """Whether somebody is connected who reads the odometry."""
+        return bool(self._publishers["odom"].get_subscription_count() > 0)
+
+    @property
+    def connections(self) -> tuple[int, ...]:
+        """How many are connected to each topic."""
+        readers = (publisher.get_subscription_count() for publisher in self._publishers.values())
+        return (self._commands.get_publisher_count(), *readers)
+
+    @property
+    def command_topic(self) -> str:
+        """Full name of the topic of commands."""
+        return str(self._commands.topic_name)
+
+    def publish_sensors(self, now: int, origin: int) -> None:
+        """Publish what the sensors delivered at this tick.
+
+        Parameters
+        ----------
+        now
+            Instant of the tick on the robot's clock [ns].
+        origin
+            The plant's time 0 on that clock [ns].
+        """
+        due = {topic: self.tick % every == 0 for topic, every in self._settings.every.model_dump().items()}
+        measurement = self.plant.measure()
+        pose = self._odometry.update(self.plant.time, measurement)
+        if measurement.wheel_speeds is not None:
+            speeds = np.asarray(measurement.wheel_speeds.value, dtype=float)
+            self._wheel_angles += 0.5 * self.plant.sample_time * (self._wheel_speeds + speeds)
+            self._wheel_speeds = speeds
+            if due["joint_states"]:
+                self._publish("joint_states", messages.joint_state(now, self._wheel_angles, speeds))
+        if due["ground_truth"]:
+            self._publish("ground_truth/pose", messages.true_pose(now, self.plant.true_pose))
+            self._publish("ground_truth/twist", messages.true_twist(now, self.plant.true_twist))
+        if measurement.pose is not None:
+            stamp = origin + round(1e9 * measurement.pose.time)
+            self._publish("pose", messages.sensed_pose(stamp, measurement.pose))
+        if measurement.yaw_rate is not None and due["imu"]:
+            self._publish("imu", messages.imu(now, measurement.yaw_rate))
+        if measurement.wheel_twist is not None and due["odometry"]:
+            self._publish("odom", messages.odometry(now, pose, measurement.wheel_twist))
+
+    def advance(self, now: int) -> None:
+        """Let one sample pass under the command that holds at `now` [ns].
+
+        Raises
+        ------
+        sim.plant.RobotLostError
+            If the robot does not come through it.
+        """
+        lapsed = self.inbox.lapsed(now)
+        if lapsed and not self._was_lapsed:
+            self.node.get_logger().warning(
+                f"no command on {self.command_topic} for {self._settings.command_timeout} s: the robot stops"
+            )
+        self._was_lapsed = lapsed
+        self.plant.advance(self.inbox.command(now))
+        self.tick += 1
+
+    def _receive(self, message: Any) -> None:  # noqa: ANN401 - ROS messages have no types to check
+        now = self._clock()
+        if self._record is not None:
+            self._record(self.command_topic, message, now)
+        stamp = messages.nanoseconds(message.header.stamp) if self._settings.stamped else 0
+        twist = message.twist if self._settings.stamped else message
+        refusal = self.inbox.put(twist.linear.x, twist.angular.z, stamp, now)
+        if refusal:
+            self.node.get_logger().warning(refusal, throttle_duration_sec=_WARN_EVERY)
+
+    def _publish(self, topic: str, message: Any) -> None:  # noqa: ANN401
+        publisher = self._publishers[topic]
+        publisher.publish(message)
+        if self._record is not None:
+            self._record(publisher.topic_name, message, self._clock())

@@ -1,0 +1,114 @@
+"""Node and simulated robot as two processes over DDS, in lock step: the drive is that in one process."""
+
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import rclpy
+from geometry_msgs.msg import TwistStamped
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import qos_profile_sensor_data
+
+from bench.case import Case, build
+from bench.ros.compare import COMPARED, compare, comparison_table, timing_table
+from bench.ros.two_processes import DriveFailedError, drive_over_dds, own_domain, running
+from models.logs.bags.bag_messages import COMMANDS
+from models.logs.bags.bag_topics import opened, read_topic
+from sim import simulate
+
+BOUND = 120.0
+
+
+def case(trajectory):
+    return Case("mpc", "ssm", trajectory, "mujoco", "default", "default", 0)
+
+
+@pytest.fixture(scope="module", params=["circle", "s"])
+def comparison(request):
+    return compare(case(request.param), timeout=BOUND)
+
+
+def test_errors_are_within_20_percent_of_those_in_one_process(comparison):
+    for statistic in COMPARED:
+        assert 0.8 < comparison.ratio(statistic) < 1.2, statistic
+    assert comparison.over_dds.metrics.completed
+    assert comparison.timing.misses == 0
+    assert [row[0] for row in comparison_table([comparison]).rows] == 4 * [comparison.case.trajectory]
+    assert [row[1] for row in timing_table([comparison]).rows] == ["period", "jitter", "odometry to command"]
+
+
+def test_commands_are_those_in_one_process_but_for_what_messages_leave_out(comparison):
+    """The node takes no covariance of wheels and gyro from messages; without them in one process nothing differs."""
+    controller, plant, reference = build(comparison.case)
+    measure = plant.measure
+
+    def as_the_node_sees_it():
+        full = measure()
+        plain = {name: replace(getattr(full, name), covariance=None) for name in ("wheel_twist", "yaw_rate")}
+        return replace(full, **plain)
+
+    plant.measure = as_the_node_sees_it
+    alone = simulate(controller, plant, reference)
+    assert np.abs(alone.command - comparison.over_dds.command).max() < 1e-9
+    assert np.abs(alone.true_pose - comparison.over_dds.true_pose).max() < 1e-9
+
+
+def test_a_process_that_fails_is_named_with_its_words(tmp_path):
+    bad = Case("mpc", "ssm", "circle", "mujoco", "ice", "default", 0)
+    with pytest.raises(DriveFailedError, match="robot: ended with code 2; it said: error: unknown surface 'ice'"):
+        drive_over_dds(bad, 1.0, tmp_path / "bag", lock_step=True, timeout=BOUND)
+
+
+@contextmanager
+def true_twists(environment):
+    """A function that waits for the next true twist of the robot and returns its v and omega."""
+    context, arrived = Context(), []
+    rclpy.init(context=context, domain_id=int(environment["ROS_DOMAIN_ID"]))
+    node = rclpy.create_node("watcher", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    node.create_subscription(TwistStamped, "ground_truth/twist", arrived.append, qos_profile_sensor_data)
+
+    def following():
+        end = time.monotonic() + BOUND
+        arrived.clear()
+        while not arrived:
+            assert time.monotonic() < end
+            executor.spin_once(timeout_sec=0.1)
+        return arrived[-1].twist.linear.x, arrived[-1].twist.angular.z
+
+    try:
+        yield following
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        context.shutdown()
+
+
+def test_a_robot_stops_when_its_controller_is_killed(tmp_path, monkeypatch):
+    """No zero is sent then: the robot's own timeout has to act."""
+    environment, bag = own_domain(tmp_path), tmp_path / "bag"
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    node = ["node", "--drive", "--ros-args", "-p", "use_sim_time:=true", "-p", "use_pose_topic:=true"]
+    robot = ["robot", "--lock-step", "--answer-timeout", "0.05", "--record", str(bag)]
+    with (
+        running("node", node, environment, tmp_path) as controller,
+        running("robot", robot, environment, tmp_path) as base,
+        true_twists(environment) as following,
+    ):
+        while following()[0] < 0.3:
+            assert controller.popen.poll() is None and base.popen.poll() is None
+        controller.popen.kill()
+        while np.abs(following()).max() > 0.01:
+            assert base.popen.poll() is None
+        assert "no command on /cmd_vel for 0.5 s: the robot stops" in base.output
+    with opened(bag) as reader:
+        commands = read_topic(reader, bag, "/cmd_vel", COMMANDS)
+        truth = read_topic(reader, bag, "/ground_truth/twist", COMMANDS)
+    assert commands.value[-1, 0] > 0.2
+    since = 1e-9 * (truth.stamped - commands.received[-1])
+    assert np.all(truth.value[(since > 0) & (since < 0.5), 0] > 0.2)
+    assert 0.5 < since[-1] < 1.5

@@ -1,0 +1,39 @@
+"""The page for the robot is current and complete."""
+
+from pathlib import Path
+
+import pytest
+
+from bench import robot_page
+from bench.config_report import schema_rows
+from models.checked_yaml import ConfigError
+from mpc.ros.settings import NodeSettings
+
+PAGE = Path(__file__).parents[2] / "docs" / "robot.md"
+
+
+def test_the_page_shows_the_parameters_as_they_are():
+    page = PAGE.read_text(encoding="utf-8")
+    assert robot_page.with_tables(page) == page, "run: python -m bench.robot_page"
+
+
+def test_every_parameter_has_its_row_with_unit_default_and_advice():
+    lines = [line for line in robot_page.parameter_tables().splitlines() if line.startswith("| `")]
+    rows = schema_rows(NodeSettings) + schema_rows()
+    assert [line.split("`")[1] for line in lines] == [row.key for row in rows]
+    for line in lines:
+        _, _, unit, default, _, what, when, _ = line.replace("\\|", "¦").split("|")
+        assert default.strip() and what.strip() and when.strip(), line
+        assert unit.strip() or "provenance" in line, line
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [("weights: x", "no advice on 'config'"), ("weigths: x", "'weigths' is no parameter and no group")],
+)
+def test_advice_that_does_not_fit_is_refused(text, complaint, tmp_path, monkeypatch):
+    file = tmp_path / "advice.yaml"
+    file.write_text(text)
+    monkeypatch.setattr(robot_page, "_ADVICE", file)
+    with pytest.raises(ConfigError, match=complaint):
+        robot_page.parameter_tables()

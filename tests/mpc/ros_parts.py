@@ -1,0 +1,228 @@
+"""A small robot behind the topics of a base, in lock step with the node under test, over DDS in one thread."""
+
+import os
+import tempfile
+import time
+from contextlib import contextmanager
+
+import numpy as np
+
+os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 101)
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp(prefix="ros-log-"))
+
+import rclpy
+from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu
+from std_srvs.srv import Trigger
+
+from mpc.config_file import load_config
+from mpc.ros.conversions import nanoseconds, pose_message, time_message
+from mpc.ros.node import TrackingNode
+from sim import make_plant
+
+CONFIG = load_config("ssm")
+DT = CONFIG.sample_time
+PERIOD = round(DT * 1e9)
+START = 10**9
+# Far more than anything here takes; only a fault reaches it.
+PATIENCE = 60.0
+
+
+class FakeBase:
+    """A velocity model with perfect sensors; `odometry` and `sensors` may tamper with what is published."""
+
+    def __init__(self, spin, plant="model:ssm+0.005", *, stamped=True, pose_topic=False):
+        self.context = Context()
+        rclpy.init(context=self.context, args=[])
+        self.node = rclpy.create_node("fake_base", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.spin_node = spin
+        self.stamped, self.pose_topic = stamped, pose_topic
+        self.odom = self.node.create_publisher(Odometry, "odom", qos_profile_sensor_data)
+        self.imu = self.node.create_publisher(Imu, "imu", qos_profile_sensor_data)
+        self.pose = self.node.create_publisher(PoseWithCovarianceStamped, "pose", qos_profile_sensor_data)
+        self.clock = self.node.create_publisher(Clock, "/clock", 1)
+        kind = TwistStamped if stamped else Twist
+        self.node.create_subscription(kind, "cmd_vel", self._take, QoSProfile(depth=1))
+        self.plant = make_plant(plant, surface="ideal", sensors="perfect")
+        self.plant.reset((0.0, 0.0, 0.0))
+        self.tick = 0
+        self.commands = []
+        self.times = []
+        self.tamper = lambda odometry: odometry
+        self.held = False
+        self.gyro = True
+
+    @property
+    def now(self):
+        return START + self.tick * PERIOD
+
+    def _take(self, message):
+        twist = message.twist if self.stamped else message
+        self.commands.append((twist.linear.x, twist.angular.z))
+        self.times.append(nanoseconds(message.header.stamp) if self.stamped else self.now)
+
+    def spin(self):
+        self.executor.spin_once(timeout_sec=0.0)
+        self.spin_node()
+
+    def until(self, condition, what):
+        end = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < end, f"waited in vain: {what}"
+            self.spin()
+
+    def publish_sensors(self):
+        measured = self.plant.measure()
+        odometry = Odometry(child_frame_id="base_link")
+        odometry.header.stamp, odometry.header.frame_id = time_message(self.now), "odom"
+        odometry.pose.pose = pose_message(measured.pose.value)
+        odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = map(float, measured.wheel_twist.value)
+        odometry = self.tamper(odometry)
+        if odometry is not None:
+            self.odom.publish(odometry)
+        if self.gyro:
+            self.publish_imu(measured.yaw_rate.value)
+        if self.pose_topic:
+            pose = PoseWithCovarianceStamped()
+            pose.header.stamp, pose.header.frame_id = time_message(self.now), "map"
+            pose.pose.pose = pose_message(measured.pose.value)
+            self.pose.publish(pose)
+
+    def publish_imu(self, yaw_rate):
+        imu = Imu()
+        imu.header.stamp, imu.header.frame_id = time_message(self.now), "base_link"
+        imu.angular_velocity.z = float(yaw_rate)
+        self.imu.publish(imu)
+
+    def advance_clock(self):
+        """Sensors and clock of the next tick."""
+        self.tick += 1
+        self.publish_sensors()
+        self.clock.publish(Clock(clock=time_message(self.now)))
+
+    def step(self):
+        """One tick in lock step: sensors, clock, command, motion."""
+        count = len(self.commands)
+        self.advance_clock()
+        self.until(lambda: len(self.commands) > count and self.times[-1] == self.now, f"command of tick {self.tick}")
+        self.plant.advance((0.0, 0.0) if self.held else self.commands[-1])
+        return np.array(self.commands[-1])
+
+    def run(self, ticks):
+        """Several ticks; returns the commands (ticks, 2)."""
+        return np.array([self.step() for _ in range(ticks)])
+
+    def silent(self, ticks):
+        """Ticks to which the node must not answer."""
+        count = len(self.commands)
+        for _ in range(ticks):
+            self.advance_clock()
+            for _ in range(10):
+                self.spin()
+            self.plant.advance((0.0, 0.0))
+        return len(self.commands) - count
+
+    def close(self):
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+class WallClockBase(FakeBase):
+    """The same in real time, more or less: it does not wait for commands, and publishes no clock."""
+
+    @property
+    def now(self):
+        return self.node.get_clock().now().nanoseconds
+
+    def advance_clock(self):
+        self.publish_sensors()
+        time.sleep(DT)
+
+    def drive(self):
+        """A sample: sensors, whatever commands come, motion."""
+        self.advance_clock()
+        for _ in range(10):
+            self.spin()
+        self.plant.advance(self.commands[-1])
+
+
+class Stack:
+    """The node in a context of its own, and the base that it drives; with `drive` it has just been told to start."""
+
+    def __init__(
+        self, overrides=None, *, plant="model:ssm+0.005", pose_topic=False, drive=False, sim_time=True, **parameters
+    ):
+        parameters = {"autostart": True, "start_at_robot": False, "use_pose_topic": pose_topic, **parameters}
+        words = ["--ros-args", "-p", f"use_sim_time:={str(sim_time).lower()}", "--log-level", "warn"]
+        for name, value in parameters.items():
+            words += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
+        self.context = Context()
+        rclpy.init(context=self.context, args=words)
+        self.node = TrackingNode(overrides=overrides, context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        kind = FakeBase if sim_time else WallClockBase
+        self.base = kind(self.spin, plant, stamped=parameters.get("stamped", True), pose_topic=pose_topic)
+        try:
+            if sim_time:
+                self.base.until(self.knows_the_time, "the first clock")
+            self.node.bring_up()
+            if parameters["autostart"]:
+                self.base.until(self.hears, "sensors")
+            if drive:
+                assert self.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+        except BaseException:
+            self.close()
+            raise
+
+    def knows_the_time(self):
+        self.base.clock.publish(Clock(clock=time_message(self.base.now)))
+        return self.node.get_clock().now().nanoseconds == START
+
+    def hears(self):
+        """Whether everything has arrived once: before that, messages may be lost to discovery."""
+        self.base.silent(1)
+        inbox = self.node._inbox
+        topics = [inbox.odometry, inbox.imu, inbox.pose] if self.base.pose_topic else [inbox.odometry, inbox.imu]
+        return all(topic.accepted for topic in topics) and bool(self.base.commands)
+
+    def spin(self):
+        self.executor.spin_once(timeout_sec=0.0)
+
+    @property
+    def loop(self):
+        return self.node._loop
+
+    def call(self, kind, name, request):
+        """Call a service of the node over DDS."""
+        client = self.base.node.create_client(kind, name)
+        self.base.until(client.service_is_ready, name)
+        future = client.call_async(request)
+        self.base.until(future.done, name)
+        self.base.node.destroy_client(client)
+        return future.result()
+
+    def close(self):
+        self.base.close()
+        self.executor.shutdown()
+        self.node.stop()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@contextmanager
+def stack(*arguments, **parameters):
+    made = Stack(*arguments, **parameters)
+    try:
+        yield made
+    finally:
+        made.close()

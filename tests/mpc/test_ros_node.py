@@ -1,0 +1,326 @@
+"""Lifecycle, services, references by topic and what the node publishes, over DDS."""
+
+import gc
+import math
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Transform, Vector3Stamped
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from nav_msgs.msg import Path
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_parts import CONFIG, DT, stack
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
+from visualization_msgs.msg import Marker
+
+from mpc import Controller, load_trajectory
+from mpc.ros.control_loop import LoopState
+from mpc.ros.conversions import stamped_pose_message, time_message
+from mpc.step_result import Mode
+from sim import make_plant, simulate
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def change(s, number):
+    request = ChangeState.Request(transition=Transition(id=number))
+    return s.call(ChangeState, "/diffdrive_mpc/change_state", request).success
+
+
+def state(s):
+    return s.call(GetState, "/diffdrive_mpc/get_state", GetState.Request()).current_state.id
+
+
+def trigger(s, name):
+    return s.call(Trigger, f"/diffdrive_mpc/{name}", Trigger.Request())
+
+
+def listen(s, kind, topic, qos=10):
+    heard = []
+    s.base.node.create_subscription(kind, topic, heard.append, qos)
+    return heard
+
+
+def test_in_lock_step_it_commands_what_the_simulation_does():
+    reference = load_trajectory("s")
+    ticks = 150
+    with stack(trajectory="s", drive=True) as s:
+        s.base.plant.reset((0.0, 0.0, 0.0))
+        commands = s.base.run(ticks)
+    run = simulate(Controller(CONFIG), make_plant("model:ssm+0.005", surface="ideal", sensors="perfect"), reference)
+    np.testing.assert_allclose(commands, run.command[:ticks], atol=1e-6)
+
+
+def test_on_the_wall_clock_it_drives_and_stops_without_odometry():
+    """Nothing is said of times: how fast this computer is today does not matter."""
+    with stack(sim_time=False, drive=True) as s:
+        s.base.until(lambda: s.base.drive() or s.base.plant.true_pose[0] > 0.1, "the robot to move")
+        assert s.loop.times.latency.percentiles().p50 > 0.0
+        s.base.tamper = lambda odometry: None
+        s.base.until(lambda: s.base.drive() or s.loop.last.mode == Mode.STOPPED, "the robot to stop")
+        assert s.base.commands[-1] == (0.0, 0.0)
+
+
+def test_the_states_of_the_lifecycle():
+    with stack(autostart=False) as s:
+        assert state(s) == State.PRIMARY_STATE_UNCONFIGURED
+        assert not trigger(s, "start").success
+        assert change(s, Transition.TRANSITION_CONFIGURE)
+        assert s.base.silent(3) == 0
+        assert "activate it first" in trigger(s, "start").message
+        assert change(s, Transition.TRANSITION_ACTIVATE)
+        s.base.until(s.hears, "sensors")
+        assert not s.base.run(3).any()
+        assert trigger(s, "start").success
+        assert s.base.run(5).any()
+        assert change(s, Transition.TRANSITION_DEACTIVATE)
+        assert s.base.commands[-1] == (0.0, 0.0)
+        assert change(s, Transition.TRANSITION_CLEANUP)
+        assert state(s) == State.PRIMARY_STATE_UNCONFIGURED
+        assert change(s, Transition.TRANSITION_CONFIGURE)
+        assert change(s, Transition.TRANSITION_ACTIVATE)
+        s.base.until(s.hears, "sensors")
+        trigger(s, "start")
+        assert s.base.run(5).any()
+        assert change(s, Transition.TRANSITION_ACTIVE_SHUTDOWN)
+        assert s.base.commands[-1] == (0.0, 0.0)
+        assert state(s) == State.PRIMARY_STATE_FINALIZED
+
+
+def test_while_active_a_full_collection_of_garbage_has_little_to_walk():
+    """Counted, not timed: what was built before is set aside, and comes back."""
+    with stack(autostart=False) as s:
+        assert change(s, Transition.TRANSITION_CONFIGURE)
+        before = len(gc.get_objects())
+        assert change(s, Transition.TRANSITION_ACTIVATE)
+        assert len(gc.get_objects()) < 0.1 * before
+        assert change(s, Transition.TRANSITION_DEACTIVATE)
+        assert len(gc.get_objects()) > 0.9 * before
+
+
+def test_what_cannot_be_configured_is_refused_with_a_reason():
+    with stack(autostart=False, trajectory="circel") as s:
+        assert not change(s, Transition.TRANSITION_CONFIGURE)
+        assert "unknown trajectory 'circel'" in s.node.failure
+        assert state(s) == State.PRIMARY_STATE_UNCONFIGURED
+
+
+def test_a_fault_of_the_code_in_a_transition_ends_unconfigured(monkeypatch):
+    with stack(autostart=False) as s:
+        monkeypatch.setattr("mpc.ros.node.Controller", lambda _: 1 / 0)
+        assert not change(s, Transition.TRANSITION_CONFIGURE)
+        assert s.node.failure == "ZeroDivisionError: division by zero"
+        assert state(s) == State.PRIMARY_STATE_UNCONFIGURED
+
+
+def test_start_pause_and_reset():
+    with stack() as s:
+        assert not trigger(s, "pause").success
+        assert trigger(s, "start").success
+        assert s.base.run(30)[-1, 0] > 0.3
+        assert trigger(s, "start").message == "it is driving already; pause it first"
+        assert "pause first" in trigger(s, "reset").message
+        assert trigger(s, "pause").success
+        paused = s.base.run(40)
+        assert not paused[-1].any()
+        assert (abs(np.diff(paused[:, 0])) <= CONFIG.limits.v_slew * DT + 1e-9).all()
+        assert s.loop.last.message == "paused; call start to drive on"
+        late = s.loop.last.result.reference_delay
+        assert late > 0.5
+        assert trigger(s, "start").message == "drives on"
+        assert s.base.run(40)[-1, 0] > 0.3
+        assert s.loop.last.mode == Mode.TRACKING
+        trigger(s, "pause")
+        s.base.run(40)
+        assert trigger(s, "reset").success
+        assert s.loop.state is LoopState.IDLE
+        assert not s.base.run(5).any()
+
+
+def test_paused_it_drives_on_even_where_failures_are_final():
+    with stack({"failure.resume": False}, drive=True) as s:
+        s.base.run(20)
+        trigger(s, "pause")
+        s.base.run(40)
+        trigger(s, "start")
+        assert s.base.run(20)[-1, 0] > 0.1
+
+
+def test_pause_takes_back_a_start_that_waits_for_measurements():
+    with stack(drive_on_activate=True, odom_frame="elsewhere", autostart=False) as s:
+        assert change(s, Transition.TRANSITION_CONFIGURE)
+        assert change(s, Transition.TRANSITION_ACTIVATE)
+        s.base.until(lambda: s.base.silent(1) and s.node._inbox.odometry.refused, "odometry that is refused")
+        assert "expected 'elsewhere'" in s.loop.last.message
+        assert trigger(s, "pause").message == "does not begin any more"
+        s.base.tamper = moved_to_elsewhere
+        assert not s.base.run(20).any()
+
+
+def moved_to_elsewhere(odometry):
+    odometry.header.frame_id = "elsewhere"
+    return odometry
+
+
+def test_without_odometry_start_is_refused():
+    with stack() as s:
+        s.base.tamper = lambda odometry: None
+        s.base.run(12)
+        answer = trigger(s, "start")
+        assert not answer.success
+        assert "odometry is 0.2" in answer.message
+
+
+def test_the_trajectory_is_laid_where_the_robot_stands():
+    with stack(start_at_robot=True) as s:
+        s.base.plant.reset((2.0, -1.0, 2.0))
+        s.base.run(2)
+        assert trigger(s, "start").success
+        s.base.run(40)
+        assert s.loop.last.mode == Mode.TRACKING
+        np.testing.assert_allclose(s.loop.placed.sample([0.0]).pose[0], [2.0, -1.0, 2.0], atol=1e-6)
+        moved = s.base.plant.true_pose - [2.0, -1.0, 2.0]
+        assert math.cos(2.0) * moved[0] + math.sin(2.0) * moved[1] > 0.15
+
+
+def straight(frame="odom", speed=0.4, seconds=4.0, count=21, sideways=0.0):
+    """A path along x from rest to rest."""
+    share = np.linspace(0.0, 1.0, count)
+    along = speed / 1.5 * seconds * (3 * share**2 - 2 * share**3)
+    path = Path()
+    path.header.frame_id = frame
+    for x, t in zip(along, share * seconds, strict=True):
+        path.poses.append(stamped_pose_message((x, sideways * x, 0.0), 10**12 + round(t * 1e9), frame))
+    return path
+
+
+def sent_path(s, path):
+    publisher = s.base.node.create_publisher(Path, "set_path", 1)
+    s.base.until(lambda: publisher.get_subscription_count() == 1, "the node's subscription")
+    for _ in range(5):
+        s.base.silent(1)
+    publisher.publish(path)
+
+
+def test_a_timed_path_is_driven():
+    with stack(trajectory="''", drive_on_reference=True) as s:
+        assert "there is no reference" in trigger(s, "start").message
+        sent_path(s, straight())
+        s.base.until(lambda: s.base.silent(1) and s.loop.state is LoopState.DRIVING, "the reference")
+        s.base.plant.reset((0.0, 0.0, 0.0))
+        s.base.run(round(4.6 / DT))
+        assert s.loop.last.mode == Mode.FINISHED
+        assert abs(s.base.plant.true_pose[0] - 0.4 / 1.5 * 4.0) < 0.03
+
+
+def test_a_trajectory_message_is_driven():
+    with stack(trajectory="''", drive_on_reference=True) as s:
+        message = MultiDOFJointTrajectory(joint_names=["base_link"])
+        message.header.frame_id = "odom"
+        for pose in straight().poses:
+            transform = Transform(rotation=pose.pose.orientation)
+            transform.translation.x = pose.pose.position.x
+            point = MultiDOFJointTrajectoryPoint(transforms=[transform])
+            at = pose.header.stamp.sec - 1000, pose.header.stamp.nanosec
+            point.time_from_start.sec, point.time_from_start.nanosec = at
+            message.points.append(point)
+        publisher = s.base.node.create_publisher(MultiDOFJointTrajectory, "set_trajectory", 1)
+        s.base.until(lambda: publisher.get_subscription_count() == 1, "the node's subscription")
+        s.base.silent(5)
+        publisher.publish(message)
+        s.base.until(lambda: s.base.silent(1) and s.loop.state is LoopState.DRIVING, "the reference")
+        s.base.run(60)
+        assert s.loop.last.mode == Mode.TRACKING
+        assert s.base.plant.true_pose[0] > 0.05
+
+
+def unsorted():
+    path = straight()
+    path.poses[3], path.poses[4] = path.poses[4], path.poses[3]
+    return path
+
+
+def no_times():
+    path = straight()
+    for pose in path.poses:
+        pose.header.stamp = time_message(0)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("path", "reason"),
+    [
+        (straight(frame="map"), "its frame_id is 'map', expected 'odom'"),
+        (straight(speed=3.0), "beyond the limit"),
+        (straight(sideways=0.5), "sideways speed"),
+        (straight(count=1), "it has 1 poses"),
+        (unsorted(), "does not come after the one before"),
+        (no_times(), "does not come after the one before"),
+    ],
+)
+def test_a_bad_path_is_refused_and_the_old_one_goes_on(path, reason, capfd):
+    with stack(drive=True) as s:
+        s.base.run(10)
+        sent_path(s, path)
+        s.base.until(lambda: (s.base.silent(1), reason in capfd.readouterr().err)[1], "the refusal")
+        assert s.loop.state is LoopState.DRIVING
+        assert s.loop.placed.name == "circle"
+
+
+def test_plain_twist_is_published_where_wanted():
+    with stack(stamped=False, drive=True) as s:
+        assert s.base.run(20)[-1, 0] > 0.1
+
+
+def test_paths_marker_error_and_mode_are_published():
+    with stack(visual_rate=50.0) as s:
+        predicted, whole = listen(s, Path, "/diffdrive_mpc/predicted_path"), []
+        marker, error = (
+            listen(s, Marker, "/diffdrive_mpc/error_marker"),
+            listen(s, Vector3Stamped, "/diffdrive_mpc/tracking_error"),
+        )
+        mode = listen(s, String, "/diffdrive_mpc/mode", LATCHED)
+        s.base.run(5)
+        trigger(s, "start")
+        s.base.run(40)
+        whole = listen(s, Path, "/diffdrive_mpc/reference_path", LATCHED)
+        s.base.until(lambda: whole and predicted and marker and error, "visuals")
+        assert len(predicted[-1].poses) == CONFIG.horizon + 1
+        assert predicted[-1].header.frame_id == whole[-1].header.frame_id == marker[-1].header.frame_id == "odom"
+        circle = np.array([(pose.pose.position.x, pose.pose.position.y) for pose in whole[-1].poses])
+        np.testing.assert_allclose(np.hypot(circle[:, 0], circle[:, 1] - 1.0), 1.0, atol=1e-3)
+        assert np.hypot(error[-1].vector.x, error[-1].vector.y) < 0.05
+        assert mode[-1].data == "TRACKING"
+
+
+def test_diagnostics_tell_times_ages_and_faults():
+    with stack(diagnostics_rate=20.0) as s:
+        heard = listen(s, DiagnosticArray, "/diagnostics")
+        trigger(s, "start")
+        s.base.run(60)
+        s.base.until(lambda: heard and heard[-1].status[0].message.startswith("TRACKING"), "diagnostics")
+        status = heard[-1].status[0]
+        values = {item.key: item.value for item in status.values}
+        assert status.level == DiagnosticStatus.OK
+        assert values["solver"].startswith("solved")
+        p50, p99, largest = map(float, values["step time p50/p99/max [ms]"].split(" / "))
+        assert 0.0 < p50 <= p99 <= largest
+        assert values["period jitter p50/p99/max [ms]"] == "0.00 / 0.00 / 0.00"
+        assert float(values["odometry age [s]"]) == pytest.approx(0.0, abs=DT)
+        assert "pose age [s]" not in values
+        s.base.gyro = False
+        s.base.run(15)
+        heard.clear()
+        s.base.until(lambda: heard, "diagnostics")
+        assert heard[-1].status[0].level == DiagnosticStatus.WARN
+        assert "TRACKING: imu is 0." in heard[-1].status[0].message
+        s.base.tamper = lambda odometry: None
+        s.base.run(40)
+        heard.clear()
+        s.base.until(lambda: heard, "diagnostics")
+        assert heard[-1].status[0].level == DiagnosticStatus.ERROR
+        assert "odometry is" in heard[-1].status[0].message

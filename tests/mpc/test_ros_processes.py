@@ -1,0 +1,81 @@
+"""The node as a process of its own: interrupted or killed while it drives."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from ros_parts import FakeBase
+
+COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
+
+
+@pytest.fixture
+def driving():
+    """A base, and the process that drives it in simulated time."""
+    process = subprocess.Popen(
+        [COMMAND, "node", "--drive", "--ros-args", "-p", "use_sim_time:=true", "-p", "start_at_robot:=false"],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    base = FakeBase(lambda: time.sleep(0.001))
+    try:
+        base.until(lambda: moving(base, process), "the first command that moves the robot")
+        base.run(20)
+        yield base, process
+    finally:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+        base.close()
+
+
+def moving(base, process):
+    """Let a tick pass; whether the robot is driven."""
+    assert process.poll() is None, process.stderr.read()
+    base.silent(1)
+    return base.commands and any(base.commands[-1])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_interrupted_it_sends_zero_last(driving, number):
+    base, process = driving
+    assert any(base.commands[-1])
+    process.send_signal(number)
+    base.until(lambda: process.poll() is not None, "the end of the process")
+    for _ in range(20):
+        base.spin()
+    assert base.commands[-1] == (0.0, 0.0)
+    assert process.returncode == 0
+
+
+def test_killed_it_is_silent(driving):
+    """It cannot send zero then: the base has to stop by itself when commands cease."""
+    base, process = driving
+    process.kill()
+    process.wait()
+    assert base.silent(5) == 0
+
+
+def test_what_cannot_be_started_ends_in_one_line():
+    for words, line in (
+        (["--trajectory", "circel", "--autostart"], "unknown trajectory 'circel'"),
+        (["--ros-args", "-p", "horizon:=0"], "horizon"),
+        (["--ros-args", "-p", "weights.across:=-1.0"], "weights.across"),
+        (["--set", "weights.acros=1"], "did you mean 'weights.across'?"),
+        (["--trajectry", "s"], "unknown argument '--trajectry'"),
+    ):
+        result = subprocess.run([COMMAND, "node", *words], capture_output=True, text=True, timeout=60, check=False)
+        errors = [text for text in result.stderr.splitlines() if text.startswith("error: ")]
+        assert result.returncode == 2, words
+        assert len(errors) == 1, result.stderr
+        assert line in errors[0]
+
+
+def test_without_ros_it_says_what_to_install():
+    code = "import sys; sys.modules['rclpy'] = None; sys.argv = ['x', 'node']; from bench.cli import main; main()"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert result.returncode == 1
+    assert "error: the package 'rclpy' is not installed; install diffdrive-mpc[ros]" in result.stderr

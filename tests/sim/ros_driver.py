@@ -1,0 +1,99 @@
+"""Who drives the simulated robot in tests: a node of its own, over real DDS."""
+
+import os
+import threading
+import time
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import Twist, TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+from rosgraph_msgs.msg import Clock
+
+from sim.ros.base_settings import load_base_settings
+
+DOMAIN = str(1 + os.getpid() % 101)
+"""Each test process has a domain of its own: nobody else's robot can be driven by mistake."""
+BOUND = 120.0
+"""No test waits for longer [s]; it fails then."""
+FIRST_TICK = load_base_settings().lock_step.first_tick
+
+
+def own_domain(monkeypatch, folder):
+    monkeypatch.setenv("ROS_DOMAIN_ID", DOMAIN)
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("ROS_LOG_DIR", str(folder))
+
+
+class Driver(threading.Thread):
+    """Answers each tick of /clock with the command of its row, and goes when it has no more.
+
+    `stamp` maps the time of a tick [ns] to that on the command.
+    """
+
+    def __init__(self, commands, sample_time, *, stamped=True, stamp=lambda now: now):
+        super().__init__(daemon=True)
+        self.commands, self.sample, self.stamped, self.stamp = commands, sample_time, stamped, stamp
+        self.odometry, self.finished, self.done = [], False, threading.Event()
+
+    def __enter__(self):
+        self.start()
+        return self
+
+    def __exit__(self, *_):
+        self.done.set()
+        self.join(BOUND)
+
+    def run(self):
+        context = Context()
+        rclpy.init(context=context, domain_id=int(DOMAIN))
+        node = rclpy.create_node("driver", context=context)
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        clock_qos = QoSProfile(depth=1, reliability=rclpy.qos.ReliabilityPolicy.BEST_EFFORT)
+        node.create_subscription(Odometry, "odom", self.odometry.append, qos_profile_sensor_data)
+        node.create_subscription(Clock, "/clock", self.answer, clock_qos)
+        self.publisher = node.create_publisher(TwistStamped if self.stamped else Twist, "cmd_vel", QoSProfile(depth=1))
+        end = time.monotonic() + BOUND
+        while not self.done.is_set() and time.monotonic() < end:
+            executor.spin_once(timeout_sec=0.05)
+            if self.finished:
+                node.destroy_publisher(self.publisher)
+                self.finished = False
+        executor.shutdown()
+        node.destroy_node()
+        context.shutdown()
+
+    def answer(self, message):
+        now = message.clock.sec * 10**9 + message.clock.nanosec
+        tick = round(now * 1e-9 / self.sample) - FIRST_TICK
+        if tick < 0:
+            return
+        if tick >= len(self.commands):
+            self.finished = tick == len(self.commands)
+            return
+        whole = TwistStamped()
+        twist = whole.twist
+        whole.header.stamp.sec, whole.header.stamp.nanosec = divmod(self.stamp(now), 10**9)
+        twist.linear.x, twist.angular.z = (float(value) for value in self.commands[tick])
+        self.publisher.publish(whole if self.stamped else twist)
+
+
+def recorded(bag, topic):
+    """Stamps [ns] and messages of a topic in a bag."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with Reader(bag) as reader:
+        connections = [known for known in reader.connections if known.topic == topic]
+        found = [store.deserialize_cdr(data, c.msgtype) for c, _, data in reader.messages(connections=connections)]
+    return np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in found]), found
+
+
+def recorded_truth(bag):
+    """(n, 3) true x [m], y [m], theta [rad]."""
+    poses = [message.pose for message in recorded(bag, "/ground_truth/pose")[1]]
+    return np.array([[p.position.x, p.position.y, 2 * np.arctan2(p.orientation.z, p.orientation.w)] for p in poses])

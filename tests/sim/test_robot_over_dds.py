@@ -1,0 +1,165 @@
+"""The simulated robot over real DDS: the same run as without ROS, whoever drives it and whatever he leaves out."""
+
+import numpy as np
+import pytest
+from ros_driver import Driver, own_domain, recorded, recorded_truth
+
+from models.checked_yaml import ConfigError
+from models.logs import read_log
+from models.robot import load_robot
+from sim import make_plant
+from sim.log import record
+from sim.plant import RobotLostError
+from sim.ros.base_settings import BaseSettings, load_base_settings
+from sim.ros.run_robot import run_robot
+from sim.sensor_set import load_sensor_set
+
+DT = load_robot().sample_time
+TICKS = 60
+
+
+def settings(answer_timeout=30.0, **changes):
+    lock_step = {"lock_step.answer_timeout": answer_timeout, "lock_step.clock_repeat": 0.02}
+    return load_base_settings(changes=lock_step | changes)
+
+
+@pytest.fixture(autouse=True)
+def ros(monkeypatch, tmp_path):
+    own_domain(monkeypatch, tmp_path / "ros")
+
+
+def commands(ticks=TICKS, seed=0):
+    rng = np.random.default_rng(seed)
+    return np.repeat(rng.uniform([-0.5, -1.0], [0.8, 1.0], (ticks // 10, 2)), 10, axis=0)
+
+
+def driven(bag, rows, *, plant="mujoco", seed=0, base=None, ticks=None, start=(1.0, 2.0, 0.5), storage="mcap", **how):
+    """Drive in lock step and record; the driver."""
+    base = base or settings()
+    with Driver(rows, DT, stamped=base.stamped, **how) as driver:
+        run_robot(
+            make_plant(plant, seed=seed),
+            start,
+            base,
+            load_sensor_set("default"),
+            lock_step=True,
+            duration=(ticks or len(rows)) * DT,
+            record=bag,
+            storage=storage,
+        )
+    return driver
+
+
+def test_lock_step_repeats_the_run_without_ros_bit_for_bit(tmp_path):
+    rows = commands()
+    for name in ("one", "two"):
+        driven(tmp_path / name, rows, seed=3)
+    log = record(make_plant("mujoco", seed=3), rows, (1.0, 2.0, 0.5))
+    truth = recorded_truth(tmp_path / "one")
+    assert np.array_equal(truth, recorded_truth(tmp_path / "two"))
+    assert np.array_equal(truth[:, :2], log.true_pose[:, :2])
+    assert np.allclose(truth[:, 2], log.true_pose[:, 2], rtol=0, atol=1e-14)
+    assert np.ptp(truth[:, 0]) > 0.1
+    stamps, _ = recorded(tmp_path / "one", "/ground_truth/pose")
+    assert np.array_equal(np.diff(stamps), np.full(TICKS - 1, 20_200_000))
+
+
+@pytest.mark.parametrize(("stamped", "storage"), [(True, "mcap"), (False, "sqlite3")])
+def test_a_recording_is_the_log_of_the_drive(tmp_path, stamped, storage):
+    """Commands, encoders, gyro and poses as `read_log` gives them are those of the same drive without ROS."""
+    rows = commands(200, seed=1)
+    driven(tmp_path / "bag", rows, seed=2, base=settings(stamped=stamped), storage=storage)
+    log = record(make_plant("mujoco", seed=2), rows, (1.0, 2.0, 0.5))
+    (drive,) = read_log(tmp_path / "bag", "simulated_robot").records
+    assert drive.dt == pytest.approx(DT, abs=1e-12)
+    assert np.array_equal(drive.command, log.command)
+    assert np.allclose(drive.twist, log.wheel_twist, rtol=0, atol=1e-9)
+    assert np.allclose(drive.yaw_rate, log.yaw_rate, rtol=0, atol=1e-9)
+    plant = make_plant("mujoco", seed=2)
+    plant.reset((1.0, 2.0, 0.5))
+    sensed = []
+    for row in rows:
+        sensed.append(plant.measure().pose)
+        plant.advance(row)
+    stamps, poses = recorded(tmp_path / "bag", "/pose")
+    assert np.array_equal(stamps - stamps[0], [round(1e9 * (p.time - sensed[0].time)) for p in sensed])
+    assert [p.pose.pose.position.x for p in poses] == [p.value[0] for p in sensed]
+    assert poses[0].pose.covariance[0] == sensed[0].covariance[0][0]
+
+
+def test_a_silent_driver_lets_the_robot_stop(tmp_path):
+    """It drives on for the command timeout, no longer, and comes to rest."""
+    rows = np.tile([0.5, 0.0], (30, 1))
+    driven(tmp_path / "bag", rows, ticks=100)
+    speed = np.array([m.twist.linear.x for m in recorded(tmp_path / "bag", "/ground_truth/twist")[1]])
+    last = recorded(tmp_path / "bag", "/cmd_vel")[0][-1]
+    time = 1e-9 * (recorded(tmp_path / "bag", "/ground_truth/twist")[0] - last)
+    assert np.all(speed[(time > 0.2) & (time < 0.5)] > 0.45)
+    assert np.all(np.abs(speed[time > 1.3]) < 0.01)
+    assert time[-1] > 1.3
+
+
+def test_commands_that_cannot_be_meant_do_not_move_it(tmp_path):
+    """NaN, and stamps of another clock."""
+    bad, good = np.full((20, 2), np.nan), np.tile([0.5, 0.0], (20, 1))
+    base = settings(answer_timeout=0.05)
+    driven(tmp_path / "nan", bad, plant="model:ssm", base=base)
+    driven(tmp_path / "ahead", good, plant="model:ssm", base=base, stamp=lambda now: now + 10**10)
+    driven(tmp_path / "old", good, plant="model:ssm", base=base, stamp=lambda now: now - 10**9)
+    for name in ("nan", "ahead", "old"):
+        assert recorded(tmp_path / name, "/cmd_vel")[0].size
+        truth = recorded_truth(tmp_path / name)
+        assert np.array_equal(truth, np.tile(truth[0], (20, 1)))
+
+
+def test_topics_carry_frames_and_rates(tmp_path):
+    driver = driven(tmp_path / "bag", commands(), base=settings(**{"every.imu": 3}))
+    odom, imu = recorded(tmp_path / "bag", "/odom")[1], recorded(tmp_path / "bag", "/imu")[1]
+    assert (odom[0].header.frame_id, odom[0].child_frame_id) == ("odom", "base_link")
+    assert recorded(tmp_path / "bag", "/pose")[1][0].header.frame_id == "map"
+    assert len(odom) == TICKS and len(imu) == TICKS / 3
+    assert np.all(np.diff(recorded(tmp_path / "bag", "/imu")[0]) == 3 * 20_200_000)
+    assert imu[0].orientation_covariance[0] == -1.0
+    # What went over the wire is what was recorded; a start is lost where the reader was not yet connected.
+    sent = {message.header.stamp.nanosec: message.twist.twist.linear.x for message in odom}
+    assert len(driver.odometry) > TICKS / 2
+    assert all(sent[m.header.stamp.nanosec] == m.twist.twist.linear.x for m in driver.odometry)
+
+
+@pytest.mark.parametrize(("source", "bound"), [("dead_reckoning", 0.03), ("pose_sensor", 0.03)])
+def test_the_pose_in_odom_is_where_the_robot_is(tmp_path, source, bound):
+    """Either way within centimetres after a curve of 1.2 s, at the instant of its stamp in spite of late poses."""
+    rows = np.tile([0.8, 0.8], (TICKS, 1))
+    driven(tmp_path / "bag", rows, base=settings(odometry_pose=source))
+    poses = [message.pose.pose.position for message in recorded(tmp_path / "bag", "/odom")[1]]
+    odom, truth = np.array([[p.x, p.y] for p in poses]), recorded_truth(tmp_path / "bag")[:, :2]
+    assert np.abs(odom - truth).max() < bound
+    assert np.linalg.norm(truth[-1] - truth[0]) > 0.5
+
+
+def test_a_lost_robot_ends_the_run_and_the_bag_is_whole(tmp_path):
+    plant = make_plant("model:ssm")
+    advance, ticks = plant.advance, []
+
+    def lose(command):
+        ticks.append(command)
+        if len(ticks) == 15:
+            raise RobotLostError("t = 0.283 s: it is lost")
+        advance(command)
+
+    plant.advance = lose
+    with Driver(commands(), DT), pytest.raises(RobotLostError, match="lost"):
+        run_robot(plant, (0, 0, 0), settings(), load_sensor_set("default"), lock_step=True, record=tmp_path / "bag")
+    assert len(recorded_truth(tmp_path / "bag")) == 15
+
+
+def test_a_bag_is_never_written_over(tmp_path):
+    with pytest.raises(ConfigError, match="is there already"):
+        run_robot(make_plant("model:ssm"), (0, 0, 0), settings(), load_sensor_set("default"), record=tmp_path)
+
+
+def test_settings_say_what_each_value_is():
+    for schema in (BaseSettings, *(f.annotation for f in BaseSettings.model_fields.values())):
+        for name, field in getattr(schema, "model_fields", {}).items():
+            nested = hasattr(field.annotation, "model_fields")
+            assert nested or field.description, name
