@@ -10,6 +10,7 @@ from bench.commands import bench, identify, node, real_logs, reproduce, robot, s
 from bench.commands.config import config_app
 from bench.commands.models import models_app
 from bench.commands.one_line_errors import OneLineErrors
+from bench.commands.ros_arguments import PASSED_ON
 
 app = typer.Typer(
     cls=OneLineErrors,
@@ -24,8 +25,8 @@ app.command("identify", epilog=identify.EXAMPLE)(identify.identify)
 app.command("tracking", epilog=tracking.EXAMPLE)(tracking.tracking)
 app.command("real-logs", epilog=real_logs.EXAMPLE)(real_logs.real_logs)
 app.command("reproduce", epilog=reproduce.EXAMPLE)(reproduce.reproduce)
-app.command("node", epilog=node.EXAMPLE, context_settings=node.ROS_ARGUMENTS)(node.node)
-app.command("robot", epilog=robot.EXAMPLE, context_settings=node.ROS_ARGUMENTS)(robot.robot)
+app.command("node", epilog=node.EXAMPLE, context_settings=PASSED_ON)(node.node)
+app.command("robot", epilog=robot.EXAMPLE, context_settings=PASSED_ON)(robot.robot)
 app.add_typer(config_app, name="config")
 app.add_typer(models_app, name="models")
 

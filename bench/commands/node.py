@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
+from bench.commands.ros_arguments import ros_arguments
+
 EXAMPLE = "Example: diffdrive-mpc node --config my_robot.yaml --drive --ros-args -r cmd_vel:=/base/cmd_vel"
-ROS_ARGUMENTS = {"allow_extra_args": True, "ignore_unknown_options": True}
-"""Settings of a command that passes what follows `--ros-args` on to ROS."""
 
 
 def node(
@@ -39,12 +39,3 @@ def node(
     from mpc.ros.main import run  # noqa: PLC0415 - needs rclpy
 
     run(arguments, own, dict(overrides))
-
-
-def ros_arguments(context: typer.Context) -> list[str]:
-    """What follows `--ros-args`, with it; raises ValueError for words before it that no option takes."""
-    words = list(context.args)
-    ours = words[: words.index("--ros-args")] if "--ros-args" in words else words
-    if ours:
-        raise ValueError(f"unknown argument '{ours[0]}'; see --help; arguments for ROS follow --ros-args")
-    return words

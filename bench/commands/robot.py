@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from bench.commands.node import ros_arguments
+from bench.commands.ros_arguments import ros_arguments
 
 EXAMPLE = "Example: diffdrive-mpc robot --trajectory s --lock-step --record out/drive"
 

@@ -2,7 +2,7 @@
 
 `minute.yaml` beside this file is a trajectory long enough for figures of jitter and latency.
 
-Run as ``python -m bench.ros.compare [--real-time] [--model MODEL] [--seed SEED] [TRAJECTORY ...]``.
+Run as ``python -m bench.ros.compare [--real-time] [--page] [--model MODEL] [--seed SEED] [TRAJECTORY ...]``.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from pathlib import Path
 
 from bench.case import Case, build
 from bench.console import output_console
+from bench.documents import insert
+from bench.machine import describe_machine
 from bench.ros.loop_timing import LoopTiming, loop_timing
 from bench.ros.recorded_drive import read_drive
 from bench.ros.two_processes import drive_over_dds
@@ -22,6 +24,7 @@ from bench.table import Table
 from sim import Run, simulate
 
 TRAJECTORIES = ("circle", "s")
+PAGE = Path("docs/robot.md")
 COMPARED = ("position_rmse_m", "lateral_rmse_m", "heading_rmse_rad", "position_max_m")
 """Statistics that are set side by side."""
 
@@ -89,7 +92,8 @@ def comparison_table(comparisons: Sequence[Comparison]) -> Table:
             rows.append(
                 (item.case.labels["trajectory"], name, f"{there:.4f}", f"{here:.4f}", f"{item.ratio(statistic):.2f}")
             )
-    return Table("Over DDS and in one process", ("trajectory", "error", "DDS", "one process", "ratio"), tuple(rows), 2)
+    columns = ("trajectory", "error", "over DDS", "one process", "ratio")
+    return Table("Over DDS and in one process", columns, tuple(rows), 2)
 
 
 def timing_table(comparisons: Sequence[Comparison]) -> Table:
@@ -100,7 +104,7 @@ def timing_table(comparisons: Sequence[Comparison]) -> Table:
         named = (("period", timing.period), ("jitter", timing.jitter), ("odometry to command", timing.latency))
         for name, spread in named:
             times = (f"{1e3 * value:.2f}" for value in (spread.p50, spread.p99, spread.max))
-            rows.append((item.case.labels["trajectory"], name, *times, str(timing.misses)))
+            rows.append((item.case.labels["trajectory"], name, *times, f"{timing.misses} of {timing.commands}"))
     columns = ("trajectory", "time", "p50 [ms]", "p99 [ms]", "max [ms]", "missed periods")
     return Table("Times over DDS", columns, tuple(rows), 2)
 
@@ -115,15 +119,30 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--sensors", default="default")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--real-time", action="store_true")
+    parser.add_argument("--page", action="store_true", help=f"write the tables into {PAGE}, from the top")
     chosen = parser.parse_args(arguments)
     found = []
     for trajectory in chosen.trajectories:
         case = Case("mpc", chosen.model, trajectory, "mujoco", "default", chosen.sensors, chosen.seed)
         found.append(compare(case, lock_step=not chosen.real_time))
-    console = output_console()
-    console.print(comparison_table(found).rich())
+    tables = [comparison_table(found)]
     if chosen.real_time:
-        console.print(timing_table(found).rich())
+        tables.append(timing_table(found))
+    console = output_console()
+    for table in tables:
+        console.print(table.rich())
+    if chosen.page:
+        _write(tables, "real-time" if chosen.real_time else "lock-step", chosen)
+
+
+def _write(tables: Sequence[Table], marker: str, chosen: argparse.Namespace) -> None:
+    """Put the tables between the markers of that name, with the machine they were measured on."""
+    machine = describe_machine()
+    parts = ["\n".join(table.markdown().splitlines()[2:]) for table in tables]
+    where = f"{machine['cores']} cores of {machine['cpu']}"
+    facts = f"Model {chosen.model}, seed {chosen.seed}, sensors {chosen.sensors}; {where}."
+    text = "\n\n".join([*parts, facts])
+    PAGE.write_text(insert(PAGE.read_text(encoding="utf-8"), text, marker), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -38,10 +38,14 @@ def run(
     Raises
     ------
     ValueError
-        If a parameter cannot be used, or the node does not start though it shall; one line.
+        If an argument or a parameter cannot be used, or the node does not start though it shall; one line.
     """
     # rclpy's own handlers would end all communication before zero could be sent.
-    rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # the base of rclpy's errors, which have no public names
+        words = " ".join(str(error).split())
+        raise ValueError(f"ROS cannot start with the arguments '{' '.join(arguments)}': {words}") from error
     signals: list[int] = []
 
     def note(number: int, _: FrameType | None) -> None:

@@ -111,7 +111,8 @@ def _ros_node(arguments: Sequence[str]) -> Iterator[tuple[Node, Callable[[float]
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # the base of rclpy's errors, which have no public names
-        raise ConfigError(f"ROS cannot start with the arguments '{' '.join(arguments)}': {error}") from error
+        words = " ".join(str(error).split())
+        raise ConfigError(f"ROS cannot start with the arguments '{' '.join(arguments)}': {words}") from error
     try:
         node = rclpy.create_node(NODE_NAME)
         executor = SingleThreadedExecutor()

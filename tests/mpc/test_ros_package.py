@@ -100,7 +100,12 @@ def test_rviz_shows_topics_that_exist():
             assert known[item["Topic"]["Value"]] == [kinds[item["Class"].rpartition("/")[2]]]
 
 
-def test_the_entry_point_ends_bad_parameters_in_one_line(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["node", "--ros-args", "-p", "config:=smm"])
-    with pytest.raises(SystemExit, match="error: unknown configuration 'smm'"):
+@pytest.mark.parametrize(
+    ("word", "line"),
+    [("config:=smm", "error: unknown configuration 'smm'"), ("horizon", "error: ROS cannot start with the arguments")],
+)
+def test_the_entry_point_ends_bad_arguments_in_one_line(monkeypatch, word, line):
+    monkeypatch.setattr(sys, "argv", ["node", "--ros-args", "-p", word])
+    with pytest.raises(SystemExit, match=line) as ended:
         import_module("mpc.ros.main").main()
+    assert "\n" not in str(ended.value)
