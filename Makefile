@@ -7,6 +7,8 @@ REPRODUCE_OUT ?= out/reproduce
 # Options of the studies: make tracking TRACKING=--quick
 TRACKING ?=
 REPRODUCE ?=
+# Options of pytest: make test TEST="tests/mpc -x"
+TEST ?=
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
@@ -36,7 +38,7 @@ reproduce: $(READY) ## the papers' experiments on the simulated robot, beside th
 	$(BIN)/diffdrive-mpc reproduce --out $(REPRODUCE_OUT) $(REPRODUCE)
 
 test: $(READY) ## all tests
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 $(TEST)
 
 lint: $(READY) ## style and format
 	$(BIN)/ruff check .
