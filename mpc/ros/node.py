@@ -112,6 +112,11 @@ class TrackingNode(LifecycleNode):
             self._build()
         answer = super().on_activate(state)
         assert self._controller is not None
+        config = self._controller.config
+        # Said before the timer starts also because the first words of a logger take 30 ms, more than a tick.
+        self.get_logger().info(
+            f"active: model {config.model}, {config.horizon} steps of {config.sample_time} s, frame {self._inbox.frame}"
+        )
         in_sim_time = bool(self.get_parameter("use_sim_time").value)
         self._controller.reset()
         self._inbox.restart()
@@ -122,7 +127,7 @@ class TrackingNode(LifecycleNode):
         gc.collect()
         gc.freeze()
         clock = self.get_clock() if in_sim_time else Clock(clock_type=ClockType.STEADY_TIME)
-        period = self._controller.config.sample_time
+        period = config.sample_time
         self._timer = self.create_timer(period, self._tick, clock=clock)
         # The constructor cuts off what is less than a nanosecond, and 0.0202 s is a little less than it looks.
         self._period = self._timer.timer_period_ns = round(1e9 * period)
