@@ -31,6 +31,9 @@ class LockStep(StrictModel):
 
     # A sensor's latency may be 2 s: stamps of poses from before the start must not fall below zero.
     first_tick: int = Field(ge=200, le=1_000_000, description="control samples on /clock at the start")
+    settling_time: Seconds = Field(
+        description="real time without a new connection before the first tick [s]; others may be about to come"
+    )
     answer_timeout: Seconds = Field(description="real time to wait for the command to a tick [s]")
     clock_repeat: Seconds = Field(description="real time after which an unanswered /clock is sent again [s]")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 
@@ -47,19 +48,21 @@ def _wait_for_company(
 ) -> None:
     """Until commands have a publisher and, though not for longer than an answer may take, odometry has a reader.
 
-    Nothing must have connected during the last repeat of the clock: the first tick is for all who are about to come.
+    Nothing must have connected for the settling time: the first tick is for all who are about to come.
     """
     if not base.commanded:
         base.node.get_logger().info(f"lock step: waiting for somebody to publish commands on {base.command_topic}")
     patience: float | None = None
     connected: tuple[int, ...] = ()
+    settled = math.inf
     while going():
         moment = time.monotonic()
+        if connected != base.connections:
+            connected, settled = base.connections, moment + settings.settling_time
         if base.commanded:
             patience = patience or moment + settings.answer_timeout
-            if connected == base.connections and (base.observed or moment >= patience):
+            if moment >= settled and (base.observed or moment >= patience):
                 return
-        connected = base.connections
         publish()
         while going() and (left := moment + settings.clock_repeat - time.monotonic()) > 0:
             spin(left)
