@@ -14,7 +14,7 @@ from mpc.config import ControllerConfig
 from mpc.estimator import Estimate
 from mpc.feed_forward import FeedForward
 from mpc.lean import lean
-from mpc.osqp_solver import OsqpSolver
+from mpc.qp.condensed_solver import CondensedSolver
 from mpc.problem import TrackingProblem
 from mpc.solver_report import SolverReport
 from mpc.tick import Tick
@@ -53,7 +53,7 @@ class Planner:
         self._dt = config.sample_time
         self._problem = TrackingProblem(config, model.discretise(self._dt))
         self._condenser = Condenser(self._problem)
-        self._solver = OsqpSolver(config.horizon, config.solver, config.weights)
+        self._solver = CondensedSolver(config.horizon, config.solver, config.weights)
         self._feed_forward = FeedForward(model, self._dt, config.horizon)
         samples = max(self._feed_forward.samples, config.horizon + 1)
         self._times = np.arange(samples) * self._dt
