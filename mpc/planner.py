@@ -14,8 +14,8 @@ from mpc.config import ControllerConfig
 from mpc.estimator import Estimate
 from mpc.feed_forward import FeedForward
 from mpc.lean import lean
-from mpc.qp.condensed_solver import CondensedSolver
 from mpc.problem import TrackingProblem
+from mpc.qp.condensed_solver import CondensedSolver
 from mpc.solver_report import SolverReport
 from mpc.tick import Tick
 

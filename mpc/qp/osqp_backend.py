@@ -11,27 +11,43 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from models.interface import FloatArray
-from mpc.condensed import QuadraticProgram
 from mpc.config import Solver, Weights
-from mpc.qp.hard_rows import HardRows
-from mpc.qp.multipliers import Multipliers
+from mpc.qp.backend import Answer, Task
+from mpc.qp.limit_rows import HARD_KINDS, KINDS, SOFT_KINDS, Kinds
 from mpc.qp.osqp_status import OSQP_STATUS
-from mpc.qp.relaxed import Relaxed
-from mpc.qp.workspace import Kinds
 from mpc.solver_report import SolverReport, SolverStatus
 
 # A multiplier below this is what is left of one: its limit is not active.
 _NO_PRESSURE = 1e-6
 
 
-class OsqpWorkspace:
-    """One OSQP instance of fixed sparsity; implements `mpc.qp.workspace.Workspace`."""
+class OsqpBackend:
+    """A work space for each set of soft limits that has mattered so far; implements `mpc.qp.backend.Backend`."""
+
+    def __init__(self, steps: int, settings: Solver, weights: Weights) -> None:
+        self._steps, self._settings, self._weights = steps, settings, weights
+        self._workspaces: dict[Kinds, _Workspace] = {}
+
+    def solve(self, task: Task) -> Answer:
+        """See `mpc.qp.backend.Backend`; all hard limits are kept, their rows are sparse."""
+        kinds = tuple(kind for kind in task.kinds if kind >= HARD_KINDS)
+        workspace = self._workspaces.get(kinds)
+        if workspace is None:
+            workspace = self._workspaces[kinds] = _Workspace(self._steps, self._settings, self._weights, kinds)
+        return workspace.solve(task)
+
+
+class _Workspace:
+    """One OSQP instance of fixed sparsity: range rows, increment rows, soft rows, the slacks' bounds."""
 
     def __init__(self, steps: int, settings: Solver, weights: Weights, kinds: Kinds) -> None:
         self._n = n = 2 * steps
         self._steps, self._kinds, self._weights, self._settings = steps, list(kinds), weights, settings
         self._soft_rows = rows = len(kinds) * steps
-        hard = sparse.vstack([sparse.identity(n), sparse.identity(n) - sparse.eye(n, k=-2)])
+        # Commands are interleaved and rows go by kind: the commands of one channel are every second one.
+        channels = sparse.vstack([sparse.identity(n, format="csr")[i::2] for i in (0, 1)])
+        increments = sparse.block_diag([sparse.identity(steps) - sparse.eye(steps, k=-1)] * 2) @ channels
+        hard = sparse.vstack([channels, increments])
         pattern = np.ones((rows, n))
         unit = sparse.identity(rows)
         blocks = [[hard, None, None], [pattern, -unit, unit], [None, unit, None], [None, None, unit]]
@@ -49,11 +65,9 @@ class OsqpWorkspace:
         self._upper = np.full(2 * n + 3 * rows, np.inf)
         self._solver: osqp.OSQP | None = None
 
-    def solve(
-        self, qp: QuadraticProgram, relaxed: Relaxed, hard: HardRows, guess: FloatArray, start: Multipliers
-    ) -> tuple[FloatArray, SolverReport, Multipliers]:
-        """See `mpc.qp.workspace.Workspace`; `relaxed` has no part in it."""
-        self._load(qp, hard)
+    def solve(self, task: Task) -> Answer:
+        """Solve with the soft limits of this work space."""
+        self._load(task)
         try:
             if self._solver is None:
                 self._solver = self._set_up()
@@ -61,8 +75,9 @@ class OsqpWorkspace:
                 changed = {"Ax": self._A.data} if self._kinds else {}
                 self._solver.update(q=self._gradient, l=self._lower, u=self._upper, Px=self._P.data, **changed)
         except (osqp.OSQPException, ValueError):
-            return guess, SolverReport(SolverStatus.REFUSED, soft_limits=bool(self._kinds)), start
-        self._solver.warm_start(x=self._primal(qp, guess), y=self._dual(start))
+            refused = SolverReport(SolverStatus.REFUSED, soft_limits=bool(self._kinds))
+            return Answer(task.guess, refused, task.multipliers)
+        self._solver.warm_start(x=self._primal(task), y=self._dual(task.multipliers))
         result = self._solver.solve(raise_error=False)
         report = SolverReport(
             status=OSQP_STATUS.get(result.info.status_val, SolverStatus.NOT_RUN),
@@ -71,20 +86,23 @@ class OsqpWorkspace:
             dual_residual=float(result.info.dual_res),
             soft_limits=bool(self._kinds),
         )
-        return np.array(result.x[: self._n]), report, self._multipliers(result.y)
+        return Answer(np.array(result.x[: self._n]), report, self._multipliers(result.y))
 
-    def _load(self, qp: QuadraticProgram, hard: HardRows) -> None:
-        n, rows = self._n, self._soft_rows
-        self._P.data[: len(self._triangle)] = qp.H.reshape(-1)[self._triangle]
-        self._gradient[:n] = qp.g
-        self._upper[: 2 * n] = hard.limit
-        np.negative(hard.limit, out=self._lower[: 2 * n])
-        self._upper[n : n + 2] += qp.last_command
-        self._lower[n : n + 2] += qp.last_command
+    def _load(self, task: Task) -> None:
+        n, rows, limits = self._n, self._soft_rows, task.rows
+        self._P.data[: len(self._triangle)] = task.qp.H.reshape(-1)[self._triangle]
+        self._gradient[:n] = task.qp.g
+        self._upper[: 2 * n] = limits.upper[:HARD_KINDS].reshape(-1)
+        self._lower[: 2 * n] = limits.lower[:HARD_KINDS].reshape(-1)
+        # The first increments count from the last command.
+        first = slice(n, 2 * n, self._steps)
+        self._upper[first] += task.qp.last_command
+        self._lower[first] += task.qp.last_command
         if rows:
-            self._upper[2 * n : 2 * n + rows] = qp.soft_upper[self._kinds].reshape(-1)
-            self._lower[2 * n : 2 * n + rows] = qp.soft_lower[self._kinds].reshape(-1)
-            self._A.data[self._soft_place] = qp.soft[self._kinds].reshape(rows, n)
+            self._upper[2 * n : 2 * n + rows] = limits.upper[self._kinds].reshape(-1)
+            self._lower[2 * n : 2 * n + rows] = limits.lower[self._kinds].reshape(-1)
+            soft = limits.soft.reshape(SOFT_KINDS, self._steps, n)
+            self._A.data[self._soft_place] = soft[np.subtract(self._kinds, HARD_KINDS)].reshape(rows, n)
 
     def _set_up(self) -> osqp.OSQP:
         solver = osqp.OSQP()
@@ -107,26 +125,26 @@ class OsqpWorkspace:
         )
         return solver
 
-    def _primal(self, qp: QuadraticProgram, guess: FloatArray) -> FloatArray:
+    def _primal(self, task: Task) -> FloatArray:
         if not self._kinds:
-            return guess
-        rows = qp.soft[self._kinds] @ guess
-        over = np.maximum(rows - qp.soft_upper[self._kinds], 0)
-        under = np.maximum(qp.soft_lower[self._kinds] - rows, 0)
-        return np.concatenate([guess, over.reshape(-1), under.reshape(-1)])
+            return task.guess
+        excess = task.rows.values(task.guess)[self._kinds]
+        over = np.maximum(excess - task.rows.upper[self._kinds], 0)
+        under = np.maximum(task.rows.lower[self._kinds] - excess, 0)
+        return np.concatenate([task.guess, over.reshape(-1), under.reshape(-1)])
 
-    def _dual(self, start: Multipliers) -> FloatArray:
+    def _dual(self, multipliers: FloatArray) -> FloatArray:
         """Multipliers of all rows; a slack's bound presses with what its limit leaves of the price."""
-        soft = start.soft[self._kinds].reshape(-1)
+        hard, soft = multipliers[:HARD_KINDS].reshape(-1), multipliers[self._kinds].reshape(-1)
         price = self._weights.soft
-        return np.concatenate([start.hard.reshape(-1), soft, np.minimum(soft - price, 0), np.minimum(-soft - price, 0)])
+        return np.concatenate([hard, soft, np.minimum(soft - price, 0), np.minimum(-soft - price, 0)])
 
-    def _multipliers(self, dual: FloatArray) -> Multipliers:
-        found = Multipliers.none(self._steps)
+    def _multipliers(self, dual: FloatArray) -> FloatArray:
+        found = np.zeros((KINDS, self._steps))
         rows = 2 * self._n
         pressing = np.where(np.abs(dual) < _NO_PRESSURE, 0.0, dual)
-        found.hard.reshape(-1)[:] = pressing[:rows]
-        found.soft[self._kinds] = pressing[rows : rows + self._soft_rows].reshape(-1, self._steps)
+        found[:HARD_KINDS] = pressing[:rows].reshape(HARD_KINDS, -1)
+        found[self._kinds] = pressing[rows : rows + self._soft_rows].reshape(-1, self._steps)
         return found
 
 
