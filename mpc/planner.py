@@ -15,9 +15,9 @@ from mpc.estimator import Estimate
 from mpc.feed_forward import FeedForward
 from mpc.lean import lean
 from mpc.problem import TrackingProblem
-from mpc.qp.condensed_solver import CondensedSolver
 from mpc.solver_report import SolverReport
 from mpc.tick import Tick
+from mpc.ways import make_way
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Plan:
 
 
 class Planner:
-    """Holds the problem, its solver and the last plan.
+    """Holds the problem, the way through it and the last plan.
 
     Raises
     ------
@@ -53,7 +53,7 @@ class Planner:
         self._dt = config.sample_time
         self._problem = TrackingProblem(config, model.discretise(self._dt))
         self._condenser = Condenser(self._problem)
-        self._solver = CondensedSolver(config.horizon, config.solver, config.weights)
+        self._way = make_way(self._problem, self._condenser)
         self._feed_forward = FeedForward(model, self._dt, config.horizon)
         samples = max(self._feed_forward.samples, config.horizon + 1)
         self._times = np.arange(samples) * self._dt
@@ -62,7 +62,7 @@ class Planner:
     def reset(self) -> None:
         """Forget the last plan and the solver's warm start."""
         self._guess = None
-        self._solver.reset()
+        self._way.reset()
 
     def tick(
         self, estimate: Estimate, past: FloatArray, last_command: FloatArray, reference: Reference, since_start: float
@@ -97,7 +97,7 @@ class Planner:
         if self._guess is None:
             box = command_box(self._config.limits, self._dt, tick.last_command, len(tick.feed_forward))
             self._guess = np.clip(tick.feed_forward, -box, box)
-        solution = self._solver.solve(self._condenser.condense(tick, self._guess), self._guess)
+        solution = self._way.solve(tick, self._guess)
         if not (solution.report.status.usable and np.isfinite(solution.plan).all()):
             self.reset()
             return None, solution.report

@@ -9,7 +9,7 @@ import pytest
 from models import load_model
 from mpc import load_config
 from mpc.condensed import Condenser
-from mpc.osqp_solver import OsqpSolver
+from mpc.qp.condensed_solver import CondensedSolver as OsqpSolver
 from mpc.problem import TrackingProblem
 from mpc.slip import Slip
 from mpc.solver_report import SolverStatus
