@@ -29,7 +29,8 @@ _STATUS = {
     -7: SolverStatus.TIME_LIMIT,
 }
 _DEPENDENT = -6
-_ACTIVE, _LOWER, _SOFT = 1, 2, 8
+# DAQP's flags of a row; the last says of a soft limit that it is kept, though it presses.
+_ACTIVE, _LOWER, _SOFT, _KEPT = 1, 2, 8, 32
 
 
 class DaqpBackend:
@@ -52,7 +53,7 @@ class _Workspace:
     """One DAQP model of fixed size, with the rows of some kinds of limit."""
 
     def __init__(self, steps: int, settings: Solver, weights: Weights, kinds: Kinds) -> None:
-        self._steps, self._kinds = steps, kinds
+        self._steps, self._kinds, self._chosen = steps, kinds, np.array(kinds, dtype=np.intp)
         self._hard = sum(kind < HARD_KINDS for kind in kinds)
         count = steps * len(kinds)
         # By kind; DAQP sees them all below one another.
@@ -63,20 +64,18 @@ class _Workspace:
         self._settings = {"primal_tol": settings.tolerance, "iter_limit": settings.max_iterations}
         if settings.time_limit is not None:
             self._settings["time_limit"] = settings.time_limit
-        self._price, self._looseness = np.full(count, weights.soft), np.full(count, 1 / weights.soft_quadratic)
+        self._price, self._looseness = np.zeros(count), np.full(count, 1 / weights.soft_quadratic)
+        self._price[self._hard * steps :] = weights.soft
         self._model: daqp.Model | None = None
 
     def solve(self, task: Task) -> Answer:
         """Solve for the kinds of this work space."""
         inverse = inverse_factor(task.relaxed.factor)
         self._load(inverse, task.rows.soft)
-        plan, chosen = task.relaxed.plan, list(self._kinds)
-        now = task.rows.values(plan)[chosen]
+        chosen = self._chosen
+        now = task.values[chosen]
         upper, lower = (task.rows.upper[chosen] - now).reshape(-1), (task.rows.lower[chosen] - now).reshape(-1)
-        pressing = task.multipliers[chosen].reshape(-1)
-        sense = self._cold.copy()
-        sense[pressing > 0] += _ACTIVE
-        sense[pressing < 0] += _ACTIVE + _LOWER
+        sense = self._flags(task.multipliers[chosen].reshape(-1))
         z, _, flag, info = self._run(upper, lower, sense)
         if flag == _DEPENDENT:
             z, _, flag, info = self._run(upper, lower, self._cold)
@@ -92,7 +91,16 @@ class _Workspace:
         )
         multipliers = np.zeros_like(task.multipliers)
         multipliers[chosen] = pressing.reshape(-1, self._steps)
-        return Answer(plan + inverse @ z, report, multipliers)
+        return Answer(task.relaxed.plan + inverse @ z, report, multipliers)
+
+    def _flags(self, pressing: FloatArray) -> NDArray[np.intc]:
+        """The rows that press are taken to be active."""
+        sense = self._cold.copy()
+        sense[pressing > 0] += _ACTIVE
+        sense[pressing < 0] += _ACTIVE + _LOWER
+        if len(self._kinds) > self._hard:
+            sense[(pressing != 0) & (np.abs(pressing) < self._price)] += _KEPT
+        return sense
 
     def _load(self, inverse: FloatArray, soft: FloatArray) -> None:
         """Write the rows as functions of z."""
