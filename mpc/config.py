@@ -81,6 +81,11 @@ class Wheels(_Group):
 class Solver(_Group):
     """How the problem is solved."""
 
+    compiled: Literal["auto", "never", "always"] = Field(
+        "auto",
+        description="run estimator and problem in C, compiled at first use: auto falls back to Python where there is "
+        "no C compiler, always refuses to start without one [-]",
+    )
     formulation: Literal["condensed", "sparse"] = Field(
         "condensed",
         description="condensed: a small dense problem in the commands alone; sparse: states and poses are variables "

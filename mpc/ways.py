@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from models.interface import FloatArray
+from mpc.compiled.condenser import CompiledCondenser
 from mpc.condensed import Condenser
 from mpc.problem import TrackingProblem
 from mpc.qp.condensed_solver import CondensedSolver
@@ -28,7 +29,7 @@ class Way(Protocol):
 class CondensedWay:
     """Condense to a small dense program in the commands, and solve that."""
 
-    def __init__(self, problem: TrackingProblem, condenser: Condenser) -> None:
+    def __init__(self, problem: TrackingProblem, condenser: Condenser | CompiledCondenser) -> None:
         config = problem.config
         self._condenser = condenser
         self._solver = CondensedSolver(config.horizon, config.solver, config.weights)
@@ -42,7 +43,7 @@ class CondensedWay:
         self._solver.reset()
 
 
-def make_way(problem: TrackingProblem, condenser: Condenser) -> Way:
+def make_way(problem: TrackingProblem, condenser: Condenser | CompiledCondenser) -> Way:
     """The way that the problem's configuration asks for."""
     if problem.config.solver.formulation == "sparse":
         return SparseSolver(problem)

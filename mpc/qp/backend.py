@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from models.interface import FloatArray
-from mpc.condensed import QuadraticProgram
 from mpc.config import Solver, Weights
 from mpc.qp.limit_rows import Kinds, LimitRows
 from mpc.qp.relaxed import Relaxed
+from mpc.quadratic_program import QuadraticProgram
 from mpc.solver_report import SolverReport
 
 

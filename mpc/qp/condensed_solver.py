@@ -11,7 +11,6 @@ from __future__ import annotations
 import numpy as np
 
 from models.interface import FloatArray
-from mpc.condensed import QuadraticProgram
 from mpc.config import Solver, Weights
 from mpc.qp.backend import Backend, Task
 from mpc.qp.daqp_backend import DaqpBackend
@@ -19,6 +18,7 @@ from mpc.qp.limit_rows import KINDS, Kinds, LimitRows, broken
 from mpc.qp.osqp_backend import OsqpBackend
 from mpc.qp.relaxed import relax
 from mpc.qp.solution import Solution
+from mpc.quadratic_program import QuadraticProgram
 from mpc.solver_report import SolverReport, SolverStatus
 
 _BACKENDS: dict[str, type[Backend]] = {"osqp": OsqpBackend, "daqp": DaqpBackend}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from models.interface import FloatArray
-from mpc.condensed import QuadraticProgram
+from mpc.quadratic_program import QuadraticProgram
 
 HARD_KINDS, SOFT_KINDS = 4, 5
 KINDS = HARD_KINDS + SOFT_KINDS

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from scipy.linalg import lapack
 
 from models.interface import FloatArray
-from mpc.condensed import QuadraticProgram
+from mpc.quadratic_program import QuadraticProgram
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from mpc import load_config
-from mpc.condensed import QuadraticProgram
+from mpc.condensed import CondensedProgram
 from mpc.qp.backend import Task
 from mpc.qp.condensed_solver import CondensedSolver
 from mpc.qp.daqp_backend import DaqpBackend
@@ -35,7 +35,7 @@ def random_problem(seed, tightness=0.5, softness=1.0):
     last = rng.uniform(-0.2, 0.2, 2)
     middle = rng.normal(scale=0.3, size=(5, STEPS))
     width = rng.uniform(0.5, 2.0, (5, STEPS)) / tightness
-    return QuadraticProgram(
+    return CondensedProgram(
         H=root @ root.T + 5 * np.eye(n),
         g=rng.normal(scale=12.0, size=n),
         box=np.repeat(rng.uniform(0.2, 0.4, 2)[None] / tightness, STEPS, axis=0).ravel(),
@@ -138,7 +138,7 @@ def test_where_no_limit_matters_the_minimiser_is_exact_without_an_iteration(back
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_a_problem_without_a_solution_is_reported(backend):
     qp = random_problem(1)
-    far = QuadraticProgram(qp.H, qp.g, qp.box, qp.slew, np.array([50.0, 0.0]), qp.soft, qp.soft_lower, qp.soft_upper)
+    far = CondensedProgram(qp.H, qp.g, qp.box, qp.slew, np.array([50.0, 0.0]), qp.soft, qp.soft_lower, qp.soft_upper)
     report = CondensedSolver(STEPS, solver_settings(backend), WEIGHTS).solve(far, np.zeros((STEPS, 2))).report
     assert report.status is SolverStatus.INFEASIBLE
     assert not report.status.usable
@@ -161,16 +161,16 @@ def test_numbers_that_are_none_are_refused(backend, field, value):
     qp = random_problem(1)
     spoilt = getattr(qp, field).copy()
     spoilt.reshape(-1)[0] = value
-    data = {name: getattr(qp, name) for name in QuadraticProgram.__dataclass_fields__} | {field: spoilt}
+    data = {name: getattr(qp, name) for name in CondensedProgram.__dataclass_fields__} | {field: spoilt}
     solver = CondensedSolver(STEPS, solver_settings(backend), WEIGHTS)
-    status = solver.solve(QuadraticProgram(**data), np.zeros((STEPS, 2))).report.status
+    status = solver.solve(CondensedProgram(**data), np.zeros((STEPS, 2))).report.status
     assert status is SolverStatus.NOT_FINITE
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_a_cost_that_is_not_convex_is_reported(backend):
     qp = random_problem(1)
-    saddle = QuadraticProgram(-qp.H, qp.g, qp.box, qp.slew, qp.last_command, qp.soft, qp.soft_lower, qp.soft_upper)
+    saddle = CondensedProgram(-qp.H, qp.g, qp.box, qp.slew, qp.last_command, qp.soft, qp.soft_lower, qp.soft_upper)
     status = CondensedSolver(STEPS, solver_settings(backend), WEIGHTS).solve(saddle, np.zeros((STEPS, 2))).report.status
     assert status is SolverStatus.NOT_CONVEX
 
