@@ -2,8 +2,8 @@
 
 The physics is not the filter's model, so no interval of chi-squared holds: the bounds are those of what was measured,
 with a margin. The sensors sit near 1 but for the yaw rate of the wheels, which is expected with more doubt than it
-deserves: the filter takes the wheels in first, and the gyro, taken in next, is in line. The stated deviations of x and y are half too large: the squared errors are 0.45 of the
-variances.
+deserves: the filter takes the wheels in first, and the gyro, taken in next, is in line. Stated deviations of x and y
+are half too large: the squared errors are 0.45 of the variances.
 """
 
 from __future__ import annotations
