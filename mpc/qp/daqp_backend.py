@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from models.interface import FloatArray
 from mpc.config import Solver, Weights
 from mpc.qp.backend import Answer, Task
-from mpc.qp.limit_rows import HARD_KINDS, Kinds
+from mpc.qp.limit_rows import HARD_KINDS
 from mpc.qp.relaxed import inverse_factor
+from mpc.quadratic_program import Kinds
 from mpc.solver_report import SolverReport, SolverStatus
 
 _STATUS = {

@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from models.interface import FloatArray
-from mpc.quadratic_program import QuadraticProgram
+from mpc.quadratic_program import Kinds, QuadraticProgram
 
 HARD_KINDS, SOFT_KINDS = 4, 5
 KINDS = HARD_KINDS + SOFT_KINDS
 """v_ref, omega_ref and their increments, which are hard; then v, omega, right and left wheel, distance across."""
-
-Kinds = tuple[int, ...]
-"""Some of the kinds of limit, ascending."""
 
 
 class LimitRows:

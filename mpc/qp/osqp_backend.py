@@ -13,8 +13,9 @@ from scipy import sparse
 from models.interface import FloatArray
 from mpc.config import Solver, Weights
 from mpc.qp.backend import Answer, Task
-from mpc.qp.limit_rows import HARD_KINDS, KINDS, SOFT_KINDS, Kinds
+from mpc.qp.limit_rows import HARD_KINDS, KINDS, SOFT_KINDS
 from mpc.qp.osqp_status import OSQP_STATUS
+from mpc.quadratic_program import Kinds
 from mpc.solver_report import SolverReport, SolverStatus
 
 # A multiplier below this is what is left of one: its limit is not active.
