@@ -17,7 +17,7 @@ from mpc.qp.daqp_backend import DaqpBackend
 from mpc.qp.limit_rows import KINDS, LimitRows
 from mpc.qp.osqp_backend import OsqpBackend
 from mpc.qp.solution import Solution
-from mpc.quadratic_program import Kinds, QuadraticProgram, Relaxed
+from mpc.quadratic_program import Kinds, QuadraticProgram
 from mpc.solver_report import SolverReport, SolverStatus
 
 _BACKENDS: dict[str, type[Backend]] = {"osqp": OsqpBackend, "daqp": DaqpBackend}
@@ -56,27 +56,34 @@ class CondensedSolver:
             return Solution(guess, SolverReport(relaxed))
         missed = qp.broken(relaxed.plan, 0.0)
         if missed:
-            return self._lean(qp, relaxed, missed, guess.ravel())
+            rows, plan = self._rows, relaxed.plan
+            rows.load(qp)
+            return self._lean(Task(qp, rows, relaxed, rows.values(plan), missed, guess.reshape(-1), self._nothing))
         self._multipliers = self._nothing
         report = SolverReport(SolverStatus.SOLVED, 0, 0.0, relaxed.residual)
         return Solution(relaxed.plan.reshape(-1, 2), report)
 
-    def _lean(self, qp: QuadraticProgram, relaxed: Relaxed, missed: Kinds, guess: FloatArray) -> Solution:
-        """Solve where limits matter, `missed` among them."""
-        self._rows.load(qp)
-        iterations, start = 0, self._nothing
+    def _lean(self, task: Task) -> Solution:
+        """Solve where limits matter: begin with those that mattered last, or else with those of `task`."""
         if self._multipliers is not self._nothing:
-            start = np.concatenate((self._multipliers[:, 1:], self._multipliers[:, -1:]), axis=1)
-        kinds: Kinds = tuple(np.flatnonzero(start.any(axis=1)).tolist()) or missed
+            # One step ahead, as the plan.
+            task.multipliers = np.concatenate((self._multipliers[:, 1:], self._multipliers[:, -1:]), axis=1)
+            task.kinds = _pressing(task.multipliers) or task.kinds
+        iterations = 0
         while True:
-            answer = self._backend.solve(Task(qp, self._rows, relaxed, kinds, guess, start))
-            iterations, start = iterations + answer.report.iterations, answer.multipliers
+            answer = self._backend.solve(task)
+            iterations += answer.report.iterations
             if not answer.report.status.usable:
                 self._multipliers = self._nothing
                 break
-            self._multipliers = start
-            missed = qp.broken(answer.plan, self._slack)
-            if set(missed) <= set(kinds):
+            self._multipliers = task.multipliers = answer.multipliers
+            missed = set(task.qp.broken(answer.plan, self._slack)) - set(task.kinds)
+            if not missed:
                 break
-            kinds = tuple(sorted({*kinds, *missed}))
+            task.kinds = tuple(sorted({*task.kinds, *missed}))
         return Solution(answer.plan.reshape(-1, 2), answer.report.after(iterations))
+
+
+def _pressing(multipliers: FloatArray) -> Kinds:
+    """Kinds of limit that press somewhere."""
+    return tuple(np.flatnonzero(multipliers.any(axis=1)).tolist())
