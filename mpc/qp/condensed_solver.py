@@ -54,7 +54,7 @@ class CondensedSolver:
         relaxed = qp.relax()
         if isinstance(relaxed, SolverStatus):
             return Solution(guess, SolverReport(relaxed))
-        missed = qp.broken(relaxed.plan, 0.0)
+        missed = relaxed.broken
         if missed:
             rows, plan = self._rows, relaxed.plan
             rows.load(qp)
