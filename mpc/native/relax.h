@@ -5,8 +5,8 @@
 
 #include "condense.h"
 
-/* Bits of what a plan breaks: the range of a command, a slew limit, and the kinds of soft limit after them. */
-enum { DDMPC_BROKEN_BOX = 1, DDMPC_BROKEN_SLEW = 2, DDMPC_BROKEN_SOFT = 4 };
+/* Bits of the kinds of limit that a plan breaks: v_ref, omega_ref, their increments, and the kinds of soft limit. */
+enum { DDMPC_BROKEN_COMMAND = 1, DDMPC_BROKEN_INCREMENT = 4, DDMPC_BROKEN_SOFT = 16 };
 
 typedef struct {
     real plan[DDMPC_INPUTS];
