@@ -7,9 +7,8 @@ from typing import Protocol
 
 from models.interface import FloatArray
 from mpc.config import Solver, Weights
-from mpc.qp.limit_rows import Kinds, LimitRows
-from mpc.qp.relaxed import Relaxed
-from mpc.quadratic_program import QuadraticProgram
+from mpc.qp.limit_rows import LimitRows
+from mpc.quadratic_program import Kinds, QuadraticProgram, Relaxed
 from mpc.solver_report import SolverReport
 
 

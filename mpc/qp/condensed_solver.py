@@ -14,17 +14,13 @@ from models.interface import FloatArray
 from mpc.config import Solver, Weights
 from mpc.qp.backend import Backend, Task
 from mpc.qp.daqp_backend import DaqpBackend
-from mpc.qp.limit_rows import KINDS, Kinds, LimitRows, broken
+from mpc.qp.limit_rows import KINDS, LimitRows
 from mpc.qp.osqp_backend import OsqpBackend
-from mpc.qp.relaxed import relax
 from mpc.qp.solution import Solution
-from mpc.quadratic_program import QuadraticProgram
+from mpc.quadratic_program import Kinds, QuadraticProgram
 from mpc.solver_report import SolverReport, SolverStatus
 
 _BACKENDS: dict[str, type[Backend]] = {"osqp": OsqpBackend, "daqp": DaqpBackend}
-
-# Numbers beyond this are no robot's, and OSQP takes bounds beyond 1e30 for none.
-_LARGEST = 1e15
 
 
 class CondensedSolver:
@@ -55,20 +51,17 @@ class CondensedSolver:
 
     def solve(self, qp: QuadraticProgram, guess: FloatArray) -> Solution:
         """Solve, starting from the plan `guess` (N, 2). Never raises on numbers: see the report's status."""
-        if not all(_is_sound(data) for data in (qp.H, qp.g, qp.box, qp.last_command, qp.soft_upper)):
-            return Solution(guess, SolverReport(SolverStatus.NOT_FINITE))
-        relaxed = relax(qp)
-        if relaxed is None:
-            return Solution(guess, SolverReport(SolverStatus.NOT_CONVEX))
-        plan, rows = relaxed.plan, self._rows
-        rows.load(qp)
-        values = rows.values(plan)
-        missed = broken(rows.excess(values), 0.0)
+        relaxed = qp.relax()
+        if isinstance(relaxed, SolverStatus):
+            return Solution(guess, SolverReport(relaxed))
+        missed = relaxed.broken
         if missed:
-            return self._lean(Task(qp, rows, relaxed, values, missed, guess.reshape(-1), self._nothing))
+            rows, plan = self._rows, relaxed.plan
+            rows.load(qp)
+            return self._lean(Task(qp, rows, relaxed, rows.values(plan), missed, guess.reshape(-1), self._nothing))
         self._multipliers = self._nothing
-        residual = float(np.abs(qp.H @ plan + qp.g).max())
-        return Solution(plan.reshape(-1, 2), SolverReport(SolverStatus.SOLVED, 0, 0.0, residual))
+        report = SolverReport(SolverStatus.SOLVED, 0, 0.0, relaxed.residual)
+        return Solution(relaxed.plan.reshape(-1, 2), report)
 
     def _lean(self, task: Task) -> Solution:
         """Solve where limits matter: begin with those that mattered last, or else with those of `task`."""
@@ -76,7 +69,7 @@ class CondensedSolver:
             # One step ahead, as the plan.
             task.multipliers = np.concatenate((self._multipliers[:, 1:], self._multipliers[:, -1:]), axis=1)
             task.kinds = _pressing(task.multipliers) or task.kinds
-        iterations, rows = 0, self._rows
+        iterations = 0
         while True:
             answer = self._backend.solve(task)
             iterations += answer.report.iterations
@@ -84,7 +77,7 @@ class CondensedSolver:
                 self._multipliers = self._nothing
                 break
             self._multipliers = task.multipliers = answer.multipliers
-            missed = set(broken(rows.excess(rows.values(answer.plan)), self._slack)) - set(task.kinds)
+            missed = set(task.qp.broken(answer.plan, self._slack)) - set(task.kinds)
             if not missed:
                 break
             task.kinds = tuple(sorted({*task.kinds, *missed}))
@@ -94,9 +87,3 @@ class CondensedSolver:
 def _pressing(multipliers: FloatArray) -> Kinds:
     """Kinds of limit that press somewhere."""
     return tuple(np.flatnonzero(multipliers.any(axis=1)).tolist())
-
-
-def _is_sound(data: FloatArray) -> bool:
-    """Whether no number is NaN, infinite or larger than any robot's; one pass, without a temporary."""
-    flat = data.reshape(-1)
-    return bool(flat @ flat < _LARGEST**2)

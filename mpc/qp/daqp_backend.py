@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from models.interface import FloatArray
 from mpc.config import Solver, Weights
 from mpc.qp.backend import Answer, Task
-from mpc.qp.limit_rows import HARD_KINDS, Kinds
+from mpc.qp.limit_rows import HARD_KINDS
 from mpc.qp.relaxed import inverse_factor
+from mpc.quadratic_program import Kinds, QuadraticProgram
 from mpc.solver_report import SolverReport, SolverStatus
 
 _STATUS = {
@@ -71,7 +72,7 @@ class _Workspace:
     def solve(self, task: Task) -> Answer:
         """Solve for the kinds of this work space."""
         inverse = inverse_factor(task.relaxed.factor)
-        self._load(inverse, task.rows.soft)
+        self._load(inverse, task.qp)
         chosen = self._chosen
         now = task.values[chosen]
         upper, lower = (task.rows.upper[chosen] - now).reshape(-1), (task.rows.lower[chosen] - now).reshape(-1)
@@ -102,7 +103,7 @@ class _Workspace:
             sense[(pressing != 0) & (np.abs(pressing) < self._price)] += _KEPT
         return sense
 
-    def _load(self, inverse: FloatArray, soft: FloatArray) -> None:
+    def _load(self, inverse: FloatArray, qp: QuadraticProgram) -> None:
         """Write the rows as functions of z."""
         for rows, kind in zip(self._rows, self._kinds, strict=True):
             own = inverse[kind % 2 :: 2]
@@ -112,8 +113,7 @@ class _Workspace:
                 rows[0] = own[0]
                 np.subtract(own[1:], own[:-1], out=rows[1:])
             else:
-                first = (kind - HARD_KINDS) * self._steps
-                np.matmul(soft[first : first + self._steps], inverse, out=rows)
+                np.matmul(qp.soft_rows(kind - HARD_KINDS), inverse, out=rows)
 
     def _run(
         self, upper: FloatArray, lower: FloatArray, sense: NDArray[np.intc]
