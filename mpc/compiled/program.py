@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from models.interface import FloatArray
+from mpc.compiled.least_distance import CompiledLeastDistance
 from mpc.compiled.library import bound_function, callable_in, checked_size, pointer
 from mpc.quadratic_program import Kinds, Relaxed
 from mpc.solver_report import SolverStatus
@@ -55,6 +56,7 @@ class CompiledProgram:
         factorise = callable_in(library, "ddmpc_relax", ctypes.c_int, address, address, address)
         relaxed = pointer(self._relaxed)
         self._relax: Callable[[], int] = lambda: factorise(tick, qp, relaxed)
+        self._least_distance = CompiledLeastDistance(library, n, constants, tick, work, qp, relaxed)
         check = callable_in(library, "ddmpc_broken", ctypes.c_int, *(address,) * 5, ctypes.c_double)
         self._broken: Callable[[float], int] = lambda slack: check(constants, tick, work, qp, plan, slack)
 
@@ -87,3 +89,7 @@ class CompiledProgram:
         self._plan[:] = plan
         bits = self._broken(slack)
         return tuple(kind for kind in range(bits.bit_length()) if bits >> kind & 1)
+
+    def least_distance(self, relaxed: Relaxed, kinds: Kinds) -> CompiledLeastDistance:  # noqa: ARG002 - it is in C
+        """See `QuadraticProgram`; `relaxed` is the one of this program, which C has kept."""
+        return self._least_distance.load(kinds)
