@@ -66,7 +66,7 @@ class Planner:
             else partial(begin_tick, problem, feed_forward)
         )
         self._way = make_way(problem, self._condenser)
-        self.ahead: FloatArray = np.arange(feed_forward.samples) * self._dt
+        self.ahead: FloatArray = np.asarray(np.arange(feed_forward.samples) * self._dt)
         """Times from now [s] at which a reference is sampled."""
         self._guess: FloatArray | None = None
 

@@ -24,11 +24,14 @@ class Relaxed:
         (2 N, 2 N) L, lower triangular, columns contiguous.
     residual
         Largest entry of |H plan + g|.
+    broken
+        Kinds of limit that `plan` breaks; where it breaks none it solves the whole problem.
     """
 
     plan: FloatArray
     factor: FloatArray
     residual: float
+    broken: Kinds
 
 
 class LeastDistance(Protocol):

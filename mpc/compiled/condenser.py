@@ -65,11 +65,10 @@ class CompiledCondenser:
         parts = (self._constants, self._situation, self._tick_memory, self._plan, self._work, self._qp)
         at_constants, at_situation, at_tick, at_plan, at_work, at_qp = (pointer(part) for part in parts)
         self._begin = bound_function(library, "ddmpc_begin", at_constants, at_situation, at_tick)
-        self._condense = bound_function(library, "ddmpc_condense", at_constants, at_tick, at_plan, at_work, at_qp)
         self._roll_out = bound_function(library, "ddmpc_poses", at_constants, at_tick, at_plan, pointer(self._poses))
         slew = slew_step(problem.config.limits, model.dt)
         self._program = CompiledProgram(
-            library, program, slew, tick["last_command"], at_constants, at_tick, at_work, at_qp
+            library, program, slew, tick["last_command"], at_constants, at_tick, at_plan, at_work, at_qp
         )
 
     def begin(self, estimate: Estimate, past: FloatArray, last_command: FloatArray, sample: ReferenceSample) -> Tick:
@@ -93,7 +92,7 @@ class CompiledCondenser:
     def condense(self, tick: Tick, plan: FloatArray) -> CompiledProgram:
         """See `Condenser.condense`."""
         self._load(tick, plan)
-        self._condense()
+        self._program.fill()
         return self._program
 
     def _load(self, tick: Tick, plan: FloatArray) -> None:

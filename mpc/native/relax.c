@@ -143,6 +143,16 @@ int ddmpc_broken(const ddmpc_tracking *constants, const ddmpc_tick *tick, const 
     return broken;
 }
 
+ddmpc_relax_status ddmpc_condense_and_relax(const ddmpc_tracking *constants, const ddmpc_tick *tick,
+                                            const real plan[INPUTS], ddmpc_workspace *work, ddmpc_qp *qp,
+                                            ddmpc_relaxed *relaxed, int *broken)
+{
+    ddmpc_condense(constants, tick, plan, work, qp);
+    const ddmpc_relax_status status = ddmpc_relax(tick, qp, relaxed);
+    *broken = status == DDMPC_RELAXED ? ddmpc_broken(constants, tick, work, qp, relaxed->plan, R(0.0)) : 0;
+    return status;
+}
+
 unsigned long ddmpc_relaxed_size(void)
 {
     return (unsigned long)sizeof(ddmpc_relaxed);

@@ -23,6 +23,11 @@ ddmpc_relax_status ddmpc_relax(const ddmpc_tick *tick, const ddmpc_qp *qp, ddmpc
 int ddmpc_broken(const ddmpc_tracking *constants, const ddmpc_tick *tick, const ddmpc_workspace *work,
                  const ddmpc_qp *qp, const real plan[DDMPC_INPUTS], real slack);
 
+/* Linearise along `plan`, condense, factorise and minimise; `broken` gets what the minimiser breaks at all, as bits. */
+ddmpc_relax_status ddmpc_condense_and_relax(const ddmpc_tracking *constants, const ddmpc_tick *tick,
+                                            const real plan[DDMPC_INPUTS], ddmpc_workspace *work, ddmpc_qp *qp,
+                                            ddmpc_relaxed *relaxed, int *broken);
+
 unsigned long ddmpc_relaxed_size(void);
 
 #endif

@@ -53,7 +53,7 @@ class CondensedSolver:
         relaxed = qp.relax()
         if isinstance(relaxed, SolverStatus):
             return Solution(guess, SolverReport(relaxed))
-        missed = qp.broken(relaxed.plan, 0.0)
+        missed = relaxed.broken
         if missed:
             return self._lean(Task(qp, relaxed, missed, guess.reshape(-1), self._nothing))
         self._multipliers = self._nothing

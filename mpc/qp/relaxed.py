@@ -21,7 +21,8 @@ def relax(qp: QuadraticProgram) -> Relaxed | SolverStatus:
     if failed:
         return SolverStatus.NOT_CONVEX
     negative, _ = lapack.dpotrs(factor, qp.g, lower=1)
-    return Relaxed(-negative, factor, float(np.abs(qp.g - qp.H @ negative).max()))
+    residual = float(np.abs(qp.g - qp.H @ negative).max())
+    return Relaxed(-negative, factor, residual, qp.broken(-negative, 0.0))
 
 
 def inverse_factor(factor: FloatArray) -> FloatArray:

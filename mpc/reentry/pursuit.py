@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,8 +29,7 @@ _MOST_SAMPLES = 5000
 _NOW = np.zeros(1)
 
 
-@dataclass(frozen=True)
-class _Deviation:
+class _Deviation(NamedTuple):
     """Of the robot from the pose that it follows, whose twist is `v` [m/s], `omega` [rad/s]."""
 
     along: float
@@ -60,6 +59,7 @@ class Pursuit:
     def configure(self, config: ControllerConfig) -> None:
         """Use other limits from now on."""
         self._config, self._settings = config, config.reentry
+        self._fastest = self._fastest_rate()
 
     def start(self, reference: Reference) -> None:
         """Follow `reference` from now on."""
@@ -68,6 +68,7 @@ class Pursuit:
         twist = reference.sample(np.linspace(0.0, reference.duration, samples)).twist
         v, omega = np.abs(twist).max(axis=0).tolist()
         self._top = (v, omega)
+        self._fastest = self._fastest_rate()
         self.restart()
 
     def restart(self) -> None:
@@ -135,7 +136,7 @@ class Pursuit:
             self._clock.set(self._clock.delay, min(1.0, max(0.0, float(estimate.twist[0]) / off.v)))
         self._driving = True
         late = self._lateness(off)
-        self._clock.plan(self._fastest() * min(1.0, max(0.0, 2.0 - late)), catch_up=self._way_back is None)
+        self._clock.plan(self._fastest * min(1.0, max(0.0, 2.0 - late)), catch_up=self._way_back is None)
         if late <= 1.0 and self._way_back is None:
             self._blocked.restart()
             if self._clock.on_time:
@@ -204,7 +205,7 @@ class Pursuit:
         turning = -math.copysign(1.0, off.omega) * off.heading if abs(off.omega) > TURNING else 0.0
         return max(math.hypot(off.along, off.across) / settings.wait, turning / settings.heading_wait)
 
-    def _fastest(self) -> float:
+    def _fastest_rate(self) -> float:
         """Progress rate at which the reference stays inside the limits of the command."""
         limits, (v, omega) = self._config.limits, self._top
         within = min(limits.v / max(v, STANDING), limits.omega / max(omega, TURNING))
