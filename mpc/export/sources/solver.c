@@ -1,0 +1,240 @@
+#include "solver.h"
+
+#include "ddmpc_hard_workspace.h"
+#include "ddmpc_soft_workspace.h"
+#include "osqp.h"
+#include "unconstrained.h"
+
+/* Larger numbers are no problem of a robot. */
+#define LARGEST R(1e15)
+/* An unused row of OSQP's. */
+#define UNBOUNDED_ROW R(1e15)
+
+int ddmpc_usable(ddmpc_status status) { return status == DDMPC_SOLVED || status == DDMPC_SOLVED_INACCURATELY; }
+
+void ddmpc_solver_reset(ddmpc_solver *solver)
+{
+    solver->slots = 0;
+    for (int row = 0; row < DDMPC_SOFT_ROWS; row++)
+        solver->dual[row] = R(0.0);
+}
+
+static int is_finite(const ddmpc_qp *qp)
+{
+    int good = 1;
+    for (int k = 0; k < DDMPC_INPUTS; k++) {
+        /* Written so that NaN fails the comparison. */
+        good &= ddmpc_fabs(qp->H[k][k]) < LARGEST;
+        good &= ddmpc_fabs(qp->g[k]) < LARGEST;
+        good &= ddmpc_fabs(qp->box[k]) < LARGEST;
+    }
+    for (int kind = 0; kind < DDMPC_SOFT; kind++)
+        for (int k = 0; k < DDMPC_STEPS; k++)
+            good &= ddmpc_fabs(qp->soft_upper[kind][k]) < LARGEST;
+    return good;
+}
+
+static int keeps_hard_limits(const ddmpc_problem *problem, const real plan[DDMPC_STEPS][2])
+{
+    const real *before = problem->tick->last_command;
+    for (int k = 0; k < DDMPC_STEPS; before = plan[k++])
+        for (int channel = 0; channel < 2; channel++)
+            if (!(ddmpc_fabs(plan[k][channel]) <= problem->qp->box[2 * k + channel] &&
+                  ddmpc_fabs(plan[k][channel] - before[channel]) <= problem->tracking->slew[channel]))
+                return 0;
+    return 1;
+}
+
+static int has_slot(const ddmpc_solver *solver, int kind, int step, int side)
+{
+    for (int i = 0; i < solver->slots; i++)
+        if (solver->slot[i].kind == kind && solver->slot[i].step == step && solver->slot[i].side == side)
+            return 1;
+    return 0;
+}
+
+/* Give slots to soft limits that `plan` exceeds by more than `margin`; returns how many found none. */
+static int give_slots(ddmpc_solver *solver, const ddmpc_problem *problem, const real plan[DDMPC_STEPS][2], real margin)
+{
+    int left_out = 0;
+    ddmpc_soft_values(problem->tracking, problem->tick, problem->work, plan, solver->values);
+    for (int kind = 0; kind < DDMPC_SOFT; kind++) {
+        for (int step = 0; step < DDMPC_STEPS; step++) {
+            real value = solver->values[kind][step];
+            int side = value > problem->qp->soft_upper[kind][step] + margin;
+            side -= value < problem->qp->soft_lower[kind][step] - margin;
+            if (!side || has_slot(solver, kind, step, side))
+                continue;
+            if (solver->slots < DDMPC_SLOTS) {
+                ddmpc_slot slot = {kind, step, side};
+                solver->slot[solver->slots++] = slot;
+            } else {
+                left_out++;
+            }
+        }
+    }
+    return left_out;
+}
+
+static real soft_bound(const ddmpc_qp *qp, const ddmpc_slot *slot)
+{
+    return slot->side > 0 ? qp->soft_upper[slot->kind][slot->step] : -qp->soft_lower[slot->kind][slot->step];
+}
+
+static void fill_hard(ddmpc_solver *solver, const ddmpc_problem *problem, const real guess[DDMPC_STEPS][2])
+{
+    const ddmpc_qp *qp = problem->qp;
+    real *entry = solver->triangle;
+    for (int column = 0; column < DDMPC_INPUTS; column++) {
+        for (int row = 0; row <= column; row++)
+            *entry++ = qp->H[row][column];
+        solver->gradient[column] = qp->g[column];
+        solver->start[column] = guess[column / 2][column % 2];
+        real box = qp->box[column] * ddmpc_settings.row_scale[column];
+        solver->upper[column] = box;
+        solver->lower[column] = -box;
+    }
+    for (int k = 0; k < DDMPC_INPUTS; k++) {
+        real scale = ddmpc_settings.row_scale[DDMPC_INPUTS + k], slew = problem->tracking->slew[k % 2];
+        real base = k < 2 ? problem->tick->last_command[k] : R(0.0);
+        solver->upper[DDMPC_INPUTS + k] = scale * (base + slew);
+        solver->lower[DDMPC_INPUTS + k] = scale * (base - slew);
+    }
+}
+
+/* The rows of soft limits, one to a slot, and of their slacks: scale (side row U - slack) <= scale bound. */
+static void fill_soft(ddmpc_solver *solver, const ddmpc_problem *problem)
+{
+    int kind = -1;
+    for (int i = 0; i < DDMPC_SLOTS; i++) {
+        real *at = solver->entries, scale = R(1.0), slack = R(0.0);
+        const real *row = 0;
+        solver->triangle[DDMPC_TRIANGLE + i] = ddmpc_settings.soft_quadratic;
+        solver->gradient[DDMPC_INPUTS + i] = ddmpc_settings.soft_linear;
+        solver->lower[DDMPC_HARD_ROWS + i] = -UNBOUNDED_ROW;
+        solver->upper[DDMPC_HARD_ROWS + i] = UNBOUNDED_ROW;
+        solver->lower[DDMPC_HARD_ROWS + DDMPC_SLOTS + i] = R(0.0);
+        solver->upper[DDMPC_HARD_ROWS + DDMPC_SLOTS + i] = UNBOUNDED_ROW;
+        if (i < solver->slots) {
+            const ddmpc_slot *slot = &solver->slot[i];
+            if (slot->kind != kind) {
+                kind = slot->kind;
+                ddmpc_soft_rows(problem->tracking, problem->tick, problem->work, kind, solver->rows);
+            }
+            row = solver->rows[slot->step];
+            scale = ddmpc_settings.soft_scale[kind];
+            real bound = soft_bound(problem->qp, slot), value = R(0.0);
+            for (int k = 0; k < DDMPC_INPUTS; k++)
+                value += row[k] * solver->start[k];
+            slack = ddmpc_max((real)slot->side * value - bound, R(0.0));
+            solver->upper[DDMPC_HARD_ROWS + i] = scale * bound;
+            scale *= (real)slot->side;
+        }
+        solver->start[DDMPC_INPUTS + i] = slack;
+        for (int k = 0; k < DDMPC_INPUTS; k++) {
+            int hard = k + 2 < DDMPC_INPUTS ? 3 : 2;
+            at[hard + i] = row ? scale * row[k] : R(0.0);
+            at += hard + DDMPC_SLOTS;
+        }
+        at[2 * i] = -ddmpc_fabs(scale);
+    }
+}
+
+/* What does not change of the matrix of constraints. */
+static void fill_entries(ddmpc_solver *solver)
+{
+    real *at = solver->entries;
+    for (int k = 0; k < DDMPC_INPUTS; k++) {
+        *at++ = ddmpc_settings.row_scale[k];
+        *at++ = ddmpc_settings.row_scale[DDMPC_INPUTS + k];
+        if (k + 2 < DDMPC_INPUTS)
+            *at++ = -ddmpc_settings.row_scale[DDMPC_INPUTS + k + 2];
+        at += DDMPC_SLOTS;
+    }
+    for (int i = 0; i < DDMPC_SLOTS; i++)
+        at[2 * i + 1] = ddmpc_sqrt(ddmpc_settings.soft_quadratic);
+}
+
+static ddmpc_status status_of(OSQPInt status)
+{
+    switch (status) {
+    case OSQP_SOLVED: return DDMPC_SOLVED;
+    case OSQP_SOLVED_INACCURATE: return DDMPC_SOLVED_INACCURATELY;
+    case OSQP_MAX_ITER_REACHED: return DDMPC_MAX_ITERATIONS;
+    case OSQP_PRIMAL_INFEASIBLE:
+    case OSQP_PRIMAL_INFEASIBLE_INACCURATE: return DDMPC_INFEASIBLE;
+    case OSQP_DUAL_INFEASIBLE:
+    case OSQP_DUAL_INFEASIBLE_INACCURATE: return DDMPC_UNBOUNDED;
+    case OSQP_NON_CVX: return DDMPC_NOT_CONVEX;
+    default: return DDMPC_NOT_RUN;
+    }
+}
+
+static void run(ddmpc_solver *solver, OSQPSolver *osqp, real plan[DDMPC_STEPS][2], ddmpc_report *report)
+{
+    int soft = osqp == &ddmpc_soft_solver, rows = soft ? DDMPC_SOFT_ROWS : DDMPC_HARD_ROWS;
+    OSQPInt fault = osqp_update_data_vec(osqp, solver->gradient, solver->lower, solver->upper);
+    fault = fault || osqp_update_data_mat(osqp, solver->triangle, OSQP_NULL,
+                                          soft ? DDMPC_TRIANGLE + DDMPC_SLOTS : DDMPC_TRIANGLE,
+                                          soft ? solver->entries : OSQP_NULL, OSQP_NULL, soft ? DDMPC_ENTRIES : 0);
+    fault = fault || osqp_warm_start(osqp, solver->start, solver->dual);
+    osqp->settings->max_iter = DDMPC_MAX_ITER - report->iterations;
+    if (fault || osqp_solve(osqp)) {
+        report->status = DDMPC_REFUSED;
+        return;
+    }
+    report->status = status_of(osqp->info->status_val);
+    report->iterations += (int)osqp->info->iter;
+    report->primal_residual = osqp->info->prim_res;
+    report->dual_residual = osqp->info->dual_res;
+    for (int row = 0; row < rows; row++)
+        solver->dual[row] = osqp->solution->y[row];
+    for (int k = 0; k < DDMPC_INPUTS; k++)
+        plan[k / 2][k % 2] = osqp->solution->x[k];
+}
+
+/* The multipliers of the last tick: those of hard limits move a step ahead like the plan. */
+static void shift_dual(ddmpc_solver *solver)
+{
+    for (int block = 0; block < DDMPC_HARD_ROWS; block += DDMPC_INPUTS)
+        for (int k = 0; k + 2 < DDMPC_INPUTS; k++)
+            solver->dual[block + k] = solver->dual[block + k + 2];
+    for (int row = DDMPC_HARD_ROWS; row < DDMPC_SOFT_ROWS; row++)
+        solver->dual[row] = R(0.0);
+}
+
+void ddmpc_solve(ddmpc_solver *solver, const ddmpc_problem *problem, const real guess[DDMPC_STEPS][2],
+                 real plan[DDMPC_STEPS][2], ddmpc_report *report)
+{
+    ddmpc_report fresh = {DDMPC_NOT_FINITE, 0, R(0.0), R(0.0), 0, 0};
+    *report = fresh;
+    solver->slots = 0;
+    if (!is_finite(problem->qp) || !ddmpc_unconstrained(problem->qp, solver->factor, plan))
+        return;
+    int left_out = give_slots(solver, problem, plan, DDMPC_SOFT_SLACK);
+    if (keeps_hard_limits(problem, (const real(*)[2])plan) && !solver->slots) {
+        ddmpc_solver_reset(solver);
+        report->status = DDMPC_SOLVED;
+        return;
+    }
+    /* The soft limits that matter are those that the last plan, a step ahead, leans on. */
+    solver->slots = 0;
+    left_out = give_slots(solver, problem, guess, -DDMPC_SOFT_SLACK);
+    shift_dual(solver);
+    fill_entries(solver);
+    for (int missing = 1; missing;) {
+        int slots = solver->slots;
+        fill_hard(solver, problem, guess);
+        if (slots)
+            fill_soft(solver, problem);
+        run(solver, slots ? &ddmpc_soft_solver : &ddmpc_hard_solver, plan, report);
+        if (!ddmpc_usable(report->status))
+            break;
+        left_out = give_slots(solver, problem, (const real(*)[2])plan, DDMPC_SOFT_SLACK);
+        missing = solver->slots > slots && report->iterations < DDMPC_MAX_ITER;
+        if (!missing)
+            left_out += solver->slots - slots;
+    }
+    report->soft_limits = solver->slots;
+    report->left_out = left_out;
+}
