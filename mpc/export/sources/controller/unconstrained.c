@@ -18,23 +18,20 @@ static int factorise(const ddmpc_qp *qp, real L[DDMPC_INPUTS][DDMPC_INPUTS])
     return 1;
 }
 
-int ddmpc_unconstrained(const ddmpc_qp *qp, real factor[DDMPC_INPUTS][DDMPC_INPUTS], real plan[DDMPC_STEPS][2])
+int ddmpc_unconstrained(const ddmpc_qp *qp, real factor[DDMPC_INPUTS][DDMPC_INPUTS], real plan[DDMPC_INPUTS])
 {
-    real x[DDMPC_INPUTS];
     if (!factorise(qp, factor))
         return 0;
     for (int row = 0; row < DDMPC_INPUTS; row++) {
         real rest = -qp->g[row];
         for (int k = 0; k < row; k++)
-            rest -= factor[row][k] * x[k];
-        x[row] = rest / factor[row][row];
+            rest -= factor[row][k] * plan[k];
+        plan[row] = rest / factor[row][row];
     }
     for (int row = DDMPC_INPUTS - 1; row >= 0; row--) {
-        x[row] /= factor[row][row];
+        plan[row] /= factor[row][row];
         for (int k = 0; k < row; k++)
-            x[k] -= factor[row][k] * x[row];
+            plan[k] -= factor[row][k] * plan[row];
     }
-    for (int k = 0; k < DDMPC_INPUTS; k++)
-        plan[k / 2][k % 2] = x[k];
     return 1;
 }

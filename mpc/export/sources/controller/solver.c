@@ -34,14 +34,14 @@ static int is_finite(const ddmpc_qp *qp)
     return good;
 }
 
-static int keeps_hard_limits(const ddmpc_problem *problem, const real plan[DDMPC_STEPS][2])
+static int keeps_hard_limits(const ddmpc_problem *problem, const real plan[DDMPC_INPUTS])
 {
-    const real *before = problem->tick->last_command;
-    for (int k = 0; k < DDMPC_STEPS; before = plan[k++])
-        for (int channel = 0; channel < 2; channel++)
-            if (!(ddmpc_fabs(plan[k][channel]) <= problem->qp->box[2 * k + channel] &&
-                  ddmpc_fabs(plan[k][channel] - before[channel]) <= problem->tracking->slew[channel]))
-                return 0;
+    for (int k = 0; k < DDMPC_INPUTS; k++) {
+        real before = k < 2 ? problem->tick->last_command[k] : plan[k - 2];
+        if (!(ddmpc_fabs(plan[k]) <= problem->qp->box[k] &&
+              ddmpc_fabs(plan[k] - before) <= problem->tracking->slew[k % 2]))
+            return 0;
+    }
     return 1;
 }
 
@@ -54,7 +54,7 @@ static int has_slot(const ddmpc_solver *solver, int kind, int step, int side)
 }
 
 /* Give slots to soft limits that `plan` exceeds by more than `margin`; returns how many found none. */
-static int give_slots(ddmpc_solver *solver, const ddmpc_problem *problem, const real plan[DDMPC_STEPS][2], real margin)
+static int give_slots(ddmpc_solver *solver, const ddmpc_problem *problem, const real plan[DDMPC_INPUTS], real margin)
 {
     int left_out = 0;
     ddmpc_soft_values(problem->tracking, problem->tick, problem->work, plan, solver->values);
@@ -81,7 +81,7 @@ static real soft_bound(const ddmpc_qp *qp, const ddmpc_slot *slot)
     return slot->side > 0 ? qp->soft_upper[slot->kind][slot->step] : -qp->soft_lower[slot->kind][slot->step];
 }
 
-static void fill_hard(ddmpc_solver *solver, const ddmpc_problem *problem, const real guess[DDMPC_STEPS][2])
+static void fill_hard(ddmpc_solver *solver, const ddmpc_problem *problem, const real guess[DDMPC_INPUTS])
 {
     const ddmpc_qp *qp = problem->qp;
     real *entry = solver->triangle;
@@ -89,13 +89,13 @@ static void fill_hard(ddmpc_solver *solver, const ddmpc_problem *problem, const 
         for (int row = 0; row <= column; row++)
             *entry++ = qp->H[row][column];
         solver->gradient[column] = qp->g[column];
-        solver->start[column] = guess[column / 2][column % 2];
-        real box = qp->box[column] * ddmpc_settings.row_scale[column];
+        solver->start[column] = guess[column];
+        real box = qp->box[column] * ddmpc_this_settings.row_scale[column];
         solver->upper[column] = box;
         solver->lower[column] = -box;
     }
     for (int k = 0; k < DDMPC_INPUTS; k++) {
-        real scale = ddmpc_settings.row_scale[DDMPC_INPUTS + k], slew = problem->tracking->slew[k % 2];
+        real scale = ddmpc_this_settings.row_scale[DDMPC_INPUTS + k], slew = problem->tracking->slew[k % 2];
         real base = k < 2 ? problem->tick->last_command[k] : R(0.0);
         solver->upper[DDMPC_INPUTS + k] = scale * (base + slew);
         solver->lower[DDMPC_INPUTS + k] = scale * (base - slew);
@@ -109,8 +109,8 @@ static void fill_soft(ddmpc_solver *solver, const ddmpc_problem *problem)
     for (int i = 0; i < DDMPC_SLOTS; i++) {
         real *at = solver->entries, scale = R(1.0), slack = R(0.0);
         const real *row = 0;
-        solver->triangle[DDMPC_TRIANGLE + i] = ddmpc_settings.soft_quadratic;
-        solver->gradient[DDMPC_INPUTS + i] = ddmpc_settings.soft_linear;
+        solver->triangle[DDMPC_TRIANGLE + i] = ddmpc_this_settings.soft_quadratic;
+        solver->gradient[DDMPC_INPUTS + i] = ddmpc_this_settings.soft_linear;
         solver->lower[DDMPC_HARD_ROWS + i] = -UNBOUNDED_ROW;
         solver->upper[DDMPC_HARD_ROWS + i] = UNBOUNDED_ROW;
         solver->lower[DDMPC_HARD_ROWS + DDMPC_SLOTS + i] = R(0.0);
@@ -122,7 +122,7 @@ static void fill_soft(ddmpc_solver *solver, const ddmpc_problem *problem)
                 ddmpc_soft_rows(problem->tracking, problem->tick, problem->work, kind, solver->rows);
             }
             row = solver->rows[slot->step];
-            scale = ddmpc_settings.soft_scale[kind];
+            scale = ddmpc_this_settings.soft_scale[kind];
             real bound = soft_bound(problem->qp, slot), value = R(0.0);
             for (int k = 0; k < DDMPC_INPUTS; k++)
                 value += row[k] * solver->start[k];
@@ -145,14 +145,14 @@ static void fill_entries(ddmpc_solver *solver)
 {
     real *at = solver->entries;
     for (int k = 0; k < DDMPC_INPUTS; k++) {
-        *at++ = ddmpc_settings.row_scale[k];
-        *at++ = ddmpc_settings.row_scale[DDMPC_INPUTS + k];
+        *at++ = ddmpc_this_settings.row_scale[k];
+        *at++ = ddmpc_this_settings.row_scale[DDMPC_INPUTS + k];
         if (k + 2 < DDMPC_INPUTS)
-            *at++ = -ddmpc_settings.row_scale[DDMPC_INPUTS + k + 2];
+            *at++ = -ddmpc_this_settings.row_scale[DDMPC_INPUTS + k + 2];
         at += DDMPC_SLOTS;
     }
     for (int i = 0; i < DDMPC_SLOTS; i++)
-        at[2 * i + 1] = ddmpc_sqrt(ddmpc_settings.soft_quadratic);
+        at[2 * i + 1] = ddmpc_sqrt(ddmpc_this_settings.soft_quadratic);
 }
 
 static ddmpc_status status_of(OSQPInt status)
@@ -170,7 +170,7 @@ static ddmpc_status status_of(OSQPInt status)
     }
 }
 
-static void run(ddmpc_solver *solver, OSQPSolver *osqp, real plan[DDMPC_STEPS][2], ddmpc_report *report)
+static void run(ddmpc_solver *solver, OSQPSolver *osqp, real plan[DDMPC_INPUTS], ddmpc_report *report)
 {
     int soft = osqp == &ddmpc_soft_solver, rows = soft ? DDMPC_SOFT_ROWS : DDMPC_HARD_ROWS;
     OSQPInt fault = osqp_update_data_vec(osqp, solver->gradient, solver->lower, solver->upper);
@@ -178,7 +178,7 @@ static void run(ddmpc_solver *solver, OSQPSolver *osqp, real plan[DDMPC_STEPS][2
                                           soft ? DDMPC_TRIANGLE + DDMPC_SLOTS : DDMPC_TRIANGLE,
                                           soft ? solver->entries : OSQP_NULL, OSQP_NULL, soft ? DDMPC_ENTRIES : 0);
     fault = fault || osqp_warm_start(osqp, solver->start, solver->dual);
-    osqp->settings->max_iter = DDMPC_MAX_ITER - report->iterations;
+    osqp->settings->max_iter = DDMPC_ITERATION_LIMIT - report->iterations;
     if (fault || osqp_solve(osqp)) {
         report->status = DDMPC_REFUSED;
         return;
@@ -190,7 +190,7 @@ static void run(ddmpc_solver *solver, OSQPSolver *osqp, real plan[DDMPC_STEPS][2
     for (int row = 0; row < rows; row++)
         solver->dual[row] = osqp->solution->y[row];
     for (int k = 0; k < DDMPC_INPUTS; k++)
-        plan[k / 2][k % 2] = osqp->solution->x[k];
+        plan[k] = osqp->solution->x[k];
 }
 
 /* The multipliers of the last tick: those of hard limits move a step ahead like the plan. */
@@ -203,23 +203,23 @@ static void shift_dual(ddmpc_solver *solver)
         solver->dual[row] = R(0.0);
 }
 
-void ddmpc_solve(ddmpc_solver *solver, const ddmpc_problem *problem, const real guess[DDMPC_STEPS][2],
-                 real plan[DDMPC_STEPS][2], ddmpc_report *report)
+void ddmpc_solve(ddmpc_solver *solver, const ddmpc_problem *problem, const real guess[DDMPC_INPUTS],
+                 real plan[DDMPC_INPUTS], ddmpc_report *report)
 {
     ddmpc_report fresh = {DDMPC_NOT_FINITE, 0, R(0.0), R(0.0), 0, 0};
     *report = fresh;
     solver->slots = 0;
     if (!is_finite(problem->qp) || !ddmpc_unconstrained(problem->qp, solver->factor, plan))
         return;
-    int left_out = give_slots(solver, problem, plan, DDMPC_SOFT_SLACK);
-    if (keeps_hard_limits(problem, (const real(*)[2])plan) && !solver->slots) {
+    give_slots(solver, problem, plan, ddmpc_this_settings.soft_slack);
+    if (keeps_hard_limits(problem, plan) && !solver->slots) {
         ddmpc_solver_reset(solver);
         report->status = DDMPC_SOLVED;
         return;
     }
     /* The soft limits that matter are those that the last plan, a step ahead, leans on. */
     solver->slots = 0;
-    left_out = give_slots(solver, problem, guess, -DDMPC_SOFT_SLACK);
+    int left_out = give_slots(solver, problem, guess, -ddmpc_this_settings.soft_slack);
     shift_dual(solver);
     fill_entries(solver);
     for (int missing = 1; missing;) {
@@ -230,8 +230,8 @@ void ddmpc_solve(ddmpc_solver *solver, const ddmpc_problem *problem, const real 
         run(solver, slots ? &ddmpc_soft_solver : &ddmpc_hard_solver, plan, report);
         if (!ddmpc_usable(report->status))
             break;
-        left_out = give_slots(solver, problem, (const real(*)[2])plan, DDMPC_SOFT_SLACK);
-        missing = solver->slots > slots && report->iterations < DDMPC_MAX_ITER;
+        left_out = give_slots(solver, problem, plan, ddmpc_this_settings.soft_slack);
+        missing = solver->slots > slots && report->iterations < DDMPC_ITERATION_LIMIT;
         if (!missing)
             left_out += solver->slots - slots;
     }

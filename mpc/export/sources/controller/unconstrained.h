@@ -7,6 +7,6 @@
 /* Solve H U = -g by Cholesky's factorisation, which is left in the lower triangle of `factor`.
 
    Returns 0 if H is not positive definite, or not finite. */
-int ddmpc_unconstrained(const ddmpc_qp *qp, real factor[DDMPC_INPUTS][DDMPC_INPUTS], real plan[DDMPC_STEPS][2]);
+int ddmpc_unconstrained(const ddmpc_qp *qp, real factor[DDMPC_INPUTS][DDMPC_INPUTS], real plan[DDMPC_INPUTS]);
 
 #endif

@@ -3,7 +3,7 @@
 #define DDMPC_SOLVER_H
 
 #include "condense.h"
-#include "ddmpc_settings.h"
+#include "constants.h"
 
 typedef enum {
     DDMPC_SOLVED,
@@ -67,7 +67,7 @@ int ddmpc_usable(ddmpc_status status);
 void ddmpc_solver_reset(ddmpc_solver *solver);
 
 /* Solve, starting from the plan `guess`. `plan` means nothing unless the report's status is usable. */
-void ddmpc_solve(ddmpc_solver *solver, const ddmpc_problem *problem, const real guess[DDMPC_STEPS][2],
-                 real plan[DDMPC_STEPS][2], ddmpc_report *report);
+void ddmpc_solve(ddmpc_solver *solver, const ddmpc_problem *problem, const real guess[DDMPC_INPUTS],
+                 real plan[DDMPC_INPUTS], ddmpc_report *report);
 
 #endif

@@ -1,0 +1,111 @@
+/* Processor in the loop over USART1 (PA9, PA10; 115200 baud at the 16 MHz after reset).
+ *
+ * In, for each tick, 14 numbers of 8 bytes: t; pose present, stamp, x, y, theta; wheels present, stamp, v, omega; gyro
+ * present, stamp, yaw rate; start anew. Out, 7 numbers: v_ref, omega_ref, mode, reasons, iterations, soft limits, cycles
+ * of the step. All are little-endian doubles. The first answer comes unasked: the cycles of a million instructions.
+ */
+#include <stdint.h>
+#include <string.h>
+
+#include "ddmpc.h"
+#include "trajectory.h"
+
+#define REGISTER(address) (*(volatile uint32_t *)(address))
+#define CLOCK_PORTS REGISTER(0x40023830)
+#define CLOCK_USART REGISTER(0x40023844)
+#define PORT_MODE REGISTER(0x40020000)
+#define PORT_FUNCTION REGISTER(0x40020024)
+#define USART_STATUS REGISTER(0x40011000)
+#define USART_DATA REGISTER(0x40011004)
+#define USART_RATE REGISTER(0x40011008)
+#define USART_CONTROL REGISTER(0x4001100C)
+#define SYSTICK_CONTROL REGISTER(0xE000E010)
+#define SYSTICK_RELOAD REGISTER(0xE000E014)
+#define SYSTICK_VALUE REGISTER(0xE000E018)
+#define COUNTER_MASK 0xFFFFFFu
+
+static ddmpc_controller controller;
+static ddmpc_input input;
+static ddmpc_result result;
+
+static void set_up(void)
+{
+    CLOCK_PORTS |= 1u;
+    CLOCK_USART |= 1u << 4;
+    PORT_MODE = (PORT_MODE & ~(0xFu << 18)) | (0xAu << 18);
+    PORT_FUNCTION = (PORT_FUNCTION & ~(0xFFu << 4)) | (0x77u << 4);
+    USART_RATE = 139;
+    USART_CONTROL = (1u << 13) | (1u << 3) | (1u << 2);
+    SYSTICK_RELOAD = COUNTER_MASK;
+    SYSTICK_VALUE = 0;
+    SYSTICK_CONTROL = 5;
+}
+
+static void receive(void *bytes, unsigned count)
+{
+    for (uint8_t *byte = bytes; count--; byte++) {
+        while (!(USART_STATUS & (1u << 5))) {
+        }
+        *byte = (uint8_t)USART_DATA;
+    }
+}
+
+static void transmit(const void *bytes, unsigned count)
+{
+    for (const uint8_t *byte = bytes; count--; byte++) {
+        while (!(USART_STATUS & (1u << 7))) {
+        }
+        USART_DATA = *byte;
+    }
+}
+
+/* The counter counts downwards. */
+static double passed(uint32_t since) { return (double)((since - SYSTICK_VALUE) & COUNTER_MASK); }
+
+static double cycles_of_a_million_instructions(void)
+{
+    uint32_t turns = 500000, since = SYSTICK_VALUE;
+    __asm volatile("1: subs %0, %0, #1\n\tbne 1b" : "+r"(turns) : : "cc");
+    return passed(since);
+}
+
+/* Takes the next of the numbers on. */
+static const double *take(ddmpc_stamped *stamped, const double *number, int values)
+{
+    stamped->present = *number++ != 0.0;
+    stamped->stamp = *number++;
+    for (int i = 0; i < values; i++)
+        stamped->value[i] = (real)*number++;
+    return number;
+}
+
+int main(void)
+{
+    ddmpc_reference reference = ddmpc_table_reference(&DDMPC_TRAJECTORY);
+    set_up();
+    ddmpc_init(&controller);
+    ddmpc_start(&controller, &reference, 0.0);
+    double speed = cycles_of_a_million_instructions();
+    transmit(&speed, sizeof speed);
+    for (;;) {
+        double in[14], out[7];
+        receive(in, sizeof in);
+        const double *next = take(&input.measurement.pose, in + 1, 3);
+        next = take(&input.measurement.wheels, next, 2);
+        next = take(&input.measurement.yaw_rate, next, 1);
+        if (*next != 0.0) {
+            ddmpc_init(&controller);
+            ddmpc_start(&controller, &reference, in[0]);
+        }
+        uint32_t since = SYSTICK_VALUE;
+        ddmpc_step(&controller, in[0], &input, &result);
+        out[6] = passed(since);
+        out[0] = (double)result.command[0];
+        out[1] = (double)result.command[1];
+        out[2] = (double)result.mode;
+        out[3] = (double)result.reasons;
+        out[4] = (double)result.solver.iterations;
+        out[5] = (double)result.solver.soft_limits;
+        transmit(out, sizeof out);
+    }
+}
