@@ -15,7 +15,8 @@ from models.velocity_model import VelocityModel
 from mpc.bounds import clip_command
 from mpc.config import ControllerConfig
 from mpc.config_file import replace_values
-from mpc.estimator import Estimate, StateEstimator
+from mpc.estimate import Estimate
+from mpc.estimator import StateEstimator
 from mpc.finish import FinishWatch
 from mpc.hold import Hold
 from mpc.planner import Plan, Planner

@@ -11,7 +11,7 @@ from models.velocity_model import VelocityModel
 from mpc.bounds import command_box
 from mpc.condensed import Condenser
 from mpc.config import ControllerConfig
-from mpc.estimator import Estimate
+from mpc.estimate import Estimate
 from mpc.feed_forward import FeedForward
 from mpc.lean import lean
 from mpc.osqp_solver import OsqpSolver

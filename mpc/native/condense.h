@@ -91,15 +91,15 @@ typedef struct {
 /* Turn the reference to the estimate, lean into the curve, feed forward, and predict without a plan. */
 void ddmpc_begin(const ddmpc_tracking *constants, const ddmpc_situation *situation, ddmpc_tick *tick);
 /* The poses that follow from `plan`, by exact arcs. */
-void ddmpc_poses(const ddmpc_tracking *constants, const ddmpc_tick *tick, const real plan[DDMPC_STEPS][2],
+void ddmpc_poses(const ddmpc_tracking *constants, const ddmpc_tick *tick, const real plan[DDMPC_INPUTS],
                  ddmpc_workspace *work, real poses[DDMPC_STEPS + 1][3]);
 /* Linearise along `plan` and condense. */
-void ddmpc_condense(const ddmpc_tracking *constants, const ddmpc_tick *tick, const real plan[DDMPC_STEPS][2],
+void ddmpc_condense(const ddmpc_tracking *constants, const ddmpc_tick *tick, const real plan[DDMPC_INPUTS],
                     ddmpc_workspace *work, ddmpc_qp *qp);
 /* Of what has soft limits, the part that is linear in `plan`: to be compared with soft_lower and soft_upper of the QP.
    After ddmpc_condense. */
 void ddmpc_soft_values(const ddmpc_tracking *constants, const ddmpc_tick *tick, const ddmpc_workspace *work,
-                       const real plan[DDMPC_STEPS][2], real values[DDMPC_SOFT][DDMPC_STEPS]);
+                       const real plan[DDMPC_INPUTS], real values[DDMPC_SOFT][DDMPC_STEPS]);
 /* The rows of that linear part for one kind of soft limit. After ddmpc_condense. */
 void ddmpc_soft_rows(const ddmpc_tracking *constants, const ddmpc_tick *tick, const ddmpc_workspace *work, int kind,
                      real rows[DDMPC_STEPS][DDMPC_INPUTS]);
