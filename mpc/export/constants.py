@@ -49,7 +49,8 @@ def constants_text(parts: Parts, shape: QpShape, *, single: bool) -> str:
         "soft_scale": shape.soft_scale(config.weights.soft_quadratic),
     }
     # Instants stay double in every precision.
-    times = f"    .sample_time = {parts.sampled.dt!r},\n    .longest_pause = {parts.longest_pause!r},\n"
+    dt = parts.sampled.dt
+    times = f"    .sample_time = {dt!r},\n    .longest_pause = {parts.history * dt!r},\n"
     arrays = {name: np.array(value, dtype=float) for name, value in settings.items()}
     filter_constants = estimation_constants(parts.sampled, config.estimator, parts.slip_filter)
     values = {

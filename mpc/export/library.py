@@ -22,6 +22,10 @@ _SOURCES = Path(__file__).parent / "sources"
 _FINEST_FLOAT_TOLERANCE = 1e-6
 
 
+FOLDERS, FILES = ("ddmpc", "osqp", "examples", "stm32f4"), ("CMakeLists.txt",)
+"""Names of what is written."""
+
+
 class Precision(StrEnum):
     """Number type of the exported controller."""
 
@@ -39,14 +43,13 @@ class ExportedLibrary:
         Version of the solver.
     slots
         Soft limits that may matter at one tick.
-    folders
-        Names of the folders written, and `files` of the single files.
+    states
+        Of the velocity model.
     """
 
     osqp: str
     slots: int
-    folders: tuple[str, ...] = ("ddmpc", "osqp", "examples", "stm32f4")
-    files: tuple[str, ...] = ("CMakeLists.txt", "README.md")
+    states: int
 
 
 def export_controller(
@@ -104,4 +107,5 @@ def export_controller(
     }
     for name, text in texts.items():
         (ours / name).write_text(text, encoding="utf-8")
-    return ExportedLibrary(write_osqp(folder / "osqp", shape, config, single=single), slots)
+    solver = write_osqp(folder / "osqp", shape, config, single=single)
+    return ExportedLibrary(solver, slots, parts.sampled.order)

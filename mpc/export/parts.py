@@ -12,7 +12,7 @@ from models.velocity_model import VelocityModel
 from mpc.condensed import Condenser
 from mpc.config import ControllerConfig
 from mpc.controller import Controller
-from mpc.estimator import StateEstimator
+from mpc.estimator import build_filter, history_ticks
 from mpc.feed_forward import FeedForward
 from mpc.kalman import SlipFilter
 from mpc.problem import TrackingProblem
@@ -31,14 +31,13 @@ class Parts:
     model: VelocityModel
     sampled: DiscreteModel
     slip_filter: SlipFilter
-    longest_pause: float
     problem: TrackingProblem
     feed_forward: FeedForward
 
     @property
     def history(self) -> int:
         """Ticks that the estimator's history holds."""
-        return round(self.longest_pause / self.sampled.dt)
+        return history_ticks(self.config.estimator, self.sampled.dt)
 
     def typical_program(self) -> tuple[FloatArray, FloatArray]:
         """Hessian (2 N, 2 N) and rows of the soft limits (5, N, 2 N) of a robot that drives straight ahead."""
@@ -66,14 +65,11 @@ def build_parts(config: ControllerConfig) -> Parts:
     """Build them; raises as `mpc.Controller` does."""
     model = Controller(config).model
     sampled = model.discretise(config.sample_time)
-    wheels = config.wheels
-    ratio = wheels.track / wheels.encoder_track / float(sampled.dc_gain[1, 1])
     return Parts(
         config=config,
         model=model,
         sampled=sampled,
-        slip_filter=SlipFilter(sampled, config.estimator, config.compensation, ratio),
-        longest_pause=StateEstimator(sampled, config.estimator).longest_pause,
+        slip_filter=build_filter(sampled, config.estimator, config.compensation, config.wheels),
         problem=TrackingProblem(config, sampled),
         feed_forward=FeedForward(model, config.sample_time, config.horizon),
     )

@@ -2,7 +2,6 @@
 #ifndef DDMPC_COMMAND_LIMITS_H
 #define DDMPC_COMMAND_LIMITS_H
 
-#include "ddmpc_sizes.h"
 #include "real.h"
 
 /* Bound on |command| of a channel `steps` after `last`: one tightened below it is reached at the slew limit. */

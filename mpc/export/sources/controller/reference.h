@@ -2,7 +2,6 @@
 #ifndef DDMPC_REFERENCE_H
 #define DDMPC_REFERENCE_H
 
-#include "ddmpc_sizes.h"
 #include "real.h"
 
 /* A trajectory: before 0 it rests at its start, after `duration` at its end with zero twist. */

@@ -2,7 +2,6 @@
 #ifndef DDMPC_TICK_CLOCK_H
 #define DDMPC_TICK_CLOCK_H
 
-#include "ddmpc_sizes.h"
 #include "real.h"
 
 typedef enum {

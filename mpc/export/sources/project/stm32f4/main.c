@@ -1,13 +1,11 @@
 /* Processor in the loop over USART1 (PA9, PA10; 115200 baud at the 16 MHz after reset).
  *
- * In, for each tick, 14 numbers of 8 bytes: t; pose present, stamp, x, y, theta; wheels present, stamp, v, omega; gyro
- * present, stamp, yaw rate; start anew. Out, 7 numbers: v_ref, omega_ref, mode, reasons, iterations, soft limits, cycles
- * of the step. All are little-endian doubles. The first answer comes unasked: the cycles of a million instructions.
+ * Begins by sending the cycles of a million instructions; then answers each frame with the command and the cycles of its
+ * step.
  */
 #include <stdint.h>
-#include <string.h>
 
-#include "ddmpc.h"
+#include "frames.h"
 #include "trajectory.h"
 
 #define REGISTER(address) (*(volatile uint32_t *)(address))
@@ -59,24 +57,14 @@ static void transmit(const void *bytes, unsigned count)
     }
 }
 
-/* The counter counts downwards. */
+/* SysTick counts downwards. */
 static double passed(uint32_t since) { return (double)((since - SYSTICK_VALUE) & COUNTER_MASK); }
 
 static double cycles_of_a_million_instructions(void)
 {
     uint32_t turns = 500000, since = SYSTICK_VALUE;
-    __asm volatile("1: subs %0, %0, #1\n\tbne 1b" : "+r"(turns) : : "cc");
+    __asm__ volatile("1: subs %0, %0, #1\n\tbne 1b" : "+r"(turns) : : "cc");
     return passed(since);
-}
-
-/* Takes the next of the numbers on. */
-static const double *take(ddmpc_stamped *stamped, const double *number, int values)
-{
-    stamped->present = *number++ != 0.0;
-    stamped->stamp = *number++;
-    for (int i = 0; i < values; i++)
-        stamped->value[i] = (real)*number++;
-    return number;
 }
 
 int main(void)
@@ -84,28 +72,19 @@ int main(void)
     ddmpc_reference reference = ddmpc_table_reference(&DDMPC_TRAJECTORY);
     set_up();
     ddmpc_init(&controller);
-    ddmpc_start(&controller, &reference, 0.0);
-    double speed = cycles_of_a_million_instructions();
-    transmit(&speed, sizeof speed);
+    double cycles = cycles_of_a_million_instructions();
+    transmit(&cycles, sizeof cycles);
     for (;;) {
-        double in[14], out[7];
+        double in[FRAME_IN], out[FRAME_OUT];
         receive(in, sizeof in);
-        const double *next = take(&input.measurement.pose, in + 1, 3);
-        next = take(&input.measurement.wheels, next, 2);
-        next = take(&input.measurement.yaw_rate, next, 1);
-        if (*next != 0.0) {
+        if (frame_read(in, &input)) {
             ddmpc_init(&controller);
             ddmpc_start(&controller, &reference, in[0]);
         }
         uint32_t since = SYSTICK_VALUE;
         ddmpc_step(&controller, in[0], &input, &result);
-        out[6] = passed(since);
-        out[0] = (double)result.command[0];
-        out[1] = (double)result.command[1];
-        out[2] = (double)result.mode;
-        out[3] = (double)result.reasons;
-        out[4] = (double)result.solver.iterations;
-        out[5] = (double)result.solver.soft_limits;
+        frame_write(&result, out);
+        out[7] = passed(since);
         transmit(out, sizeof out);
     }
 }

@@ -16,7 +16,7 @@ static void halt(void)
 void reset_handler(void)
 {
     COPROCESSOR_ACCESS |= 0xFu << 20;
-    __asm volatile("dsb\n\tisb");
+    __asm__ volatile("dsb\n\tisb");
     for (uint32_t *to = &_data_begin, *from = &_data_source; to < &_data_end;)
         *to++ = *from++;
     for (uint32_t *to = &_bss_begin; to < &_bss_end;)
