@@ -6,7 +6,7 @@ each description.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -79,7 +79,13 @@ class Wheels(_Group):
 
 
 class Solver(_Group):
-    """OSQP's settings."""
+    """OSQP's settings, and whether estimator and problem run as compiled C."""
+
+    compiled: Literal["auto", "never", "always"] = Field(
+        "auto",
+        description="run estimator and problem in C, compiled at first use: auto falls back to Python where there is "
+        "no C compiler, always refuses to start without one [-]",
+    )
 
     max_iterations: Annotated[int, Field(ge=10, le=100_000)] = Field(
         2000, description="limit of ADMM iterations of one solve [-]"

@@ -21,7 +21,6 @@ from mpc.measurement_check import numbers
 from mpc.pose_gate import CheckedPose, PoseGate
 from mpc.twist_gate import CheckedTwist, TwistGate
 
-
 TOO_MANY = "more arrived for one sample than is kept"
 SENT_REJECTED = "sent command rejected: it is not one that a robot can have got"
 # What one tick of the history holds at most: numbers of wheels and gyro, and poses.

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from models.interface import FloatArray
-from mpc.condensed import QuadraticProgram
 from mpc.config import Solver, Weights
+from mpc.quadratic_program import QuadraticProgram
 from mpc.solver_report import SolverReport, SolverStatus
 
 _STATUS = {

@@ -1,4 +1,4 @@
-"""What the C sources in `mpc/native` need to know of one controller: sizes, and constants in the order of their structs.
+"""What the C sources in `mpc/native` need to know of a controller: sizes, and constants in the order of their structs.
 
 The values go straight into memory for use from Python, or as text into an exported library.
 """
@@ -15,6 +15,9 @@ from mpc.config import Estimator
 from mpc.feed_forward import FeedForward
 from mpc.kalman import SlipFilter
 from mpc.problem import TrackingProblem
+
+# DDMPC_LANES
+_LANES = 8
 
 Constants = dict[str, FloatArray]
 """Fields of a struct, in its order."""
@@ -127,4 +130,5 @@ def _arrays(**fields: object) -> Constants:
 
 def _longest_row(matrix: FloatArray) -> FloatArray:
     """The last row of a Toeplitz matrix, padded: any other row begins further along it."""
-    return np.concatenate([matrix[-1], np.zeros_like(matrix[-1])])
+    row = matrix[-1]
+    return np.concatenate([row, np.zeros(2 * (-(-row.size // _LANES) * _LANES) - row.size)])

@@ -10,7 +10,7 @@ from models.discrete_model import DiscreteModel
 from models.interface import Measurement
 from mpc.command_line import CommandLine
 from mpc.compiled.constants import estimation_constants, estimator_sizes, vector
-from mpc.compiled.library import checked_constants, checked_size, load_library, pointer
+from mpc.compiled.library import callable_in, checked_constants, checked_size, load_library, pointer
 from mpc.compiled.messages import MeasurementBuffer, NotesBuffer
 from mpc.config import Compensation, Estimator, Wheels
 from mpc.estimate import Estimate
@@ -48,14 +48,14 @@ class CompiledEstimator:
         self._at_output = pointer(self._output)
 
         address, time = ctypes.c_void_p, ctypes.c_double
-        self._init = _function(library, "init", None, address)
-        self._forget = _function(library, "forget", None, address)
-        self._ready = _function(library, "ready", ctypes.c_int, address)
-        self._moved = _function(library, "moved", ctypes.c_int, address)
-        self._advance = _function(library, "advance", None, address, address, time)
-        self._update = _function(library, "update", None, address, address, time, address, address)
-        self._restart = _function(library, "restart_elsewhere", ctypes.c_int, address, address)
-        self._estimate = _function(library, "estimate", None, address, address, address)
+        self._init = callable_in(library, "ddmpc_estimator_init", None, address)
+        self._forget = callable_in(library, "ddmpc_estimator_forget", None, address)
+        self._ready = callable_in(library, "ddmpc_estimator_ready", ctypes.c_int, address)
+        self._moved = callable_in(library, "ddmpc_estimator_moved", ctypes.c_int, address)
+        self._advance = callable_in(library, "ddmpc_estimator_advance", None, address, address, time)
+        self._update = callable_in(library, "ddmpc_estimator_update", None, address, address, time, address, address)
+        self._restart = callable_in(library, "ddmpc_estimator_restart_elsewhere", ctypes.c_int, address, address)
+        self._estimate = callable_in(library, "ddmpc_estimator_estimate", None, address, address, address)
 
         self._init(self._at_memory)
         # The commands are the first in the memory of ddmpc_estimator.
@@ -118,9 +118,3 @@ class CompiledEstimator:
         """See `StateEstimator.restart_elsewhere`."""
         self._newest = None
         return bool(self._restart(self._at_constants, self._at_memory))
-
-
-def _function(library: ctypes.CDLL, name: str, result: type | None, *arguments: type) -> ctypes._NamedFuncPointer:
-    function = getattr(library, f"ddmpc_estimator_{name}")
-    function.restype, function.argtypes = result, arguments
-    return function

@@ -16,7 +16,8 @@ from mpc.compiled.compiler import NotCompiledError, compile_library
 from mpc.compiled.constants import sizes_header
 
 Compiled = Literal["auto", "never", "always"]
-_Part = TypeVar("_Part")
+_C = TypeVar("_C")
+_Python = TypeVar("_Python")
 _log = logging.getLogger(__name__)
 
 
@@ -40,11 +41,22 @@ def _load(sources: tuple[str, ...], header: str) -> ctypes.CDLL:
         raise NotCompiledError(f"{path} cannot be loaded: {error}; delete it") from error
 
 
+def callable_in(library: ctypes.CDLL, name: str, result: type | None, *arguments: type) -> Callable[..., Any]:
+    """The function `name` of the library with the types of its result and arguments."""
+    function = getattr(library, name)
+    function.restype, function.argtypes = result, arguments
+    return function  # type: ignore[no-any-return]
+
+
+def bound_function(library: ctypes.CDLL, name: str, *addresses: ctypes.c_void_p) -> Callable[[], None]:
+    """The function `name` of the library with its arguments, which never change; it returns nothing."""
+    function = callable_in(library, name, None, *(ctypes.c_void_p,) * len(addresses))
+    return lambda: function(*addresses)
+
+
 def checked_size(library: ctypes.CDLL, name: str) -> int:
     """Size in bytes that the library's function `name` says."""
-    function = getattr(library, name)
-    function.restype, function.argtypes = ctypes.c_ulong, []
-    return int(function())
+    return int(callable_in(library, name, ctypes.c_ulong)())
 
 
 def checked_constants(library: ctypes.CDLL, name: str, values: FloatArray) -> FloatArray:
@@ -65,7 +77,7 @@ def pointer(memory: np.ndarray[Any, Any]) -> ctypes.c_void_p:
     return ctypes.c_void_p(memory.ctypes.data)
 
 
-def compiled_or_not(choice: Compiled, compiled: Callable[[], _Part], interpreted: Callable[[], _Part]) -> _Part:
+def compiled_or_not(choice: Compiled, compiled: Callable[[], _C], interpreted: Callable[[], _Python]) -> _C | _Python:
     """Build a part in C, or in Python where that is asked for or C cannot be had.
 
     Raises

@@ -28,7 +28,7 @@ class MeasurementBuffer:
 
     def __init__(self) -> None:
         memory = np.zeros(3 * _STAMPED)
-        self._numbers, self._flags = memoryview(memory).cast("B").cast("d"), memoryview(memory).cast("B").cast("i")
+        self._numbers, self._flags = memory.data.cast("B").cast("d"), memory.data.cast("B").cast("i")
         self.address = pointer(memory)
         self._memory = memory
 
@@ -62,7 +62,7 @@ class NotesBuffer:
 
     def __init__(self, settings: Estimator) -> None:
         memory = np.zeros(_NOTE * _MOST_NOTES + 1)
-        self._numbers, self._codes = memoryview(memory).cast("B").cast("d"), memoryview(memory).cast("B").cast("i")
+        self._numbers, self._codes = memory.data.cast("B").cast("d"), memory.data.cast("B").cast("i")
         self._history = settings.history
         self.address = pointer(memory)
         self._memory = memory
@@ -95,6 +95,6 @@ def _finite(value: object, count: int) -> Sequence[float]:
     if type(value) is float and count == 1:
         return (value,)
     if type(value) is np.ndarray and value.dtype == np.float64 and value.size == count:
-        return value.ravel().tolist()  # type: ignore[no-any-return]
+        return value.ravel().tolist()
     found = numbers(value, count)
     return (math.nan,) * count if found is None else found.tolist()

@@ -18,6 +18,8 @@
 
 enum {
     DDMPC_INPUTS = 2 * DDMPC_STEPS,
+    DDMPC_LANES = 8, /* rows of commands are padded with zeros to a multiple of this */
+    DDMPC_WIDTH = (DDMPC_INPUTS + DDMPC_LANES - 1) / DDMPC_LANES * DDMPC_LANES,
     DDMPC_PAST = (DDMPC_DELAY_V > DDMPC_DELAY_OMEGA ? DDMPC_DELAY_V : DDMPC_DELAY_OMEGA) + 1,
     DDMPC_LONGEST_LAG = DDMPC_LAG_V > DDMPC_LAG_OMEGA ? DDMPC_LAG_V : DDMPC_LAG_OMEGA,
     DDMPC_SAMPLES = DDMPC_STEPS + 1 + DDMPC_LONGEST_LAG /* of the reference, from now on */
@@ -35,8 +37,8 @@ typedef struct {
     real response[2][2][DDMPC_STEPS + 1];
     /* rows of the matrices of mean v, mean omega and heading, newest command first, padded with zeros: the row of arc
        or sample k begins at 2 (N - k), with k = 1 for the first that answers to the first command */
-    real mean_row[2][2 * DDMPC_INPUTS];
-    real heading_row[2 * DDMPC_INPUTS];
+    real mean_row[2][2 * DDMPC_WIDTH];
+    real heading_row[2 * DDMPC_WIDTH];
     real heading_hessian[DDMPC_INPUTS][DDMPC_INPUTS];   /* of the heading errors, for a gain of 1 */
     real along[DDMPC_STEPS], across[DDMPC_STEPS];       /* roots of the weights of the errors at the samples 1 to N */
     real heading[DDMPC_STEPS];                          /* weights of the heading errors */
@@ -77,22 +79,24 @@ typedef struct {
     real soft_lower[DDMPC_SOFT][DDMPC_STEPS], soft_upper[DDMPC_SOFT][DDMPC_STEPS];
 } ddmpc_qp;
 
-/* What one call leaves for the next of the same tick. */
+/* What one call leaves for the next of the same tick; all zero before the first. */
 typedef struct {
-    real arc[8][DDMPC_STEPS];         /* displacement x, y of each arc; its gradient by v, omega, theta: of x, of y */
-    real poses[DDMPC_STEPS + 1][3];   /* that follow from the plan linearised along */
+    real plan_twist[2][DDMPC_STEPS + 1];         /* of the model, from the plan alone */
+    real poses[DDMPC_STEPS + 1][3];              /* that follow from the plan linearised along */
+    real arc[8][DDMPC_STEPS];                    /* displacement x, y of each arc; then its gradient by the twist and the
+                                                    heading of the model: of x by v, omega, theta; of y */
     real cosine[DDMPC_STEPS], sine[DDMPC_STEPS]; /* of the path's heading at the samples 1 to N */
-    real plan_twist[2][DDMPC_STEPS + 1]; /* of the model, from the plan alone */
-    real moves[2][DDMPC_INPUTS];
-    real stack[2 * DDMPC_STEPS][DDMPC_INPUTS]; /* weighted rows of the errors along and across, by turns */
-    real across[DDMPC_STEPS][DDMPC_INPUTS];    /* rows of the distance across the path */
+    real stack[2 * DDMPC_STEPS][DDMPC_WIDTH];    /* weighted rows of the errors along and across, by turns */
+    real across[DDMPC_STEPS][DDMPC_WIDTH];       /* rows of the distance across the path */
+    real moves[2][DDMPC_WIDTH];
+    real gradient[DDMPC_WIDTH];
 } ddmpc_workspace;
 
 /* Turn the reference to the estimate, lean into the curve, feed forward, and predict without a plan. */
 void ddmpc_begin(const ddmpc_tracking *constants, const ddmpc_situation *situation, ddmpc_tick *tick);
 /* The poses that follow from `plan`, by exact arcs. */
 void ddmpc_poses(const ddmpc_tracking *constants, const ddmpc_tick *tick, const real plan[DDMPC_INPUTS],
-                 ddmpc_workspace *work, real poses[DDMPC_STEPS + 1][3]);
+                 real poses[DDMPC_STEPS + 1][3]);
 /* Linearise along `plan` and condense. */
 void ddmpc_condense(const ddmpc_tracking *constants, const ddmpc_tick *tick, const real plan[DDMPC_INPUTS],
                     ddmpc_workspace *work, ddmpc_qp *qp);
