@@ -12,7 +12,7 @@ from mpc.compiled.constants import (
     tracking_constants,
     tracking_sizes,
 )
-from mpc.export.osqp_workspaces import QpShape
+from mpc.export.osqp_workspaces import QpShape, slack_scale
 from mpc.export.parts import Parts
 
 # What exceeds a soft limit by less is the size of the solver's residuals in each precision.
@@ -47,6 +47,7 @@ def constants_text(parts: Parts, shape: QpShape, *, single: bool) -> str:
         "soft_slack": _SOFT_SLACK[single],
         "row_scale": shape.hard_scale(),
         "soft_scale": shape.soft_scale(config.weights.soft_quadratic),
+        "slack_scale": slack_scale(config.weights.soft_quadratic),
     }
     # Instants stay double in every precision.
     dt = parts.sampled.dt

@@ -14,7 +14,7 @@ typedef struct {
     real soft_linear, soft_quadratic;          /* penalties on what exceeds a soft limit */
     real soft_slack;                           /* what exceeds it by less is the solver's own residual */
     real row_scale[2 * DDMPC_INPUTS];          /* of box and slew: unit length in the metric of the inverse Hessian */
-    real soft_scale[DDMPC_SOFT];               /* the same for the soft limits */
+    real soft_scale[DDMPC_SOFT], slack_scale;  /* of the soft limits, and of their slacks */
 } ddmpc_settings;
 
 extern const ddmpc_estimation ddmpc_this_estimation;

@@ -43,6 +43,7 @@ typedef struct {
     ddmpc_slot slot[DDMPC_SLOTS];
     int slots;
     real dual[DDMPC_SOFT_ROWS];
+    real multiplier[DDMPC_SOFT][DDMPC_STEPS]; /* of soft limits, positive upwards */
     real factor[DDMPC_INPUTS][DDMPC_INPUTS];
     real triangle[DDMPC_TRIANGLE + DDMPC_SLOTS];
     real gradient[DDMPC_VARIABLES], start[DDMPC_VARIABLES];
