@@ -17,10 +17,10 @@ from mpc.condensed import Condenser
 from mpc.config import ControllerConfig
 from mpc.estimate import Estimate
 from mpc.feed_forward import FeedForward
-from mpc.osqp_solver import OsqpSolver
 from mpc.problem import TrackingProblem
 from mpc.solver_report import SolverReport
 from mpc.tick import Tick
+from mpc.ways import make_way
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Plan:
 
 
 class Planner:
-    """Holds the problem, its solver and the last plan.
+    """Holds the problem, the way through it and the last plan.
 
     Raises
     ------
@@ -64,14 +64,14 @@ class Planner:
             if isinstance(self._condenser, CompiledCondenser)
             else partial(begin_tick, problem, feed_forward)
         )
-        self._solver = OsqpSolver(config.horizon, config.solver, config.weights)
+        self._way = make_way(problem, self._condenser)
         self._times = np.arange(feed_forward.samples) * self._dt
         self._guess: FloatArray | None = None
 
     def reset(self) -> None:
         """Forget the last plan and the solver's warm start."""
         self._guess = None
-        self._solver.reset()
+        self._way.reset()
 
     def tick(
         self, estimate: Estimate, past: FloatArray, last_command: FloatArray, reference: Reference, since_start: float
@@ -90,7 +90,7 @@ class Planner:
         if self._guess is None:
             box = command_box(self._config.limits, self._dt, tick.last_command, len(tick.feed_forward))
             self._guess = np.clip(tick.feed_forward, -box, box)
-        solution = self._solver.solve(self._condenser.condense(tick, self._guess), self._guess)
+        solution = self._way.solve(tick, self._guess)
         if not (solution.report.status.usable and np.isfinite(solution.plan).all()):
             self.reset()
             return None, solution.report

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -149,7 +150,9 @@ class CompiledCondenser:
 
 def _memory(**shapes: tuple[int, ...]) -> tuple[FloatArray, dict[str, FloatArray]]:
     """Memory of a struct of numbers, and its fields."""
-    sizes = [int(np.prod(shape)) for shape in shapes.values()]
-    memory = np.zeros(sum(sizes))
-    parts = np.split(memory, np.cumsum(sizes)[:-1])
-    return memory, {name: part.reshape(shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}
+    sizes = [math.prod(shape) for shape in shapes.values()]
+    memory, ends = np.zeros(sum(sizes)), np.cumsum(sizes).tolist()
+    return memory, {
+        name: memory[end - size : end].reshape(shape)
+        for (name, shape), size, end in zip(shapes.items(), sizes, ends, strict=True)
+    }

@@ -9,12 +9,6 @@ enum { N = DDMPC_STEPS, INPUTS = DDMPC_INPUTS, LANES = DDMPC_LANES };
 /* Places of the slip in the estimator's mean. */
 enum { V_OFFSET = DDMPC_STATES, OMEGA_GAIN, LONGITUDINAL_GAIN, YAW_GAIN, SIDE_SLIP, POSE = DDMPC_STATES + 6 };
 
-/* The next multiple of LANES: loops over whole lanes need no remainder. */
-static int whole_lanes(int count)
-{
-    return (count + LANES - 1) / LANES * LANES;
-}
-
 /* How a robot that side-slips follows the curve: turned into it, and a little late; see mpc/lean.py. */
 static void lean(const ddmpc_tracking *constants, const ddmpc_situation *situation, ddmpc_tick *tick)
 {
@@ -149,7 +143,7 @@ static void fill_rows(const ddmpc_tracking *constants, ddmpc_workspace *work, co
     memset(work->moves, 0, sizeof work->moves);
     memset(gradient, 0, sizeof work->gradient);
     for (int k = 0; k < N; k++) {
-        const int count = whole_lanes(2 * (k + 1));
+        const int count = ddmpc_whole_lanes(2 * (k + 1));
         const real *mean_v = constants->mean_row[0] + 2 * (N - k - 1);
         const real *mean_omega = constants->mean_row[1] + 2 * (N - k - 1);
         const real *before = constants->heading_row + 2 * (N - k), *after = before - 2;
@@ -178,12 +172,7 @@ static void fill_hessian(const ddmpc_tracking *constants, const ddmpc_workspace 
         for (int j = 0; j <= i; j += LANES) {
             real sum[LANES][LANES];
             memset(sum, 0, sizeof sum);
-            for (int row = i; row < 2 * N; row++) {
-                const real *left = work->stack[row] + i, *right = work->stack[row] + j;
-                for (int a = 0; a < LANES; a++)
-                    for (int b = 0; b < LANES; b++)
-                        sum[a][b] += left[a] * right[b];
-            }
+            ddmpc_tile(work->stack[i] + i, work->stack[i] + j, 2 * N - i, DDMPC_WIDTH, sum);
             const int rows = INPUTS - i < LANES ? INPUTS - i : LANES;
             const int columns = INPUTS - j < LANES ? INPUTS - j : LANES;
             for (int a = 0; a < rows; a++)

@@ -15,10 +15,11 @@
 
 #include "ddmpc_sizes.h"
 #include "real.h"
+#include "tile.h"
 
 enum {
     DDMPC_INPUTS = 2 * DDMPC_STEPS,
-    DDMPC_LANES = 8, /* rows of commands are padded with zeros to a multiple of this */
+    /* rows of commands are padded with zeros to whole lanes */
     DDMPC_WIDTH = (DDMPC_INPUTS + DDMPC_LANES - 1) / DDMPC_LANES * DDMPC_LANES,
     DDMPC_PAST = (DDMPC_DELAY_V > DDMPC_DELAY_OMEGA ? DDMPC_DELAY_V : DDMPC_DELAY_OMEGA) + 1,
     DDMPC_LONGEST_LAG = DDMPC_LAG_V > DDMPC_LAG_OMEGA ? DDMPC_LAG_V : DDMPC_LAG_OMEGA,

@@ -1,0 +1,1 @@
+"""How fast a step is, beside peers on the same problem."""
