@@ -36,6 +36,9 @@ def export(
         int | None,
         typer.Option(min=1, help="Soft limits that may matter at one tick.", show_default="one for each step"),
     ] = None,
+    emulated: Annotated[
+        bool, typer.Option("--emulate", help="Drive it on QEMU's STM32F4, and count the instructions of each step.")
+    ] = False,
 ) -> None:
     """Write estimator, prediction, QP and failure ladder as C99 without allocation, and say how large they are."""
     from bench.export.command import export_library  # noqa: PLC0415 - --help and other commands do without it
@@ -48,4 +51,5 @@ def export(
         trajectory=trajectory,
         precision=precision,
         soft_slots=soft_slots,
+        emulated=emulated,
     )

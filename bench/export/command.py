@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from bench.atomic import staged
 from bench.case import label
 from bench.console import output_console
 from bench.controllers import controller_config, default_model
+from bench.export.emulation import emulate
 from bench.export.readme import readme
-from bench.export.sizes import TARGETS, Size, measure_sizes
+from bench.export.sizes import TARGETS, Size, link_stm32f4, measure_sizes
 from bench.machine import describe_run
+from bench.progress import ProgressBar
 from bench.sweep import single_settings
-from bench.table import Table
+from bench.table import Table, number
 from models.checked_yaml import ConfigError
-from mpc import load_trajectory
+from models.interface import Reference
+from mpc import ControllerConfig, load_trajectory
 from mpc.export import FILES, FOLDERS, Precision, export_controller
 
 REPORT = "export.json"
@@ -32,6 +36,7 @@ def export_library(
     trajectory: str,
     precision: str,
     soft_slots: int | None,
+    emulated: bool,
 ) -> None:
     """Export a controller into `out`, and print its sizes; parameters as the command's options.
 
@@ -64,7 +69,10 @@ def export_library(
             "osqp": exported.osqp,
             "sizes": [size.as_json() for size in sizes],
         }
-        (folder / "README.md").write_text(readme(facts, size_table(sizes)), encoding="utf-8")
+        if emulated:
+            facts["emulation"] = _emulate(folder, values, reference)
+        tables = [size_table(sizes), *([emulation_table(facts["emulation"])] if emulated else [])]
+        (folder / "README.md").write_text(readme(facts, tables), encoding="utf-8")
         report = {
             "meta": describe_run(time.perf_counter() - began),
             **facts,
@@ -72,8 +80,39 @@ def export_library(
         }
         (folder / REPORT).write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     console = output_console()
-    console.print(size_table(sizes).rich())
+    for table in tables:
+        console.print(table.rich())
     console.print(f"controller in {out}: {name}, {values.horizon} steps, {precision} precision", highlight=False)
+
+
+def _emulate(folder: Path, config: ControllerConfig, reference: Reference) -> dict[str, object]:
+    with TemporaryDirectory() as scratch, ProgressBar("emulating") as bar:
+        image = Path(scratch) / "program.elf"
+        if not link_stm32f4(folder, image):
+            raise ConfigError("--emulate: the program does not fit into an STM32F4; export float, or a shorter horizon")
+        return emulate(image, config, reference, bar.at).as_json()
+
+
+def emulation_table(emulation: object) -> Table:
+    """Instructions of a step on the emulated microcontroller."""
+    facts = dict(emulation) if isinstance(emulation, Mapping) else {}
+    counts = [f"{facts[f'instructions_{name}']:,}" for name in ("p50", "p95", "p99", "max")]
+    return Table(
+        "Instructions of a step",
+        ("machine", "steps", "p50", "p95", "p99", "max", "iterations", "position RMSE [m]", "to Python"),
+        (
+            (
+                str(facts["machine"]),
+                str(facts["steps"]),
+                *counts,
+                str(facts["iterations_max"]),
+                number(facts["position_rmse_m"]),
+                f"{facts['command_difference_max']:.1e}",
+            ),
+        ),
+        note="Over one drive of the MuJoCo robot; `iterations`: the most of one step; `to Python`: the largest "
+        "difference of a command [m/s, rad/s].",
+    )
 
 
 def size_table(sizes: Sequence[Size]) -> Table:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from bench.table import Table
 
@@ -65,6 +65,6 @@ it brakes, inside it chases the reference, which does not wait.
 """
 
 
-def readme(facts: Mapping[str, object], sizes: Table) -> str:
-    """Text for an export described by `facts`, with the table of `sizes`."""
-    return _TEXT.format(**facts) + sizes.markdown()
+def readme(facts: Mapping[str, object], tables: Sequence[Table]) -> str:
+    """Text for an export described by `facts`, with what was measured of it."""
+    return _TEXT.format(**facts) + "\n".join(table.markdown() for table in tables)

@@ -11,11 +11,11 @@ from tempfile import TemporaryDirectory
 from models.checked_yaml import ConfigError
 
 # As in stm32f4/toolchain.cmake and stm32f4/stm32f4.ld of the exported folder.
-_CORTEX_M4 = (
-    "-mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16 -ffp-contract=fast -ffunction-sections "
-    "-fdata-sections -fno-math-errno -nostartfiles --specs=nano.specs --specs=nosys.specs -Wl,--gc-sections"
-).split()
-_STM32F4 = ("main.c", "frames.c", "startup.c")
+_CORTEX_M4 = [
+    *("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-ffp-contract=fast", "-fno-math-errno"),
+    *("-ffunction-sections", "-fdata-sections", "-Wl,--gc-sections", "-nostartfiles"),
+    *("--specs=nano.specs", "--specs=nosys.specs"),
+]
 _STACK = ".stack"
 
 TARGETS = {"STM32F4 program": "arm-none-eabi-gcc", "host example": "gcc"}
@@ -52,6 +52,17 @@ class Size:
         return {key if isinstance(value, str) else f"{key}_bytes": value for key, value in named.items()}
 
 
+def link_stm32f4(folder: Path, program: Path) -> bool:
+    """Link the STM32F4 program of an exported `folder`; False if the memory does not hold it.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the compiler is not installed, or does not take the sources.
+    """
+    return _link("STM32F4 program", folder, program)
+
+
 def measure_sizes(folder: Path) -> list[Size]:
     """Build the programs of an exported `folder` with each compiler that is installed.
 
@@ -60,43 +71,42 @@ def measure_sizes(folder: Path) -> list[Size]:
     models.checked_yaml.ConfigError
         If a compiler does not take the sources.
     """
-    place = folder / "stm32f4"
-    programs = {
-        "STM32F4 program": ([*_CORTEX_M4, "-T", str(place / "stm32f4.ld")], [place / name for name in _STM32F4]),
-        "host example": ([], [folder / "examples" / "main.c"]),
-    }
-    sizes = [
-        _size(target, folder, compiler, *programs[target])
-        for target, compiler in TARGETS.items()
-        if shutil.which(compiler) and shutil.which(_sizer(compiler))
-    ]
+    sizes = [_size(target, folder) for target, compiler in TARGETS.items() if shutil.which(compiler)]
     return [size for size in sizes if size is not None]
 
 
-def _sizer(compiler: str) -> str:
-    return compiler.removesuffix("gcc") + "size"
-
-
-def _size(target: str, folder: Path, compiler: str, options: list[str], main: list[Path]) -> Size | None:
-    """Sizes of the linked program; None if the memory of the target does not hold it."""
-    sources = [*main, *(folder / "ddmpc").glob("*.c"), *(folder / "osqp").glob("**/*.c")]
-    includes = [f"-I{folder / name}" for name in ("ddmpc", "osqp", "osqp/inc/public", "osqp/inc/private")]
+def _size(target: str, folder: Path) -> Size | None:
+    compiler = TARGETS[target]
     with TemporaryDirectory() as scratch:
         program = Path(scratch) / "program"
-        command = [compiler, "-std=c99", "-O2", *options, *includes, *map(str, sources), "-lm", "-o", str(program)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode and "overflowed" in done.stderr:
+        if not _link(target, folder, program):
             return None
-        if done.returncode:
-            raise ConfigError(f"{target}: {compiler} failed: {_first_fault(done.stderr)}")
-        listed = subprocess.run([_sizer(compiler), "-A", str(program)], capture_output=True, text=True, check=True).stdout
-    sections = {words[0]: int(words[1]) for line in listed.splitlines() if len(words := line.split()) == 3 and words[1].isdigit()}
+        sizer = [compiler.removesuffix("gcc") + "size", "-A", str(program)]
+        listed = subprocess.run(sizer, capture_output=True, text=True, check=True).stdout
+    lines = [words for line in listed.splitlines() if len(words := line.split()) == 3 and words[1].isdigit()]
+    sections = {name: int(size) for name, size, _ in lines}
     data, zero, stack = sections.get(".data", 0), sections.get(".bss", 0), sections.get(_STACK, 0)
     constant = sum(sections.get(name, 0) for name in (".text", ".rodata", ".ARM.exidx"))
     return Size(target, compiler, constant + data, data + zero + stack, stack)
 
 
-def _first_fault(stderr: str) -> str:
-    lines = stderr.splitlines()
-    said = next((line for line in lines if "error: " in line), lines[-1] if lines else "it does not say why")
-    return said.rpartition("error: ")[2]
+def _link(target: str, folder: Path, program: Path) -> bool:
+    """Compile and link; False if the memory of the target does not hold it."""
+    compiler, place = TARGETS[target], folder / "stm32f4"
+    if shutil.which(compiler) is None:
+        raise ConfigError(f"{target}: {compiler} was not found; install it")
+    if compiler == "gcc":
+        options, main = [], [folder / "examples" / "main.c"]
+    else:
+        options, main = [*_CORTEX_M4, "-T", str(place / "stm32f4.ld")], sorted(place.glob("*.c"))
+    sources = [*main, *sorted((folder / "ddmpc").glob("*.c")), *sorted((folder / "osqp").glob("**/*.c"))]
+    includes = [f"-I{folder / name}" for name in ("ddmpc", "osqp", "osqp/inc/public", "osqp/inc/private")]
+    command = [compiler, "-std=c99", "-O2", *options, *includes, *map(str, sources), "-lm", "-o", str(program)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode and "overflowed" in done.stderr:
+        return False
+    if done.returncode:
+        lines = done.stderr.splitlines()
+        said = next((line for line in lines if "error: " in line), lines[-1] if lines else "it does not say why")
+        raise ConfigError(f"{target}: {compiler} failed: {said.rpartition('error: ')[2]}")
+    return True

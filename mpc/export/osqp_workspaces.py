@@ -3,9 +3,9 @@
 Both have the 2 N commands as variables, and box and slew as constraints. The program `hard` ends there; `soft` has
 `slots` more rows, each of which may be given to one soft limit at one step, and a slack variable for each.
 
-ADMM converges at the pace of its worst conditioned constraint, and a microcontroller can neither rescale the problem nor
-search for a step size at every tick. So each row is scaled to unit length in the metric of the inverse Hessian, once and
-for all, and the step size is fixed.
+ADMM converges at the pace of its worst conditioned constraint, and a microcontroller can neither rescale the problem
+nor search for a step size at every tick. So each row is scaled to unit length in the metric of the inverse Hessian,
+once and for all, and the step size is fixed.
 """
 
 from __future__ import annotations

@@ -209,7 +209,7 @@ static void lost_time(ddmpc_controller *c, ddmpc_tick_kind kind, ddmpc_result *r
 
 static void clear(ddmpc_result *result)
 {
-    const ddmpc_report not_run = {DDMPC_NOT_RUN, 0, R(0.0), R(0.0), 0, 0};
+    const ddmpc_report not_run = {DDMPC_QP_NOT_RUN, 0, R(0.0), R(0.0), 0, 0};
     result->solver = not_run;
     result->reasons = 0;
     result->notes.count = 0;

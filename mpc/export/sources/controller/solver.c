@@ -5,16 +5,13 @@
 #include "ddmpc_hard_workspace.h"
 #include "ddmpc_soft_workspace.h"
 #include "osqp.h"
-#include "unconstrained.h"
 
-/* Larger numbers are no problem of a robot. */
-#define LARGEST R(1e15)
 /* An unused row of OSQP's. */
 #define UNBOUNDED_ROW R(1e15)
 /* A soft limit that is nearer than this may soon matter [m/s, rad/s, m]. */
 #define NEAR R(0.02)
 
-int ddmpc_usable(ddmpc_status status) { return status == DDMPC_SOLVED || status == DDMPC_SOLVED_INACCURATELY; }
+int ddmpc_usable(ddmpc_status status) { return status == DDMPC_QP_SOLVED || status == DDMPC_QP_SOLVED_INACCURATELY; }
 
 void ddmpc_solver_reset(ddmpc_solver *solver)
 {
@@ -22,32 +19,6 @@ void ddmpc_solver_reset(ddmpc_solver *solver)
     for (int row = 0; row < DDMPC_SOFT_ROWS; row++)
         solver->dual[row] = R(0.0);
     memset(solver->multiplier, 0, sizeof solver->multiplier);
-}
-
-static int is_finite(const ddmpc_qp *qp)
-{
-    int good = 1;
-    for (int k = 0; k < DDMPC_INPUTS; k++) {
-        /* Written so that NaN fails the comparison. */
-        good &= ddmpc_fabs(qp->H[k][k]) < LARGEST;
-        good &= ddmpc_fabs(qp->g[k]) < LARGEST;
-        good &= ddmpc_fabs(qp->box[k]) < LARGEST;
-    }
-    for (int kind = 0; kind < DDMPC_SOFT; kind++)
-        for (int k = 0; k < DDMPC_STEPS; k++)
-            good &= ddmpc_fabs(qp->soft_upper[kind][k]) < LARGEST;
-    return good;
-}
-
-static int keeps_hard_limits(const ddmpc_problem *problem, const real plan[DDMPC_INPUTS])
-{
-    for (int k = 0; k < DDMPC_INPUTS; k++) {
-        real before = k < 2 ? problem->tick->last_command[k] : plan[k - 2];
-        if (!(ddmpc_fabs(plan[k]) <= problem->qp->box[k] &&
-              ddmpc_fabs(plan[k] - before) <= problem->tracking->slew[k % 2]))
-            return 0;
-    }
-    return 1;
 }
 
 static int has_slot(const ddmpc_solver *solver, int kind, int step, int side)
@@ -198,15 +169,15 @@ static void fill_entries(ddmpc_solver *solver)
 static ddmpc_status status_of(OSQPInt status)
 {
     switch (status) {
-    case OSQP_SOLVED: return DDMPC_SOLVED;
-    case OSQP_SOLVED_INACCURATE: return DDMPC_SOLVED_INACCURATELY;
-    case OSQP_MAX_ITER_REACHED: return DDMPC_MAX_ITERATIONS;
+    case OSQP_SOLVED: return DDMPC_QP_SOLVED;
+    case OSQP_SOLVED_INACCURATE: return DDMPC_QP_SOLVED_INACCURATELY;
+    case OSQP_MAX_ITER_REACHED: return DDMPC_QP_MAX_ITERATIONS;
     case OSQP_PRIMAL_INFEASIBLE:
-    case OSQP_PRIMAL_INFEASIBLE_INACCURATE: return DDMPC_INFEASIBLE;
+    case OSQP_PRIMAL_INFEASIBLE_INACCURATE: return DDMPC_QP_INFEASIBLE;
     case OSQP_DUAL_INFEASIBLE:
-    case OSQP_DUAL_INFEASIBLE_INACCURATE: return DDMPC_UNBOUNDED;
-    case OSQP_NON_CVX: return DDMPC_NOT_CONVEX;
-    default: return DDMPC_NOT_RUN;
+    case OSQP_DUAL_INFEASIBLE_INACCURATE: return DDMPC_QP_UNBOUNDED;
+    case OSQP_NON_CVX: return DDMPC_QP_NOT_CONVEX;
+    default: return DDMPC_QP_NOT_RUN;
     }
 }
 
@@ -220,7 +191,7 @@ static void run(ddmpc_solver *solver, OSQPSolver *osqp, real plan[DDMPC_INPUTS],
     fault = fault || osqp_warm_start(osqp, solver->start, solver->dual);
     osqp->settings->max_iter = DDMPC_ITERATION_LIMIT - report->iterations;
     if (fault || osqp_solve(osqp)) {
-        report->status = DDMPC_REFUSED;
+        report->status = DDMPC_QP_REFUSED;
         return;
     }
     report->status = status_of(osqp->info->status_val);
@@ -246,15 +217,19 @@ void ddmpc_solve(ddmpc_solver *solver, const ddmpc_problem *problem, const real 
                  real plan[DDMPC_INPUTS], ddmpc_report *report)
 {
     const real margin = ddmpc_this_settings.soft_slack;
-    ddmpc_report fresh = {DDMPC_NOT_FINITE, 0, R(0.0), R(0.0), 0, 0};
+    ddmpc_report fresh = {DDMPC_QP_NOT_FINITE, 0, R(0.0), R(0.0), 0, 0};
     *report = fresh;
     solver->slots = 0;
-    if (!is_finite(problem->qp) || !ddmpc_unconstrained(problem->qp, solver->factor, plan))
+    ddmpc_relax_status relaxed = ddmpc_relax(problem->tick, problem->qp, &solver->relaxed);
+    if (relaxed != DDMPC_RELAXED) {
+        report->status = relaxed == DDMPC_NOT_CONVEX ? DDMPC_QP_NOT_CONVEX : DDMPC_QP_NOT_FINITE;
         return;
-    int exceeded = give_slots(solver, problem, plan, margin, &report->left_out);
-    if (!exceeded && keeps_hard_limits(problem, plan)) {
+    }
+    memcpy(plan, solver->relaxed.plan, sizeof solver->relaxed.plan);
+    if (!ddmpc_broken(problem->tracking, problem->tick, problem->work, problem->qp, plan, margin)) {
         ddmpc_solver_reset(solver);
-        report->status = DDMPC_SOLVED;
+        report->status = DDMPC_QP_SOLVED;
+        report->dual_residual = solver->relaxed.residual;
         return;
     }
     /* The soft limits that matter are first of all those that the last plan, a step ahead, is near. */
@@ -263,6 +238,7 @@ void ddmpc_solve(ddmpc_solver *solver, const ddmpc_problem *problem, const real 
     shift_dual(solver);
     fill_entries(solver);
     const real *start = guess;
+    int exceeded;
     do {
         fill_hard(solver, problem, start);
         if (solver->slots)

@@ -4,17 +4,18 @@
 
 #include "condense.h"
 #include "constants.h"
+#include "relax.h"
 
 typedef enum {
-    DDMPC_SOLVED,
-    DDMPC_SOLVED_INACCURATELY, /* only to a looser tolerance */
-    DDMPC_MAX_ITERATIONS,
-    DDMPC_INFEASIBLE,
-    DDMPC_UNBOUNDED,
-    DDMPC_NOT_CONVEX,
-    DDMPC_NOT_FINITE, /* the problem's data are not finite, or too large to be real */
-    DDMPC_REFUSED,    /* OSQP does not take the data */
-    DDMPC_NOT_RUN
+    DDMPC_QP_SOLVED,
+    DDMPC_QP_SOLVED_INACCURATELY, /* only to a looser tolerance */
+    DDMPC_QP_MAX_ITERATIONS,
+    DDMPC_QP_INFEASIBLE,
+    DDMPC_QP_UNBOUNDED,
+    DDMPC_QP_NOT_CONVEX,
+    DDMPC_QP_NOT_FINITE, /* the problem's data are not finite, or too large to be real */
+    DDMPC_QP_REFUSED,    /* OSQP does not take the data */
+    DDMPC_QP_NOT_RUN
 } ddmpc_status;
 
 typedef struct {
@@ -44,7 +45,7 @@ typedef struct {
     int slots;
     real dual[DDMPC_SOFT_ROWS];
     real multiplier[DDMPC_SOFT][DDMPC_STEPS]; /* of soft limits, positive upwards */
-    real factor[DDMPC_INPUTS][DDMPC_INPUTS];
+    ddmpc_relaxed relaxed;
     real triangle[DDMPC_TRIANGLE + DDMPC_SLOTS];
     real gradient[DDMPC_VARIABLES], start[DDMPC_VARIABLES];
     real lower[DDMPC_SOFT_ROWS], upper[DDMPC_SOFT_ROWS];

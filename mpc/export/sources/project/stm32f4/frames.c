@@ -7,6 +7,9 @@ static const double *read_stamped(ddmpc_stamped *stamped, const double *number, 
     stamped->stamp = *number++;
     for (int i = 0; i < values; i++)
         stamped->value[i] = (real)*number++;
+    stamped->has_covariance = *number++ != 0.0;
+    for (int i = 0; i < values * values; i++)
+        stamped->covariance[i] = (real)*number++;
     return number;
 }
 

@@ -5,9 +5,9 @@
 #include "ddmpc.h"
 
 enum {
-    /* t; start anew; request; sent: present, v, omega; pose: present, stamp, x, y, theta; wheels: present, stamp, v,
-       omega; gyro: present, stamp, yaw rate */
-    FRAME_IN = 18,
+    /* t; start anew; request; sent: present, v, omega; then pose, wheels and gyro, each of k = 3, 2, 1 values: present,
+       stamp, values, covariance present, covariance (k x k) */
+    FRAME_IN = 35,
     /* v_ref, omega_ref, mode, reasons, status, iterations, soft limits, cycles of the step */
     FRAME_OUT = 8
 };
