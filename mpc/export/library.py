@@ -86,6 +86,11 @@ def export_controller(
             f"solver.tolerance = {config.solver.tolerance:g}: single precision does not reach it; set it to "
             f"{_FINEST_FLOAT_TOLERANCE:g} or more, or export in double precision"
         )
+    if config.solver.formulation != "condensed" or config.solver.backend != "osqp":
+        raise ConfigError(
+            f"solver.formulation = {config.solver.formulation}, solver.backend = {config.solver.backend}: only the "
+            "condensed formulation with osqp can be exported; set them so"
+        )
     slots = config.horizon if slots is None else slots
     if not 1 <= slots <= 5 * config.horizon:
         raise ConfigError(f"--soft-slots {slots}: give 1 to {5 * config.horizon}, five for each step of the horizon")

@@ -57,16 +57,17 @@ def test_single_precision(tmp_path):
 
 
 def test_to_the_end(in_double):
-    """From shortly before the end: the clock of the reference runs on from there."""
-    skipped = 17.3
+    """The square ends where it begins: the robot starts there, shortly before the end."""
+    skipped = 856 * 0.0202
 
     def change(k, measurement, exported, reference):
         return skipped, later(measurement, skipped), None
 
-    end = (1.0, 0.0, 0.0)
-    steps = drive_both(in_double, "square", TIGHT, 150, change=change, offset=end)
+    steps = drive_both(in_double, "square", TIGHT, 150, change=change)
     assert [ours.mode for ours, _ in steps] == [theirs.mode for _, theirs in steps]
     assert np.abs(differences(steps)).max() <= DOUBLE
+    assert steps[0][1].mode == Mode.TRACKING
+    assert steps[-1][1].mode == Mode.FINISHED
 
 
 def later(measurement: Measurement, shift: float) -> Measurement:
