@@ -79,8 +79,8 @@ def tracking_constants(problem: TrackingProblem, feed_forward: FeedForward) -> C
     weighted_heading = pose_weights[:, 2:] * prediction.heading_from_plan[1:]
     return _arrays(
         dt=model.dt,
-        from_state=prediction.from_state,
-        from_past=prediction.from_past,
+        from_state=prediction.from_state.reshape(N + 1, 2, -1),
+        from_past=prediction.from_past.reshape(N + 1, 2, -1, 2),
         response=prediction.from_plan[:, :2].reshape(N + 1, 2, 2).transpose(1, 2, 0),
         mean_row=[_longest_row(prediction.mean_from_plan[channel::2]) for channel in (0, 1)],
         heading_row=_longest_row(prediction.heading_from_plan),

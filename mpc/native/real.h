@@ -4,6 +4,8 @@
 
 #include <math.h>
 
+#include "ddmpc_sizes.h" /* where DDMPC_FLOAT is defined, if it is */
+
 #ifdef DDMPC_FLOAT
 typedef float real;
 #define R(number) number##f

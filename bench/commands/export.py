@@ -1,0 +1,55 @@
+"""`diffdrive-mpc export`: the controller as a C99 library for a microcontroller."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bench.commands.options import ConfigFile
+from bench.commands.out_folder import out_folder
+
+EXAMPLE = (
+    "Example: diffdrive-mpc export --model ssm --set horizon=15 --set solver.max_iterations=100 --precision float "
+    "--out firmware"
+)
+
+
+def export(
+    *,
+    out: Annotated[Path, typer.Option(parser=out_folder, metavar="PATH", help="Folder for the library.")],
+    model: Annotated[
+        str | None,
+        typer.Option(help="Velocity model: mbm, sm, ssm, or the path of a file.", show_default="ssm, or --config's"),
+    ] = None,
+    config: ConfigFile = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Replace a configuration value; repeatable."),
+    ] = None,
+    trajectory: Annotated[
+        str, typer.Option(help="What the table holds: circle, square, s, cane, or the path of a file.")
+    ] = "circle",
+    precision: Annotated[str, typer.Option(help="Number type: double or float.")] = "double",
+    soft_slots: Annotated[
+        int | None,
+        typer.Option(min=1, help="Soft limits that may matter at one tick.", show_default="one for each step"),
+    ] = None,
+    emulated: Annotated[
+        bool, typer.Option("--emulate", help="Drive it on QEMU's STM32F4, and count the instructions of each step.")
+    ] = False,
+) -> None:
+    """Write estimator, prediction, QP and failure ladder as C99 without allocation, and say how large they are."""
+    from bench.export.command import export_library  # noqa: PLC0415 - --help and other commands do without it
+
+    export_library(
+        out,
+        model=model,
+        config=config,
+        settings=settings or [],
+        trajectory=trajectory,
+        precision=precision,
+        soft_slots=soft_slots,
+        emulated=emulated,
+    )

@@ -1,0 +1,41 @@
+"""A trajectory as a table in C, for `ddmpc_table_reference`."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from models.interface import Reference
+
+
+def table_text(reference: Reference, spacing: float) -> tuple[str, str]:
+    """Source and header of the table of `reference`, with a row every `spacing` [s] and one at its end."""
+    rows = max(2, int(np.ceil(reference.duration / spacing - 1e-9)) + 1)
+    times = np.minimum(np.arange(rows) * spacing, reference.duration)
+    sample = reference.sample(times)
+    name = f"ddmpc_{_identifier(reference.name)}"
+    points = ",\n".join(
+        "    {" + ", ".join(f"R({float(value)!r})" for value in row) + "}"
+        for row in np.hstack([sample.pose, sample.twist])
+    )
+    source = (
+        '#include "trajectory.h"\n\n'
+        f"static const ddmpc_point points[{rows}] = {{\n{points}\n}};\n\n"
+        f"const ddmpc_table {name} = {{points, {rows}, {spacing!r}, {float(reference.duration)!r}}};\n"
+    )
+    header = (
+        "#ifndef DDMPC_TRAJECTORY_H\n#define DDMPC_TRAJECTORY_H\n\n"
+        '#include "reference.h"\n\n'
+        f"/* {_comment(reference.name)} */\n"
+        f"extern const ddmpc_table {name};\n#define DDMPC_TRAJECTORY {name}\n\n#endif\n"
+    )
+    return source, header
+
+
+def _identifier(name: str) -> str:
+    return re.sub(r"\W", "_", name, flags=re.ASCII).lower() or "trajectory"
+
+
+def _comment(name: str) -> str:
+    return name.replace("*/", "* /")

@@ -1,0 +1,117 @@
+"""The exported controller as a process that answers ticks like `mpc.Controller`: for tests."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+from pathlib import Path
+
+import numpy as np
+
+from bench.export.frames import ANSWER_BYTES, Answer, read_answer, request_bytes
+from models import Measurement
+from mpc import Controller, load_config, load_trajectory
+from mpc.export import Precision, export_controller
+from mpc.hold import Hold
+from sim import make_plant
+
+HOST = Path(__file__).with_name("export_host.c")
+OURS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+THEIRS = ("-std=c99", "-w")
+INCLUDES = ("ddmpc", "osqp", "osqp/inc/public", "osqp/inc/private", "stm32f4")
+# Both solvers come to the same solution, so that what is left are differences of the controllers.
+EXACT = {"solver.tolerance": 1e-9, "solver.max_iterations": 20000}
+
+
+def export(folder: Path, trajectory: str, precision: str, overrides: dict, *flags: str) -> Path:
+    """Export and compile with the host program; our sources with warnings as errors."""
+    folder.mkdir()
+    config = load_config("ssm", {"horizon": 15, **overrides})
+    export_controller(config, load_trajectory(trajectory), folder, Precision(precision))
+    includes = [f"-I{folder / name}" for name in INCLUDES]
+    ours = [HOST, folder / "stm32f4" / "frames.c", *sorted((folder / "ddmpc").glob("*.c"))]
+    theirs = sorted((folder / "osqp").glob("**/*.c"))
+    objects = []
+    for options, sources in ((OURS, ours), (THEIRS, theirs)):
+        for source in sources:
+            objects.append(str(folder / f"{source.stem}.o"))
+            compile_c("-c", str(source), "-o", objects[-1], *options, *flags, *includes)
+    compile_c(*objects, *flags, "-lm", "-o", str(folder / "host"))
+    return folder / "host"
+
+
+def compile_c(*arguments: str) -> None:
+    result = subprocess.run(["gcc", *arguments], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+
+
+class ExportedController:
+    """Drives the host program; `start` and `step` are those of `mpc.Controller`."""
+
+    def __init__(self, program: Path) -> None:
+        self._process = subprocess.Popen(
+            [str(program)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
+        self._anew = True
+        self.spoiled_from = np.inf
+        """Time of the reference from which on its poses are NaN [s]."""
+
+    def start(self, reference, t0: float) -> None:
+        self._anew = True
+
+    def step(self, t: float, measurement: Measurement, hold: Hold | None = None) -> Answer:
+        frame = struct.pack("<d", self.spoiled_from) + request_bytes(t, measurement, hold, anew=self._anew)
+        self._anew = False
+        self._process.stdin.write(frame)
+        self._process.stdin.flush()
+        data = self._process.stdout.read(ANSWER_BYTES)
+        assert len(data) == ANSWER_BYTES, self._process.communicate()[1].decode()
+        return read_answer(data)
+
+    def close(self) -> None:
+        """End the process; it must have nothing to complain of."""
+        _, complaints = self._process.communicate(timeout=10)
+        assert self._process.returncode == 0, complaints.decode()
+
+
+class SpoiledReference:
+    """A trajectory whose poses are NaN from `spoiled_from` [s] on."""
+
+    def __init__(self, name: str) -> None:
+        self._inner = load_trajectory(name)
+        self.name, self.duration, self.spoiled_from = name, self._inner.duration, np.inf
+
+    def sample(self, times):
+        sample = self._inner.sample(times)
+        sample.pose[np.asarray(times, dtype=float) >= self.spoiled_from] = np.nan
+        return sample
+
+
+def drive_both(program: Path, trajectory: str, overrides: dict, ticks: int, *, offset=(0.0, 0.0, 0.0), change=None):
+    """The Python controller drives a noisy robot, and the exported one sees the same; both give their steps.
+
+    `change(k, measurement, exported, reference)` may spoil things and returns time shift, measurement and hold.
+    """
+    config = load_config("ssm", {"horizon": 15, "reentry.enabled": False, **overrides, **EXACT})
+    controller, exported = Controller(config), ExportedController(program)
+    reference = SpoiledReference(trajectory)
+    start = reference.sample([0.0]).pose[0] + offset
+    robot = make_plant("model:ssm", seed=0)
+    robot.reset(start)
+    controller.start(reference, 0.0)
+    exported.start(reference, 0.0)
+    steps = []
+    for k in range(ticks):
+        shift, measurement, hold = 0.0, robot.measure(), None
+        if change is not None:
+            shift, measurement, hold = change(k, measurement, exported, reference)
+        t = robot.time + shift
+        steps.append((controller.step(t, measurement, hold), exported.step(t, measurement, hold)))
+        robot.advance(steps[-1][0].command)
+    exported.close()
+    return steps
+
+
+def differences(steps) -> np.ndarray:
+    """(n, 2) of the commands."""
+    return np.array([ours.command - theirs.command for ours, theirs in steps])

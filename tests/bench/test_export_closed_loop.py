@@ -1,0 +1,156 @@
+"""The exported controller gives the commands of the Python one, in every mode."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from export_parts import EXACT, differences, drive_both, export
+
+from models import Measurement, Stamped
+from mpc import Mode
+from mpc.hold import Hold
+
+# Limits that the square's corners lean on.
+TIGHT = {"limits.omega": 1.0, "limits.v": 0.52, "limits.v_slew": 1.0, "limits.omega_slew": 2.5}
+# Two commands that differ by no more than this are the same one [m/s, rad/s].
+DOUBLE = 1e-6
+
+
+@pytest.fixture(scope="module")
+def in_double(tmp_path_factory):
+    return export(tmp_path_factory.mktemp("export") / "double", "square", "double", {**TIGHT, **EXACT}, "-O1")
+
+
+@pytest.fixture(scope="module")
+def with_sanitizers(tmp_path_factory):
+    """Stops at the first access out of bounds, undefined operation, or complaint; soft limits matter."""
+    folder = tmp_path_factory.mktemp("export") / "sanitized"
+    overrides = {"limits.wheel_speed": 0.58, "failure.resume": False, **EXACT}
+    return export(folder, "s", "double", overrides, "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+
+
+def test_hard_limits_in_double_precision(in_double):
+    steps = drive_both(in_double, "square", TIGHT, 350, offset=(0.02, -0.03, 0.1))
+    assert np.abs(differences(steps)).max() <= DOUBLE
+    solved = np.array([theirs.iterations > 0 for _, theirs in steps])
+    assert solved.mean() > 0.2  # constraints were active
+    assert not solved.all()  # and were not
+    assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)
+
+
+def test_soft_limits_in_double_precision(with_sanitizers):
+    steps = drive_both(with_sanitizers, "s", {"limits.wheel_speed": 0.58, "failure.resume": False}, 150)
+    assert np.abs(differences(steps)).max() <= DOUBLE
+    assert sum(theirs.soft_limits > 0 for _, theirs in steps) > 50
+
+
+def test_single_precision(tmp_path):
+    """Single precision carries the residuals of the solver: its tolerance of 1e-5 in rows of unit length is 5e-5 in
+    the commands (the Python solver's error at that tolerance is as large), and rounding adds to that: 2e-4 in all.
+    """
+    program = export(tmp_path / "float", "square", "float", TIGHT, "-O1")
+    steps = drive_both(program, "square", TIGHT, 350, offset=(0.02, -0.03, 0.1))
+    assert np.abs(differences(steps)).max() <= 2e-4
+    assert all(ours.mode == theirs.mode for ours, theirs in steps)
+
+
+def test_to_the_end(in_double):
+    """The square ends where it begins: the robot starts there, shortly before the end."""
+    skipped = 856 * 0.0202
+
+    def change(k, measurement, exported, reference):
+        return skipped, later(measurement, skipped), None
+
+    steps = drive_both(in_double, "square", TIGHT, 150, change=change)
+    assert [ours.mode for ours, _ in steps] == [theirs.mode for _, theirs in steps]
+    assert np.abs(differences(steps)).max() <= DOUBLE
+    assert steps[0][1].mode == Mode.TRACKING
+    assert steps[-1][1].mode == Mode.FINISHED
+
+
+def later(measurement: Measurement, shift: float) -> Measurement:
+    parts = {
+        name: replace(stamped, time=stamped.time + shift)
+        for name in ("pose", "wheel_twist", "yaw_rate")
+        if (stamped := getattr(measurement, name)) is not None
+    }
+    return replace(measurement, **parts)
+
+
+def events(k, measurement, exported, reference):
+    """What goes wrong, one thing after the other."""
+    shift, hold = 0.0, None
+    if k < 3:
+        measurement = replace(measurement, pose=None)
+    elif 30 <= k < 60:  # no pose for longer than failure.max_pose_age
+        measurement = replace(measurement, pose=None)
+    elif k == 80:
+        measurement = Measurement(Stamped((np.nan, 0.0, 0.0), measurement.pose.time), measurement.wheel_twist)
+    elif 90 <= k < 120:  # carried to another place
+        pose = np.asarray(measurement.pose.value) + [0.4, 0.1, 0.0]
+        measurement = replace(measurement, pose=replace(measurement.pose, value=pose))
+    elif k == 125:
+        shift = -1.0  # the clock runs backwards
+    elif k == 130:
+        shift = 5.0  # the clock leaps, for one tick
+    elif k == 140:
+        measurement = replace(measurement, sent=(0.1, -0.2))
+    elif k == 141:
+        measurement = replace(measurement, sent=(np.nan, 0.0))
+    elif 150 <= k < 156:
+        hold = Hold("the operator says so")
+    elif k == 170:
+        measurement = replace(measurement, yaw_rate=Stamped(50.0, measurement.yaw_rate.time))
+    exported.spoiled_from = reference.spoiled_from = np.inf
+    if 180 <= k < 190:  # no solve succeeds
+        exported.spoiled_from = reference.spoiled_from = (k + 0.5) * 0.0202
+    return shift, measurement, hold
+
+
+def test_every_step_of_the_ladder(in_double):
+    steps = drive_both(in_double, "square", TIGHT, 230, change=events)
+    assert [ours.mode for ours, _ in steps] == [theirs.mode for _, theirs in steps]
+    assert np.abs(differences(steps)).max() <= DOUBLE
+    modes = [theirs.mode for _, theirs in steps]
+    assert set(modes) == {Mode.TRACKING, Mode.REUSED_PLAN, Mode.BRAKING, Mode.STOPPED}
+    assert modes[180:185] == [Mode.REUSED_PLAN] * 5
+    assert modes[185] == Mode.BRAKING
+    assert modes[-1] == Mode.TRACKING
+
+
+def test_a_failure_latches_where_the_robot_must_not_resume(with_sanitizers):
+    overrides = {"limits.wheel_speed": 0.58, "failure.resume": False}
+    steps = drive_both(with_sanitizers, "s", overrides, 100, change=events)
+    assert [ours.mode for ours, _ in steps] == [theirs.mode for _, theirs in steps]
+    assert np.abs(differences(steps)).max() <= DOUBLE
+    assert steps[-1][1].mode == Mode.STOPPED
+
+
+def test_ticks_too_soon_and_pauses(in_double):
+    def change(k, measurement, exported, reference):
+        shift = -0.6 * 0.0202 if k == 20 else 0.0  # too soon after the tick before
+        shift += 3.0 if k >= 40 else 0.0  # a pause
+        return shift, later(measurement, 3.0) if k >= 40 else measurement, None
+
+    steps = drive_both(in_double, "square", TIGHT, 60, change=change)
+    assert [ours.mode for ours, _ in steps] == [theirs.mode for _, theirs in steps]
+    assert np.abs(differences(steps)).max() <= DOUBLE
+    assert {theirs.mode for _, theirs in steps[40:]} >= {Mode.STOPPED}
+
+
+def test_ticks_between_the_rows_of_the_table(in_double):
+    """Ticks that come irregularly see the twist interpolated linearly.
+
+    Where its slope changes by a [rad/s^2], that is off by up to a dt / 4 between two rows dt apart; so are the commands.
+    """
+    rng = np.random.default_rng(0)
+    slope, dt = 2.0, 0.0202
+
+    def change(k, measurement, exported, reference):
+        return rng.uniform(0.0, 0.005), measurement, None
+
+    steps = drive_both(in_double, "square", TIGHT, 200, change=change)
+    assert [ours.mode for ours, _ in steps] == [theirs.mode for _, theirs in steps]
+    assert np.abs(differences(steps)).max() <= slope * dt / 4
