@@ -4,7 +4,7 @@ from models.interface import Measurement, Stamped
 from mpc.config import ControllerConfig
 from mpc.config_file import load_config
 from mpc.controller import Controller
-from mpc.estimator import Estimate
+from mpc.estimate import Estimate
 from mpc.hold import Hold
 from mpc.solver_report import SolverReport, SolverStatus
 from mpc.step_result import Mode, StepResult

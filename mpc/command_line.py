@@ -17,12 +17,14 @@ class CommandLine:
         The sampled model: its delays say which past command acts when.
     history
         Ticks by which an interval may lie in the past and still be recomputed.
+    line
+        (memory + history + 2, 2) memory to use.
     """
 
-    def __init__(self, model: DiscreteModel, history: int) -> None:
+    def __init__(self, model: DiscreteModel, history: int, line: FloatArray | None = None) -> None:
         self._delay = model.delay
         self._memory = model.memory
-        self._line = np.zeros((model.memory + history + 2, 2))
+        self._line = np.zeros((model.memory + history + 2, 2)) if line is None else line
         self.oldest = history
         """Ticks ago of the oldest interval that `acting` reaches."""
 

@@ -17,21 +17,8 @@ from mpc.tick import Tick
 
 
 @dataclass(frozen=True)
-class QuadraticProgram:
-    """Minimise U'HU/2 + g'U + penalty(soft U) subject to |U| <= box and |increments| <= slew.
-
-    Attributes
-    ----------
-    H, g
-        (2 N, 2 N) and (2 N,): Gauss-Newton Hessian and gradient at U = 0.
-    box
-        (2 N,) bound of each command.
-    slew, last_command
-        (2,) bound of each increment, and (2,) the command before the first.
-    soft, soft_lower, soft_upper
-        (5, N, 2 N), (5, N), (5, N): what should stay inside, at a price, over the steps 1 to N: v, omega, right and
-        left wheel speed, distance across the path.
-    """
+class CondensedProgram:
+    """Implements `mpc.quadratic_program.QuadraticProgram` with arrays."""
 
     H: FloatArray
     g: FloatArray
@@ -41,6 +28,14 @@ class QuadraticProgram:
     soft: FloatArray
     soft_lower: FloatArray
     soft_upper: FloatArray
+
+    def soft_values(self, plan: FloatArray) -> FloatArray:
+        """See `QuadraticProgram`."""
+        return self.soft @ plan
+
+    def soft_rows(self, kind: int) -> FloatArray:
+        """See `QuadraticProgram`."""
+        return np.asarray(self.soft[kind])
 
 
 class Condenser:
@@ -95,7 +90,7 @@ class Condenser:
         poses[1:, :2] += tick.pose[:2]
         return poses
 
-    def condense(self, tick: Tick, plan: FloatArray) -> QuadraticProgram:
+    def condense(self, tick: Tick, plan: FloatArray) -> CondensedProgram:
         """Linearise along `plan` (N, 2) and condense."""
         problem, N = self._problem, self._problem.steps
         poses = self.poses(tick, plan)
@@ -138,7 +133,7 @@ class Condenser:
         offset = np.vstack([rows @ tick.free_twist[1:].T, across_error - across @ flat])
         soft_limits = problem.soft_limits(tick)[:, None]
         limits = problem.config.limits
-        return QuadraticProgram(
+        return CondensedProgram(
             H=H,
             g=g,
             box=command_box(limits, self._dt, tick.last_command, N).ravel(),

@@ -13,9 +13,12 @@ from models.interface import FloatArray, Measurement, Reference
 from models.load import load_model
 from models.velocity_model import VelocityModel
 from mpc.bounds import clip_command
+from mpc.compiled.estimator import CompiledEstimator
+from mpc.compiled.library import compiled_or_not
 from mpc.config import ControllerConfig
 from mpc.config_file import replace_values
-from mpc.estimator import Estimate, StateEstimator
+from mpc.estimate import Estimate
+from mpc.estimator import StateEstimator
 from mpc.finish import FinishWatch
 from mpc.hold import Hold
 from mpc.planner import Plan, Planner
@@ -68,7 +71,10 @@ class Controller:
         self._config = config
         self._pending: ControllerConfig | None = None
         sampled = self._model.discretise(config.sample_time)
-        self._estimator = StateEstimator(sampled, config.estimator, config.compensation, config.wheels)
+        parts = (sampled, config.estimator, config.compensation, config.wheels)
+        self._estimator = compiled_or_not(
+            config.solver.compiled, lambda: CompiledEstimator(*parts), lambda: StateEstimator(*parts)
+        )
         self._planner = Planner(config, self._model)
         self._pursuit = Pursuit(config)
         self._finish = FinishWatch()

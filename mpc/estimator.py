@@ -6,7 +6,6 @@ again, so that it counts as if it had come in time.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,51 +15,38 @@ from models.interface import FloatArray, Measurement
 from mpc.belief import Belief
 from mpc.command_line import CommandLine
 from mpc.config import Compensation, Estimator, Wheels
+from mpc.estimate import SENSORS, Estimate
 from mpc.kalman import SlipFilter
 from mpc.measurement_check import numbers
 from mpc.pose_gate import CheckedPose, PoseGate
-from mpc.slip import Slip
 from mpc.twist_gate import CheckedTwist, TwistGate
 
+TOO_MANY = "more arrived for one sample than is kept"
+SENT_REJECTED = "sent command rejected: it is not one that a robot can have got"
+# What one tick of the history holds at most: numbers of wheels and gyro, and poses.
+_MOST_TWISTS, _MOST_POSES = 12, 4
 
-@dataclass(frozen=True)
-class Estimate:
-    """What the controller believes at one tick.
 
-    Attributes
-    ----------
-    time
-        Time of the tick [s].
-    pose
-        (3,) x [m], y [m], theta [rad, unwrapped].
-    twist
-        (2,) v [m/s], omega [rad/s] of the body, slip included.
-    slip
-        What lies between the model's twist and that of the body.
-    gyro_bias
-        Bias of the gyro [rad/s].
-    state
-        (n,) states of the velocity model.
-    pose_deviation, twist_deviation, slip_deviation, gyro_bias_deviation
-        Standard deviations of the above, in the same shapes and units.
-    innovations
-        By sensor, the newest squared innovation over its variance: 1 on average where the assumptions hold [-].
-    pose_age
-        Time since the stamp of the last accepted pose [s].
-    """
+def history_ticks(settings: Estimator, dt: float) -> int:
+    """Ticks that the history holds."""
+    return int(np.ceil(settings.history / dt)) + 1
 
-    time: float
-    pose: FloatArray
-    twist: FloatArray
-    slip: Slip
-    gyro_bias: float
-    state: FloatArray
-    pose_deviation: FloatArray
-    twist_deviation: FloatArray
-    slip_deviation: Slip
-    gyro_bias_deviation: float
-    innovations: Mapping[str, float]
-    pose_age: float
+
+def build_filter(
+    model: DiscreteModel, settings: Estimator, compensation: Compensation | None, wheels: Wheels | None
+) -> SlipFilter:
+    """The Kalman filter; see `StateEstimator` for the parameters."""
+    wheels = wheels or Wheels()
+    # Per unit of omega_ref the wheels turn with the ratio of the tracks, and the model with its steady gain.
+    ratio = wheels.track / wheels.encoder_track / float(model.dc_gain[1, 1])
+    return SlipFilter(model, settings, compensation or Compensation(), ratio)
+
+
+def check_sent(sent: tuple[float, float], settings: Estimator) -> FloatArray | None:
+    """What the robot says it got, as (2,) numbers; None if it cannot be."""
+    value = numbers(sent, 2)
+    largest = [settings.max_wheel_speed, settings.max_yaw_rate]
+    return None if value is None or (np.abs(value) > largest).any() else value
 
 
 @dataclass
@@ -98,11 +84,8 @@ class StateEstimator:
     ) -> None:
         self._model = model
         self._settings = settings
-        wheels = wheels or Wheels()
-        # Per unit of omega_ref the wheels turn with the ratio of the tracks, and the model with its steady gain.
-        ratio = wheels.track / wheels.encoder_track / float(model.dc_gain[1, 1])
-        self._length = int(np.ceil(settings.history / model.dt)) + 1
-        self._filter = SlipFilter(model, settings, compensation or Compensation(), ratio)
+        self._length = history_ticks(settings, model.dt)
+        self._filter = build_filter(model, settings, compensation, wheels)
         self._corrections = {
             "wheel_speed": self._filter.correct_wheel_speed,
             "wheel_yaw_rate": self._filter.correct_wheel_yaw_rate,
@@ -138,32 +121,28 @@ class StateEstimator:
     @property
     def estimate(self) -> Estimate:
         """The newest estimate; only once `ready`."""
-        node, n = self._nodes[-1], self._model.order
-        mean = node.posterior.mean
-        deviation = np.sqrt(np.maximum(np.diag(node.posterior.covariance), 0.0))
-        return Estimate(
-            time=node.time,
-            pose=mean[-3:].copy(),
-            twist=self._filter.twist(mean),
-            slip=self._filter.slip(mean),
-            gyro_bias=float(mean[-4]),
-            state=mean[:n].copy(),
-            pose_deviation=deviation[-3:],
-            twist_deviation=self._filter.twist_deviation(node.posterior),
-            slip_deviation=self._filter.slip(deviation),
-            gyro_bias_deviation=float(deviation[-4]),
-            innovations=dict(self._innovations),
-            pose_age=node.time - self._poses.accepted_stamp,
+        node = self._nodes[-1]
+        belief = node.posterior
+        deviation = np.sqrt(np.maximum(np.diag(belief.covariance), 0.0))
+        values = np.concatenate(
+            [
+                [node.time, node.time - self._poses.accepted_stamp],
+                belief.mean,
+                deviation,
+                self._filter.twist(belief.mean),
+                self._filter.twist_deviation(belief),
+                [self._innovations.get(sensor, np.nan) for sensor in SENSORS],
+            ]
         )
+        return Estimate(values, self._model.order)
 
     def correct_sent(self, sent: tuple[float, float] | None) -> list[str]:
         """Believe what the robot says it got at the last tick, unless it cannot be; then returns why not."""
         if sent is None:
             return []
-        value = numbers(sent, 2)
-        largest = [self._settings.max_wheel_speed, self._settings.max_yaw_rate]
-        if value is None or (np.abs(value) > largest).any():
-            return ["sent command rejected: it is not one that a robot can have got"]
+        value = check_sent(sent, self._settings)
+        if value is None:
+            return [SENT_REJECTED]
         self.commands.correct_last(value)
         return []
 
@@ -195,12 +174,17 @@ class StateEstimator:
         for twist in twists:
             # At the nearest tick: within half a sample a twist changes little.
             index = self._node_before(twist.stamp + 0.5 * self._model.dt)
+            if len(self._nodes[index].twists) == _MOST_TWISTS:
+                rejected.append(f"{twist.message} rejected: {TOO_MANY}")
+                continue
             self._nodes[index].twists.append(twist)
             first = min(first, index)
         if pose is not None:
             index = self._node_before(pose.stamp)
             node = self._nodes[index]
-            if self._poses.passes(pose, self._filter.pose_at(node.posterior, pose.stamp - node.time), rejected):
+            if len(node.poses) == _MOST_POSES:
+                rejected.append(f"pose rejected: {TOO_MANY}")
+            elif self._poses.passes(pose, self._filter.pose_at(node.posterior, pose.stamp - node.time), rejected):
                 node.poses.append(pose)
                 first = min(first, index)
         self._filter_from(first)

@@ -17,17 +17,17 @@ class FeedForward:
     """
 
     def __init__(self, model: VelocityModel, dt: float, steps: int) -> None:
-        self._inverse_gain = np.linalg.inv(model.dc_gain)
+        self.inverse_gain = np.linalg.inv(model.dc_gain)
         # A zero close to the origin can make a lag negative: there is no twist before now to answer to.
         ahead = np.maximum(model.lag, 0.0) / dt
-        whole = np.floor(ahead).astype(int)
-        self._rest = ahead - whole
-        self._rows = np.arange(steps)[:, None] + whole
+        self.whole = np.floor(ahead).astype(int)
+        self.rest = ahead - self.whole
+        self._rows = np.arange(steps)[:, None] + self.whole
         self.samples = int(self._rows.max()) + 2
         """Samples of the reference's twist that `commands` needs, from now on."""
 
     def commands(self, twist: FloatArray, slip: Slip) -> FloatArray:
         """(N, 2) commands for reference twists (samples, 2) under `slip`."""
         now, after = twist[self._rows, [0, 1]], twist[self._rows + 1, [0, 1]]
-        wanted = (now + self._rest * (after - now)) / slip.gains - slip.offset
-        return np.asarray(wanted @ self._inverse_gain.T)
+        wanted = (now + self.rest * (after - now)) / slip.gains - slip.offset
+        return np.asarray(wanted @ self.inverse_gain.T)

@@ -6,7 +6,7 @@ import numpy as np
 
 from models.interface import Reference
 from mpc.config import Finish
-from mpc.estimator import Estimate
+from mpc.estimate import Estimate
 
 
 class FinishWatch:

@@ -42,9 +42,9 @@ class SlipFilter:
         self, model: DiscreteModel, settings: Estimator, compensation: Compensation, wheel_yaw_ratio: float
     ) -> None:
         n, dt = model.order, model.dt
-        self._model, self._settings, self._n, self._ratio = model, settings, n, wheel_yaw_ratio
-        self._mean_output = 0.5 * model.C @ (np.eye(n) + model.A)
-        self._settled = np.column_stack([model.settled_state(unit) for unit in np.eye(2)])
+        self._model, self._settings, self._n, self.wheel_yaw_ratio = model, settings, n, wheel_yaw_ratio
+        self.mean_output = 0.5 * model.C @ (np.eye(n) + model.A)
+        self.settled = np.column_stack([model.settled_state(unit) for unit in np.eye(2)])
         self._transition = np.eye(n + 9)
         self._transition[:n, :n] = model.A
         on, s = compensation, settings
@@ -65,17 +65,17 @@ class SlipFilter:
             s.side_slip_drift,
             s.gyro_bias_drift,
         ]
-        self._uncertainty = estimated * np.array(uncertainty)
-        self._drift = dt * np.square(estimated * np.array(drift))
+        self.uncertainty = estimated * np.array(uncertainty)
+        self.drift = dt * np.square(estimated * np.array(drift))
         drive = model.B0 + model.B1
         noise = np.zeros((n + 9, n + 9))
         inputs = np.array([s.v_input_noise, s.omega_input_noise])
         noise[:n, :n] = (drive * inputs**2) @ drive.T
         pose = np.square([s.position_drift, s.position_drift, s.heading_drift])
         noise[n + _POSE :, n + _POSE :] = np.diag(pose * dt)
-        self._noise = noise
+        self.noise = noise
         self._diagonal = np.arange(n, n + _POSE)
-        self._patience = round(s.lasting_surprise / dt)
+        self.patience = round(s.lasting_surprise / dt)
 
     def moving(self, commands: CommandLine) -> Belief:
         """A robot that obeys the commands sent so far as the model says, somewhere.
@@ -89,8 +89,8 @@ class SlipFilter:
             recent, older = commands.acting(ticks_ago)
             state = model.A @ state + model.B0 @ recent + model.B1 @ older
         P = np.zeros((n + 9, n + 9))
-        P[:n, :n] = (self._settled * np.square(model.C @ state)) @ self._settled.T
-        P[self._diagonal, self._diagonal] = np.square(self._uncertainty)
+        P[:n, :n] = (self.settled * np.square(model.C @ state)) @ self.settled.T
+        P[self._diagonal, self._diagonal] = np.square(self.uncertainty)
         mean = np.zeros(n + 9)
         mean[:n] = state
         mean[n + _OMEGA_GAIN : n + _SIDE_SLIP] = 1.0
@@ -128,15 +128,15 @@ class SlipFilter:
         v, omega, _, _ = self._twist(z, output)
         pose, by_pose, by_twist = linearised_arc(z[at:], v, omega, model.dt, z[n + _SIDE_SLIP])
         F = self._transition
-        T = self._twist_gradient(z, self._mean_output, output)
+        T = self._twist_gradient(z, self.mean_output, output)
         F[at:, :at] = by_twist[:, :2] @ T[:, :at]
         F[at:, n + _SIDE_SLIP] += by_twist[:, 2]
         F[at:, at:] = by_pose
-        P = F @ belief.covariance @ F.T + self._noise
+        P = F @ belief.covariance @ F.T + self.noise
         # A gain shows only while its channel moves: without news its uncertainty must not grow.
         turning, driving = abs(omega) >= s.least_yaw_rate, abs(v) >= s.least_speed
         moving = np.array([True, turning, driving, turning, turning and driving, True])
-        P[self._diagonal, self._diagonal] += self._drift * moving
+        P[self._diagonal, self._diagonal] += self.drift * moving
         mean = z.copy()
         mean[:n], mean[at:] = state, pose
         return belief.later(mean, P)
@@ -154,9 +154,9 @@ class SlipFilter:
         n, z = self._n, belief.mean
         output, gain = float(self._model.C[1] @ z[:n]), float(z[n + _OMEGA_GAIN])
         h = np.zeros(n + 9)
-        h[:n] = self._ratio * gain * self._model.C[1]
-        h[n + _OMEGA_GAIN] = self._ratio * output
-        return self._correct_scalar(belief, _WHEEL_YAW_RATE, h, value - self._ratio * gain * output, variance)
+        h[:n] = self.wheel_yaw_ratio * gain * self._model.C[1]
+        h[n + _OMEGA_GAIN] = self.wheel_yaw_ratio * output
+        return self._correct_scalar(belief, _WHEEL_YAW_RATE, h, value - self.wheel_yaw_ratio * gain * output, variance)
 
     def correct_yaw_rate(self, belief: Belief, value: float, variance: float) -> tuple[Belief, float]:
         """Take in the gyro's yaw rate [rad/s]: the body's, and a bias."""
@@ -227,7 +227,7 @@ class SlipFilter:
         normalised = innovation * innovation / (float(h @ PHt) + variance)
         belief, pushed = self._judged(belief, sensor, normalised)
         if pushed:
-            settled = self._settled[:, 0 if sensor == _WHEEL_SPEED else 1]
+            settled = self.settled[:, 0 if sensor == _WHEEL_SPEED else 1]
             P = P.copy()
             P[:n, :n] += innovation**2 * np.outer(settled, settled)
             PHt = P @ h
@@ -241,7 +241,7 @@ class SlipFilter:
         """Count an innovation; whether it tells of something other than slip, which does not last."""
         surprising = normalised > self._settings.surprise
         belief = belief.judged(sensor, surprising)
-        return belief, surprising and belief.surprised[sensor] <= self._patience
+        return belief, surprising and belief.surprised[sensor] <= self.patience
 
     def _frozen(self, z: FloatArray, pushed: bool) -> list[int]:
         """Places of the states that a measurement may not change."""

@@ -21,7 +21,7 @@ def numbers(value: Any, count: int) -> FloatArray | None:  # noqa: ANN401 - what
     """`value` as `count` finite numbers, or None if it is anything else."""
     try:
         array = np.asarray(value, dtype=float).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None
     return array if len(array) == count and bool(np.isfinite(array).all()) else None
 

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from models.interface import FloatArray, Reference
 from models.velocity_model import VelocityModel
+from mpc.begin_tick import begin_tick
 from mpc.bounds import command_box
+from mpc.compiled.condenser import CompiledCondenser
+from mpc.compiled.library import compiled_or_not
 from mpc.condensed import Condenser
 from mpc.config import ControllerConfig
-from mpc.estimator import Estimate
+from mpc.estimate import Estimate
 from mpc.feed_forward import FeedForward
-from mpc.lean import lean
-from mpc.osqp_solver import OsqpSolver
 from mpc.problem import TrackingProblem
 from mpc.solver_report import SolverReport
 from mpc.tick import Tick
+from mpc.ways import make_way
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class Plan:
 
 
 class Planner:
-    """Holds the problem, its solver and the last plan.
+    """Holds the problem, the way through it and the last plan.
 
     Raises
     ------
@@ -51,18 +54,24 @@ class Planner:
     def __init__(self, config: ControllerConfig, model: VelocityModel) -> None:
         self._config = config
         self._dt = config.sample_time
-        self._problem = TrackingProblem(config, model.discretise(self._dt))
-        self._condenser = Condenser(self._problem)
-        self._solver = OsqpSolver(config.horizon, config.solver, config.weights)
-        self._feed_forward = FeedForward(model, self._dt, config.horizon)
-        samples = max(self._feed_forward.samples, config.horizon + 1)
-        self._times = np.arange(samples) * self._dt
+        problem = TrackingProblem(config, model.discretise(self._dt))
+        feed_forward = FeedForward(model, self._dt, config.horizon)
+        self._condenser = compiled_or_not(
+            config.solver.compiled, lambda: CompiledCondenser(problem, feed_forward), lambda: Condenser(problem)
+        )
+        self._begin = (
+            self._condenser.begin
+            if isinstance(self._condenser, CompiledCondenser)
+            else partial(begin_tick, problem, feed_forward)
+        )
+        self._way = make_way(problem, self._condenser)
+        self._times = np.arange(feed_forward.samples) * self._dt
         self._guess: FloatArray | None = None
 
     def reset(self) -> None:
         """Forget the last plan and the solver's warm start."""
         self._guess = None
-        self._solver.reset()
+        self._way.reset()
 
     def tick(
         self, estimate: Estimate, past: FloatArray, last_command: FloatArray, reference: Reference, since_start: float
@@ -71,23 +80,7 @@ class Planner:
 
         `past` (memory, 2) are the commands on their way, `last_command` (2,) is the one that slew counts from.
         """
-        sample = reference.sample(since_start + self._times)
-        poses = sample.pose[: self._config.horizon + 1].copy()
-        # The estimate counts its turns itself: meet it on the turn it is on.
-        poses[:, 2] += 2 * np.pi * np.round((estimate.pose[2] - poses[0, 2]) / (2 * np.pi))
-        slip = estimate.slip
-        aim, heading = lean(poses, sample.twist[: len(poses)], slip.side_slip, self._config.weights)
-        free = self._problem.prediction.free_twists(estimate.state, past).reshape(-1, 2)
-        return Tick(
-            pose=estimate.pose,
-            free_twist=slip.gains * (free + slip.offset),
-            gains=slip.gains,
-            side_slip=slip.side_slip,
-            reference=aim,
-            heading=heading,
-            feed_forward=self._feed_forward.commands(sample.twist, slip),
-            last_command=last_command,
-        )
+        return self._begin(estimate, past, last_command, reference.sample(since_start + self._times))
 
     def plan(
         self, estimate: Estimate, past: FloatArray, last_command: FloatArray, reference: Reference, since_start: float
@@ -97,10 +90,10 @@ class Planner:
         if self._guess is None:
             box = command_box(self._config.limits, self._dt, tick.last_command, len(tick.feed_forward))
             self._guess = np.clip(tick.feed_forward, -box, box)
-        solution = self._solver.solve(self._condenser.condense(tick, self._guess), self._guess)
+        solution = self._way.solve(tick, self._guess)
         if not (solution.report.status.usable and np.isfinite(solution.plan).all()):
             self.reset()
             return None, solution.report
-        plan = Plan(solution.plan, self._condenser.poses(tick, solution.plan), tick.reference)
+        plan = Plan(solution.plan, self._condenser.poses(tick, solution.plan), tick.reference.copy())
         self._guess = np.vstack([solution.plan[1:], solution.plan[-1:]])
         return plan, solution.report

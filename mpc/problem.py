@@ -88,18 +88,21 @@ class TrackingProblem:
         (v, omega) = 1 / gains
         return np.array([[1.0, 0.0], [0.0, 1.0], [v, half * omega], [v, -half * omega]])
 
+    def largest_soft(self) -> FloatArray:
+        """(5,) limits of the rows of `twist_rows`, and of the distance across the path, as configured."""
+        lim = self.config.limits
+        return np.array([lim.predicted_v, lim.predicted_omega, lim.wheel_speed, lim.wheel_speed, lim.corridor])
+
     def soft_limits(self, tick: Tick) -> FloatArray:
-        """(5,) limits of the rows of `twist_rows`, and of the distance across the path.
+        """(5,) limits of the same at this tick.
 
         Where the robot is already beyond a limit, its present value is the limit: it may not get worse, and a robot
         pushed far off its path does not fight a constraint that no plan can meet.
         """
-        lim = self.config.limits
-        limits = np.array([lim.predicted_v, lim.predicted_omega, lim.wheel_speed, lim.wheel_speed, lim.corridor])
         x, y, theta = tick.reference[0]
         across = np.cos(theta) * (tick.pose[1] - y) - np.sin(theta) * (tick.pose[0] - x)
         now = np.append(self.twist_rows(tick.gains) @ tick.free_twist[0], across)
-        return np.asarray(np.maximum(limits, np.abs(now)))
+        return np.asarray(np.maximum(self.largest_soft(), np.abs(now)))
 
     def nonlinear_program(self, tick: Tick) -> tuple[dict[str, ca.MX], dict[str, FloatArray]]:
         """The whole problem as a CasADi nonlinear program, for a solver such as IPOPT.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 
@@ -47,3 +47,7 @@ class SolverReport:
     primal_residual: float = float("nan")
     dual_residual: float = float("nan")
     soft_limits: bool = False
+
+    def after(self, iterations: int) -> SolverReport:
+        """The same with the `iterations` of all solves of the tick."""
+        return self if iterations == self.iterations else replace(self, iterations=iterations)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from models.interface import FloatArray
-from mpc.estimator import Estimate
+from mpc.estimate import Estimate
 from mpc.solver_report import SolverReport
 
 

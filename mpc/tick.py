@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from models.interface import FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass
 class Tick:
-    """The data of one optimal control problem over N steps.
+    """The data of one optimal control problem over N steps; in C the memory of one serves all.
 
     Attributes
     ----------

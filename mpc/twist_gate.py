@@ -13,8 +13,12 @@ from mpc.measurement_check import covariance, numbers, stamp_fault
 
 @dataclass(frozen=True)
 class CheckedTwist:
-    """One number of a measured twist: "wheel_speed" [m/s], "wheel_yaw_rate" or "yaw_rate" [rad/s], of the gyro."""
+    """One number of a measured twist: "wheel_speed" [m/s], "wheel_yaw_rate" or "yaw_rate" [rad/s], of the gyro.
 
+    `message` names what it came with.
+    """
+
+    message: str
     sensor: str
     value: float
     variance: float
@@ -55,7 +59,9 @@ class _Channels:
             jumps = np.abs(values - before) > self._jump
             if not jumps.any():
                 rows = zip(self._sensors, values.tolist(), variances.tolist(), strict=True)
-                return [CheckedTwist(sensor, value, variance, self._stamp) for sensor, value, variance in rows]
+                return [
+                    CheckedTwist(self._name, sensor, value, variance, self._stamp) for sensor, value, variance in rows
+                ]
             at = int(np.argmax(jumps))
             fault = f"it jumps from {before[at]:.2f} to {values[at]:.2f}"
         rejected.append(f"{self._name} rejected: {fault}")

@@ -10,7 +10,7 @@ import numpy as np
 from models.interface import Reference
 from models.pose import wrap_angle
 from mpc.config import ControllerConfig
-from mpc.estimator import Estimate
+from mpc.estimate import Estimate
 from mpc.reentry.blocked import BlockedWatch
 from mpc.reentry.options import Course
 from mpc.reentry.path_window import STANDING, TURNING, PathWindow, in_path

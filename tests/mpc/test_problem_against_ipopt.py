@@ -9,8 +9,8 @@ import pytest
 from models import load_model
 from mpc import load_config
 from mpc.condensed import Condenser
-from mpc.osqp_solver import OsqpSolver
 from mpc.problem import TrackingProblem
+from mpc.qp.condensed_solver import CondensedSolver as OsqpSolver
 from mpc.slip import Slip
 from mpc.solver_report import SolverStatus
 from mpc.tick import Tick

@@ -1,0 +1,65 @@
+"""The condensed quadratic program, as its solvers see it."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from models.interface import FloatArray
+
+
+class QuadraticProgram(Protocol):
+    """Minimise U'HU/2 + g'U + penalty(soft U) subject to |U| <= box and |increments| <= slew.
+
+    U are the commands of N steps, flat (2 N,). It is valid until the next one is condensed.
+    """
+
+    @property
+    def H(self) -> FloatArray:  # noqa: N802 - the letter of the field
+        """(2 N, 2 N) Gauss-Newton Hessian."""
+        ...
+
+    @property
+    def g(self) -> FloatArray:
+        """(2 N,) gradient at U = 0."""
+        ...
+
+    @property
+    def box(self) -> FloatArray:
+        """(2 N,) bound of each command."""
+        ...
+
+    @property
+    def slew(self) -> FloatArray:
+        """(2,) bound of each increment."""
+        ...
+
+    @property
+    def last_command(self) -> FloatArray:
+        """(2,) the command before the first."""
+        ...
+
+    @property
+    def soft(self) -> FloatArray:
+        """(5, N, 2 N) rows of what should stay inside, at a price, over the steps 1 to N.
+
+        The kinds are v, omega, right and left wheel speed, distance across the path.
+        """
+        ...
+
+    @property
+    def soft_lower(self) -> FloatArray:
+        """(5, N) lower bounds of these rows."""
+        ...
+
+    @property
+    def soft_upper(self) -> FloatArray:
+        """(5, N) upper bounds of these rows."""
+        ...
+
+    def soft_values(self, plan: FloatArray) -> FloatArray:
+        """(5, N) the soft rows at the flat `plan` (2 N,)."""
+        ...
+
+    def soft_rows(self, kind: int) -> FloatArray:
+        """(N, 2 N) the soft rows of one kind."""
+        ...
