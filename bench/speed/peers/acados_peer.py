@@ -33,7 +33,7 @@ class AcadosPeer:
     problem
         The fields of a `bench.speed.stage.StageProblem`.
     settings
-        `qp_solver`, `blocks` (partial condensing; 0 keeps every stage), `mode` (HPIPM's), `tolerance`,
+        `qp_solver`, `stages_per_block` (of partial condensing), `mode` (HPIPM's), `tolerance`,
         `max_iterations`, `warm_start`, `shift`, `soft_limits`, `flags` (compiler).
     folder
         Where code is generated and compiled. The current folder must be this one.
@@ -120,8 +120,7 @@ def _ocp(problem: dict[str, Any], settings: dict[str, Any]) -> AcadosOcp:
     options.tf = float(N)
     options.integrator_type, options.nlp_solver_type, options.hessian_approx = "DISCRETE", "SQP_RTI", "GAUSS_NEWTON"
     options.qp_solver = settings["qp_solver"]
-    if settings["blocks"]:
-        options.qp_solver_cond_N = min(settings["blocks"], N)
+    options.qp_solver_cond_N = -(-N // settings["stages_per_block"])
     options.hpipm_mode = settings["mode"]
     options.qp_solver_tol_stat = options.qp_solver_tol_eq = settings["tolerance"]
     options.qp_solver_tol_ineq = options.qp_solver_tol_comp = settings["tolerance"]

@@ -26,7 +26,7 @@ class DoMpcPeer:
     problem
         The fields of a `bench.speed.stage.StageProblem`.
     settings
-        `ipopt`: IPOPT's options.
+        IPOPT's options.
     folder
         Not used: nothing is compiled.
     """
@@ -35,11 +35,10 @@ class DoMpcPeer:
         del folder
         self._horizon = problem["horizon"]
         mpc = MPC(_model(problem))
-        options = {f"ipopt.{name}": value for name, value in settings["ipopt"].items()}
         mpc.settings.n_horizon, mpc.settings.t_step = self._horizon, 1.0
         mpc.settings.store_full_solution = False
         mpc.settings.store_lagr_multiplier = False
-        mpc.settings.nlpsol_opts = options | {"print_time": False, "record_time": True, "ipopt.print_level": 0, "ipopt.sb": "yes"}
+        mpc.settings.nlpsol_opts = {**settings, "print_time": False, "record_time": True}
         model = mpc.model
         z, u, s = model.x["state"], model.u["command"], model.u["slack"]
         p, p_after = model.tvp["stage"], model.tvp["next_stage"]
