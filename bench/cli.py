@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from bench.commands import bench, identify, node, real_logs, reproduce, robot, simulate, tracking
+from bench.commands import bench, identify, node, real_logs, reproduce, robot, simulate, speed, tracking
 from bench.commands.config import config_app
 from bench.commands.models import models_app
 from bench.commands.one_line_errors import OneLineErrors
@@ -24,6 +24,7 @@ app.command("identify", epilog=identify.EXAMPLE)(identify.identify)
 app.command("tracking", epilog=tracking.EXAMPLE)(tracking.tracking)
 app.command("real-logs", epilog=real_logs.EXAMPLE)(real_logs.real_logs)
 app.command("reproduce", epilog=reproduce.EXAMPLE)(reproduce.reproduce)
+app.command("speed", epilog=speed.EXAMPLE)(speed.speed)
 app.command("node", epilog=node.EXAMPLE, context_settings=node.ROS_ARGUMENTS)(node.node)
 app.command("robot", epilog=robot.EXAMPLE, context_settings=node.ROS_ARGUMENTS)(robot.robot)
 app.add_typer(config_app, name="config")
