@@ -57,7 +57,15 @@ def _make(folder: Path) -> None:
     lines = REQUIREMENTS.read_text(encoding="utf-8").splitlines()
     first = next(line for line in lines if not line.startswith("#"))
     _run(sys.executable, "-m", "venv", str(folder))
-    pip = (str(folder / "bin" / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps")
+    pip = (
+        str(folder / "bin" / "python"),
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+        "--no-deps",
+    )
     _run(*pip, first)
     _run(*pip, "--requirement", str(REQUIREMENTS))
     (folder / _READY).touch()

@@ -159,14 +159,14 @@ def _replay(one: _Running, block: int) -> Iterator[None]:
 
 def _gaps(one: _Running, converged: Subject, every: int) -> FloatArray:
     """(n, 2) |command - converged command| at every so many ticks."""
-    gaps = []
+    gaps: list[FloatArray] = []
     for k in range(0, len(one.drive.ticks), every):
         data = one.drive.peer_data[k]
         converged.reset(data)
         (answer,) = converged.run([data])
         if answer.solved:
             gaps.append(np.abs(np.subtract(one.drive.answers[k].command, answer.command)))
-    return np.array(gaps or [[np.nan, np.nan]])
+    return np.array(gaps or [np.full(2, np.nan)])
 
 
 def _measured(one: _Running, gaps: FloatArray) -> Measured:

@@ -103,7 +103,7 @@ def time_statistics(whole: FloatArray, inside: FloatArray) -> dict[str, float]:
 
 
 def growth_exponent(horizons: FloatArray, times: FloatArray) -> float:
-    """e of times = c horizons^e by least squares of the logarithms; NaN with fewer than two horizons."""
+    """Exponent e of times = c horizons^e, by least squares of the logarithms; NaN with fewer than two horizons."""
     if len(horizons) < 2:
         return float("nan")
     return float(np.polyfit(np.log(horizons), np.log(times), 1)[0])

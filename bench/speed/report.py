@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 from bench.figures.speed import draw_horizons, draw_tails
@@ -59,5 +60,5 @@ def introduction(results: SpeedResults) -> str:
 
 
 def _line(row: dict[str, object]) -> str:
-    finite = {name: None if isinstance(value, float) and value != value else value for name, value in row.items()}
+    finite = {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in row.items()}
     return json.dumps(finite, allow_nan=False)

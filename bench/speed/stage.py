@@ -16,7 +16,7 @@ from models.interface import FloatArray
 from models.pose import arc_function
 from mpc.bounds import slew_step
 from mpc.config import ControllerConfig
-from mpc.estimator import Estimate
+from mpc.estimate import Estimate
 from mpc.problem import TrackingProblem
 from mpc.tick import Tick
 

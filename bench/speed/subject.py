@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from typing import Self
 
 _WORKER = Path(__file__).with_name("worker.py")
-_ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 class SubjectError(RuntimeError):

@@ -106,17 +106,18 @@ def _exactness(results: SpeedResults, model: str) -> Table:
         f"Exactness, {model.upper()}, N = {n}",
         (
             "solver",
-            "gap v p50 [mm/s]",
-            "gap v max [mm/s]",
-            "gap omega p50 [mrad/s]",
-            "gap omega max [mrad/s]",
+            "v p50 [mm/s]",
+            "v max [mm/s]",
+            "omega p50 [mrad/s]",
+            "omega max [mrad/s]",
             "cost",
-            "iterations",
-            "unsolved",
+            "its",
+            "fails",
             "at limits [%]",
         ),
         tuple(rows),
-        note="Gap: command against the converged one at the same state. Cost: of the closed loop, per tick.",
+        note="Distance of the command from the converged one at the same state, p50 and maximum. Cost: of the "
+        "closed loop, per tick. Its: median of the solver's iterations. Fails: ticks at which the solver gave up.",
     )
 
 

@@ -73,7 +73,7 @@ class AcadosPeer:
         self._solver.custom_update(data)
         data[0] = self._shift
         self._status = self._solver.solve()
-        return self._solver.get(0, "u")
+        return np.asarray(self._solver.get(0, "u"))
 
     def report(self) -> Report:
         """Of the last solve."""

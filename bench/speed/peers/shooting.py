@@ -38,12 +38,12 @@ class ShootingProgram:
     states: int
 
     def guess(self, states: np.ndarray, commands: np.ndarray) -> np.ndarray:
-        """x for states (N + 1, z) and commands (N, 2), no soft limit exceeded."""
+        """X for states (N + 1, z) and commands (N, 2), no soft limit exceeded."""
         slack = np.zeros((len(commands), SOFT))
         return np.concatenate([np.column_stack([states[:-1], commands, slack]).ravel(), states[-1]])
 
     def shifted(self, x: np.ndarray) -> np.ndarray:
-        """x one stage later, its last stage repeated."""
+        """X one stage later, its last stage repeated."""
         return np.concatenate([x[self.stride :], x[-self.stride :]])
 
     def command(self, x: np.ndarray) -> np.ndarray:
