@@ -39,7 +39,7 @@ class PeerInput:
         estimator.update(t, measurement)
         past, estimate = estimator.commands.recent, estimator.estimate
         tick = self._planner.tick(estimate, past, past[-1], self._reference, t)
-        return stage_data(self._problem, tick, estimate, past)
+        return stage_data(self._problem, tick, estimate.state, estimate.slip.offset, past)
 
     def sent(self, command: FloatArray) -> FloatArray:
         """What is sent for a peer's `command` (2,): as with ours, the nearest inside range and slew."""

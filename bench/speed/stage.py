@@ -16,7 +16,6 @@ from models.interface import FloatArray
 from models.pose import arc_function
 from mpc.bounds import slew_step
 from mpc.config import ControllerConfig
-from mpc.estimate import Estimate
 from mpc.problem import TrackingProblem
 from mpc.tick import Tick
 
@@ -107,14 +106,22 @@ def stage_problem(config: ControllerConfig, model: DiscreteModel) -> StageProble
 
 
 def stage_data(
-    problem: TrackingProblem, tick: Tick, estimate: Estimate, past: FloatArray
+    problem: TrackingProblem, tick: Tick, state: FloatArray, offset: FloatArray, past: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """State of the first stage (z,) and parameters of all stages (N + 1, p) for one tick.
+
+    Parameters
+    ----------
+    problem, tick
+        What is to be solved.
+    state, offset, past
+        What the tick's free twist was made of: (n,) states of the model, (2,) offset of its twist, (memory, 2) commands
+        on their way.
 
     Raises
     ------
     ValueError
-        If the last command of the tick is not the newest of `past` (memory, 2): a stage knows only one of them.
+        If the last command of the tick is not the newest of `past`: a stage knows only one of them.
     """
     if not np.array_equal(tick.last_command, past[-1]):
         raise ValueError("the last command and the newest one on its way differ: peers cannot state that")
@@ -124,10 +131,10 @@ def stage_data(
     parameters[:, 3] = tick.heading
     parameters[:N, 4:6] = tick.feed_forward
     parameters[:, 6:8] = tick.gains
-    parameters[:, 8:10] = estimate.slip.offset
+    parameters[:, 8:10] = offset
     parameters[:, 10] = tick.side_slip
     parameters[:, 11:] = problem.soft_limits(tick)
-    return np.concatenate([estimate.state, tick.pose, past.ravel()]), parameters
+    return np.concatenate([state, tick.pose, past.ravel()]), parameters
 
 
 def _serialised(name: str, arguments: list[ca.SX], result: ca.SX) -> str:
