@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 from bench.atomic import staged
@@ -81,7 +80,7 @@ def _environment(settings: SpeedSettings, folder: Path | None) -> PeerEnvironmen
         return error
 
 
-def _pinned() -> Sequence[str]:
+def _pinned() -> list[str]:
     """The peers and their versions."""
     lines = REQUIREMENTS.read_text(encoding="utf-8").splitlines()
     names = ("comma-deps-acados", "casadi", "do-mpc")

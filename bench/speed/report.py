@@ -12,7 +12,7 @@ from bench.speed.tables import detailed_horizon, speed_tables
 
 REPORT_FILES = ("speed.json", "speed.md")
 FIGURES = "figures"
-FIGURE_FILES = ("speed-horizon.png", "speed-tail.png")
+FIGURE_FILES = ("horizon.png", "tail.png")
 
 
 def write_report(results: SpeedResults, folder: Path) -> None:
@@ -44,6 +44,8 @@ def introduction(results: SpeedResults) -> str:
     assert isinstance(machine, dict)
     assert isinstance(settings, dict)
     assert isinstance(load, dict)
+    peers = meta["peers"]
+    assert isinstance(peers, list)
     packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
     revision = f", revision {meta['revision']}" if meta["revision"] else ""
     core = "one core for all" if meta["core"] is not None else "no core of their own"
@@ -54,9 +56,14 @@ def introduction(results: SpeedResults) -> str:
             f"{load['before']:.1f} processes ran on the machine before, {load['after']:.1f} after.",
             f"* diffdrive-mpc {meta['version']}{revision}, {meta['date']}.",
             f"* {machine['cpu']}, {machine['cores']} cores, {machine['os']}, Python {machine['python']}, {packages}.",
-            f"* Peers: {', '.join(meta['peers']) if isinstance(meta['peers'], list) else meta['peers']}.",
+            f"* Peers: {', '.join(peers)}. Missing: {_missing(results)}.",
         ]
     )
+
+
+def _missing(results: SpeedResults) -> str:
+    reasons = {f"{one.solver} ({one.reason})": None for one in results.missing}
+    return "; ".join(reasons) or "none"
 
 
 def _line(row: dict[str, object]) -> str:

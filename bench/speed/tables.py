@@ -14,14 +14,17 @@ _DETAILED = 30
 """The shipped horizon; a run without it shows its longest."""
 
 
+_CLOCKS = {"inside": "inside its solver by its own clock", "whole": "from Python"}
+
+
 def speed_tables(results: SpeedResults) -> list[Table]:
     """All tables, those that would be empty left out."""
     tables = [_by_horizon(results, model) for model in results.models]
     if ACADOS in results.solvers:
         inside = lambda r: r.solver_p50_s  # noqa: E731 - a name for one of two columns
         whole = lambda r: r.step_p50_s  # noqa: E731
-        tables += [_ratios(results, model, "inside its solver", inside) for model in results.models]
-        tables += [_ratios(results, model, "from Python", whole) for model in results.models]
+        tables += [_ratios(results, model, "inside", inside) for model in results.models]
+        tables += [_ratios(results, model, "whole", whole) for model in results.models]
     tables += [_tails(results, model) for model in results.models]
     tables += [_exactness(results, model) for model in results.models]
     tables.append(_growth(results))
@@ -42,7 +45,7 @@ def _by_horizon(results: SpeedResults, model: str) -> Table:
         inside = [1e3 * results.value(solver, model, n, lambda r: r.solver_p50_s) for n in results.horizons]
         rows.append((solver, *(f"{number(w, 3)} ({number(i, 3)})" for w, i in zip(whole, inside, strict=True))))
     return Table(
-        f"Median step, {model.upper()}",
+        f"Median step {model.upper()}",
         ("solver", *(f"N = {n} [ms]" for n in results.horizons)),
         tuple(rows),
         note="Whole step from Python, in brackets the time inside the solver.",
@@ -58,10 +61,10 @@ def _ratios(results: SpeedResults, model: str, clock: str, of_acados: Callable[[
         ]
         rows.append((solver, *(number(ratio, 2) for ratio in ratios)))
     return Table(
-        f"Whole step over acados {clock}, {model.upper()}",
+        f"Against acados {clock} {model.upper()}",
         ("solver", *(f"N = {n}" for n in results.horizons)),
         tuple(rows),
-        note=f"Ratio of medians: the whole step from Python over the time of acados {clock}.",
+        note=f"Ratio of medians: the whole step over that of acados, {_CLOCKS[clock]}.",
     )
 
 
@@ -77,10 +80,10 @@ def _tails(results: SpeedResults, model: str) -> Table:
         cells = [number(1e3 * time, 3) for time in (*times, *ticks)]
         rows.append((solver, *cells, number(record.step_p99_s / record.step_p50_s, 1)))
     return Table(
-        f"Tail, {model.upper()}, N = {n}",
+        f"Tail {model.upper()}",
         ("solver", "p50 [ms]", "p95 [ms]", "p99 [ms]", "max [ms]", "tick p99 [ms]", "tick max [ms]", "p99 / p50"),
         tuple(rows),
-        note="Whole steps of all repetitions; by tick: the median of a tick's repetitions, what the data cause.",
+        note=f"N = {n}. Whole steps of all repetitions; by tick: the median of a tick's repetitions, what the data cause.",
     )
 
 
@@ -103,7 +106,7 @@ def _exactness(results: SpeedResults, model: str) -> Table:
             )
         )
     return Table(
-        f"Exactness, {model.upper()}, N = {n}",
+        f"Exactness {model.upper()}",
         (
             "solver",
             "v p50 [mm/s]",
@@ -116,7 +119,7 @@ def _exactness(results: SpeedResults, model: str) -> Table:
             "at limits [%]",
         ),
         tuple(rows),
-        note="Distance of the command from the converged one at the same state, p50 and maximum. Cost: of the "
+        note=f"N = {n}. Distance of the command from the converged one at the same state, p50 and maximum. Cost: of the "
         "closed loop, per tick. Its: median of the solver's iterations. Fails: ticks at which the solver gave up.",
     )
 

@@ -81,8 +81,8 @@ def test_what_happens_once_counts_among_all_steps_but_not_among_ticks():
 
 def test_ratios_refer_to_acados_at_the_same_horizon():
     tables = {table.title: table for table in speed_tables(results())}
-    assert tables["Whole step over acados inside its solver, SSM"].rows[0] == ("ours", "0.50", "0.50", "0.50")
-    assert tables["Whole step over acados from Python, SSM"].rows[0] == ("ours", "0.25", "0.25", "0.25")
+    assert tables["Against acados inside SSM"].rows[0] == ("ours", "0.50", "0.50", "0.50")
+    assert tables["Against acados whole SSM"].rows[0] == ("ours", "0.25", "0.25", "0.25")
     assert tables["Growth and memory"].rows[0][:2] == ("ours", "1.00")
 
 
@@ -106,6 +106,7 @@ def test_the_files_hold_every_record_and_say_what_is_unknown(tmp_path):
     assert content["growth"][0] == {"solver": "ours", "model": "ssm", "exponent": 1.0}
     assert content["missing"][0]["reason"] == "no network"
     text = (tmp_path / "speed.md").read_text()
-    for name in ("speed-horizon.png", "speed-tail.png"):
+    assert "Missing: do-mpc (no network)." in text
+    for name in ("horizon.png", "tail.png"):
         assert f"(figures/{name})" in text
         assert (tmp_path / "figures" / name).stat().st_size > 10_000
