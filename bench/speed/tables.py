@@ -83,7 +83,7 @@ def _tails(results: SpeedResults, model: str) -> Table:
         f"Tail {model.upper()}",
         ("solver", "p50 [ms]", "p95 [ms]", "p99 [ms]", "max [ms]", "tick p99 [ms]", "tick max [ms]", "p99 / p50"),
         tuple(rows),
-        note=f"N = {n}. Whole steps of all repetitions; by tick: the median of a tick's repetitions, what the data cause.",
+        note=f"N = {n}. Whole steps of all repetitions; by tick: the median of its repetitions, what the data cause.",
     )
 
 
@@ -119,8 +119,8 @@ def _exactness(results: SpeedResults, model: str) -> Table:
             "at limits [%]",
         ),
         tuple(rows),
-        note=f"N = {n}. Distance of the command from the converged one at the same state, p50 and maximum. Cost: of the "
-        "closed loop, per tick. Its: median of the solver's iterations. Fails: ticks at which the solver gave up.",
+        note=f"N = {n}. Distance of the command from the converged one at the same state, p50 and maximum. Cost: of "
+        "the closed loop, per tick. Its: median of the solver's iterations. Fails: ticks at which the solver gave up.",
     )
 
 
