@@ -4,9 +4,11 @@ VENV ?= .venv
 OUT ?= out/bench
 TRACKING_OUT ?= out/tracking
 REPRODUCE_OUT ?= out/reproduce
+SPEED_OUT ?= out/speed
 # Options of the studies: make tracking TRACKING=--quick
 TRACKING ?=
 REPRODUCE ?=
+SPEED ?=
 # Options of pytest: make test TEST="tests/mpc -x"
 TEST ?=
 BIN := $(VENV)/bin
@@ -16,7 +18,7 @@ READY := $(VENV)/.ready
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench tracking reproduce test lint types format models calibrate readme requirements clean
+.PHONY: help bench tracking reproduce speed test lint types format models calibrate readme requirements clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -36,6 +38,9 @@ tracking: $(READY) ## what the tracking reaches, what each part is worth, how mu
 
 reproduce: $(READY) ## the papers' experiments on the simulated robot, beside the papers' figures: out/reproduce
 	$(BIN)/diffdrive-mpc reproduce --out $(REPRODUCE_OUT) $(REPRODUCE)
+
+speed: $(READY) ## step times beside acados, do-mpc and CasADi's solvers on the same problem: out/speed
+	$(BIN)/diffdrive-mpc speed --out $(SPEED_OUT) $(SPEED)
 
 test: $(READY) ## all tests
 	$(BIN)/pytest -n 2 $(TEST)
@@ -57,8 +62,8 @@ models: $(READY) ## identify MBM and SM again from experiments on the simulated 
 calibrate: $(READY) ## fit the simulated robot to the published SSM again
 	$(BIN)/diffdrive-mpc models calibrate
 
-readme: $(READY) ## copy the tables and figures of the last `make bench`, `make tracking` and `make reproduce` into README and docs
-	$(BIN)/python -m bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT))
+readme: $(READY) ## copy the tables and figures of the last `make bench`, `make tracking`, `make reproduce` and `make speed` into README and docs
+	$(BIN)/python -m bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT))
 
 requirements: ## pin all dependencies anew (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \

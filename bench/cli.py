@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from bench.commands import bench, export, identify, node, real_logs, reproduce, robot, simulate, tracking
+from bench.commands import bench, export, identify, node, real_logs, reproduce, robot, simulate, speed, tracking
 from bench.commands.config import config_app
 from bench.commands.models import models_app
 from bench.commands.one_line_errors import OneLineErrors
@@ -25,6 +25,7 @@ app.command("identify", epilog=identify.EXAMPLE)(identify.identify)
 app.command("tracking", epilog=tracking.EXAMPLE)(tracking.tracking)
 app.command("real-logs", epilog=real_logs.EXAMPLE)(real_logs.real_logs)
 app.command("reproduce", epilog=reproduce.EXAMPLE)(reproduce.reproduce)
+app.command("speed", epilog=speed.EXAMPLE)(speed.speed)
 app.command("export", epilog=export.EXAMPLE)(export.export)
 app.command("node", epilog=node.EXAMPLE, context_settings=PASSED_ON)(node.node)
 app.command("robot", epilog=robot.EXAMPLE, context_settings=PASSED_ON)(robot.robot)

@@ -20,15 +20,26 @@ _NOT_RUN = "This part was not run."
 
 @dataclass(frozen=True)
 class Study:
-    """A report `NAME.md` with figures, which `make NAME` writes and docs/NAME.md shows."""
+    """A report `NAME.md` with figures, which `make NAME` writes and a page shows, by default docs/NAME.md.
+
+    `records` are files that are committed beside it.
+    """
 
     name: str
     figures: tuple[str, ...]
+    records: tuple[str, ...] = ()
+    shown_in: str = ""
+
+    @property
+    def page(self) -> str:
+        """File name of the page."""
+        return self.shown_in or f"{self.name}.md"
 
 
 TRACKING = Study("tracking", ("ablation.png", "error-sources.png"))
 REPRODUCE = Study("reproduce", ("odometry.png", "orders.png", "virtual-track.png"))
-STUDIES = (TRACKING, REPRODUCE)
+SPEED = Study("speed", ("horizon.png", "tail.png"), ("speed.json",), "performance.md")
+STUDIES = (TRACKING, REPRODUCE, SPEED)
 
 
 def copy_report(out: Path, documents: Path) -> None:
@@ -82,6 +93,8 @@ def copy_study(study: Study, out: Path, documents: Path) -> None:
         (documents / figure).unlink(missing_ok=True)
         if f"](figures/{figure})" in report:
             shutil.copyfile(out / "figures" / figure, documents / figure)
+    for record in study.records:
+        shutil.copyfile(out / record, documents / record)
     (documents / name).write_text(report.replace("](figures/", "]("), encoding="utf-8")
 
 
@@ -128,7 +141,7 @@ def update_study(out: Path) -> None:
         raise ConfigError(f"{out}: no report of {', '.join(study.name for study in STUDIES)}")
     copy_study(study, out, Path("docs") / study.name)
     report = (Path("docs") / study.name / f"{study.name}.md").read_text(encoding="utf-8")
-    page = Path("docs") / f"{study.name}.md"
+    page = Path("docs") / study.page
     page.write_text(with_study(study, page.read_text(encoding="utf-8"), report), encoding="utf-8")
 
 

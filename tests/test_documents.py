@@ -16,7 +16,7 @@ FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 # What make would set up is set up already; .ci/run calls these as they stand.
 CI_SCRIPT = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-RUN_BY_CI = re.compile(r"make (bench|tracking|reproduce|test|lint|types)$")
+RUN_BY_CI = re.compile(r"make (bench|tracking|reproduce|speed|test|lint|types)$")
 
 
 def blocks(document):
@@ -58,7 +58,7 @@ def run(command, folder):
 
 def test_ci_runs_what_the_documents_leave_to_it():
     called = " ".join(line for line in CI_SCRIPT.splitlines() if line.lstrip().startswith("make "))
-    for target in ("bench", "tracking", "reproduce", "test", "lint", "types"):
+    for target in ("bench", "tracking", "reproduce", "speed", "test", "lint", "types"):
         assert re.search(rf"\b{target}\b", called), target
 
 
@@ -77,7 +77,7 @@ def test_the_readme_shows_the_committed_report():
 
 @pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.name)
 def test_a_study_s_page_shows_the_committed_report(study):
-    page = (ROOT / "docs" / f"{study.name}.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / study.page).read_text(encoding="utf-8")
     report = (ROOT / "docs" / study.name / f"{study.name}.md").read_text(encoding="utf-8")
     assert with_study(study, page, report) == page
 

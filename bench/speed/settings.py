@@ -1,0 +1,73 @@
+"""What the speed benchmark runs, read from `settings.yaml`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from models.checked_yaml import ConfigError, StrictModel, load_checked
+
+Names = Annotated[tuple[str, ...], Field(min_length=1)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class SubjectSettings(StrictModel):
+    """One way of solving the problem."""
+
+    kind: Literal["ours", "acados", "do-mpc", "nlpsol"]
+    settings: dict[str, Any] = Field(description="values of the configuration for ours, of its solver for a peer")
+
+    @property
+    def foreign(self) -> bool:
+        """Whether it needs the peers' environment."""
+        return self.kind in ("acados", "do-mpc")
+
+
+class SpeedSettings(StrictModel):
+    """The problem, who solves it, and how it is measured; units in the file."""
+
+    config: dict[str, bool | int | float | str] = Field(description="values of every configuration by dotted key")
+    trajectory: str
+    ticks: Count
+    plant_sensors: str
+    seed: Annotated[int, Field(ge=0)]
+    models: Names
+    horizons: Annotated[tuple[Count, ...], Field(min_length=1)]
+    repetitions: Count
+    block: Count
+    replayed_below: Annotated[float, Field(gt=0)]
+    gap_every: Count
+    subjects: Annotated[dict[str, SubjectSettings], Field(min_length=1)]
+    converged: SubjectSettings
+
+
+QUICK: dict[str, object] = {"models": ("ssm",), "horizons": (10, 20), "ticks": 60, "repetitions": 2}
+"""What a quick run has less of."""
+
+
+def load_speed_settings(file: Path | None = None, *, quick: bool = False) -> SpeedSettings:
+    """Read a file of settings, by default the shipped one; raises ConfigError when it has a mistake."""
+    settings = load_checked(SpeedSettings, file or Path(__file__).with_name("settings.yaml"))
+    return settings.model_copy(update=QUICK) if quick else settings
+
+
+def chosen(settings: SpeedSettings, names: Sequence[str] | None) -> SpeedSettings:
+    """The settings with some subjects only: those named, and those below a name (`ours` is all three of ours).
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If a name is unknown.
+    """
+    if names is None:
+        return settings
+    subjects: dict[str, SubjectSettings] = {}
+    for name in names:
+        found = {full: one for full, one in settings.subjects.items() if full == name or full.startswith(f"{name}/")}
+        if not found:
+            raise ConfigError(f"--peers: there is no '{name}'; known: {', '.join(settings.subjects)}")
+        subjects |= found
+    return settings.model_copy(update={"subjects": subjects})

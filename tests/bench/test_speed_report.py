@@ -1,0 +1,112 @@
+"""Statistics, growth, tables and files of the speed benchmark on times that are known."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.speed.record import Measured, Missing, Record, growth_exponent, time_statistics
+from bench.speed.report import write_report
+from bench.speed.results import SpeedResults
+from bench.speed.tables import speed_tables
+
+META = {
+    "version": "1",
+    "revision": None,
+    "date": "2026-01-01",
+    "wall_time_s": 1.0,
+    "machine": {"cpu": "cpu", "cores": 1, "os": "os", "python": "3", "packages": {"numpy": "2"}},
+    "load": {"before": 0.0, "after": 1.0},
+    "core": 0,
+    "peers": ["casadi 3"],
+    "settings": {"ticks": 4, "trajectory": "circle", "repetitions": 2, "block": 2},
+}
+
+
+def measured(solver, horizon, whole, inside=1e-4, model="ssm"):
+    times = np.full((2, 4), whole)
+    record = Record(
+        solver=solver,
+        model=model,
+        horizon=horizon,
+        iterations_p50=3.0,
+        iterations_max=5,
+        closed_loop_cost=0.25,
+        gap_v_p50=1e-6,
+        gap_v_max=1e-5,
+        gap_omega_p50=math.nan,
+        gap_omega_max=math.nan,
+        active_share=0.5,
+        unsolved=0,
+        samples=8,
+        ticks=4,
+        build_s=0.1,
+        memory_bytes=5e7,
+        memory_growth_bytes=1e6,
+        **time_statistics(times, np.full((2, 4), inside)),
+    )
+    return Measured(record, times)
+
+
+def results():
+    records = [measured("ours", n, 1e-5 * n) for n in (20, 50, 100)]
+    records += [measured("acados", n, 4e-5 * n, inside=2e-5 * n) for n in (20, 50, 100)]
+    missing = (Missing("do-mpc", "ssm", 20, "no network"), Missing("do-mpc", "ssm", 50, "no network"))
+    return SpeedResults(tuple(records), missing, META)
+
+
+@given(st.floats(0.2, 3.0), st.floats(1e-6, 1.0))
+def test_the_exponent_of_a_power_law_is_found(exponent, scale):
+    horizons = np.array([20.0, 30.0, 50.0, 100.0])
+    assert growth_exponent(horizons, scale * horizons**exponent) == pytest.approx(exponent, abs=1e-9)
+
+
+def test_one_horizon_has_no_growth():
+    assert math.isnan(growth_exponent(np.array([20.0]), np.array([1.0])))
+
+
+def test_what_happens_once_counts_among_all_steps_but_not_among_ticks():
+    whole = np.full((3, 200), 1e-3)
+    whole[0, 7] = 1.0  # the machine was elsewhere
+    whole[:, 9] = 5e-3  # a hard tick, every time
+    statistics = time_statistics(whole, whole / 2)
+    assert statistics["step_max_s"] == 1.0
+    assert statistics["tick_max_s"] == 5e-3
+    assert statistics["step_p50_s"] == 1e-3
+    assert statistics["solver_p50_s"] == 5e-4
+
+
+def test_ratios_refer_to_acados_at_the_same_horizon():
+    tables = {table.title: table for table in speed_tables(results())}
+    assert tables["Against acados inside SSM"].rows[0] == ("ours", "0.50", "0.50", "0.50")
+    assert tables["Against acados whole SSM"].rows[0] == ("ours", "0.25", "0.25", "0.25")
+    assert tables["Growth and memory"].rows[0][:2] == ("ours", "1.00")
+
+
+def test_a_missing_peer_is_named_with_its_reason():
+    (table,) = [table for table in speed_tables(results()) if table.title == "Missing"]
+    assert table.rows == (("do-mpc", "ssm 20, ssm 50", "no network"),)
+
+
+def test_without_acados_there_are_no_ratios():
+    alone = SpeedResults((measured("ours", 10, 1e-3),), (), META)
+    assert not [table.title for table in speed_tables(alone) if "acados" in table.title]
+
+
+def test_the_files_hold_every_record_and_say_what_is_unknown(tmp_path):
+    write_report(results(), tmp_path)
+    content = json.loads((tmp_path / "speed.json").read_text())
+    assert len(content["records"]) == 6
+    wanted = {"solver", "model", "horizon", "step_p50_s", "step_p95_s", "step_p99_s", "step_max_s", "solver_p50_s"}
+    assert wanted | {"iterations_p50", "closed_loop_cost"} <= set(content["records"][0])
+    assert content["records"][0]["gap_omega_p50"] is None
+    assert content["growth"][0] == {"solver": "ours", "model": "ssm", "exponent": 1.0}
+    assert content["missing"][0]["reason"] == "no network"
+    text = (tmp_path / "speed.md").read_text()
+    assert "Missing: do-mpc (no network)." in text
+    for name in ("horizon.png", "tail.png"):
+        assert f"(figures/{name})" in text
+        assert (tmp_path / "figures" / name).stat().st_size > 10_000
