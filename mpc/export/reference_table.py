@@ -33,7 +33,7 @@ def table_text(reference: Reference, spacing: float) -> tuple[str, str]:
     )
     header = (
         "#ifndef DDMPC_TRAJECTORY_H\n#define DDMPC_TRAJECTORY_H\n\n"
-        '#include "reference.h"\n\n'
+        '#include "trajectory_table.h"\n\n'
         f"/* {_comment(reference.name)} */\n"
         f"extern const ddmpc_table {name};\n#define DDMPC_TRAJECTORY {name}\n\n#endif\n"
     )
