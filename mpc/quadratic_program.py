@@ -34,6 +34,35 @@ class Relaxed:
     broken: Kinds
 
 
+class LeastDistance(Protocol):
+    """Minimise |z|^2 / 2 subject to lower <= rows z <= upper, soft limits at their price."""
+
+    @property
+    def rows(self) -> FloatArray:
+        """(kinds N, 2 N) rows of the limits, kind by kind."""
+        ...
+
+    @property
+    def lower(self) -> FloatArray:
+        """(kinds N,) lower bounds."""
+        ...
+
+    @property
+    def upper(self) -> FloatArray:
+        """(kinds N,) upper bounds."""
+        ...
+
+    def solution(self, z: FloatArray, pressing: FloatArray) -> tuple[FloatArray, float, float]:
+        """What z (2 N,), with the multipliers `pressing` (kinds N,) of the rows, is in commands.
+
+        Returns
+        -------
+        tuple
+            The flat plan (2 N,); by how much the worst hard limit is exceeded; and how far it is from stationary.
+        """
+        ...
+
+
 class QuadraticProgram(Protocol):
     """Minimise U'HU/2 + g'U + penalty(soft U) subject to |U| <= box and |increments| <= slew.
 
@@ -97,4 +126,8 @@ class QuadraticProgram(Protocol):
 
     def broken(self, plan: FloatArray, slack: float) -> Kinds:
         """Kinds of limit that the flat `plan` (2 N,) exceeds somewhere by more than `slack`."""
+        ...
+
+    def least_distance(self, relaxed: Relaxed, kinds: Kinds) -> LeastDistance:
+        """The same problem with these kinds of limit as a least-distance problem about the minimiser `relaxed`."""
         ...

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from models.interface import FloatArray
+from mpc.compiled.least_distance import CompiledLeastDistance
 from mpc.compiled.library import bound_function, callable_in, checked_size, pointer
 from mpc.quadratic_program import Kinds, Relaxed
 from mpc.solver_report import SolverStatus
@@ -60,6 +61,7 @@ class CompiledProgram:
         self._write_values = bound_function(library, "ddmpc_soft_values", constants, tick, work, own_plan, values)
         write = callable_in(library, "ddmpc_soft_rows", None, address, address, address, ctypes.c_int, address)
         self._write_rows: Callable[[int], None] = lambda kind: write(constants, tick, work, kind, rows)
+        self._least_distance = CompiledLeastDistance(library, n, constants, tick, work, qp, relaxed)
         check = callable_in(library, "ddmpc_broken", ctypes.c_int, *(address,) * 5, ctypes.c_double)
         self._broken: Callable[[float], int] = lambda slack: check(constants, tick, work, qp, own_plan, slack)
 
@@ -94,6 +96,10 @@ class CompiledProgram:
         """See `QuadraticProgram`."""
         self._plan[:] = plan
         return _kinds(self._broken(slack))
+
+    def least_distance(self, relaxed: Relaxed, kinds: Kinds) -> CompiledLeastDistance:  # noqa: ARG002 - it is in C
+        """See `QuadraticProgram`; `relaxed` is the one of this program, which C has kept."""
+        return self._least_distance.load(kinds)
 
 
 def _kinds(bits: int) -> Kinds:

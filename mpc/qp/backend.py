@@ -7,7 +7,6 @@ from typing import Protocol
 
 from models.interface import FloatArray
 from mpc.config import Solver, Weights
-from mpc.qp.limit_rows import LimitRows
 from mpc.quadratic_program import Kinds, QuadraticProgram, Relaxed
 from mpc.solver_report import SolverReport
 
@@ -18,10 +17,8 @@ class Task:
 
     Attributes
     ----------
-    qp, rows, relaxed
-        The problem, its limits, and its minimiser without them.
-    values
-        (9, N) the limits' rows at that minimiser.
+    qp, relaxed
+        The problem, and its minimiser without limits.
     kinds
         The kinds of limit to keep; a backend may keep more of them.
     guess
@@ -31,9 +28,7 @@ class Task:
     """
 
     qp: QuadraticProgram
-    rows: LimitRows
     relaxed: Relaxed
-    values: FloatArray
     kinds: Kinds
     guess: FloatArray
     multipliers: FloatArray

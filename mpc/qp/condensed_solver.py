@@ -14,7 +14,7 @@ from models.interface import FloatArray
 from mpc.config import Solver, Weights
 from mpc.qp.backend import Backend, Task
 from mpc.qp.daqp_backend import DaqpBackend
-from mpc.qp.limit_rows import KINDS, LimitRows
+from mpc.qp.limit_rows import KINDS
 from mpc.qp.osqp_backend import OsqpBackend
 from mpc.qp.solution import Solution
 from mpc.quadratic_program import Kinds, QuadraticProgram
@@ -40,7 +40,6 @@ class CondensedSolver:
         self._steps, self._settings, self._weights = steps, settings, weights
         # Below the solvers' own residuals a limit counts as kept.
         self._slack = 0.1 * settings.tolerance
-        self._rows = LimitRows(steps)
         self._nothing = np.zeros((KINDS, steps))
         self.reset()
 
@@ -56,19 +55,17 @@ class CondensedSolver:
             return Solution(guess, SolverReport(relaxed))
         missed = relaxed.broken
         if missed:
-            rows, plan = self._rows, relaxed.plan
-            rows.load(qp)
-            return self._lean(Task(qp, rows, relaxed, rows.values(plan), missed, guess.reshape(-1), self._nothing))
+            return self._lean(Task(qp, relaxed, missed, guess.reshape(-1), self._nothing))
         self._multipliers = self._nothing
         report = SolverReport(SolverStatus.SOLVED, 0, 0.0, relaxed.residual)
         return Solution(relaxed.plan.reshape(-1, 2), report)
 
     def _lean(self, task: Task) -> Solution:
-        """Solve where limits matter: begin with those that mattered last, or else with those of `task`."""
+        """Solve where limits matter: begin with those of `task` and those that mattered last."""
         if self._multipliers is not self._nothing:
             # One step ahead, as the plan.
             task.multipliers = np.concatenate((self._multipliers[:, 1:], self._multipliers[:, -1:]), axis=1)
-            task.kinds = _pressing(task.multipliers) or task.kinds
+            task.kinds = tuple(sorted({*task.kinds, *_pressing(task.multipliers)}))
         iterations = 0
         while True:
             answer = self._backend.solve(task)

@@ -13,7 +13,7 @@ from scipy import sparse
 from models.interface import FloatArray
 from mpc.config import Solver, Weights
 from mpc.qp.backend import Answer, Task
-from mpc.qp.limit_rows import HARD_KINDS, KINDS
+from mpc.qp.limit_rows import HARD_KINDS, KINDS, LimitRows
 from mpc.qp.osqp_status import OSQP_STATUS
 from mpc.quadratic_program import Kinds
 from mpc.solver_report import SolverReport, SolverStatus
@@ -44,6 +44,7 @@ class _Workspace:
     def __init__(self, steps: int, settings: Solver, weights: Weights, kinds: Kinds) -> None:
         self._n = n = 2 * steps
         self._steps, self._kinds, self._weights, self._settings = steps, list(kinds), weights, settings
+        self._limits = LimitRows(steps)
         self._soft_rows = rows = len(kinds) * steps
         # Commands are interleaved and rows go by kind: the commands of one channel are every second one.
         channels = sparse.vstack([sparse.identity(n, format="csr")[i::2] for i in (0, 1)])
@@ -90,7 +91,8 @@ class _Workspace:
         return Answer(np.array(result.x[: self._n]), report, self._multipliers(result.y))
 
     def _load(self, task: Task) -> None:
-        n, rows, limits = self._n, self._soft_rows, task.rows
+        n, rows, limits = self._n, self._soft_rows, self._limits
+        limits.load(task.qp)
         self._P.data[: len(self._triangle)] = task.qp.H.reshape(-1)[self._triangle]
         self._gradient[:n] = task.qp.g
         self._upper[: 2 * n] = limits.upper[:HARD_KINDS].reshape(-1)
@@ -129,9 +131,9 @@ class _Workspace:
     def _primal(self, task: Task) -> FloatArray:
         if not self._kinds:
             return task.guess
-        excess = task.rows.values(task.guess)[self._kinds]
-        over = np.maximum(excess - task.rows.upper[self._kinds], 0)
-        under = np.maximum(task.rows.lower[self._kinds] - excess, 0)
+        excess = self._limits.values(task.guess)[self._kinds]
+        over = np.maximum(excess - self._limits.upper[self._kinds], 0)
+        under = np.maximum(self._limits.lower[self._kinds] - excess, 0)
         return np.concatenate([task.guess, over.reshape(-1), under.reshape(-1)])
 
     def _dual(self, multipliers: FloatArray) -> FloatArray:
