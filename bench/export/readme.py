@@ -9,10 +9,10 @@ from bench.table import Table
 _TEXT = """\
 # Trajectory-tracking controller in C99
 
-Written by `diffdrive-mpc export`: model {model} ({states} states), {horizon} steps of {sample_time_s} s ahead, {precision}
-precision, trajectory `{trajectory}` as a table. `export.json` holds the whole configuration.
+Written by `diffdrive-mpc export`: model {model} ({states} states), {horizon} steps of {sample_time_s} s ahead,
+{precision} precision, trajectory `{trajectory}` as a table. `export.json` holds the whole configuration.
 
-    ddmpc/     the controller; ddmpc_sizes.h, constants.c and trajectory.[ch] were generated, the rest is the same for all
+    ddmpc/     the controller; ddmpc_sizes.h, constants.c and trajectory.[ch] were generated for it
     osqp/      OSQP {osqp}, embedded code and two workspaces, as OSQP generates them (licence beside them)
     examples/  main.c drives a simulated robot along the trajectory
     stm32f4/   startup, linker script and a main for processor in the loop over a serial line
@@ -22,8 +22,9 @@ precision, trajectory `{trajectory}` as a table. `export.json` holds the whole c
     cmake -S . -B build && cmake --build build && build/ddmpc_example
     cmake -S . -B build-stm32f4 -DCMAKE_TOOLCHAIN_FILE=stm32f4/toolchain.cmake && cmake --build build-stm32f4
 
-Without CMake: compile `ddmpc/*.c`, `osqp/src/*.c` and `osqp/*_workspace.c` as C99 with `ddmpc`, `osqp`, `osqp/inc/public`
-and `osqp/inc/private` as include folders. Nothing is allocated, nothing is printed, no system call is made.
+Without CMake: compile `ddmpc/*.c`, `osqp/src/*.c` and `osqp/*_workspace.c` as C99 with `ddmpc`, `osqp`,
+`osqp/inc/public` and `osqp/inc/private` as include folders. Nothing is allocated, nothing is printed, no system call
+is made.
 
 ## Use
 
@@ -51,15 +52,16 @@ drive(result.command[0], result.command[1]);
 
 ## Differences to the Python controller
 
-It is the Python controller with `reentry.enabled: false`: outside `failure.max_position_error` from where the reference is
-it brakes, inside it chases the reference, which does not wait.
+It is the Python controller with `reentry.enabled: false`: further than `failure.max_position_error` from where the
+reference is it brakes, nearer it chases the reference, which does not wait.
 
 - Weights and limits are constants; there is no `update`.
-- At most {soft_slots} soft limits (one limit, one step, one side) take part in one tick's program; `result.solver.left_out`
-  counts exceeded ones beyond that.
+- At most {soft_slots} soft limits (one limit, one step, one side) take part in one tick's program;
+  `result.solver.left_out` counts exceeded ones beyond that.
 - One step makes at most {iteration_limit} iterations of OSQP, over all solves of the tick, and has no time limit.
-- Where no constraint is active the plan is exact, by Cholesky's factorisation, with 0 iterations.
-- Residuals come to a tolerance of {tolerance:g} in rows of unit length, see docs/export.md of the project.
+- OSQP's residuals come to a tolerance of {tolerance:g} in rows of unit length, see docs/export.md of the project. Where
+  no constraint is active the plan is exact, with 0 iterations.
+- `result.reasons` and `result.notes` are numbers where the Python controller has sentences.
 - A reference comes with a function or a table: cubic in the pose, linear in the twist between rows.
 
 """

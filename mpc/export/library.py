@@ -17,6 +17,8 @@ from mpc.export.reference_table import table_text
 from mpc.reference_check import check_speeds
 
 _NATIVE = Path(__file__).parents[1] / "native"
+# Of the sources that Python compiles for itself, those that a controller needs.
+_SHARED = ("real", "arc", "tile", "checks", "filter", "estimator", "condense", "relax")
 _SOURCES = Path(__file__).parent / "sources"
 # Closer than this, the residuals of single precision do not come to zero.
 _FINEST_FLOAT_TOLERANCE = 1e-6
@@ -101,8 +103,9 @@ def export_controller(
     shutil.copytree(_SOURCES / "project", folder, dirs_exist_ok=True)
     ours = folder / "ddmpc"
     shutil.copytree(_SOURCES / "controller", ours, dirs_exist_ok=True)
-    for source in sorted(_NATIVE.glob("*.[ch]")):
-        shutil.copyfile(source, ours / source.name)
+    for name in _SHARED:
+        for source in _NATIVE.glob(f"{name}.[ch]"):
+            shutil.copyfile(source, ours / source.name)
     table, table_header = table_text(reference, config.sample_time)
     texts = {
         "ddmpc_sizes.h": sizes_text(parts, slots, single=single),

@@ -46,7 +46,7 @@ class Parts:
         poses = np.zeros((N + 1, 3))
         poses[:, 0] = speed * dt * np.arange(N + 1)
         slip = Slip()
-        command = np.linalg.solve(self.sampled.dc_gain, [speed, 0.0])
+        command = np.asarray(np.linalg.solve(self.sampled.dc_gain, [speed, 0.0]), dtype=float)
         tick = Tick(
             pose=poses[0],
             free_twist=np.zeros((N + 1, 2)),

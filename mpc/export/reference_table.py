@@ -10,15 +10,22 @@ from models.interface import Reference
 
 
 def table_text(reference: Reference, spacing: float) -> tuple[str, str]:
-    """Source and header of the table of `reference`, with a row every `spacing` [s] and one at its end."""
+    """Source and header of the table of `reference`, with a row every `spacing` [s] and one at its end.
+
+    Raises
+    ------
+    ValueError
+        If the reference is somewhere not finite.
+    """
     rows = max(2, int(np.ceil(reference.duration / spacing - 1e-9)) + 1)
     times = np.minimum(np.arange(rows) * spacing, reference.duration)
     sample = reference.sample(times)
+    points_at = np.hstack([sample.pose, sample.twist])
+    if not np.isfinite(points_at).all():
+        worst = times[np.argmin(np.isfinite(points_at).all(axis=1))]
+        raise ValueError(f"reference '{reference.name}': it is not finite at {worst:.2f} s; repair it")
     name = f"ddmpc_{_identifier(reference.name)}"
-    points = ",\n".join(
-        "    {" + ", ".join(f"R({float(value)!r})" for value in row) + "}"
-        for row in np.hstack([sample.pose, sample.twist])
-    )
+    points = ",\n".join("    {" + ", ".join(f"R({float(value)!r})" for value in row) + "}" for row in points_at)
     source = (
         '#include "trajectory.h"\n\n'
         f"static const ddmpc_point points[{rows}] = {{\n{points}\n}};\n\n"
@@ -26,7 +33,7 @@ def table_text(reference: Reference, spacing: float) -> tuple[str, str]:
     )
     header = (
         "#ifndef DDMPC_TRAJECTORY_H\n#define DDMPC_TRAJECTORY_H\n\n"
-        '#include "reference.h"\n\n'
+        '#include "trajectory_table.h"\n\n'
         f"/* {_comment(reference.name)} */\n"
         f"extern const ddmpc_table {name};\n#define DDMPC_TRAJECTORY {name}\n\n#endif\n"
     )

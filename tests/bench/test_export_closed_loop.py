@@ -82,9 +82,7 @@ def later(measurement: Measurement, shift: float) -> Measurement:
 def events(k, measurement, exported, reference):
     """What goes wrong, one thing after the other."""
     shift, hold = 0.0, None
-    if k < 3:
-        measurement = replace(measurement, pose=None)
-    elif 30 <= k < 60:  # no pose for longer than failure.max_pose_age
+    if k < 3 or 30 <= k < 60:
         measurement = replace(measurement, pose=None)
     elif k == 80:
         measurement = Measurement(Stamped((np.nan, 0.0, 0.0), measurement.pose.time), measurement.wheel_twist)
@@ -143,7 +141,8 @@ def test_ticks_too_soon_and_pauses(in_double):
 def test_ticks_between_the_rows_of_the_table(in_double):
     """Ticks that come irregularly see the twist interpolated linearly.
 
-    Where its slope changes by a [rad/s^2], that is off by up to a dt / 4 between two rows dt apart; so are the commands.
+    Where its slope changes by a [rad/s^2], that is off by up to a dt / 4 between two rows dt apart, and so are the
+    commands.
     """
     rng = np.random.default_rng(0)
     slope, dt = 2.0, 0.0202

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from export_parts import compile_c
+from export_parts import SpoiledReference, compile_c
 
-from bench.export.sizes import Size, measure_sizes
+from bench.export.command import export_library
 from mpc import load_config, load_trajectory
 from mpc.export import Precision, export_controller
 from mpc.export.osqp_workspaces import QpShape
@@ -33,7 +34,9 @@ def test_the_folder_is_complete(tmp_path):
     assert (report["model"], report["states"], report["horizon"], report["precision"]) == ("mbm", 8, 8, "float")
     assert report["config"]["solver"]["max_iterations"] == report["iteration_limit"]
     sizes = {size["target"]: size for size in report["sizes"]}
-    assert sizes["host example"]["flash_bytes"] > 0
+    table = 4 * 5 * len(re.findall(r"^    [{]R", (tmp_path / "out/ddmpc/trajectory.c").read_text(), re.MULTILINE))
+    assert table > 4 * 5 * 13.07 / 0.0202
+    assert sizes["host example"]["flash_bytes"] > table
     readme = (tmp_path / "out" / "README.md").read_text()
     assert "{" not in readme.replace("input = {0}", "").replace("{\n", "")
     assert f"{sizes['host example']['ram_bytes']:,}" in readme
@@ -46,7 +49,8 @@ def test_the_folder_is_complete(tmp_path):
     said = subprocess.run([str(example)], capture_output=True, text=True, check=True).stdout
     assert "\nfinished, largest error 0.0" in said
     system = subprocess.run(["nm", "-u", str(example)], capture_output=True, text=True, check=True).stdout
-    assert not {"malloc", "calloc", "realloc", "free"} & {line.split()[-1].split("@")[0] for line in system.splitlines()}
+    needed = {line.split()[-1].split("@")[0] for line in system.splitlines()}
+    assert not {"malloc", "calloc", "realloc", "free"} & needed
 
 
 def test_the_same_configuration_gives_the_same_files(tmp_path):
@@ -62,24 +66,32 @@ def test_the_same_configuration_gives_the_same_files(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("choice", "said"),
     [
-        (("--precision", "half"), "--precision 'half': give double or float"),
-        (("--precision", "float", "--set", "solver.tolerance=1e-8"), "solver.tolerance = 1e-08: single precision"),
-        (("--soft-slots", "41"), "--soft-slots 41: give 1 to 40"),
-        (("--set", "limits.omega=0.3"), "slow the reference down or raise the limit"),
-        (("--set", "solver.formulation=sparse"), "solver.formulation = sparse"),
-        (("--model", "smm"), "unknown model 'smm'"),
-        (("--trajectory", "triangle"), "triangle"),
-        (("--out", ""), "it is empty"),
+        ({"precision": "half"}, "--precision 'half': give double or float"),
+        ({"precision": "float", "settings": ["solver.tolerance=1e-8"]}, "solver.tolerance = 1e-08: single precision"),
+        ({"soft_slots": 151}, "--soft-slots 151: give 1 to 150"),
+        ({"settings": ["limits.omega=0.3"]}, "slow the reference down or raise the limit"),
+        ({"settings": ["solver.formulation=sparse"]}, "only the condensed formulation with osqp"),
+        ({"model": "smm"}, "unknown model 'smm'"),
+        ({"model": " "}, "--model: it is empty"),
+        ({"trajectory": "triangle"}, "triangle"),
     ],
 )
-def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, words, said):
-    result = run(tmp_path, "--out", "out", *words)
-    assert result.returncode == 2
-    assert said in result.stderr
-    assert result.stderr.count("\n") == 1
+def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, choice, said):
+    options = {"model": None, "config": None, "settings": [], "trajectory": "circle", "precision": "double"}
+    options |= {"soft_slots": None, "emulated": False} | choice
+    with pytest.raises(ValueError, match=re.escape(said)) as caught:
+        export_library(tmp_path / "out", **options)
+    assert "\n" not in str(caught.value)
     assert not (tmp_path / "out").exists()
+
+
+def test_an_impossible_reference_is_refused(tmp_path):
+    reference = SpoiledReference("circle")
+    reference.spoiled_from = 5.0
+    with pytest.raises(ValueError, match="reference 'circle'.*not finite"):
+        table_text(reference, 0.0202)
 
 
 def test_a_file_in_the_way_is_named(tmp_path):
@@ -88,19 +100,6 @@ def test_a_file_in_the_way_is_named(tmp_path):
     assert result.returncode == 2
     assert "--out out" in result.stderr
     assert (tmp_path / "out").read_text() == "kept"
-
-
-def test_sizes_are_those_of_the_linker(tmp_path):
-    """Flash holds the table of the reference, and a longer horizon takes more memory."""
-    sizes: list[Size] = []
-    for horizon in (5, 10):
-        folder = tmp_path / str(horizon)
-        folder.mkdir()
-        export_controller(load_config("ssm", {"horizon": horizon}), load_trajectory("circle"), folder, Precision.FLOAT)
-        sizes += [size for size in measure_sizes(folder) if size.target == "host example"]
-    table = 5 * 4 * 648  # rows of five numbers, one every 20.2 ms of 13.07 s
-    assert sizes[0].flash > table
-    assert sizes[0].ram < sizes[1].ram
 
 
 def test_rows_of_unit_length():

@@ -8,7 +8,7 @@
 
 #include "condense.h"
 #include "estimator.h"
-#include "reference.h"
+#include "trajectory_table.h"
 #include "solver.h"
 #include "tick_clock.h"
 

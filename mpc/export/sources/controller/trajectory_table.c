@@ -1,4 +1,4 @@
-#include "reference.h"
+#include "trajectory_table.h"
 
 /* Cubic with values `from`, `to` and slopes times width `out`, `in` at the ends, at share `s` of the way. */
 static real cubic(real from, real to, real out, real in, real s)

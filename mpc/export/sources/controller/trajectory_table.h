@@ -1,6 +1,6 @@
 /* What is tracked: a timed trajectory, as a table or as a function of the application. */
-#ifndef DDMPC_REFERENCE_H
-#define DDMPC_REFERENCE_H
+#ifndef DDMPC_TRAJECTORY_TABLE_H
+#define DDMPC_TRAJECTORY_TABLE_H
 
 #include "real.h"
 
