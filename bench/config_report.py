@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal, get_args, get_origin
 
 import yaml
 from annotated_types import Ge, Gt, Le, Lt
@@ -90,5 +91,7 @@ def _help_and_unit(field: FieldInfo) -> tuple[str, str]:
 
 
 def _range(field: FieldInfo) -> str:
+    if get_origin(field.annotation) is Literal:
+        return ", ".join(get_args(field.annotation))
     bounds = [(_BOUNDS[type(m)], m) for m in field.metadata if type(m) in _BOUNDS]
     return ", ".join(f"{sign} {getattr(bound, name):g}" for (name, sign), bound in bounds)

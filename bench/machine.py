@@ -10,7 +10,7 @@ from pathlib import Path
 
 from bench.runner import available_cores
 
-PACKAGES = ("numpy", "scipy", "casadi", "osqp", "mujoco", "control", "joblib")
+PACKAGES = ("numpy", "scipy", "casadi", "osqp", "daqp", "mujoco", "control", "joblib")
 """Packages whose version can change a figure."""
 
 

@@ -31,9 +31,15 @@ def command_box(limits: Limits, dt: float, last_command: FloatArray, steps: int,
 def clip_command(
     command: FloatArray, limits: Limits, dt: float, last_command: FloatArray, share: float = 1.0
 ) -> FloatArray:
-    """The nearest command (2,) inside `share` of range, and slew: a solver meets its bounds only to its tolerance."""
-    box = command_box(limits, dt, last_command, 1, share)[0]
-    step = slew_step(limits, dt)
-    lower = np.maximum(last_command - step, -box)
-    upper = np.minimum(last_command + step, box)
-    return np.clip(command, lower, upper)
+    """The nearest command (2,) inside `share` of range, and slew: a solver meets its bounds only to its tolerance.
+
+    Number by number: for two of them arrays take ten times as long.
+    """
+    bounds = ((limits.v, limits.v_slew), (limits.omega, limits.omega_slew))
+    clipped = []
+    for wanted, last, (largest, rate) in zip(np.asarray(command).tolist(), last_command.tolist(), bounds, strict=True):
+        step = rate * dt
+        box = max(abs(last) - step, share * largest)
+        lower, upper = max(last - step, -box), min(last + step, box)
+        clipped.append(min(max(wanted, lower), upper))
+    return np.array(clipped)

@@ -13,6 +13,10 @@ import numpy as np
 from models.interface import FloatArray
 from mpc.bounds import command_box, slew_step
 from mpc.problem import TrackingProblem, arc_derivatives
+from mpc.qp.limit_rows import LimitRows, broken
+from mpc.qp.relaxed import relax
+from mpc.quadratic_program import Kinds, Relaxed
+from mpc.solver_report import SolverStatus
 from mpc.tick import Tick
 
 
@@ -36,6 +40,16 @@ class CondensedProgram:
     def soft_rows(self, kind: int) -> FloatArray:
         """See `QuadraticProgram`."""
         return np.asarray(self.soft[kind])
+
+    def relax(self) -> Relaxed | SolverStatus:
+        """See `QuadraticProgram`."""
+        return relax(self)
+
+    def broken(self, plan: FloatArray, slack: float) -> Kinds:
+        """See `QuadraticProgram`."""
+        rows = LimitRows(len(plan) // 2)
+        rows.load(self)
+        return broken(rows.excess(rows.values(plan)), slack)
 
 
 class Condenser:

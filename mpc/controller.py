@@ -15,6 +15,7 @@ from models.velocity_model import VelocityModel
 from mpc.bounds import clip_command
 from mpc.compiled.estimator import CompiledEstimator
 from mpc.compiled.library import compiled_or_not
+from mpc.compiled.reference import compile_reference
 from mpc.config import ControllerConfig
 from mpc.config_file import replace_values
 from mpc.estimate import Estimate
@@ -80,6 +81,7 @@ class Controller:
         self._finish = FinishWatch()
         self._clock = TickClock(config.sample_time, self._estimator.longest_pause)
         self._reference: Reference | None = None
+        self._tracked: Reference | None = None
         self._t0 = 0.0
         self.reset()
 
@@ -92,6 +94,11 @@ class Controller:
     def model(self) -> VelocityModel:
         """The velocity model, extra dead time included."""
         return self._model
+
+    @property
+    def compiled(self) -> bool:
+        """Whether it runs as compiled C: it does where there is a compiler, unless `solver.compiled` is never."""
+        return isinstance(self._estimator, CompiledEstimator) and self._planner.compiled
 
     @property
     def reference(self) -> Reference | None:
@@ -114,7 +121,10 @@ class Controller:
         check_speeds(reference, self._config.limits, self._config.sample_time)
         self._forget()
         self._reference, self._t0 = reference, t0
-        self._pursuit.start(reference)
+        self._tracked = compiled_or_not(
+            self._config.solver.compiled, lambda: compile_reference(reference), lambda: reference
+        )
+        self._pursuit.start(self._tracked)
 
     def reset(self) -> None:
         """Be as new, for a robot that stands still: forget estimate, plan and commands. The reference stays."""
@@ -172,7 +182,7 @@ class Controller:
             If `start` was not called.
         """
         started = time.perf_counter()
-        if self._reference is None:
+        if self._tracked is None:
             raise RuntimeError("no reference: call start(reference, t0) before step")
         self._apply_pending()
         notes: list[str] = []
@@ -183,7 +193,7 @@ class Controller:
             notes.extend(self._estimator.update(t, measurement))
             return replace(self._result, message="; ".join(notes), step_time=time.perf_counter() - started)
         if kind is TickKind.NEW:
-            outcome = self._tick(t, measurement, self._reference, notes, hold)
+            outcome = self._tick(t, measurement, self._tracked, notes, hold)
             self._estimator.commands.append(outcome.command)
         else:
             outcome = self._lost_time(kind, notes)
@@ -239,7 +249,7 @@ class Controller:
         if estimator.moved and not self._restart():
             return self._brake(notes, "poses agree that the robot is somewhere else")
         estimate = estimator.estimate
-        if not np.isfinite(estimate.pose).all():
+        if not math.isfinite(estimate.pose.sum()):
             estimator.forget()
             return self._brake(notes, "the estimate is not finite; it starts anew")
         if estimate.pose_age > failure.max_pose_age:
@@ -248,7 +258,7 @@ class Controller:
             return self._brake(notes, "stopped after a failure; call start or reset to drive on")
         if self._finish.look(estimate, reference_time, reference, self._config.finish, notes):
             return _Outcome(self._ramp(), Mode.FINISHED)
-        target = self._pursuit.target(t - self._t0, reference_time, estimate)
+        target = self._pursuit.target(t - self._t0, reference_time, estimate, self._planner.ahead)
         if isinstance(target, TooFar):
             return self._brake(
                 notes, f"{target.distance:.2f} m from the reference; the limit is {failure.max_position_error} m"
@@ -259,7 +269,7 @@ class Controller:
 
     def _track(self, estimate: Estimate, target: Target, notes: list[str]) -> _Outcome:
         plan, report = self._planner.plan(
-            estimate, self._estimator.commands.recent, self._last, target.reference, target.time
+            estimate, self._estimator.commands.recent, self._last, target.reference, target.time, target.sample
         )
         if plan is not None:
             self._plan, self._plan_age = plan, 0

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from models.interface import FloatArray, Reference
+from models.interface import FloatArray, Reference, ReferenceSample
 from models.velocity_model import VelocityModel
 from mpc.begin_tick import begin_tick
 from mpc.bounds import command_box
@@ -65,8 +66,14 @@ class Planner:
             else partial(begin_tick, problem, feed_forward)
         )
         self._way = make_way(problem, self._condenser)
-        self._times = np.arange(feed_forward.samples) * self._dt
+        self.ahead: FloatArray = np.asarray(np.arange(feed_forward.samples) * self._dt)
+        """Times from now [s] at which a reference is sampled."""
         self._guess: FloatArray | None = None
+
+    @property
+    def compiled(self) -> bool:
+        """Whether the problem is made in C."""
+        return isinstance(self._condenser, CompiledCondenser)
 
     def reset(self) -> None:
         """Forget the last plan and the solver's warm start."""
@@ -74,26 +81,41 @@ class Planner:
         self._way.reset()
 
     def tick(
-        self, estimate: Estimate, past: FloatArray, last_command: FloatArray, reference: Reference, since_start: float
+        self,
+        estimate: Estimate,
+        past: FloatArray,
+        last_command: FloatArray,
+        reference: Reference,
+        since_start: float,
+        sample: ReferenceSample | None = None,
     ) -> Tick:
         """The data of the problem at `since_start` [s] on the reference's clock.
 
-        `past` (memory, 2) are the commands on their way, `last_command` (2,) is the one that slew counts from.
+        `past` (memory, 2) are the commands on their way, `last_command` (2,) is the one that slew counts from, and
+        `sample` the reference at `since_start + ahead` where that is known already.
         """
-        return self._begin(estimate, past, last_command, reference.sample(since_start + self._times))
+        if sample is None:
+            sample = reference.sample(since_start + self.ahead)
+        return self._begin(estimate, past, last_command, sample)
 
     def plan(
-        self, estimate: Estimate, past: FloatArray, last_command: FloatArray, reference: Reference, since_start: float
+        self,
+        estimate: Estimate,
+        past: FloatArray,
+        last_command: FloatArray,
+        reference: Reference,
+        since_start: float,
+        sample: ReferenceSample | None = None,
     ) -> tuple[Plan | None, SolverReport]:
-        """The next plan, or None where the solver's status does not allow its use."""
-        tick = self.tick(estimate, past, last_command, reference, since_start)
+        """The next plan, or None where the solver's status does not allow its use; see `tick` for the arguments."""
+        tick = self.tick(estimate, past, last_command, reference, since_start, sample)
         if self._guess is None:
             box = command_box(self._config.limits, self._dt, tick.last_command, len(tick.feed_forward))
             self._guess = np.clip(tick.feed_forward, -box, box)
         solution = self._way.solve(tick, self._guess)
-        if not (solution.report.status.usable and np.isfinite(solution.plan).all()):
+        if not (solution.report.status.usable and math.isfinite(solution.plan.sum())):
             self.reset()
             return None, solution.report
         plan = Plan(solution.plan, self._condenser.poses(tick, solution.plan), tick.reference.copy())
-        self._guess = np.vstack([solution.plan[1:], solution.plan[-1:]])
+        self._guess = np.concatenate((solution.plan[1:], solution.plan[-1:]))
         return plan, solution.report

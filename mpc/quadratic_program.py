@@ -2,9 +2,36 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 from models.interface import FloatArray
+from mpc.solver_report import SolverStatus
+
+Kinds = tuple[int, ...]
+"""Some of the kinds of limit, ascending: v_ref, omega_ref, their increments, and from 4 on the kinds of `soft`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Relaxed:
+    """Minimiser of U'HU/2 + g'U, and the factor of H = L L' that gave it.
+
+    Attributes
+    ----------
+    plan
+        (2 N,) the minimiser.
+    factor
+        (2 N, 2 N) L, lower triangular, columns contiguous.
+    residual
+        Largest entry of |H plan + g|.
+    broken
+        Kinds of limit that `plan` breaks; where it breaks none it solves the whole problem.
+    """
+
+    plan: FloatArray
+    factor: FloatArray
+    residual: float
+    broken: Kinds
 
 
 class QuadraticProgram(Protocol):
@@ -62,4 +89,12 @@ class QuadraticProgram(Protocol):
 
     def soft_rows(self, kind: int) -> FloatArray:
         """(N, 2 N) the soft rows of one kind."""
+        ...
+
+    def relax(self) -> Relaxed | SolverStatus:
+        """The minimiser without limits, or what keeps it from being found."""
+        ...
+
+    def broken(self, plan: FloatArray, slack: float) -> Kinds:
+        """Kinds of limit that the flat `plan` (2 N,) exceeds somewhere by more than `slack`."""
         ...

@@ -92,7 +92,7 @@ class NotesBuffer:
 
 def _finite(value: object, count: int) -> Sequence[float]:
     """`value` as `count` numbers; NaN if it is anything else."""
-    if type(value) is float and count == 1:
+    if count == 1 and isinstance(value, float):
         return (value,)
     if type(value) is np.ndarray and value.dtype == np.float64 and value.size == count:
         return value.ravel().tolist()

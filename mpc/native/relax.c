@@ -120,27 +120,37 @@ int ddmpc_broken(const ddmpc_tracking *constants, const ddmpc_tick *tick, const 
                  const ddmpc_qp *qp, const real plan[INPUTS], real slack)
 {
     real values[DDMPC_SOFT][N];
-    int broken = 0, outside = 0, steep = 0;
-    for (int i = 0; i < INPUTS; i++) {
-        const real before = i < 2 ? tick->last_command[i] : plan[i - 2];
-        /* Not the other way round: NaN breaks every limit. */
-        outside |= !(ddmpc_fabs(plan[i]) <= qp->box[i] + slack);
-        steep |= !(ddmpc_fabs(plan[i] - before) <= constants->slew[i % 2] + slack);
+    int broken = 0;
+    for (int c = 0; c < 2; c++) {
+        int outside = 0, steep = 0;
+        real before = tick->last_command[c];
+        for (int i = c; i < INPUTS; i += 2) {
+            /* Not the other way round: NaN breaks every limit. */
+            outside |= !(ddmpc_fabs(plan[i]) <= qp->box[i] + slack);
+            steep |= !(ddmpc_fabs(plan[i] - before) <= constants->slew[c] + slack);
+            before = plan[i];
+        }
+        broken |= (outside ? DDMPC_BROKEN_COMMAND << c : 0) | (steep ? DDMPC_BROKEN_INCREMENT << c : 0);
     }
-    if (outside)
-        broken |= DDMPC_BROKEN_BOX;
-    if (steep)
-        broken |= DDMPC_BROKEN_SLEW;
     ddmpc_soft_values(constants, tick, work, plan, values);
     for (int kind = 0; kind < DDMPC_SOFT; kind++) {
         int exceeded = 0;
         for (int k = 0; k < N; k++)
             exceeded |= !(values[kind][k] <= qp->soft_upper[kind][k] + slack &&
                           values[kind][k] >= qp->soft_lower[kind][k] - slack);
-        if (exceeded)
-            broken |= DDMPC_BROKEN_SOFT << kind;
+        broken |= exceeded ? DDMPC_BROKEN_SOFT << kind : 0;
     }
     return broken;
+}
+
+ddmpc_relax_status ddmpc_condense_and_relax(const ddmpc_tracking *constants, const ddmpc_tick *tick,
+                                            const real plan[INPUTS], ddmpc_workspace *work, ddmpc_qp *qp,
+                                            ddmpc_relaxed *relaxed, int *broken)
+{
+    ddmpc_condense(constants, tick, plan, work, qp);
+    const ddmpc_relax_status status = ddmpc_relax(tick, qp, relaxed);
+    *broken = status == DDMPC_RELAXED ? ddmpc_broken(constants, tick, work, qp, relaxed->plan, R(0.0)) : 0;
+    return status;
 }
 
 unsigned long ddmpc_relaxed_size(void)

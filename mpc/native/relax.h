@@ -5,8 +5,8 @@
 
 #include "condense.h"
 
-/* Bits of what a plan breaks: the range of a command, a slew limit, and the kinds of soft limit after them. */
-enum { DDMPC_BROKEN_BOX = 1, DDMPC_BROKEN_SLEW = 2, DDMPC_BROKEN_SOFT = 4 };
+/* Bits of the kinds of limit that a plan breaks: v_ref, omega_ref, their increments, and the kinds of soft limit. */
+enum { DDMPC_BROKEN_COMMAND = 1, DDMPC_BROKEN_INCREMENT = 4, DDMPC_BROKEN_SOFT = 16 };
 
 typedef struct {
     real plan[DDMPC_INPUTS];
@@ -22,6 +22,11 @@ ddmpc_relax_status ddmpc_relax(const ddmpc_tick *tick, const ddmpc_qp *qp, ddmpc
 /* What `plan` breaks by more than `slack`, as bits. After ddmpc_condense. */
 int ddmpc_broken(const ddmpc_tracking *constants, const ddmpc_tick *tick, const ddmpc_workspace *work,
                  const ddmpc_qp *qp, const real plan[DDMPC_INPUTS], real slack);
+
+/* Linearise along `plan`, condense, factorise and minimise; `broken` gets what the minimiser breaks at all, as bits. */
+ddmpc_relax_status ddmpc_condense_and_relax(const ddmpc_tracking *constants, const ddmpc_tick *tick,
+                                            const real plan[DDMPC_INPUTS], ddmpc_workspace *work, ddmpc_qp *qp,
+                                            ddmpc_relaxed *relaxed, int *broken);
 
 unsigned long ddmpc_relaxed_size(void);
 

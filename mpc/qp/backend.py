@@ -7,13 +7,12 @@ from typing import Protocol
 
 from models.interface import FloatArray
 from mpc.config import Solver, Weights
-from mpc.qp.limit_rows import Kinds, LimitRows
-from mpc.qp.relaxed import Relaxed
-from mpc.quadratic_program import QuadraticProgram
+from mpc.qp.limit_rows import LimitRows
+from mpc.quadratic_program import Kinds, QuadraticProgram, Relaxed
 from mpc.solver_report import SolverReport
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Task:
     """One problem and where to start from.
 
@@ -21,6 +20,8 @@ class Task:
     ----------
     qp, rows, relaxed
         The problem, its limits, and its minimiser without them.
+    values
+        (9, N) the limits' rows at that minimiser.
     kinds
         The kinds of limit to keep; a backend may keep more of them.
     guess
@@ -32,6 +33,7 @@ class Task:
     qp: QuadraticProgram
     rows: LimitRows
     relaxed: Relaxed
+    values: FloatArray
     kinds: Kinds
     guess: FloatArray
     multipliers: FloatArray

@@ -14,17 +14,13 @@ from models.interface import FloatArray
 from mpc.config import Solver, Weights
 from mpc.qp.backend import Backend, Task
 from mpc.qp.daqp_backend import DaqpBackend
-from mpc.qp.limit_rows import KINDS, Kinds, LimitRows, broken
+from mpc.qp.limit_rows import KINDS, LimitRows
 from mpc.qp.osqp_backend import OsqpBackend
-from mpc.qp.relaxed import Relaxed, relax
 from mpc.qp.solution import Solution
-from mpc.quadratic_program import QuadraticProgram
+from mpc.quadratic_program import Kinds, QuadraticProgram
 from mpc.solver_report import SolverReport, SolverStatus
 
 _BACKENDS: dict[str, type[Backend]] = {"osqp": OsqpBackend, "daqp": DaqpBackend}
-
-# Numbers beyond this are no robot's, and OSQP takes bounds beyond 1e30 for none.
-_LARGEST = 1e15
 
 
 class CondensedSolver:
@@ -55,41 +51,39 @@ class CondensedSolver:
 
     def solve(self, qp: QuadraticProgram, guess: FloatArray) -> Solution:
         """Solve, starting from the plan `guess` (N, 2). Never raises on numbers: see the report's status."""
-        if not all(_is_sound(data) for data in (qp.H, qp.g, qp.box, qp.last_command, qp.soft_upper)):
-            return Solution(guess, SolverReport(SolverStatus.NOT_FINITE))
-        relaxed = relax(qp)
-        if relaxed is None:
-            return Solution(guess, SolverReport(SolverStatus.NOT_CONVEX))
-        plan, rows = relaxed.plan, self._rows
-        rows.load(qp)
-        missed = broken(rows.excess(rows.values(plan)), 0.0)
+        relaxed = qp.relax()
+        if isinstance(relaxed, SolverStatus):
+            return Solution(guess, SolverReport(relaxed))
+        missed = relaxed.broken
         if missed:
-            return self._lean(qp, relaxed, missed, guess.ravel())
+            rows, plan = self._rows, relaxed.plan
+            rows.load(qp)
+            return self._lean(Task(qp, rows, relaxed, rows.values(plan), missed, guess.reshape(-1), self._nothing))
         self._multipliers = self._nothing
-        residual = float(np.abs(qp.H @ plan + qp.g).max())
-        return Solution(plan.reshape(-1, 2), SolverReport(SolverStatus.SOLVED, 0, 0.0, residual))
+        report = SolverReport(SolverStatus.SOLVED, 0, 0.0, relaxed.residual)
+        return Solution(relaxed.plan.reshape(-1, 2), report)
 
-    def _lean(self, qp: QuadraticProgram, relaxed: Relaxed, missed: Kinds, guess: FloatArray) -> Solution:
-        """Solve where limits matter, `missed` among them."""
-        iterations, start = 0, self._nothing
+    def _lean(self, task: Task) -> Solution:
+        """Solve where limits matter: begin with those that mattered last, or else with those of `task`."""
         if self._multipliers is not self._nothing:
-            start = np.concatenate((self._multipliers[:, 1:], self._multipliers[:, -1:]), axis=1)
-        kinds: Kinds = tuple(np.flatnonzero(start.any(axis=1)).tolist()) or missed
+            # One step ahead, as the plan.
+            task.multipliers = np.concatenate((self._multipliers[:, 1:], self._multipliers[:, -1:]), axis=1)
+            task.kinds = _pressing(task.multipliers) or task.kinds
+        iterations = 0
         while True:
-            answer = self._backend.solve(Task(qp, self._rows, relaxed, kinds, guess, start))
-            iterations, start = iterations + answer.report.iterations, answer.multipliers
+            answer = self._backend.solve(task)
+            iterations += answer.report.iterations
             if not answer.report.status.usable:
                 self._multipliers = self._nothing
                 break
-            self._multipliers = start
-            missed = broken(self._rows.excess(self._rows.values(answer.plan)), self._slack)
-            if set(missed) <= set(kinds):
+            self._multipliers = task.multipliers = answer.multipliers
+            missed = set(task.qp.broken(answer.plan, self._slack)) - set(task.kinds)
+            if not missed:
                 break
-            kinds = tuple(sorted({*kinds, *missed}))
+            task.kinds = tuple(sorted({*task.kinds, *missed}))
         return Solution(answer.plan.reshape(-1, 2), answer.report.after(iterations))
 
 
-def _is_sound(data: FloatArray) -> bool:
-    """Whether no number is NaN, infinite or larger than any robot's; one pass, without a temporary."""
-    flat = data.reshape(-1)
-    return bool(flat @ flat < _LARGEST**2)
+def _pressing(multipliers: FloatArray) -> Kinds:
+    """Kinds of limit that press somewhere."""
+    return tuple(np.flatnonzero(multipliers.any(axis=1)).tolist())

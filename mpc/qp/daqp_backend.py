@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from models.interface import FloatArray
 from mpc.config import Solver, Weights
 from mpc.qp.backend import Answer, Task
-from mpc.qp.limit_rows import HARD_KINDS, Kinds
+from mpc.qp.limit_rows import HARD_KINDS
 from mpc.qp.relaxed import inverse_factor
+from mpc.quadratic_program import Kinds, QuadraticProgram
 from mpc.solver_report import SolverReport, SolverStatus
 
 _STATUS = {
@@ -29,7 +30,8 @@ _STATUS = {
     -7: SolverStatus.TIME_LIMIT,
 }
 _DEPENDENT = -6
-_ACTIVE, _LOWER, _SOFT = 1, 2, 8
+# DAQP's flags of a row; the last says of a soft limit that it is kept, though it presses.
+_ACTIVE, _LOWER, _SOFT, _KEPT = 1, 2, 8, 32
 
 
 class DaqpBackend:
@@ -52,7 +54,7 @@ class _Workspace:
     """One DAQP model of fixed size, with the rows of some kinds of limit."""
 
     def __init__(self, steps: int, settings: Solver, weights: Weights, kinds: Kinds) -> None:
-        self._steps, self._kinds = steps, kinds
+        self._steps, self._kinds, self._chosen = steps, kinds, np.array(kinds, dtype=np.intp)
         self._hard = sum(kind < HARD_KINDS for kind in kinds)
         count = steps * len(kinds)
         # By kind; DAQP sees them all below one another.
@@ -63,20 +65,18 @@ class _Workspace:
         self._settings = {"primal_tol": settings.tolerance, "iter_limit": settings.max_iterations}
         if settings.time_limit is not None:
             self._settings["time_limit"] = settings.time_limit
-        self._price, self._looseness = np.full(count, weights.soft), np.full(count, 1 / weights.soft_quadratic)
+        self._price, self._looseness = np.zeros(count), np.full(count, 1 / weights.soft_quadratic)
+        self._price[self._hard * steps :] = weights.soft
         self._model: daqp.Model | None = None
 
     def solve(self, task: Task) -> Answer:
         """Solve for the kinds of this work space."""
         inverse = inverse_factor(task.relaxed.factor)
-        self._load(inverse, task.rows.soft)
-        plan, chosen = task.relaxed.plan, list(self._kinds)
-        now = task.rows.values(plan)[chosen]
+        self._load(inverse, task.qp)
+        chosen = self._chosen
+        now = task.values[chosen]
         upper, lower = (task.rows.upper[chosen] - now).reshape(-1), (task.rows.lower[chosen] - now).reshape(-1)
-        pressing = task.multipliers[chosen].reshape(-1)
-        sense = self._cold.copy()
-        sense[pressing > 0] += _ACTIVE
-        sense[pressing < 0] += _ACTIVE + _LOWER
+        sense = self._flags(task.multipliers[chosen].reshape(-1))
         z, _, flag, info = self._run(upper, lower, sense)
         if flag == _DEPENDENT:
             z, _, flag, info = self._run(upper, lower, self._cold)
@@ -92,9 +92,18 @@ class _Workspace:
         )
         multipliers = np.zeros_like(task.multipliers)
         multipliers[chosen] = pressing.reshape(-1, self._steps)
-        return Answer(plan + inverse @ z, report, multipliers)
+        return Answer(task.relaxed.plan + inverse @ z, report, multipliers)
 
-    def _load(self, inverse: FloatArray, soft: FloatArray) -> None:
+    def _flags(self, pressing: FloatArray) -> NDArray[np.intc]:
+        """The rows that press are taken to be active."""
+        sense = self._cold.copy()
+        sense[pressing > 0] += _ACTIVE
+        sense[pressing < 0] += _ACTIVE + _LOWER
+        if len(self._kinds) > self._hard:
+            sense[(pressing != 0) & (np.abs(pressing) < self._price)] += _KEPT
+        return sense
+
+    def _load(self, inverse: FloatArray, qp: QuadraticProgram) -> None:
         """Write the rows as functions of z."""
         for rows, kind in zip(self._rows, self._kinds, strict=True):
             own = inverse[kind % 2 :: 2]
@@ -104,8 +113,7 @@ class _Workspace:
                 rows[0] = own[0]
                 np.subtract(own[1:], own[:-1], out=rows[1:])
             else:
-                first = (kind - HARD_KINDS) * self._steps
-                np.matmul(soft[first : first + self._steps], inverse, out=rows)
+                np.matmul(qp.soft_rows(kind - HARD_KINDS), inverse, out=rows)
 
     def _run(
         self, upper: FloatArray, lower: FloatArray, sense: NDArray[np.intc]

@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from models.interface import FloatArray
-from mpc.quadratic_program import QuadraticProgram
+from mpc.quadratic_program import Kinds, QuadraticProgram
 
 HARD_KINDS, SOFT_KINDS = 4, 5
 KINDS = HARD_KINDS + SOFT_KINDS
 """v_ref, omega_ref and their increments, which are hard; then v, omega, right and left wheel, distance across."""
-
-Kinds = tuple[int, ...]
-"""Some of the kinds of limit, ascending."""
 
 
 class LimitRows:
@@ -22,32 +19,28 @@ class LimitRows:
     ----------
     lower, upper
         (9, N) bounds.
-    soft
-        (5 N, 2 N) the gradients of the soft rows.
     """
 
     def __init__(self, steps: int) -> None:
         self.lower, self.upper = np.empty((KINDS, steps)), np.empty((KINDS, steps))
-        self.soft = np.empty((0, 2 * steps))
-        self._last = np.zeros(2)
+        self._qp: QuadraticProgram | None = None
 
     def load(self, qp: QuadraticProgram) -> None:
         """Take over the limits of `qp`."""
-        upper, lower, soft = self.upper, self.lower, qp.soft
+        upper, lower, self._qp = self.upper, self.lower, qp
         upper[:2] = qp.box.reshape(-1, 2).T
         upper[2:HARD_KINDS] = qp.slew[:, None]
         np.negative(upper[:HARD_KINDS], out=lower[:HARD_KINDS])
         upper[HARD_KINDS:], lower[HARD_KINDS:] = qp.soft_upper, qp.soft_lower
-        self.soft = soft.reshape(-1, soft.shape[2])
-        self._last = qp.last_command
 
     def values(self, plan: FloatArray) -> FloatArray:
         """(9, N) the rows at the flat `plan` (2 N,)."""
+        assert self._qp is not None
         values = np.empty_like(self.upper)
         values[:2] = plan.reshape(-1, 2).T
-        np.subtract(values[:2, 0], self._last, out=values[2:HARD_KINDS, 0])
+        np.subtract(values[:2, 0], self._qp.last_command, out=values[2:HARD_KINDS, 0])
         np.subtract(values[:2, 1:], values[:2, :-1], out=values[2:HARD_KINDS, 1:])
-        np.dot(self.soft, plan, out=values[HARD_KINDS:].reshape(-1))
+        values[HARD_KINDS:] = self._qp.soft_values(plan)
         return values
 
     def excess(self, values: FloatArray) -> FloatArray:

@@ -13,8 +13,9 @@ from scipy import sparse
 from models.interface import FloatArray
 from mpc.config import Solver, Weights
 from mpc.qp.backend import Answer, Task
-from mpc.qp.limit_rows import HARD_KINDS, KINDS, SOFT_KINDS, Kinds
+from mpc.qp.limit_rows import HARD_KINDS, KINDS
 from mpc.qp.osqp_status import OSQP_STATUS
+from mpc.quadratic_program import Kinds
 from mpc.solver_report import SolverReport, SolverStatus
 
 # A multiplier below this is what is left of one: its limit is not active.
@@ -101,8 +102,8 @@ class _Workspace:
         if rows:
             self._upper[2 * n : 2 * n + rows] = limits.upper[self._kinds].reshape(-1)
             self._lower[2 * n : 2 * n + rows] = limits.lower[self._kinds].reshape(-1)
-            soft = limits.soft.reshape(SOFT_KINDS, self._steps, n)
-            self._A.data[self._soft_place] = soft[np.subtract(self._kinds, HARD_KINDS)].reshape(rows, n)
+            soft = [task.qp.soft_rows(kind - HARD_KINDS) for kind in self._kinds]
+            self._A.data[self._soft_place] = np.concatenate(soft)
 
     def _set_up(self) -> osqp.OSQP:
         solver = osqp.OSQP()

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from models.interface import Reference
+from models.interface import FloatArray, Reference, ReferenceSample
 from models.pose import wrap_angle
 from mpc.config import ControllerConfig
 from mpc.estimate import Estimate
@@ -26,10 +26,10 @@ _BEHIND, _AHEAD = 3.0, 1.5
 # Steps of the window in samples of the controller.
 _WINDOW_STEP = 2.5
 _MOST_SAMPLES = 5000
+_NOW = np.zeros(1)
 
 
-@dataclass(frozen=True)
-class _Deviation:
+class _Deviation(NamedTuple):
     """Of the robot from the pose that it follows, whose twist is `v` [m/s], `omega` [rad/s]."""
 
     along: float
@@ -59,6 +59,7 @@ class Pursuit:
     def configure(self, config: ControllerConfig) -> None:
         """Use other limits from now on."""
         self._config, self._settings = config, config.reentry
+        self._fastest = self._fastest_rate()
 
     def start(self, reference: Reference) -> None:
         """Follow `reference` from now on."""
@@ -67,6 +68,7 @@ class Pursuit:
         twist = reference.sample(np.linspace(0.0, reference.duration, samples)).twist
         v, omega = np.abs(twist).max(axis=0).tolist()
         self._top = (v, omega)
+        self._fastest = self._fastest_rate()
         self.restart()
 
     def restart(self) -> None:
@@ -102,8 +104,12 @@ class Pursuit:
         self._resumes, self._driving = not self._driving, False
         return self._time
 
-    def target(self, since_start: float, time: float, estimate: Estimate) -> Target | TooFar:
-        """What to track at `since_start` [s], where `time` [s] is what `advance` returned."""
+    def target(self, since_start: float, time: float, estimate: Estimate, ahead: FloatArray = _NOW) -> Target | TooFar:
+        """What to track at `since_start` [s], where `time` [s] is what `advance` returned.
+
+        `ahead` are the times from now, 0 first, at which the target will be sampled: one look at the reference serves
+        for both.
+        """
         reference = self._reference
         assert reference is not None
         if not self._settings.enabled or since_start < 0.0:
@@ -114,7 +120,8 @@ class Pursuit:
         if self._way_back is not None and time >= self._way_back.joins:
             self._way_back = None
         followed: Reference = self._way_back or reference
-        off = _deviation(followed, time, estimate)
+        sample = followed.sample(time + ahead)
+        off = _deviation(sample, estimate)
         if self._outside(off):
             found = self._return(reference, time, since_start, estimate)
             if isinstance(found, TooFar):
@@ -123,16 +130,17 @@ class Pursuit:
                 self._way_back = followed = found
                 time = found.begins
                 self._clock.set(since_start - time, 1.0)
-                off = _deviation(followed, time, estimate)
+                sample = followed.sample(time + ahead)
+                off = _deviation(sample, estimate)
         elif self._resumes and abs(off.v) > STANDING:
             self._clock.set(self._clock.delay, min(1.0, max(0.0, float(estimate.twist[0]) / off.v)))
         self._driving = True
         late = self._lateness(off)
-        self._clock.plan(self._fastest() * min(1.0, max(0.0, 2.0 - late)), catch_up=self._way_back is None)
+        self._clock.plan(self._fastest * min(1.0, max(0.0, 2.0 - late)), catch_up=self._way_back is None)
         if late <= 1.0 and self._way_back is None:
             self._blocked.restart()
             if self._clock.on_time:
-                return Target(followed, time)
+                return Target(followed, time, sample=sample)
         still = self._blocked.look(since_start, estimate.pose) if late > 1.0 or self._way_back else 0.0
         return Target(self._clock.clocked(followed), since_start, self._words(still), still)
 
@@ -197,7 +205,7 @@ class Pursuit:
         turning = -math.copysign(1.0, off.omega) * off.heading if abs(off.omega) > TURNING else 0.0
         return max(math.hypot(off.along, off.across) / settings.wait, turning / settings.heading_wait)
 
-    def _fastest(self) -> float:
+    def _fastest_rate(self) -> float:
         """Progress rate at which the reference stays inside the limits of the command."""
         limits, (v, omega) = self._config.limits, self._top
         within = min(limits.v / max(v, STANDING), limits.omega / max(omega, TURNING))
@@ -228,8 +236,8 @@ class Pursuit:
         return "; ".join(words)
 
 
-def _deviation(followed: Reference, time: float, estimate: Estimate) -> _Deviation:
-    sample = followed.sample([time])
+def _deviation(sample: ReferenceSample, estimate: Estimate) -> _Deviation:
+    """From the first pose of `sample`."""
     x, y, theta = sample.pose[0].tolist()
     at_x, at_y, at_theta = estimate.pose.tolist()
     v, omega = sample.twist[0].tolist()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from models.interface import Reference
+from models.interface import Reference, ReferenceSample
 
 
 @dataclass(frozen=True)
@@ -19,12 +19,15 @@ class Target:
         In words, what is out of the ordinary; empty when the robot is on its path and on time.
     blocked_for
         How long the robot has not moved although it is asked to [s]; 0 when it does.
+    sample
+        The reference from `time` on at the times that were asked for; None where it was not sampled.
     """
 
     reference: Reference
     time: float
     message: str = ""
     blocked_for: float = 0.0
+    sample: ReferenceSample | None = None
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Mapping
 from types import NoneType
-from typing import Any, TypeVar, get_args
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
@@ -56,6 +56,8 @@ def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescrip
     high: Any = next((b.lt if isinstance(b, Lt) else b.le for b in bounds if isinstance(b, Lt | Le)), None)
     words = [f"greater than {b.gt}" for b in bounds if isinstance(b, Gt)]
     words += [f"less than {b.lt}" for b in bounds if isinstance(b, Lt)]
+    if get_origin(field.annotation) is Literal:
+        words.append(f"one of {', '.join(get_args(field.annotation))}")
     if _optional(field):
         words, low = [*words, f"{NONE:g}: none"], NONE
     found = ParameterDescriptor(

@@ -6,7 +6,8 @@ import numpy as np
 
 from models.discrete_model import DiscreteModel
 from models.interface import FloatArray
-from mpc.qp.limit_rows import HARD_KINDS, Kinds
+from mpc.qp.limit_rows import HARD_KINDS
+from mpc.quadratic_program import Kinds
 from mpc.sparse.layout import Layout
 from mpc.sparse.linearised import Linearised
 from mpc.sparse.pattern import Indices, Pattern

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mpc.qp.limit_rows import Kinds
+from mpc.quadratic_program import Kinds
 from mpc.sparse.pattern import Indices
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from models.interface import FloatArray
 from mpc.problem import TrackingProblem
-from mpc.qp.limit_rows import Kinds
 from mpc.qp.solution import Solution
+from mpc.quadratic_program import Kinds
 from mpc.solver_report import SolverReport, SolverStatus
 from mpc.sparse.linearised import Lineariser
 from mpc.sparse.workspace import SparseWorkspace, soft_kinds_broken

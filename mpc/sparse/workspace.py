@@ -7,8 +7,9 @@ import osqp
 
 from models.interface import FloatArray
 from mpc.problem import TrackingProblem
-from mpc.qp.limit_rows import HARD_KINDS, SOFT_KINDS, Kinds
+from mpc.qp.limit_rows import HARD_KINDS, SOFT_KINDS
 from mpc.qp.osqp_status import OSQP_STATUS
+from mpc.quadratic_program import Kinds
 from mpc.solver_report import SolverReport, SolverStatus
 from mpc.sparse.constraints import Constraints, soft_gradient
 from mpc.sparse.cost import Cost

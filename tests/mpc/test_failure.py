@@ -10,8 +10,10 @@ from ideal_robot import IdealRobot, drive
 
 from models import Measurement, Stamped, load_model
 from mpc import Controller, Mode, load_config, load_trajectory
-from mpc.osqp_solver import OsqpSolver, Solution
+from mpc.qp.solution import Solution
 from mpc.solver_report import SolverReport, SolverStatus
+from mpc.sparse.solver import SparseSolver
+from mpc.ways import CondensedWay
 
 DT = 0.0202
 REFERENCE = load_trajectory("circle")
@@ -228,22 +230,35 @@ def test_a_plan_is_not_reused_beyond_its_horizon(monkeypatch):
     assert sum(r.mode is Mode.REUSED_PLAN for r in results) == 2
 
 
+WAYS = {
+    "condensed/osqp": {},
+    "condensed/daqp": {"solver.backend": "daqp"},
+    "sparse/osqp": {"solver.formulation": "sparse"},
+}
+every_way = pytest.mark.parametrize("way", WAYS)
+
+
 def break_solver(monkeypatch, failing, status=SolverStatus.MAX_ITERATIONS, garbage=2.1e9):
     """Let the solver fail at the given solves, with finite nonsense as its plan."""
-    solve, count = OsqpSolver.solve, iter(range(10**9))
+    count = iter(range(10**9))
 
-    def failing_solve(self, qp, guess):
-        solution = solve(self, qp, guess)
-        if next(count) in failing:
-            return Solution(np.full_like(solution.plan, garbage), SolverReport(status))
-        return solution
+    def failing_solve(solve):
+        def wrapped(self, tick, guess):
+            solution = solve(self, tick, guess)
+            if next(count) in failing:
+                return Solution(np.full_like(solution.plan, garbage), SolverReport(status))
+            return solution
 
-    monkeypatch.setattr(OsqpSolver, "solve", failing_solve)
+        return wrapped
+
+    for way in (CondensedWay, SparseSolver):
+        monkeypatch.setattr(way, "solve", failing_solve(way.solve))
 
 
-def test_a_failed_solve_uses_the_rest_of_the_last_plan(monkeypatch):
+@every_way
+def test_a_failed_solve_uses_the_rest_of_the_last_plan(monkeypatch, way):
     break_solver(monkeypatch, {100, 101})
-    results, poses, times = drive(controller(), robot(), REFERENCE, 4.0)
+    results, poses, times = drive(controller(**WAYS[way]), robot(), REFERENCE, 4.0)
     assert modes(results) == [Mode.TRACKING, Mode.REUSED_PLAN, Mode.TRACKING]
     assert results[100].command == pytest.approx(results[99].planned_commands[1], abs=1e-6)
     assert results[101].command == pytest.approx(results[99].planned_commands[2], abs=1e-6)
@@ -251,36 +266,49 @@ def test_a_failed_solve_uses_the_rest_of_the_last_plan(monkeypatch):
     assert np.abs((poses - REFERENCE.sample(times).pose)[:, :2]).max() < 0.01
 
 
-def test_lasting_failure_goes_down_the_whole_ladder_and_comes_back(monkeypatch):
+@every_way
+def test_lasting_failure_goes_down_the_whole_ladder_and_comes_back(monkeypatch, way):
     break_solver(monkeypatch, set(range(100, 180)), status=SolverStatus.INFEASIBLE)
-    results, _, _ = drive(controller(), robot(), REFERENCE, 6.0)
+    results, _, _ = drive(controller(**WAYS[way]), robot(), REFERENCE, 6.0)
     assert modes(results) == [Mode.TRACKING, Mode.REUSED_PLAN, Mode.BRAKING, Mode.STOPPED, Mode.TRACKING]
     assert sum(r.mode is Mode.REUSED_PLAN for r in results) == 5
     assert (slews(results) <= SLEW + 1e-12).all()
 
 
-def test_a_plan_that_is_not_finite_is_not_driven(monkeypatch):
+@every_way
+def test_a_plan_that_is_not_finite_is_not_driven(monkeypatch, way):
     break_solver(monkeypatch, {100}, status=SolverStatus.SOLVED, garbage=math.nan)
-    results, _, _ = drive(controller(), robot(), REFERENCE, 3.0)
+    results, _, _ = drive(controller(**WAYS[way]), robot(), REFERENCE, 3.0)
     assert results[100].mode is Mode.REUSED_PLAN
     assert np.isfinite([r.command for r in results]).all()
 
 
-def test_a_failed_warm_start_is_not_carried_on(monkeypatch):
+def poison_condensed(way):
+    way._solver._multipliers = np.full_like(way._solver._multipliers, 1e12)
+
+
+def poison_sparse(way):
+    for workspace in way._workspaces.values():
+        workspace._dual[:] = 1e12
+
+
+@every_way
+def test_a_failed_warm_start_is_not_carried_on(monkeypatch, way):
     """After a failure the solver starts cold: the next solves succeed, whatever the failed one left behind."""
+    chosen, spoil = (SparseSolver, poison_sparse) if "sparse" in way else (CondensedWay, poison_condensed)
     poisoned = []
 
-    def poison(self, qp, guess, solve=OsqpSolver.solve):
-        solution = solve(self, qp, guess)
+    def poison(self, tick, guess, solve=chosen.solve):
+        solution = solve(self, tick, guess)
         if len(poisoned) == 50:
-            for workspace in self._workspaces.values():
-                workspace._dual[:] = 1e12
+            spoil(self)
             solution = Solution(solution.plan, SolverReport(SolverStatus.MAX_ITERATIONS))
         poisoned.append(solution.report.status)
         return solution
 
-    monkeypatch.setattr(OsqpSolver, "solve", poison)
-    drive(controller(), robot(), REFERENCE, 2.0)
+    monkeypatch.setattr(chosen, "solve", poison)
+    # Tight enough that limits matter all the time.
+    drive(controller(**WAYS[way] | {"limits.v_slew": 0.3}), robot(), REFERENCE, 2.0)
     assert [status.usable for status in poisoned].count(False) == 1
 
 
@@ -297,10 +325,10 @@ spoils = st.dictionaries(
 )
 
 
-@settings(max_examples=60)
-@given(spoils, st.integers(3, 20))
-def test_whatever_arrives_the_command_is_finite_and_inside_its_limits(faults, horizon):
-    driver, base = controller(horizon=horizon), robot()
+@settings(max_examples=75)
+@given(spoils, st.integers(3, 20), st.sampled_from(list(WAYS)))
+def test_whatever_arrives_the_command_is_finite_and_inside_its_limits(faults, horizon, way):
+    driver, base = controller(horizon=horizon, **WAYS[way]), robot()
     driver.start(REFERENCE, 0.0)
     last = np.zeros(2)
     for k in range(60):

@@ -61,6 +61,15 @@ def test_no_time_limit_is_zero_as_a_parameter():
     assert read(shelf, ControllerConfig, {"solver.time_limit": 0.0}).solver.time_limit is None
 
 
+def test_a_choice_names_what_there_is_to_choose_from():
+    shelf = Shelf()
+    declare(shelf, CONFIG)
+    assert descriptor(FIELDS["solver.backend"]).additional_constraints == "one of osqp, daqp"
+    assert read(shelf, ControllerConfig, {"solver.backend": "daqp"}).solver.backend == "daqp"
+    with pytest.raises(ConfigError, match="solver.backend"):
+        read(shelf, ControllerConfig, {"solver.backend": "dqp"})
+
+
 @given(st.sampled_from(sorted(FIELDS)), st.floats(-1e3, 1e3) | st.integers(-1000, 1000).map(float))
 def test_ranges_agree_with_the_schema(name, value):
     """A number that the range of the descriptor excludes is refused by the schema too."""
