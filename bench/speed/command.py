@@ -11,14 +11,14 @@ from bench.atomic import staged
 from bench.console import output_console
 from bench.machine import describe_run
 from bench.progress import ProgressBar
-from bench.speed.environment import REQUIREMENTS, PeerEnvironment, peer_environment
 from bench.speed.measure import load_problem, measure
-from bench.speed.record import Measured, Missing
-from bench.speed.report import FIGURES, REPORT_FILES, write_report
-from bench.speed.results import SpeedResults
+from bench.speed.outcome.record import Measured, Missing
+from bench.speed.outcome.report import FIGURES, REPORT_FILES, write_report
+from bench.speed.outcome.results import SpeedResults
+from bench.speed.outcome.tables import speed_tables
+from bench.speed.process.environment import REQUIREMENTS, PeerEnvironment, peer_environment
+from bench.speed.process.subject import SubjectError
 from bench.speed.settings import SpeedSettings
-from bench.speed.subject import SubjectError
-from bench.speed.tables import speed_tables
 
 
 def run_speed(settings: SpeedSettings, out: Path, peer_folder: Path | None = None) -> SpeedResults:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from bench.speed.process.subject import Answer, Subject
 from bench.speed.settings import SpeedSettings
 from bench.speed.stage import stage_data
-from bench.speed.subject import Answer, Subject
 from models.interface import FloatArray, Measurement, Reference
 from models.velocity_model import VelocityModel
 from mpc import load_trajectory

@@ -12,11 +12,11 @@ import numpy as np
 from bench.controllers import controller_config
 from bench.speed.closed_loop_cost import closed_loop_cost
 from bench.speed.drive import Drive
-from bench.speed.environment import PeerEnvironment
-from bench.speed.record import Measured, Missing, Record, time_statistics
+from bench.speed.outcome.record import Measured, Missing, Record, time_statistics
+from bench.speed.process.environment import PeerEnvironment
+from bench.speed.process.subject import Answer, Subject, SubjectError
 from bench.speed.settings import SpeedSettings, SubjectSettings
 from bench.speed.stage import StageProblem, stage_problem
-from bench.speed.subject import Answer, Subject, SubjectError
 from models.interface import FloatArray
 from models.velocity_model import VelocityModel
 from mpc import Controller

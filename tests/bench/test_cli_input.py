@@ -22,6 +22,7 @@ COMMANDS = [
     ["bench"],
     ["identify"],
     ["tracking"],
+    ["speed"],
     ["config", "show"],
     ["config", "check"],
     ["config", "schema"],

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.speed.peers.nlp_peer import NlpPeer
 from bench.speed.stage import stage_data, stage_problem
+from bench.speed.subjects.nlp_peer import NlpPeer
 from models import integrate_pose, load_model
 from mpc import load_config
 from mpc.problem import TrackingProblem

@@ -7,8 +7,8 @@ from typer.testing import CliRunner
 
 from bench.cli import app
 from bench.speed.command import run_speed
+from bench.speed.process.subject import Subject, SubjectError
 from bench.speed.settings import SubjectSettings, chosen, load_speed_settings
-from bench.speed.subject import Subject, SubjectError
 from models.checked_yaml import ConfigError
 
 

@@ -37,7 +37,7 @@ class Subject:
     Parameters
     ----------
     kind
-        See `bench.speed.worker.KINDS`.
+        See `bench.speed.process.worker.KINDS`.
     folder
         Its own, for code that it generates and for what it prints.
     python

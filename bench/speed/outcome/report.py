@@ -7,8 +7,8 @@ import math
 from pathlib import Path
 
 from bench.figures.speed import draw_horizons, draw_tails
-from bench.speed.results import SpeedResults
-from bench.speed.tables import detailed_horizon, speed_tables
+from bench.speed.outcome.results import SpeedResults
+from bench.speed.outcome.tables import detailed_horizon, speed_tables
 
 REPORT_FILES = ("speed.json", "speed.md")
 FIGURES = "figures"

@@ -1,6 +1,6 @@
 """do-mpc with IPOPT; see docs/performance.md.
 
-Runs in an environment of its own, see `bench.speed.environment`, and imports nothing of ours but `StageProblem`'s plain
+Runs in an environment of its own (`bench.speed.process.environment`): of ours it knows `StageProblem`'s plain
 values.
 """
 
@@ -14,8 +14,8 @@ import numpy as np
 from do_mpc.controller import MPC
 from do_mpc.model import Model
 
-from bench.speed.peers.answer import Report
-from bench.speed.peers.shooting import SOFT
+from bench.speed.subjects.answer import Report
+from bench.speed.subjects.shooting import SOFT
 
 
 class DoMpcPeer:

@@ -1,6 +1,6 @@
 """acados: one real-time iteration (SQP_RTI) with HPIPM on generated and compiled C; see docs/performance.md.
 
-Runs in an environment of its own, see `bench.speed.environment`, and imports nothing of ours but `StageProblem`'s plain
+Runs in an environment of its own (`bench.speed.process.environment`): of ours it knows `StageProblem`'s plain
 values.
 """
 
@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from acados_template import AcadosModel, AcadosOcp, AcadosOcpSolver
 
-from bench.speed.peers.answer import Report
+from bench.speed.subjects.answer import Report
 
 _UPDATE = Path(__file__).with_name("acados_update.c")
 _HEADER = """#include "acados_solver_tracking.h"

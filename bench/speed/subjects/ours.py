@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from bench.speed.peers.answer import Report
+from bench.speed.subjects.answer import Report
 from models.interface import FloatArray, Measurement
 from mpc import Controller, StepResult, load_trajectory
 from mpc.command_line import CommandLine

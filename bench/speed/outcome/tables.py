@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bench.speed.record import Record
-from bench.speed.results import ACADOS, GROWTH_FROM, SpeedResults
+from bench.speed.outcome.record import Record
+from bench.speed.outcome.results import ACADOS, GROWTH_FROM, SpeedResults
 from bench.table import Table, number
 
 _DETAILED = 30

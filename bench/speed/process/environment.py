@@ -10,10 +10,10 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.speed.subject import SubjectError
+from bench.speed.process.subject import SubjectError
 from mpc.compiled.compiler import cache_folder
 
-REQUIREMENTS = Path(__file__).parent / "peers" / "requirements.txt"
+REQUIREMENTS = Path(__file__).parents[1] / "subjects" / "requirements.txt"
 _READY = ".ready"
 
 
@@ -30,7 +30,7 @@ def peer_environment(folder: Path | None = None) -> PeerEnvironment:
 
     Raises
     ------
-    bench.speed.subject.SubjectError
+    bench.speed.process.subject.SubjectError
         If it cannot be made: no package index within reach, or no wheel for this system.
     """
     if not shutil.which("gcc"):

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 KINDS = {
-    "ours": ("bench.speed.ours", "OurSubject"),
-    "acados": ("bench.speed.peers.acados_peer", "AcadosPeer"),
-    "do-mpc": ("bench.speed.peers.do_mpc_peer", "DoMpcPeer"),
-    "nlpsol": ("bench.speed.peers.nlp_peer", "NlpPeer"),
+    "ours": ("bench.speed.subjects.ours", "OurSubject"),
+    "acados": ("bench.speed.subjects.acados_peer", "AcadosPeer"),
+    "do-mpc": ("bench.speed.subjects.do_mpc_peer", "DoMpcPeer"),
+    "nlpsol": ("bench.speed.subjects.nlp_peer", "NlpPeer"),
 }
 """Module and class behind each kind of subject."""
 
@@ -91,5 +91,5 @@ def main() -> None:
 if __name__ == "__main__":
     # Last, so that this environment's own packages come first.
     sys.path[0:1] = []
-    sys.path.append(str(Path(__file__).resolve().parents[2]))
+    sys.path.append(str(Path(__file__).resolve().parents[3]))
     main()

@@ -1,0 +1,1 @@
+"""Records of the speed benchmark, and what is made of them: tables, figures, files."""
