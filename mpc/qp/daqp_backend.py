@@ -7,6 +7,7 @@ exact and a quadratic price on each row, without slack variables.
 from __future__ import annotations
 
 from functools import lru_cache, partial
+from typing import Any
 
 import daqp
 import numpy as np
