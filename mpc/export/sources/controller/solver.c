@@ -205,12 +205,15 @@ static void run(ddmpc_solver *solver, OSQPSolver *osqp, real plan[DDMPC_INPUTS],
         plan[k] = osqp->solution->x[k];
 }
 
-/* The multipliers of hard limits move a step ahead, like the plan. */
+/* The multipliers of the last tick move a step ahead, like the plan. */
 static void shift_dual(ddmpc_solver *solver)
 {
     for (int block = 0; block < DDMPC_HARD_ROWS; block += DDMPC_INPUTS)
         for (int k = 0; k + 2 < DDMPC_INPUTS; k++)
             solver->dual[block + k] = solver->dual[block + k + 2];
+    for (int kind = 0; kind < DDMPC_SOFT; kind++)
+        for (int step = 0; step + 1 < DDMPC_STEPS; step++)
+            solver->multiplier[kind][step] = solver->multiplier[kind][step + 1];
 }
 
 void ddmpc_solve(ddmpc_solver *solver, const ddmpc_problem *problem, const real guess[DDMPC_INPUTS],
