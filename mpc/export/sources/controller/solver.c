@@ -5,6 +5,7 @@
 #include "ddmpc_hard_workspace.h"
 #include "ddmpc_soft_workspace.h"
 #include "osqp.h"
+#include "soft_slots.h"
 
 /* An unused row of OSQP's. */
 #define UNBOUNDED_ROW R(1e15)
@@ -19,50 +20,6 @@ void ddmpc_solver_reset(ddmpc_solver *solver)
     for (int row = 0; row < DDMPC_SOFT_ROWS; row++)
         solver->dual[row] = R(0.0);
     memset(solver->multiplier, 0, sizeof solver->multiplier);
-}
-
-static int has_slot(const ddmpc_solver *solver, int kind, int step, int side)
-{
-    for (int i = 0; i < solver->slots; i++)
-        if (solver->slot[i].kind == kind && solver->slot[i].step == step && solver->slot[i].side == side)
-            return 1;
-    return 0;
-}
-
-/* Give slots to soft limits that `plan` exceeds by more than `margin`; returns how many got one, and how many did not. */
-static int give_slots(ddmpc_solver *solver, const ddmpc_problem *problem, const real plan[DDMPC_INPUTS], real margin,
-                      int *left_out)
-{
-    int given = 0;
-    *left_out = 0;
-    ddmpc_soft_values(problem->tracking, problem->tick, problem->work, plan, solver->values);
-    for (int kind = 0; kind < DDMPC_SOFT; kind++) {
-        for (int step = 0; step < DDMPC_STEPS; step++) {
-            real value = solver->values[kind][step];
-            int above = value > problem->qp->soft_upper[kind][step] + margin;
-            int below = value < problem->qp->soft_lower[kind][step] - margin;
-            if (above == below || has_slot(solver, kind, step, above - below))
-                continue;
-            if (solver->slots < DDMPC_SLOTS) {
-                ddmpc_slot slot = {kind, step, above - below};
-                solver->slot[solver->slots++] = slot;
-                given++;
-            } else {
-                ++*left_out;
-            }
-        }
-    }
-    return given;
-}
-
-/* Take their slots from soft limits that the last solution does not lean on. */
-static void free_idle_slots(ddmpc_solver *solver)
-{
-    int kept = 0;
-    for (int i = 0; i < solver->slots; i++)
-        if (ddmpc_fabs(solver->multiplier[solver->slot[i].kind][solver->slot[i].step]) > ddmpc_this_settings.soft_slack)
-            solver->slot[kept++] = solver->slot[i];
-    solver->slots = kept;
 }
 
 static real soft_bound(const ddmpc_qp *qp, const ddmpc_slot *slot)
@@ -237,7 +194,7 @@ void ddmpc_solve(ddmpc_solver *solver, const ddmpc_problem *problem, const real 
     }
     /* The soft limits that matter are first of all those that the last plan, a step ahead, is near. */
     solver->slots = 0;
-    give_slots(solver, problem, guess, -NEAR, &report->left_out);
+    ddmpc_give_slots(solver, problem, guess, -NEAR, &report->left_out);
     shift_dual(solver);
     fill_entries(solver);
     const real *start = guess;
@@ -250,10 +207,10 @@ void ddmpc_solve(ddmpc_solver *solver, const ddmpc_problem *problem, const real 
         if (!ddmpc_usable(report->status))
             return;
         keep_multipliers(solver);
-        exceeded = give_slots(solver, problem, plan, margin, &report->left_out);
+        exceeded = ddmpc_give_slots(solver, problem, plan, margin, &report->left_out);
         if (report->left_out) {
-            free_idle_slots(solver);
-            exceeded += give_slots(solver, problem, plan, margin, &report->left_out);
+            ddmpc_free_idle_slots(solver);
+            exceeded += ddmpc_give_slots(solver, problem, plan, margin, &report->left_out);
         }
         start = plan;
     } while (exceeded && report->iterations < DDMPC_ITERATION_LIMIT);
