@@ -35,11 +35,17 @@ def clip_command(
 
     Number by number: for two of them arrays take ten times as long.
     """
-    bounds = ((limits.v, limits.v_slew), (limits.omega, limits.omega_slew))
-    clipped = []
-    for wanted, last, (largest, rate) in zip(np.asarray(command).tolist(), last_command.tolist(), bounds, strict=True):
-        step = rate * dt
-        box = max(abs(last) - step, share * largest)
-        lower, upper = max(last - step, -box), min(last + step, box)
-        clipped.append(min(max(wanted, lower), upper))
-    return np.array(clipped)
+    v, omega = command
+    last_v, last_omega = last_command.tolist()
+    return np.array(
+        [
+            _clip(float(v), last_v, share * limits.v, limits.v_slew * dt),
+            _clip(float(omega), last_omega, share * limits.omega, limits.omega_slew * dt),
+        ]
+    )
+
+
+def _clip(wanted: float, last: float, largest: float, step: float) -> float:
+    box = max(abs(last) - step, largest)
+    lower, upper = max(last - step, -box), min(last + step, box)
+    return min(max(wanted, lower), upper)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from models.interface import FloatArray
 from mpc.solver_report import SolverStatus
@@ -34,12 +37,34 @@ class Relaxed:
     broken: Kinds
 
 
+class Found(NamedTuple):
+    """The solution of a least-distance problem in terms of the commands.
+
+    Attributes
+    ----------
+    plan
+        (2 N,) the commands.
+    excess, residual
+        By how much the worst hard limit is exceeded, and how far the cost is from stationary.
+    multipliers
+        (9, N) of all kinds of limit: positive at upper bounds, negative at lower ones, else zero.
+    kinds
+        The kinds that press somewhere.
+    """
+
+    plan: FloatArray
+    excess: float
+    residual: float
+    multipliers: FloatArray
+    kinds: Kinds
+
+
 class LeastDistance(Protocol):
-    """Minimise |z|^2 / 2 subject to lower <= rows z <= upper, soft limits at their price."""
+    """Minimise |z|^2 / 2 subject to lower <= rows z <= upper, soft limits at their price; (kinds N) rows by kind."""
 
     @property
     def rows(self) -> FloatArray:
-        """(kinds N, 2 N) rows of the limits, kind by kind."""
+        """(kinds N, 2 N) rows of the limits."""
         ...
 
     @property
@@ -52,14 +77,15 @@ class LeastDistance(Protocol):
         """(kinds N,) upper bounds."""
         ...
 
-    def solution(self, z: FloatArray, pressing: FloatArray) -> tuple[FloatArray, float, float]:
-        """What z (2 N,), with the multipliers `pressing` (kinds N,) of the rows, is in commands.
+    def flags(self, multipliers: FloatArray, price: float) -> NDArray[np.intc]:
+        """(kinds N,) how rows begin where a solution with `multipliers` (9, N) is near, as DAQP numbers it.
 
-        Returns
-        -------
-        tuple
-            The flat plan (2 N,); by how much the worst hard limit is exceeded; and how far it is from stationary.
+        `price` is that of each unit beyond a soft limit.
         """
+        ...
+
+    def found(self, z: FloatArray, pressing: FloatArray) -> Found:
+        """What the solution z (2 N,) is, on which the rows press with `pressing` (kinds N,)."""
         ...
 
 

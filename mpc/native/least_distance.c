@@ -96,11 +96,26 @@ void ddmpc_to_least_distance(const ddmpc_tracking *constants, const ddmpc_tick *
     }
 }
 
-void ddmpc_from_least_distance(const ddmpc_relaxed *relaxed, int kinds, const real z[INPUTS], const real *pressing,
-                               ddmpc_least_distance *problem)
+void ddmpc_row_flags(int kinds, const real multipliers[DDMPC_KINDS][N], real price, int *flags)
+{
+    for (int kind = 0; kind < DDMPC_KINDS; kind++) {
+        const int soft = kind >= DDMPC_HARD;
+        if (!(kinds >> kind & 1))
+            continue;
+        for (int k = 0; k < N; k++) {
+            const real pressing = multipliers[kind][k];
+            const int active = pressing < R(0.0) ? DDMPC_ACTIVE | DDMPC_LOWER : pressing > R(0.0) ? DDMPC_ACTIVE : 0;
+            *flags++ = active | (soft ? DDMPC_IS_SOFT : 0) |
+                       (active && soft && ddmpc_fabs(pressing) < price ? DDMPC_KEPT : 0);
+        }
+    }
+}
+
+int ddmpc_from_least_distance(const ddmpc_relaxed *relaxed, int kinds, const real z[INPUTS], const real *pressing,
+                              ddmpc_least_distance *problem)
 {
     real dual[INPUTS];
-    int row = 0;
+    int row = 0, active = 0;
     for (int i = 0; i < INPUTS; i++) {
         problem->plan[i] = relaxed->plan[i];
         for (int j = i; j < INPUTS; j++)
@@ -108,15 +123,19 @@ void ddmpc_from_least_distance(const ddmpc_relaxed *relaxed, int kinds, const re
         dual[i] = z[i];
     }
     problem->primal = problem->dual = R(0.0);
+    memset(problem->multipliers, 0, sizeof problem->multipliers);
     for (int kind = 0; kind < DDMPC_KINDS; kind++) {
         if (!(kinds >> kind & 1))
             continue;
         for (int k = 0; k < N; k++, row++) {
             const real *own = problem->rows[row];
             real value = R(0.0);
-            if (pressing[row] != R(0.0))
+            problem->multipliers[kind][k] = pressing[row];
+            if (pressing[row] != R(0.0)) {
+                active |= 1 << kind;
                 for (int j = 0; j < INPUTS; j++)
                     dual[j] += pressing[row] * own[j];
+            }
             if (kind >= DDMPC_HARD)
                 continue;
             for (int j = 0; j < INPUTS; j++)
@@ -127,6 +146,7 @@ void ddmpc_from_least_distance(const ddmpc_relaxed *relaxed, int kinds, const re
     }
     for (int j = 0; j < INPUTS; j++)
         problem->dual = ddmpc_max(problem->dual, ddmpc_fabs(dual[j]));
+    return active;
 }
 
 unsigned long ddmpc_least_distance_size(void)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from models.interface import FloatArray
 from mpc.config import Solver, Weights
@@ -34,13 +34,25 @@ class Task:
     multipliers: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """What a backend found: the flat plan (2 N,), its report, and multipliers (9, N), zero where nothing presses."""
+class Answer(NamedTuple):
+    """What a backend found.
+
+    Attributes
+    ----------
+    plan
+        (2 N,) the flat plan.
+    report
+        What the solver says of it.
+    multipliers
+        (9, N) of the limits, zero where nothing presses.
+    kinds
+        The kinds of limit that press somewhere.
+    """
 
     plan: FloatArray
     report: SolverReport
     multipliers: FloatArray
+    kinds: Kinds
 
 
 class Backend(Protocol):

@@ -47,6 +47,7 @@ class CondensedSolver:
         """Forget every earlier solve; called after a failure, so that no bad iterate is carried on."""
         self._backend = _BACKENDS[self._settings.backend](self._steps, self._settings, self._weights)
         self._multipliers = self._nothing
+        self._kinds: Kinds = ()
 
     def solve(self, qp: QuadraticProgram, guess: FloatArray) -> Solution:
         """Solve, starting from the plan `guess` (N, 2). Never raises on numbers: see the report's status."""
@@ -56,31 +57,30 @@ class CondensedSolver:
         missed = relaxed.broken
         if missed:
             return self._lean(Task(qp, relaxed, missed, guess.reshape(-1), self._nothing))
-        self._multipliers = self._nothing
+        self._kinds = ()
         report = SolverReport(SolverStatus.SOLVED, 0, 0.0, relaxed.residual)
         return Solution(relaxed.plan.reshape(-1, 2), report)
 
     def _lean(self, task: Task) -> Solution:
         """Solve where limits matter: begin with those of `task` and those that mattered last."""
-        if self._multipliers is not self._nothing:
+        if self._kinds:
             # One step ahead, as the plan.
             task.multipliers = np.concatenate((self._multipliers[:, 1:], self._multipliers[:, -1:]), axis=1)
-            task.kinds = tuple(sorted({*task.kinds, *_pressing(task.multipliers)}))
+            task.kinds = _union(task.kinds, self._kinds)
         iterations = 0
         while True:
             answer = self._backend.solve(task)
             iterations += answer.report.iterations
             if not answer.report.status.usable:
-                self._multipliers = self._nothing
+                self._kinds = ()
                 break
-            self._multipliers = task.multipliers = answer.multipliers
-            missed = set(task.qp.broken(answer.plan, self._slack)) - set(task.kinds)
-            if not missed:
+            self._multipliers, self._kinds, task.multipliers = answer.multipliers, answer.kinds, answer.multipliers
+            missed = task.qp.broken(answer.plan, self._slack)
+            if set(missed) <= set(task.kinds):
                 break
-            task.kinds = tuple(sorted({*task.kinds, *missed}))
+            task.kinds = _union(task.kinds, missed)
         return Solution(answer.plan.reshape(-1, 2), answer.report.after(iterations))
 
 
-def _pressing(multipliers: FloatArray) -> Kinds:
-    """Kinds of limit that press somewhere."""
-    return tuple(np.flatnonzero(multipliers.any(axis=1)).tolist())
+def _union(some: Kinds, others: Kinds) -> Kinds:
+    return some if some == others else tuple(sorted({*some, *others}))

@@ -6,6 +6,8 @@ exact and a quadratic price on each row, without slack variables.
 
 from __future__ import annotations
 
+from typing import Any
+
 import daqp
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +30,6 @@ _STATUS = {
     -7: SolverStatus.TIME_LIMIT,
 }
 _DEPENDENT = -6
-# DAQP's flags of a row; the last says of a soft limit that it is kept, though it presses.
-_ACTIVE, _LOWER, _SOFT, _KEPT = 1, 2, 8, 32
 
 
 class DaqpBackend:
@@ -52,51 +52,32 @@ class _Workspace:
     """One DAQP model of fixed size, with the rows of some kinds of limit."""
 
     def __init__(self, steps: int, settings: Solver, weights: Weights, kinds: Kinds) -> None:
-        self._steps, self._kinds, self._chosen = steps, kinds, np.array(kinds, dtype=np.intp)
-        count, hard = steps * len(kinds), steps * sum(kind < HARD_KINDS for kind in kinds)
-        self._soft = count > hard
-        self._cold = np.zeros(count, dtype=np.intc)
-        self._cold[hard:] = _SOFT
+        self._steps, self._kinds, self._weights = steps, kinds, weights
+        self._soft, self._price = any(kind >= HARD_KINDS for kind in kinds), weights.soft
         self._settings = {"primal_tol": settings.tolerance, "iter_limit": settings.max_iterations}
         if settings.time_limit is not None:
             self._settings["time_limit"] = settings.time_limit
-        self._price, self._looseness = np.zeros(count), np.full(count, 1 / weights.soft_quadratic)
-        self._price[hard:] = weights.soft
         self._model: daqp.Model | None = None
 
     def solve(self, task: Task) -> Answer:
         """Solve for the kinds of this work space."""
-        problem, chosen = task.qp.least_distance(task.relaxed, self._kinds), self._chosen
-        z, _, flag, info = self._run(problem, self._flags(task.multipliers[chosen].reshape(-1)))
+        problem = task.qp.least_distance(task.relaxed, self._kinds)
+        z, _, flag, info = self._run(problem, problem.flags(task.multipliers, self._price))
         if flag == _DEPENDENT:
-            z, _, flag, info = self._run(problem, self._cold)
-        pressing = info["lam"]
-        plan, primal, dual = problem.solution(z, pressing)
-        report = SolverReport(
-            _STATUS.get(flag, SolverStatus.NOT_RUN), int(info["iterations"]), primal, dual, self._soft
-        )
-        multipliers = np.zeros_like(task.multipliers)
-        multipliers[chosen] = pressing.reshape(-1, self._steps)
-        return Answer(plan, report, multipliers)
+            z, _, flag, info = self._run(problem, problem.flags(np.zeros_like(task.multipliers), self._price))
+        plan, excess, residual, multipliers, kinds = problem.found(z, info["lam"])
+        status = _STATUS.get(flag, SolverStatus.NOT_RUN)
+        return Answer(plan, SolverReport(status, info["iterations"], excess, residual, self._soft), multipliers, kinds)
 
-    def _flags(self, pressing: FloatArray) -> NDArray[np.intc]:
-        """The rows that press are taken to be active."""
-        sense = self._cold.copy()
-        sense[pressing > 0] += _ACTIVE
-        sense[pressing < 0] += _ACTIVE + _LOWER
-        if self._soft:
-            sense[(pressing != 0) & (np.abs(pressing) < self._price)] += _KEPT
-        return sense
-
-    def _run(
-        self, problem: LeastDistance, sense: NDArray[np.intc]
-    ) -> tuple[FloatArray, float, int, dict[str, FloatArray]]:
+    def _run(self, problem: LeastDistance, sense: NDArray[np.intc]) -> tuple[FloatArray, float, int, dict[str, Any]]:
         if self._model is None:
             self._model, n = daqp.Model(), 2 * self._steps
             self._model.setup(np.eye(n), np.zeros(n), problem.rows, problem.upper, problem.lower, sense)
             self._model.settings = self._settings
             if self._soft:
-                self._model.soft_weights(self._looseness, self._looseness, self._price, self._price)
+                rows = len(sense)
+                looseness, price = np.full(rows, 1 / self._weights.soft_quadratic), np.full(rows, self._price)
+                self._model.soft_weights(looseness, looseness, price, price)
         else:
             self._model.update(A=problem.rows, bupper=problem.upper, blower=problem.lower, sense=sense)
         return self._model.solve()  # type: ignore[no-any-return]

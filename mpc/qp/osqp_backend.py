@@ -78,7 +78,7 @@ class _Workspace:
                 self._solver.update(q=self._gradient, l=self._lower, u=self._upper, Px=self._P.data, **changed)
         except (osqp.OSQPException, ValueError):
             refused = SolverReport(SolverStatus.REFUSED, soft_limits=bool(self._kinds))
-            return Answer(task.guess, refused, task.multipliers)
+            return Answer(task.guess, refused, task.multipliers, ())
         self._solver.warm_start(x=self._primal(task), y=self._dual(task.multipliers))
         result = self._solver.solve(raise_error=False)
         report = SolverReport(
@@ -88,7 +88,9 @@ class _Workspace:
             dual_residual=float(result.info.dual_res),
             soft_limits=bool(self._kinds),
         )
-        return Answer(np.array(result.x[: self._n]), report, self._multipliers(result.y))
+        multipliers = self._multipliers(result.y)
+        kinds = tuple(np.flatnonzero(multipliers.any(axis=1)).tolist())
+        return Answer(np.array(result.x[: self._n]), report, multipliers, kinds)
 
     def _load(self, task: Task) -> None:
         n, rows, limits = self._n, self._soft_rows, self._limits

@@ -39,8 +39,10 @@ def test_c_and_python_give_the_same_numbers(seed, kinds):
         rng.normal(size=mine.rows.shape[1]),
         rng.normal(size=len(mine.rows)) * rng.integers(0, 2, len(mine.rows)),
     )
-    for found, expected in zip(theirs.solution(z, pressing), mine.solution(z, pressing), strict=True):
+    for found, expected in zip(theirs.found(z, pressing), mine.found(z, pressing), strict=True):
         assert found == pytest.approx(expected, abs=1e-9)
+    multipliers = mine.found(z, pressing).multipliers
+    assert (theirs.flags(multipliers, 0.5) == mine.flags(multipliers, 0.5)).all()
 
 
 @settings(max_examples=20, deadline=None)
@@ -51,7 +53,7 @@ def test_the_distance_is_the_cost_and_rows_are_the_limits(seed, compiled):
     rng = np.random.default_rng(seed)
     z = rng.normal(size=len(qp.g))
     lean = qp.least_distance(relaxed, tuple(range(KINDS)))
-    plan, excess, _ = lean.solution(z, np.zeros(len(lean.rows)))
+    plan, excess, *_ = lean.found(z, np.zeros(len(lean.rows)))
 
     def cost(u):
         return u @ qp.H @ u / 2 + qp.g @ u
