@@ -56,6 +56,15 @@ def test_single_precision(tmp_path):
     assert all(ours.mode == theirs.mode for ours, theirs in steps)
 
 
+def test_another_model_with_dead_time(tmp_path):
+    """Eight states, a horizon of its own, and commands that are two and three samples on their way."""
+    overrides = {"horizon": 12, "extra_dead_time.v": 0.05, "extra_dead_time.omega": 0.03}
+    program = export(tmp_path / "mbm", "s", "double", {**overrides, **EXACT}, "-O1", model="mbm")
+    steps = drive_both(program, "s", overrides, 100, offset=(0.0, 0.04, 0.1), model="mbm")
+    assert np.abs(differences(steps)).max() <= DOUBLE
+    assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)
+
+
 def test_to_the_end(in_double):
     """The square ends where it begins: the robot starts there, shortly before the end."""
     skipped = 856 * 0.0202
