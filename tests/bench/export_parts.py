@@ -24,11 +24,13 @@ INCLUDES = ("ddmpc", "osqp", "osqp/inc/public", "osqp/inc/private", "stm32f4")
 EXACT = {"solver.tolerance": 1e-9, "solver.max_iterations": 20000}
 
 
-def export(folder: Path, trajectory: str, precision: str, overrides: dict, *flags: str, model: str = "ssm") -> Path:
+def export(
+    folder: Path, trajectory: str, precision: str, overrides: dict, *flags: str, model: str = "ssm", slots=None
+) -> Path:
     """Export and compile with the host program; our sources with warnings as errors."""
     folder.mkdir()
     config = load_config(model, {"horizon": 15, **overrides})
-    export_controller(config, load_trajectory(trajectory), folder, Precision(precision))
+    export_controller(config, load_trajectory(trajectory), folder, Precision(precision), slots)
     includes = [f"-I{folder / name}" for name in INCLUDES]
     ours = [HOST, folder / "stm32f4" / "frames.c", *sorted((folder / "ddmpc").glob("*.c"))]
     theirs = sorted((folder / "osqp").glob("**/*.c"))

@@ -11,6 +11,8 @@
 #define UNBOUNDED_ROW R(1e15)
 /* A soft limit that is nearer than this may soon matter [m/s, rad/s, m]. */
 #define NEAR R(0.02)
+/* Solves of one tick, each with the soft limits that the one before exceeded. */
+#define ROUNDS 6
 
 int ddmpc_usable(ddmpc_status status) { return status == DDMPC_QP_SOLVED || status == DDMPC_QP_SOLVED_INACCURATELY; }
 
@@ -198,8 +200,7 @@ void ddmpc_solve(ddmpc_solver *solver, const ddmpc_problem *problem, const real 
     shift_dual(solver);
     fill_entries(solver);
     const real *start = guess;
-    int exceeded;
-    do {
+    for (int round = 0; round < ROUNDS; round++) {
         fill_hard(solver, problem, start);
         if (solver->slots)
             fill_soft(solver, problem);
@@ -207,12 +208,14 @@ void ddmpc_solve(ddmpc_solver *solver, const ddmpc_problem *problem, const real 
         if (!ddmpc_usable(report->status))
             return;
         keep_multipliers(solver);
-        exceeded = ddmpc_give_slots(solver, problem, plan, margin, &report->left_out);
+        int exceeded = ddmpc_give_slots(solver, problem, plan, margin, &report->left_out);
         if (report->left_out) {
             ddmpc_free_idle_slots(solver);
             exceeded += ddmpc_give_slots(solver, problem, plan, margin, &report->left_out);
         }
+        /* Where there are fewer slots than limits that matter, another round would only exchange them. */
+        if (!exceeded || report->left_out || report->iterations >= DDMPC_ITERATION_LIMIT)
+            return;
         start = plan;
-    } while (exceeded && report->iterations < DDMPC_ITERATION_LIMIT);
-    report->left_out += exceeded;
+    }
 }
