@@ -24,7 +24,7 @@ from models.interface import Reference
 from mpc import ControllerConfig, load_trajectory
 from mpc.export import FILES, FOLDERS, Precision, export_controller
 
-REPORT = "export.json"
+README, REPORT = "README.md", "export.json"
 
 
 def export_library(
@@ -53,7 +53,7 @@ def export_library(
     name = default_model(config) if model is None else model
     values = controller_config(name, None if config is None else str(config), single_settings(settings))
     reference = load_trajectory(trajectory)
-    with staged(out, files=(*FILES, REPORT), folders=FOLDERS) as folder:
+    with staged(out, files=(*FILES, README, REPORT), folders=FOLDERS) as folder, ProgressBar("exporting") as bar:
         exported = export_controller(values, reference, folder, Precision(precision), soft_slots)
         sizes = measure_sizes(folder)
         facts = {
@@ -70,9 +70,9 @@ def export_library(
             "sizes": [size.as_json() for size in sizes],
         }
         if emulated:
-            facts["emulation"] = _emulate(folder, values, reference)
+            facts["emulation"] = _emulate(folder, values, reference, bar)
         tables = [size_table(sizes), *([emulation_table(facts["emulation"])] if emulated else [])]
-        (folder / "README.md").write_text(readme(facts, tables), encoding="utf-8")
+        (folder / README).write_text(readme(facts, tables), encoding="utf-8")
         report = {
             "meta": describe_run(time.perf_counter() - began),
             **facts,
@@ -85,11 +85,12 @@ def export_library(
     console.print(f"controller in {out}: {name}, {values.horizon} steps, {precision} precision", highlight=False)
 
 
-def _emulate(folder: Path, config: ControllerConfig, reference: Reference) -> dict[str, object]:
-    with TemporaryDirectory() as scratch, ProgressBar("emulating") as bar:
+def _emulate(folder: Path, config: ControllerConfig, reference: Reference, bar: ProgressBar) -> dict[str, object]:
+    with TemporaryDirectory() as scratch:
         image = Path(scratch) / "program.elf"
         if not link_stm32f4(folder, image):
             raise ConfigError("--emulate: the program does not fit into an STM32F4; export float, or a shorter horizon")
+        bar.begin("emulating", 1)
         return emulate(image, config, reference, bar.at).as_json()
 
 

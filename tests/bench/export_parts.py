@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import struct
 import subprocess
 from pathlib import Path
@@ -23,11 +24,13 @@ INCLUDES = ("ddmpc", "osqp", "osqp/inc/public", "osqp/inc/private", "stm32f4")
 EXACT = {"solver.tolerance": 1e-9, "solver.max_iterations": 20000}
 
 
-def export(folder: Path, trajectory: str, precision: str, overrides: dict, *flags: str) -> Path:
+def export(
+    folder: Path, trajectory: str, precision: str, overrides: dict, *flags: str, model: str = "ssm", slots=None
+) -> Path:
     """Export and compile with the host program; our sources with warnings as errors."""
     folder.mkdir()
-    config = load_config("ssm", {"horizon": 15, **overrides})
-    export_controller(config, load_trajectory(trajectory), folder, Precision(precision))
+    config = load_config(model, {"horizon": 15, **overrides})
+    export_controller(config, load_trajectory(trajectory), folder, Precision(precision), slots)
     includes = [f"-I{folder / name}" for name in INCLUDES]
     ours = [HOST, folder / "stm32f4" / "frames.c", *sorted((folder / "ddmpc").glob("*.c"))]
     theirs = sorted((folder / "osqp").glob("**/*.c"))
@@ -41,6 +44,7 @@ def export(folder: Path, trajectory: str, precision: str, overrides: dict, *flag
 
 
 def compile_c(*arguments: str) -> None:
+    assert shutil.which("gcc"), "gcc was not found: install a C compiler (Debian: apt-get install gcc libc6-dev)"
     result = subprocess.run(["gcc", *arguments], capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
 
@@ -87,12 +91,14 @@ class SpoiledReference:
         return sample
 
 
-def drive_both(program: Path, trajectory: str, overrides: dict, ticks: int, *, offset=(0.0, 0.0, 0.0), change=None):
+def drive_both(
+    program: Path, trajectory: str, overrides: dict, ticks: int, *, offset=(0.0, 0.0, 0.0), change=None, model="ssm"
+):
     """The Python controller drives a noisy robot, and the exported one sees the same; both give their steps.
 
     `change(k, measurement, exported, reference)` may spoil things and returns time shift, measurement and hold.
     """
-    config = load_config("ssm", {"horizon": 15, "reentry.enabled": False, **overrides, **EXACT})
+    config = load_config(model, {"horizon": 15, "reentry.enabled": False, **overrides, **EXACT})
     controller, exported = Controller(config), ExportedController(program)
     reference = SpoiledReference(trajectory)
     start = reference.sample([0.0]).pose[0] + offset

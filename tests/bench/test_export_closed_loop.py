@@ -46,6 +46,17 @@ def test_soft_limits_in_double_precision(with_sanitizers):
     assert sum(theirs.soft_limits > 0 for _, theirs in steps) > 50
 
 
+def test_more_soft_limits_than_slots(tmp_path):
+    """Some are left out of the program, and the robot drives on."""
+    limits = {"limits.wheel_speed": 0.58}
+    program = export(tmp_path / "few", "s", "float", {**limits, "solver.max_iterations": 150}, "-O1", slots=3)
+    steps = drive_both(program, "s", limits, 150)
+    assert all(theirs.mode == Mode.TRACKING for _, theirs in steps)
+    assert max(theirs.soft_limits for _, theirs in steps) == 3
+    # They are soft: what is left out costs a little speed more, not a way of its own.
+    assert np.abs(differences(steps)).max() <= 0.1
+
+
 def test_single_precision(tmp_path):
     """Single precision carries the residuals of the solver: its tolerance of 1e-5 in rows of unit length is 5e-5 in
     the commands (the Python solver's error at that tolerance is as large), and rounding adds to that: 2e-4 in all.
@@ -54,6 +65,15 @@ def test_single_precision(tmp_path):
     steps = drive_both(program, "square", TIGHT, 350, offset=(0.02, -0.03, 0.1))
     assert np.abs(differences(steps)).max() <= 2e-4
     assert all(ours.mode == theirs.mode for ours, theirs in steps)
+
+
+def test_another_model_with_dead_time(tmp_path):
+    """Eight states, a horizon of its own, and commands that are two and three samples on their way."""
+    overrides = {"horizon": 12, "extra_dead_time.v": 0.05, "extra_dead_time.omega": 0.03}
+    program = export(tmp_path / "mbm", "s", "double", {**overrides, **EXACT}, "-O1", model="mbm")
+    steps = drive_both(program, "s", overrides, 100, offset=(0.0, 0.04, 0.1), model="mbm")
+    assert np.abs(differences(steps)).max() <= DOUBLE
+    assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)
 
 
 def test_to_the_end(in_double):

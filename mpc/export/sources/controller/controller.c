@@ -5,6 +5,7 @@
 
 #include "command_limits.h"
 #include "planner.h"
+#include "progress.h"
 
 /* A spline through timed poses may ring a little over its limit. */
 #define SPEED_EXCESS R(1.01)
@@ -97,38 +98,6 @@ static int restart_elsewhere(ddmpc_controller *c)
     return ddmpc_this_settings.resume > R(0.0) && ddmpc_estimator_restart_elsewhere(&ddmpc_this_estimation, &c->estimator);
 }
 
-static real distance_to(const ddmpc_controller *c, const real pose[3])
-{
-    const real *here = c->result.estimate.mean + DDMPC_POSE;
-    return ddmpc_hypot(here[0] - pose[0], here[1] - pose[1]);
-}
-
-/* Whether the robot rests at the end of its reference, or has had the time to; what is finished stays so. */
-static int is_finished(ddmpc_controller *c, ddmpc_time time, ddmpc_result *result)
-{
-    real pose[3], twist[2];
-    const real *moving = c->result.estimate.twist;
-    ddmpc_time duration = c->reference.duration;
-    if (c->finished || time < duration)
-        return c->finished;
-    c->reference.sample(c->reference.context, duration, pose, twist);
-    int settled = distance_to(c, pose) <= ddmpc_this_settings.finish_position &&
-                  ddmpc_fabs(moving[0]) <= ddmpc_this_settings.finish_speed &&
-                  ddmpc_fabs(moving[1]) <= ddmpc_this_settings.finish_speed;
-    int late = time >= duration + ddmpc_this_settings.finish_timeout;
-    if (late && !settled)
-        result->reasons |= DDMPC_NOT_AT_REST;
-    c->finished = settled || late;
-    return c->finished;
-}
-
-static int near_reference(const ddmpc_controller *c, ddmpc_time time)
-{
-    real pose[3], twist[2];
-    c->reference.sample(c->reference.context, time, pose, twist);
-    return distance_to(c, pose) <= ddmpc_this_settings.max_position_error; /* false for NaN, too */
-}
-
 static void track(ddmpc_controller *c, ddmpc_time time, ddmpc_result *result)
 {
     int usable = (int)ddmpc_min(ddmpc_this_settings.max_reused_ticks, (real)(DDMPC_STEPS - 1));
@@ -184,10 +153,10 @@ static void new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input
         brake(c, result, DDMPC_OLD_POSE, 1);
     } else if (c->latched) {
         brake(c, result, DDMPC_LATCHED, 1);
-    } else if (is_finished(c, time, result)) {
+    } else if (ddmpc_is_finished(c, time, result)) {
         ramp(c, result);
         result->mode = DDMPC_FINISHED;
-    } else if (near_reference(c, time)) {
+    } else if (ddmpc_near_reference(c, time)) {
         track(c, time, result);
     } else {
         brake(c, result, DDMPC_TOO_FAR, 1);

@@ -82,7 +82,8 @@ typedef struct {
 /* Be as new, for a robot that stands still; forgets the reference, too. */
 void ddmpc_init(ddmpc_controller *controller);
 
-/* Track `reference` from now on; its time 0 is `t0` [s] on the clock of ddmpc_step. The robot may be moving.
+/* Track `reference` from now on; its time 0 is `t0` [s] on the clock of ddmpc_step. The robot may be moving. Looks at
+   the whole reference once, sample by sample.
 
    Returns 0, and changes nothing, if `t0` is not finite or the reference is faster than the limits. */
 int ddmpc_start(ddmpc_controller *controller, const ddmpc_reference *reference, ddmpc_time t0);

@@ -5,11 +5,14 @@
 #include "ddmpc_hard_workspace.h"
 #include "ddmpc_soft_workspace.h"
 #include "osqp.h"
+#include "soft_slots.h"
 
 /* An unused row of OSQP's. */
 #define UNBOUNDED_ROW R(1e15)
 /* A soft limit that is nearer than this may soon matter [m/s, rad/s, m]. */
 #define NEAR R(0.02)
+/* Solves of one tick, each with the soft limits that the one before exceeded. */
+#define ROUNDS 6
 
 int ddmpc_usable(ddmpc_status status) { return status == DDMPC_QP_SOLVED || status == DDMPC_QP_SOLVED_INACCURATELY; }
 
@@ -19,50 +22,6 @@ void ddmpc_solver_reset(ddmpc_solver *solver)
     for (int row = 0; row < DDMPC_SOFT_ROWS; row++)
         solver->dual[row] = R(0.0);
     memset(solver->multiplier, 0, sizeof solver->multiplier);
-}
-
-static int has_slot(const ddmpc_solver *solver, int kind, int step, int side)
-{
-    for (int i = 0; i < solver->slots; i++)
-        if (solver->slot[i].kind == kind && solver->slot[i].step == step && solver->slot[i].side == side)
-            return 1;
-    return 0;
-}
-
-/* Give slots to soft limits that `plan` exceeds by more than `margin`; returns how many got one, and how many did not. */
-static int give_slots(ddmpc_solver *solver, const ddmpc_problem *problem, const real plan[DDMPC_INPUTS], real margin,
-                      int *left_out)
-{
-    int given = 0;
-    *left_out = 0;
-    ddmpc_soft_values(problem->tracking, problem->tick, problem->work, plan, solver->values);
-    for (int kind = 0; kind < DDMPC_SOFT; kind++) {
-        for (int step = 0; step < DDMPC_STEPS; step++) {
-            real value = solver->values[kind][step];
-            int above = value > problem->qp->soft_upper[kind][step] + margin;
-            int below = value < problem->qp->soft_lower[kind][step] - margin;
-            if (above == below || has_slot(solver, kind, step, above - below))
-                continue;
-            if (solver->slots < DDMPC_SLOTS) {
-                ddmpc_slot slot = {kind, step, above - below};
-                solver->slot[solver->slots++] = slot;
-                given++;
-            } else {
-                ++*left_out;
-            }
-        }
-    }
-    return given;
-}
-
-/* Take their slots from soft limits that the last solution does not lean on. */
-static void free_idle_slots(ddmpc_solver *solver)
-{
-    int kept = 0;
-    for (int i = 0; i < solver->slots; i++)
-        if (ddmpc_fabs(solver->multiplier[solver->slot[i].kind][solver->slot[i].step]) > ddmpc_this_settings.soft_slack)
-            solver->slot[kept++] = solver->slot[i];
-    solver->slots = kept;
 }
 
 static real soft_bound(const ddmpc_qp *qp, const ddmpc_slot *slot)
@@ -205,12 +164,15 @@ static void run(ddmpc_solver *solver, OSQPSolver *osqp, real plan[DDMPC_INPUTS],
         plan[k] = osqp->solution->x[k];
 }
 
-/* The multipliers of hard limits move a step ahead, like the plan. */
+/* The multipliers of the last tick move a step ahead, like the plan. */
 static void shift_dual(ddmpc_solver *solver)
 {
     for (int block = 0; block < DDMPC_HARD_ROWS; block += DDMPC_INPUTS)
         for (int k = 0; k + 2 < DDMPC_INPUTS; k++)
             solver->dual[block + k] = solver->dual[block + k + 2];
+    for (int kind = 0; kind < DDMPC_SOFT; kind++)
+        for (int step = 0; step + 1 < DDMPC_STEPS; step++)
+            solver->multiplier[kind][step] = solver->multiplier[kind][step + 1];
 }
 
 void ddmpc_solve(ddmpc_solver *solver, const ddmpc_problem *problem, const real guess[DDMPC_INPUTS],
@@ -234,12 +196,11 @@ void ddmpc_solve(ddmpc_solver *solver, const ddmpc_problem *problem, const real 
     }
     /* The soft limits that matter are first of all those that the last plan, a step ahead, is near. */
     solver->slots = 0;
-    give_slots(solver, problem, guess, -NEAR, &report->left_out);
+    ddmpc_give_slots(solver, problem, guess, -NEAR, &report->left_out);
     shift_dual(solver);
     fill_entries(solver);
     const real *start = guess;
-    int exceeded;
-    do {
+    for (int round = 0; round < ROUNDS; round++) {
         fill_hard(solver, problem, start);
         if (solver->slots)
             fill_soft(solver, problem);
@@ -247,12 +208,14 @@ void ddmpc_solve(ddmpc_solver *solver, const ddmpc_problem *problem, const real 
         if (!ddmpc_usable(report->status))
             return;
         keep_multipliers(solver);
-        exceeded = give_slots(solver, problem, plan, margin, &report->left_out);
+        int exceeded = ddmpc_give_slots(solver, problem, plan, margin, &report->left_out);
         if (report->left_out) {
-            free_idle_slots(solver);
-            exceeded += give_slots(solver, problem, plan, margin, &report->left_out);
+            ddmpc_free_idle_slots(solver);
+            exceeded += ddmpc_give_slots(solver, problem, plan, margin, &report->left_out);
         }
+        /* Where there are fewer slots than limits that matter, another round would only exchange them. */
+        if (!exceeded || report->left_out || report->iterations >= DDMPC_ITERATION_LIMIT)
+            return;
         start = plan;
-    } while (exceeded && report->iterations < DDMPC_ITERATION_LIMIT);
-    report->left_out += exceeded;
+    }
 }
