@@ -3,7 +3,8 @@
 Most ticks lean on no limit at all. So the minimiser without limits comes first: where it keeps them all it solves the
 whole problem (its multipliers are zero), and no iteration is needed. Else a backend solves with the kinds of limit that
 mattered at the last tick or that this minimiser breaks. If its solution keeps all others it solves the whole problem
-too; if not, the kinds that it breaks are added and it is solved again.
+too; if not, the kinds that it breaks are added and it is solved again. OSQP, which begins without a set of limits, is
+asked only where leaning on those of the last tick (`mpc.qp.leaning`) does not prove to be the solution.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ import numpy as np
 
 from models.interface import FloatArray
 from mpc.config import Solver, Weights
-from mpc.qp.backend import Backend, Task
+from mpc.qp.backend import Answer, Backend, Task
 from mpc.qp.daqp_backend import DaqpBackend
-from mpc.qp.limit_rows import KINDS
+from mpc.qp.leaning import lean_on
+from mpc.qp.limit_rows import HARD_KINDS, KINDS
 from mpc.qp.osqp_backend import OsqpBackend
 from mpc.qp.solution import Solution
 from mpc.quadratic_program import Kinds, QuadraticProgram
@@ -69,7 +71,7 @@ class CondensedSolver:
             task.kinds = _union(task.kinds, self._kinds)
         iterations = 0
         while True:
-            answer = self._backend.solve(task)
+            answer = self._leaning(task) or self._backend.solve(task)
             iterations += answer.report.iterations
             if not answer.report.status.usable:
                 self._kinds = ()
@@ -80,6 +82,20 @@ class CondensedSolver:
                 break
             task.kinds = _union(task.kinds, missed)
         return Solution(answer.plan.reshape(-1, 2), answer.report.after(iterations))
+
+    def _leaning(self, task: Task) -> Answer | None:
+        """The solution on the limits that pressed last, if it is one; its rounds count as iterations.
+
+        DAQP begins like this by itself, and soft limits that press have a price, which is not looked at here.
+        """
+        if self._settings.backend != "osqp" or any(kind >= HARD_KINDS for kind in task.kinds):
+            return None
+        problem = task.qp.least_distance(task.relaxed, task.kinds)
+        found = lean_on(problem, task.multipliers[list(task.kinds)].reshape(-1), self._slack)
+        if found is None:
+            return None
+        plan, excess, residual, multipliers, kinds = problem.found(found.z, found.pressing)
+        return Answer(plan, SolverReport(SolverStatus.SOLVED, found.rounds, excess, residual), multipliers, kinds)
 
 
 def _union(some: Kinds, others: Kinds) -> Kinds:
