@@ -46,9 +46,11 @@ class MeasurementBuffer:
         self._flags[flags] = 1
         self._write(begin, stamped.time, 1)
         self._write(begin + _VALUE, stamped.value, count)
-        self._flags[flags + 1] = int(stamped.covariance is not None)
-        if stamped.covariance is not None:
-            self._write(begin + _COVARIANCE, stamped.covariance, count * count)
+        covariance = stamped.covariance
+        self._flags[flags + 1] = int(covariance is not None)
+        if covariance is not None:
+            flat = covariance.reshape(-1) if isinstance(covariance, np.ndarray) else covariance
+            self._write(begin + _COVARIANCE, flat, count * count)
 
     def _write(self, begin: int, value: Any, count: int) -> None:  # noqa: ANN401 - whatever arrives
         """`value` as `count` numbers; NaN if it is anything else."""
