@@ -10,6 +10,9 @@ from mpc.config import Solver, Weights
 from mpc.quadratic_program import Kinds, QuadraticProgram, Relaxed
 from mpc.solver_report import SolverReport
 
+MOST_WORKSPACES = 16
+"""Work spaces that a backend keeps, one for each set of kinds of limit; few sets come up in practice."""
+
 
 @dataclass(slots=True)
 class Task:
@@ -20,7 +23,7 @@ class Task:
     qp, relaxed
         The problem, and its minimiser without limits.
     kinds
-        The kinds of limit to keep; a backend may keep more of them.
+        The kinds of limit to keep.
     guess
         (2 N,) a plan near the solution.
     multipliers

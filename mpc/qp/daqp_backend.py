@@ -6,6 +6,7 @@ exact and a quadratic price on each row, without slack variables.
 
 from __future__ import annotations
 
+from functools import lru_cache, partial
 from typing import Any
 
 import daqp
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from models.interface import FloatArray
 from mpc.config import Solver, Weights
-from mpc.qp.backend import Answer, Task
+from mpc.qp.backend import MOST_WORKSPACES, Answer, Task
 from mpc.qp.limit_rows import HARD_KINDS
 from mpc.quadratic_program import Kinds, LeastDistance
 from mpc.solver_report import SolverReport, SolverStatus
@@ -33,19 +34,14 @@ _DEPENDENT = -6
 
 
 class DaqpBackend:
-    """A work space for each set of limits that has mattered so far; implements `mpc.qp.backend.Backend`."""
+    """A work space for each of the sets of limits that mattered lately; implements `mpc.qp.backend.Backend`."""
 
     def __init__(self, steps: int, settings: Solver, weights: Weights) -> None:
-        self._steps, self._settings, self._weights = steps, settings, weights
-        self._workspaces: dict[Kinds, _Workspace] = {}
+        self._workspace = lru_cache(MOST_WORKSPACES)(partial(_Workspace, steps, settings, weights))
 
     def solve(self, task: Task) -> Answer:
         """See `mpc.qp.backend.Backend`; the plan that is guessed has no part in it."""
-        workspace = self._workspaces.get(task.kinds)
-        if workspace is None:
-            workspace = _Workspace(self._steps, self._settings, self._weights, task.kinds)
-            self._workspaces[task.kinds] = workspace
-        return workspace.solve(task)
+        return self._workspace(task.kinds).solve(task)
 
 
 class _Workspace:
@@ -57,27 +53,40 @@ class _Workspace:
         self._settings = {"primal_tol": settings.tolerance, "iter_limit": settings.max_iterations}
         if settings.time_limit is not None:
             self._settings["time_limit"] = settings.time_limit
-        self._model: daqp.Model | None = None
+        self._model, self._ready = daqp.Model(), False
 
     def solve(self, task: Task) -> Answer:
         """Solve for the kinds of this work space."""
         problem = task.qp.least_distance(task.relaxed, self._kinds)
-        z, _, flag, info = self._run(problem, problem.flags(task.multipliers, self._price))
+        z, flag, info = self._run(problem, task.multipliers)
         if flag == _DEPENDENT:
-            z, _, flag, info = self._run(problem, problem.flags(np.zeros_like(task.multipliers), self._price))
-        plan, excess, residual, multipliers, kinds = problem.found(z, info["lam"])
+            z, flag, info = self._run(problem, np.zeros_like(task.multipliers))
         status = _STATUS.get(flag, SolverStatus.NOT_RUN)
+        if z is None:
+            return Answer(task.guess, SolverReport(status, soft_limits=self._soft), task.multipliers, ())
+        plan, excess, residual, multipliers, kinds = problem.found(z, info["lam"])
         return Answer(plan, SolverReport(status, info["iterations"], excess, residual, self._soft), multipliers, kinds)
 
-    def _run(self, problem: LeastDistance, sense: NDArray[np.intc]) -> tuple[FloatArray, float, int, dict[str, Any]]:
-        if self._model is None:
-            self._model, n = daqp.Model(), 2 * self._steps
-            self._model.setup(np.eye(n), np.zeros(n), problem.rows, problem.upper, problem.lower, sense)
-            self._model.settings = self._settings
-            if self._soft:
-                rows = len(sense)
-                looseness, price = np.full(rows, 1 / self._weights.soft_quadratic), np.full(rows, self._price)
-                self._model.soft_weights(looseness, looseness, price, price)
-        else:
-            self._model.update(A=problem.rows, bupper=problem.upper, blower=problem.lower, sense=sense)
-        return self._model.solve()  # type: ignore[no-any-return]
+    def _run(self, problem: LeastDistance, near: FloatArray) -> tuple[FloatArray | None, int, dict[str, Any]]:
+        """Solve from the multipliers `near`; without z where DAQP refuses the numbers."""
+        flag = self._load(problem, problem.flags(near, self._price))
+        if flag < 0:
+            return None, flag, {}
+        z, _, flag, info = self._model.solve()
+        return z, flag, info
+
+    def _load(self, problem: LeastDistance, sense: NDArray[np.intc]) -> int:
+        """Give DAQP the numbers; returns a negative flag where it refuses them."""
+        if self._ready:
+            flag = self._model.update(A=problem.rows, bupper=problem.upper, blower=problem.lower, sense=sense)
+            self._ready = flag >= 0
+            return int(flag)
+        n, rows = 2 * self._steps, len(sense)
+        self._model = daqp.Model()
+        flag, _ = self._model.setup(np.eye(n), np.zeros(n), problem.rows, problem.upper, problem.lower, sense)
+        self._ready = flag >= 0
+        self._model.settings = self._settings
+        if self._soft and self._ready:
+            looseness, price = np.full(rows, 1 / self._weights.soft_quadratic), np.full(rows, self._price)
+            self._model.soft_weights(looseness, looseness, price, price)
+        return int(flag)

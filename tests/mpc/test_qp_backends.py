@@ -10,6 +10,7 @@ from mpc.condensed import CondensedProgram
 from mpc.qp.backend import Task
 from mpc.qp.condensed_solver import CondensedSolver
 from mpc.qp.daqp_backend import DaqpBackend
+from mpc.qp.least_distance import ArrayLeastDistance
 from mpc.qp.limit_rows import HARD_KINDS, KINDS, LimitRows
 from mpc.qp.osqp_backend import OsqpBackend
 from mpc.solver_report import SolverStatus
@@ -170,6 +171,28 @@ def test_a_cost_that_is_not_convex_is_reported(backend):
     saddle = CondensedProgram(-qp.H, qp.g, qp.box, qp.slew, qp.last_command, qp.soft, qp.soft_lower, qp.soft_upper)
     status = CondensedSolver(STEPS, solver_settings(backend), WEIGHTS).solve(saddle, np.zeros((STEPS, 2))).report.status
     assert status is SolverStatus.NOT_CONVEX
+
+
+@pytest.mark.parametrize("before", [0, 1])
+def test_rows_that_daqp_refuses_are_reported_and_do_no_lasting_harm(monkeypatch, before):
+    qp = random_problem(2)
+    right, _ = answer(qp, "daqp")
+    backend = DaqpBackend(STEPS, solver_settings(), WEIGHTS)
+    task = whole_task(qp, np.zeros((KINDS, STEPS)))
+    for _ in range(before):
+        backend.solve(task)
+    with monkeypatch.context() as crossed:
+        crossed.setattr(ArrayLeastDistance, "flags", cross_bounds(ArrayLeastDistance.flags))
+        assert backend.solve(task).report.status is SolverStatus.INFEASIBLE
+    assert backend.solve(task).plan == pytest.approx(right.plan, abs=1e-9)
+
+
+def cross_bounds(flags):
+    def crossing(self, multipliers, price):
+        self.lower = self.upper + 1.0
+        return flags(self, multipliers, price)
+
+    return crossing
 
 
 def test_multipliers_that_cannot_be_are_no_harm_to_daqp():
