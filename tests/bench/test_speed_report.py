@@ -86,6 +86,13 @@ def test_ratios_refer_to_acados_at_the_same_horizon():
     assert tables["Growth and memory"].rows[0][:2] == ("ours", "1.00")
 
 
+def test_models_and_tails_are_held_against_their_own_median():
+    records = [measured("ours", 30, 1e-3), measured("ours", 30, 1.2e-3, model="mbm")]
+    tables = {table.title: table for table in speed_tables(SpeedResults(tuple(records), (), META))}
+    assert tables["Against SSM"].rows == (("MBM", "ours", "1.20"),)
+    assert tables["Tail by horizon MBM"].rows == (("ours", "1.0 (1.0)"),)
+
+
 def test_a_missing_peer_is_named_with_its_reason():
     (table,) = [table for table in speed_tables(results()) if table.title == "Missing"]
     assert table.rows == (("do-mpc", "ssm 20, ssm 50", "no network"),)

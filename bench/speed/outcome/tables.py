@@ -14,6 +14,8 @@ _DETAILED = 30
 """The shipped horizon; a run without it shows its longest."""
 
 
+_SMALLEST = "ssm"
+"""The model with the fewest states, which others are held against."""
 _CLOCKS = {"inside": "inside its solver by its own clock", "whole": "from Python"}
 
 
@@ -26,7 +28,10 @@ def speed_tables(results: SpeedResults) -> list[Table]:
         tables += [_ratios(results, model, "inside", inside) for model in results.models]
         tables += [_ratios(results, model, "whole", whole) for model in results.models]
     tables += [_tails(results, model) for model in results.models]
+    tables += [_tails_by_horizon(results, model) for model in results.models]
     tables += [_exactness(results, model) for model in results.models]
+    if _SMALLEST in results.models and len(results.models) > 1:
+        tables.append(_models(results))
     tables.append(_growth(results))
     if results.missing:
         tables.append(_missing(results))
@@ -84,6 +89,42 @@ def _tails(results: SpeedResults, model: str) -> Table:
         ("solver", "p50 [ms]", "p95 [ms]", "p99 [ms]", "max [ms]", "tick p99 [ms]", "tick max [ms]", "p99 / p50"),
         tuple(rows),
         note=f"N = {n}. Whole steps of all repetitions; by tick: the median of its repetitions, what the data cause.",
+    )
+
+
+def _tails_by_horizon(results: SpeedResults, model: str) -> Table:
+    rows = []
+    for solver in results.solvers:
+        cells = []
+        for n in results.horizons:
+            all_steps = results.value(solver, model, n, lambda r: r.step_p99_s / r.step_p50_s)
+            by_tick = results.value(solver, model, n, lambda r: r.tick_p99_s / r.step_p50_s)
+            cells.append(f"{number(all_steps, 1)} ({number(by_tick, 1)})")
+        rows.append((solver, *cells))
+    return Table(
+        f"Tail by horizon {model.upper()}",
+        ("solver", *(f"N = {n}" for n in results.horizons)),
+        tuple(rows),
+        note="p99 of the whole step over its median; in brackets with the median of a tick's repetitions in p99.",
+    )
+
+
+def _models(results: SpeedResults) -> Table:
+    rows = []
+    for model in (model for model in results.models if model != _SMALLEST):
+        for solver in results.solvers:
+            ratios = [
+                results.value(solver, model, n, lambda r: r.step_p50_s)
+                / results.value(solver, _SMALLEST, n, lambda r: r.step_p50_s)
+                for n in results.horizons
+            ]
+            rows.append((model.upper(), solver, *(number(ratio, 2) for ratio in ratios)))
+    return Table(
+        f"Against {_SMALLEST.upper()}",
+        ("model", "solver", *(f"N = {n}" for n in results.horizons)),
+        tuple(rows),
+        text_columns=2,
+        note=f"Median of the whole step over that of the same solver with {_SMALLEST.upper()}.",
     )
 
 

@@ -64,10 +64,10 @@ class Worker:
 
 
 def _resident(field: str) -> float:
-    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
-        if line.startswith(field):
-            return 1024.0 * float(line.split()[1])
-    return float("nan")
+    """A memory of this process [bytes]; NaN where the system does not say."""
+    status = Path("/proc/self/status")
+    lines = status.read_text(encoding="utf-8").splitlines() if status.is_file() else []
+    return next((1024.0 * float(line.split()[1]) for line in lines if line.startswith(field)), float("nan"))
 
 
 def main() -> None:
