@@ -45,6 +45,14 @@ def clip_command(
     )
 
 
+def inside_limits(command: FloatArray, limits: Limits, last_command: FloatArray) -> FloatArray:
+    """The nearest command (2,) to `command` inside the limits, or inside `last_command` where that is outside them."""
+    v, omega = command.tolist()
+    last_v, last_omega = last_command.tolist()
+    top_v, top_omega = max(limits.v, abs(last_v)), max(limits.omega, abs(last_omega))
+    return np.array([min(max(v, -top_v), top_v), min(max(omega, -top_omega), top_omega)])
+
+
 def _clip(wanted: float, last: float, largest: float, step: float) -> float:
     box = max(abs(last) - step, largest)
     lower, upper = max(last - step, -box), min(last + step, box)

@@ -13,7 +13,7 @@ import numpy as np
 from models.interface import FloatArray, Measurement, Reference
 from models.load import load_model
 from models.velocity_model import VelocityModel
-from mpc.bounds import clip_command
+from mpc.bounds import clip_command, inside_limits
 from mpc.compiled.estimator import CompiledEstimator
 from mpc.compiled.library import compiled_or_not
 from mpc.compiled.reference import compile_reference
@@ -301,9 +301,7 @@ class Controller:
 
     def _slew_base(self) -> FloatArray:
         """What the robot really got, as far as it lies inside the limits: from outside them there is no slew back."""
-        limits = self._config.limits
-        largest = np.maximum([limits.v, limits.omega], np.abs(self._last))
-        return np.asarray(np.clip(self._estimator.commands.last, -largest, largest))
+        return inside_limits(self._estimator.commands.last, self._config.limits, self._last)
 
     def _restart(self) -> bool:
         """Take the robot to be where its rejected poses agree it is, once it has been told to stand."""
