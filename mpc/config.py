@@ -6,25 +6,19 @@ each description.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from models.checked_yaml import StrictModel
 from models.robot import load_robot
-
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
+from mpc.config_group import Group, NotNegative, Positive
+from mpc.solver_config import Solver
 
 # Limits and sample time default to those of the shipped robot file.
 _ROBOT = load_robot()
 
 
-class _Group(StrictModel, strict=True):
-    """Base of every group: no silent conversion, so that `true` is not taken for 1."""
-
-
-class ExtraDeadTime(_Group):
+class ExtraDeadTime(Group):
     """Dead time of the robot at hand that the model file does not carry."""
 
     v: Annotated[float, Field(ge=0, le=1)] = Field(0.0, description="added to the forward channel [s]")
@@ -32,7 +26,7 @@ class ExtraDeadTime(_Group):
     provenance: str = Field("", description="how the values were found")
 
 
-class Weights(_Group):
+class Weights(Group):
     """Weights of the quadratic cost, each summed over the steps of the horizon."""
 
     along: NotNegative = Field(150.0, description="squared position error along the path [1/m^2]")
@@ -49,7 +43,7 @@ class Weights(_Group):
     soft_quadratic: Positive = Field(50.0, description="quadratic penalty beside it [1/(m/s)^2, 1/(rad/s)^2, 1/m^2]")
 
 
-class Limits(_Group):
+class Limits(Group):
     """Hard limits of the command, and soft limits of what the model predicts."""
 
     v: Positive = Field(_ROBOT.limits.v, description="hard: |v_ref| [m/s]")
@@ -65,7 +59,7 @@ class Limits(_Group):
     corridor: Positive = Field(0.5, description="soft: predicted distance from the path to either side [m]")
 
 
-class Wheels(_Group):
+class Wheels(Group):
     """What turns a twist into wheel speeds, and back."""
 
     track: Positive = Field(
@@ -78,51 +72,7 @@ class Wheels(_Group):
     )
 
 
-class Solver(_Group):
-    """How the problem is solved."""
-
-    compiled: Literal["auto", "never", "always"] = Field(
-        "auto",
-        description="run estimator and problem in C, compiled at first use: auto falls back to Python where there is "
-        "no C compiler, always refuses to start without one [-]",
-    )
-    formulation: Literal["condensed", "sparse"] = Field(
-        "condensed",
-        description="condensed: a small dense problem in the commands alone; sparse: states and poses are variables "
-        "too. Both have the same solution [-]",
-    )
-    backend: Literal["osqp", "daqp"] = Field(
-        "osqp",
-        description="osqp: operator splitting, for either formulation; daqp: dual active set, exact and fast, for the "
-        "condensed one [-]",
-    )
-    max_iterations: Annotated[int, Field(ge=10, le=100_000)] = Field(
-        2000, description="limit of the iterations of one solve [-]"
-    )
-    tolerance: Annotated[float, Field(ge=1e-9, le=1e-2)] = Field(
-        1e-5,
-        description="osqp: absolute and relative tolerance on the residuals; daqp: on the limits, in units of rows "
-        "normalised by the cost [-]",
-    )
-    check_every: Annotated[int, Field(ge=1, le=1000)] = Field(
-        10, description="osqp: iterations between two checks of the residuals [-]"
-    )
-    time_limit: Annotated[float, Field(gt=0)] | None = Field(
-        None,
-        description="limit of the time of one solve, for robots; it breaks determinism in simulation [s]",
-    )
-
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        if self.formulation == "sparse" and self.backend != "osqp":
-            raise ValueError(
-                f"backend {self.backend} solves the condensed formulation only; set backend: osqp or "
-                "formulation: condensed"
-            )
-        return self
-
-
-class Compensation(_Group):
+class Compensation(Group):
     """What the controller makes up for. All of it in practice; one at a time left out shows what it is worth."""
 
     dead_time: bool = Field(True, description="predict over the dead time of model file and extra_dead_time [-]")
@@ -131,7 +81,7 @@ class Compensation(_Group):
     side_slip: bool = Field(True, description="estimate side-slip, and lean into the curve against it [-]")
 
 
-class Estimator(_Group):
+class Estimator(Group):
     """Noise that the Kalman filter assumes (standard deviations), and what it rejects."""
 
     wheel_speed_noise: Positive = Field(0.01, description="forward speed from the encoders [m/s]")
@@ -188,7 +138,7 @@ class Estimator(_Group):
     )
 
 
-class Failure(_Group):
+class Failure(Group):
     """What happens when a solve or the measurements fail."""
 
     max_reused_ticks: Annotated[int, Field(ge=0, le=100)] = Field(
@@ -201,7 +151,7 @@ class Failure(_Group):
     resume: bool = Field(True, description="drive on when poses and solves are good again after a stop [-]")
 
 
-class Reentry(_Group):
+class Reentry(Group):
     """How a robot that is off its path rejoins it, and how far the reference's clock waits for it."""
 
     enabled: bool = Field(True, description="rejoin on a smooth path and let the reference wait; false: chase it [-]")
@@ -237,7 +187,7 @@ class Reentry(_Group):
     )
 
 
-class Finish(_Group):
+class Finish(Group):
     """When the end of the reference counts as reached."""
 
     position: Positive = Field(0.02, description="distance to the end pose [m]")
@@ -247,7 +197,7 @@ class Finish(_Group):
     )
 
 
-class ControllerConfig(_Group):
+class ControllerConfig(Group):
     """Everything that one controller needs beside the reference."""
 
     model: str = Field("ssm", min_length=1, description="velocity model: mbm, sm, ssm or the path of a model file [-]")

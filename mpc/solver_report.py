@@ -35,9 +35,11 @@ class SolverReport:
     status
         The outcome; only a `usable` one may move the robot.
     iterations
-        Iterations of the solver, over all solves of the tick.
+        Iterations of the solver, over all solves of the tick; 0 where the minimiser without limits keeps them all and
+        so is the exact solution.
     primal_residual, dual_residual
-        As the solver states them at its end; NaN if it did not run.
+        By how much limits are exceeded and how far the cost is from stationary: OSQP's own figures at its end, else
+        computed from the solution. NaN if there is none.
     soft_limits
         Whether the solve included the soft limits: it does only while they matter.
     """

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from models.interface import FloatArray
-from mpc.config import Solver, Weights
+from mpc.config import Weights
 from mpc.quadratic_program import Kinds, QuadraticProgram, Relaxed
+from mpc.solver_config import Solver
 from mpc.solver_report import SolverReport
 
 MOST_WORKSPACES = 16

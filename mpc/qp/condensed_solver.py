@@ -11,13 +11,14 @@ from __future__ import annotations
 import numpy as np
 
 from models.interface import FloatArray
-from mpc.config import Solver, Weights
+from mpc.config import Weights
 from mpc.qp.backend import Backend, Task
 from mpc.qp.daqp_backend import DaqpBackend
 from mpc.qp.limit_rows import KINDS
 from mpc.qp.osqp_backend import OsqpBackend
 from mpc.qp.solution import Solution
 from mpc.quadratic_program import Kinds, QuadraticProgram
+from mpc.solver_config import Solver
 from mpc.solver_report import SolverReport, SolverStatus
 
 _BACKENDS: dict[str, type[Backend]] = {"osqp": OsqpBackend, "daqp": DaqpBackend}

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.interface import FloatArray
-from mpc.config import Solver, Weights
+from mpc.config import Weights
 from mpc.qp.backend import MOST_WORKSPACES, Answer, Task
 from mpc.qp.limit_rows import HARD_KINDS
 from mpc.quadratic_program import Kinds, LeastDistance
+from mpc.solver_config import Solver
 from mpc.solver_report import SolverReport, SolverStatus
 
 _STATUS = {

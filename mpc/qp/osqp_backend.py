@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from models.interface import FloatArray
-from mpc.config import Solver, Weights
+from mpc.config import Weights
 from mpc.qp.backend import MOST_WORKSPACES, Answer, Task
 from mpc.qp.limit_rows import HARD_KINDS, KINDS, LimitRows
 from mpc.qp.osqp_status import OSQP_STATUS
 from mpc.quadratic_program import Kinds
+from mpc.solver_config import Solver
 from mpc.solver_report import SolverReport, SolverStatus
 
 # A multiplier below this is what is left of one: its limit is not active.

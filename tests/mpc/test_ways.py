@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ideal_robot import IdealRobot, drive
 
 from models import load_model
 from models.checked_yaml import ConfigError
-from mpc import load_config
+from mpc import Controller, load_config, load_trajectory
 from mpc.condensed import Condenser
 from mpc.problem import TrackingProblem
 from mpc.slip import Slip
@@ -108,6 +109,25 @@ def test_the_sparse_way_reports_data_that_are_not_finite():
 def test_the_configuration_chooses_the_way(chosen, expected):
     subject = problem("ssm", "hard", **chosen)
     assert isinstance(make_way(subject, Condenser(subject)), expected)
+
+
+@pytest.mark.parametrize("limits", ["hard", "soft"])
+@pytest.mark.parametrize(
+    "chosen", [{}, {"solver.backend": "daqp"}, {"solver.formulation": "sparse"}, {"solver.compiled": "never"}]
+)
+def test_a_drive_repeats_bit_for_bit_with_a_new_controller_and_with_a_reset_one(chosen, limits):
+    reference, model = load_trajectory("s"), load_model("ssm")
+    config = load_config("ssm", {"horizon": 10} | LIMITS[limits] | chosen)
+    first, second = Controller(config), Controller(config)
+    commands = []
+    for controller in (first, second, first):
+        controller.reset()
+        robot = IdealRobot(model.discretise(config.sample_time), reference.sample([0.0]).pose[0], noise=1.0)
+        results, _, _ = drive(controller, robot, reference, 2.0)
+        commands.append([result.command for result in results])
+        assert any(result.solver.iterations for result in results), "limits must matter"
+    assert (np.array(commands[0]) == np.array(commands[1])).all()
+    assert (np.array(commands[0]) == np.array(commands[2])).all()
 
 
 def test_a_backend_that_cannot_solve_the_formulation_is_refused_with_the_remedy():
