@@ -73,8 +73,8 @@ def _run(*command: str) -> None:
     variables = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "LD_LIBRARY_PATH")}
     done = subprocess.run(command, capture_output=True, text=True, env=variables, check=False)
     if done.returncode:
-        said = [line for line in done.stderr.splitlines() if line.strip()]
-        raise SubjectError(f"its environment cannot be made: {said[-1].strip().removeprefix("ERROR: ") if said else 'no reason given'}")
+        said = [line.strip().removeprefix("ERROR: ") for line in done.stderr.splitlines() if line.strip()]
+        raise SubjectError(f"its environment cannot be made: {said[-1] if said else 'no reason given'}")
 
 
 def _reachable(package: Path) -> None:
