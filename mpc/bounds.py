@@ -35,11 +35,25 @@ def clip_command(
 
     Number by number: for two of them arrays take ten times as long.
     """
-    bounds = ((limits.v, limits.v_slew), (limits.omega, limits.omega_slew))
-    clipped = []
-    for wanted, last, (largest, rate) in zip(np.asarray(command).tolist(), last_command.tolist(), bounds, strict=True):
-        step = rate * dt
-        box = max(abs(last) - step, share * largest)
-        lower, upper = max(last - step, -box), min(last + step, box)
-        clipped.append(min(max(wanted, lower), upper))
-    return np.array(clipped)
+    v, omega = command
+    last_v, last_omega = last_command.tolist()
+    return np.array(
+        [
+            _clip(float(v), last_v, share * limits.v, limits.v_slew * dt),
+            _clip(float(omega), last_omega, share * limits.omega, limits.omega_slew * dt),
+        ]
+    )
+
+
+def inside_limits(command: FloatArray, limits: Limits, last_command: FloatArray) -> FloatArray:
+    """The nearest command (2,) to `command` inside the limits, or inside `last_command` where that is outside them."""
+    v, omega = command.tolist()
+    last_v, last_omega = last_command.tolist()
+    top_v, top_omega = max(limits.v, abs(last_v)), max(limits.omega, abs(last_omega))
+    return np.array([min(max(v, -top_v), top_v), min(max(omega, -top_omega), top_omega)])
+
+
+def _clip(wanted: float, last: float, largest: float, step: float) -> float:
+    box = max(abs(last) - step, largest)
+    lower, upper = max(last - step, -box), min(last + step, box)
+    return min(max(wanted, lower), upper)

@@ -13,6 +13,7 @@ import numpy as np
 from models.interface import FloatArray
 from mpc.bounds import command_box, slew_step
 from mpc.problem import TrackingProblem, arc_derivatives
+from mpc.qp.least_distance import ArrayLeastDistance
 from mpc.qp.limit_rows import LimitRows, broken
 from mpc.qp.relaxed import relax
 from mpc.quadratic_program import Kinds, Relaxed
@@ -50,6 +51,10 @@ class CondensedProgram:
         rows = LimitRows(len(plan) // 2)
         rows.load(self)
         return broken(rows.excess(rows.values(plan)), slack)
+
+    def least_distance(self, relaxed: Relaxed, kinds: Kinds) -> ArrayLeastDistance:
+        """See `QuadraticProgram`."""
+        return ArrayLeastDistance(self, relaxed, kinds)
 
 
 class Condenser:

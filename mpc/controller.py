@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from models.interface import FloatArray, Measurement, Reference
 from models.load import load_model
 from models.velocity_model import VelocityModel
-from mpc.bounds import clip_command
+from mpc.bounds import clip_command, inside_limits
 from mpc.compiled.estimator import CompiledEstimator
 from mpc.compiled.library import compiled_or_not
 from mpc.compiled.reference import compile_reference
@@ -33,8 +34,7 @@ _NOT_RUN = SolverReport(SolverStatus.NOT_RUN)
 _CHANGEABLE = ("weights", "limits")
 
 
-@dataclass(frozen=True)
-class _Outcome:
+class _Outcome(NamedTuple):
     """What one tick decided."""
 
     command: FloatArray
@@ -249,7 +249,7 @@ class Controller:
         if estimator.moved and not self._restart():
             return self._brake(notes, "poses agree that the robot is somewhere else")
         estimate = estimator.estimate
-        if not math.isfinite(estimate.pose.sum()):
+        if not math.isfinite(sum(estimate.pose.tolist())):
             estimator.forget()
             return self._brake(notes, "the estimate is not finite; it starts anew")
         if estimate.pose_age > failure.max_pose_age:
@@ -282,7 +282,7 @@ class Controller:
         if self._plan is not None and self._plan_age <= usable:
             command = self._inside(self._plan.commands[self._plan_age])
             return _Outcome(command, Mode.REUSED_PLAN, report, self._plan)
-        return replace(self._brake(notes), solver=report)
+        return self._brake(notes)._replace(solver=report)
 
     def _brake(self, notes: list[str], *reasons: str, failure: bool = True) -> _Outcome:
         notes.extend(reasons)
@@ -301,9 +301,7 @@ class Controller:
 
     def _slew_base(self) -> FloatArray:
         """What the robot really got, as far as it lies inside the limits: from outside them there is no slew back."""
-        limits = self._config.limits
-        largest = np.maximum([limits.v, limits.omega], np.abs(self._last))
-        return np.asarray(np.clip(self._estimator.commands.last, -largest, largest))
+        return inside_limits(self._estimator.commands.last, self._config.limits, self._last)
 
     def _restart(self) -> bool:
         """Take the robot to be where its rejected poses agree it is, once it has been told to stand."""

@@ -45,8 +45,10 @@ def build_filter(
 def check_sent(sent: tuple[float, float], settings: Estimator) -> FloatArray | None:
     """What the robot says it got, as (2,) numbers; None if it cannot be."""
     value = numbers(sent, 2)
-    largest = [settings.max_wheel_speed, settings.max_yaw_rate]
-    return None if value is None or (np.abs(value) > largest).any() else value
+    if value is None:
+        return None
+    v, omega = value.tolist()
+    return None if abs(v) > settings.max_wheel_speed or abs(omega) > settings.max_yaw_rate else value
 
 
 @dataclass

@@ -113,7 +113,7 @@ class Planner:
             box = command_box(self._config.limits, self._dt, tick.last_command, len(tick.feed_forward))
             self._guess = np.clip(tick.feed_forward, -box, box)
         solution = self._way.solve(tick, self._guess)
-        if not (solution.report.status.usable and math.isfinite(solution.plan.sum())):
+        if not (solution.report.status.usable and math.isfinite(np.vdot(solution.plan, solution.plan))):
             self.reset()
             return None, solution.report
         plan = Plan(solution.plan, self._condenser.poses(tick, solution.plan), tick.reference.copy())

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from models.interface import FloatArray
 from mpc.solver_report import SolverStatus
@@ -32,6 +35,58 @@ class Relaxed:
     factor: FloatArray
     residual: float
     broken: Kinds
+
+
+class Found(NamedTuple):
+    """The solution of a least-distance problem in terms of the commands.
+
+    Attributes
+    ----------
+    plan
+        (2 N,) the commands.
+    excess, residual
+        By how much the worst hard limit is exceeded, and how far the cost is from stationary.
+    multipliers
+        (9, N) of all kinds of limit: positive at upper bounds, negative at lower ones, else zero.
+    kinds
+        The kinds that press somewhere.
+    """
+
+    plan: FloatArray
+    excess: float
+    residual: float
+    multipliers: FloatArray
+    kinds: Kinds
+
+
+class LeastDistance(Protocol):
+    """Minimise |z|^2 / 2 subject to lower <= rows z <= upper, soft limits at their price; (kinds N) rows by kind."""
+
+    @property
+    def rows(self) -> FloatArray:
+        """(kinds N, 2 N) rows of the limits."""
+        ...
+
+    @property
+    def lower(self) -> FloatArray:
+        """(kinds N,) lower bounds."""
+        ...
+
+    @property
+    def upper(self) -> FloatArray:
+        """(kinds N,) upper bounds."""
+        ...
+
+    def flags(self, multipliers: FloatArray, price: float) -> NDArray[np.intc]:
+        """(kinds N,) how rows begin where a solution with `multipliers` (9, N) is near, as DAQP numbers it.
+
+        `price` is that of each unit beyond a soft limit.
+        """
+        ...
+
+    def found(self, z: FloatArray, pressing: FloatArray) -> Found:
+        """What the solution z (2 N,) is, on which the rows press with `pressing` (kinds N,)."""
+        ...
 
 
 class QuadraticProgram(Protocol):
@@ -97,4 +152,8 @@ class QuadraticProgram(Protocol):
 
     def broken(self, plan: FloatArray, slack: float) -> Kinds:
         """Kinds of limit that the flat `plan` (2 N,) exceeds somewhere by more than `slack`."""
+        ...
+
+    def least_distance(self, relaxed: Relaxed, kinds: Kinds) -> LeastDistance:
+        """The same problem with these kinds of limit as a least-distance problem about the minimiser `relaxed`."""
         ...

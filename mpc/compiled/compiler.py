@@ -39,7 +39,8 @@ def compile_library(sources: tuple[str, ...], sizes_header: str) -> Path:
     """
     compiler, version = _compiler()
     digest = hashlib.sha256()
-    for part in (version, _machine(), repr((sources, _FLAGS, _TUNING)), sizes_header, _all_sources()):
+    how = repr((sources, _FLAGS, _TUNING, platform.libc_ver()))
+    for part in (version, _machine(), how, sizes_header, _all_sources()):
         digest.update(part.encode() + b"\0")
     library = cache_folder() / f"{Path(sources[0]).stem}-{digest.hexdigest()[:32]}.so"
     if not library.exists():
@@ -55,12 +56,21 @@ def compile_library(sources: tuple[str, ...], sizes_header: str) -> Path:
 
 
 def cache_folder() -> Path:
-    """Where compiled libraries are kept."""
+    """Where compiled libraries are kept.
+
+    Raises
+    ------
+    NotCompiledError
+        If the user has no home folder, and none is named.
+    """
     named = os.environ.get(CACHE_VARIABLE)
     if named:
         return Path(named)
     base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "diffdrive-mpc"
+    try:
+        return (Path(base) if base else Path.home() / ".cache") / "diffdrive-mpc"
+    except RuntimeError as error:
+        raise NotCompiledError(f"there is no home folder; set {CACHE_VARIABLE}") from error
 
 
 @cache

@@ -16,7 +16,7 @@ from mpc.feed_forward import FeedForward
 from mpc.problem import TrackingProblem
 from mpc.tick import Tick
 
-_SOURCES = ("condense.c", "relax.c")
+_SOURCES = ("condense.c", "relax.c", "least_distance.c")
 _KINDS = 5
 
 

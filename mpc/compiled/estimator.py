@@ -16,6 +16,7 @@ from mpc.config import Compensation, Estimator, Wheels
 from mpc.estimate import Estimate
 from mpc.estimator import SENT_REJECTED, build_filter, check_sent, history_ticks
 
+_READY, _MOVED = 1, 2
 _SOURCES = ("estimator.c", "filter.c", "checks.c")
 
 
@@ -47,14 +48,12 @@ class CompiledEstimator:
         self._at_constants, self._at_memory = pointer(self._constants), pointer(self._memory)
         self._at_output = pointer(self._output)
 
-        address, time = ctypes.c_void_p, ctypes.c_double
+        address, time, bits = ctypes.c_void_p, ctypes.c_double, ctypes.c_int
         self._init = callable_in(library, "ddmpc_estimator_init", None, address)
         self._forget = callable_in(library, "ddmpc_estimator_forget", None, address)
-        self._ready = callable_in(library, "ddmpc_estimator_ready", ctypes.c_int, address)
-        self._moved = callable_in(library, "ddmpc_estimator_moved", ctypes.c_int, address)
         self._advance = callable_in(library, "ddmpc_estimator_advance", None, address, address, time)
-        self._update = callable_in(library, "ddmpc_estimator_update", None, address, address, time, address, address)
-        self._restart = callable_in(library, "ddmpc_estimator_restart_elsewhere", ctypes.c_int, address, address)
+        self._update = callable_in(library, "ddmpc_estimator_update", bits, address, address, time, address, address)
+        self._restart = callable_in(library, "ddmpc_estimator_restart_elsewhere", bits, address, address)
         self._estimate = callable_in(library, "ddmpc_estimator_estimate", None, address, address, address)
 
         self._init(self._at_memory)
@@ -62,21 +61,22 @@ class CompiledEstimator:
         count = model.memory + length + 2
         self.commands = CommandLine(model, length, self._memory[: 2 * count].reshape(count, 2))
         self._newest: Estimate | None = None
+        self._state = 0
 
     def forget(self) -> None:
         """See `StateEstimator.forget`."""
-        self._newest = None
+        self._newest, self._state = None, 0
         self._forget(self._at_memory)
 
     @property
     def ready(self) -> bool:
         """See `StateEstimator.ready`."""
-        return bool(self._ready(self._at_memory))
+        return bool(self._state & _READY)
 
     @property
     def moved(self) -> bool:
         """See `StateEstimator.moved`."""
-        return bool(self._moved(self._at_memory))
+        return bool(self._state & _MOVED)
 
     @property
     def longest_pause(self) -> float:
@@ -111,10 +111,13 @@ class CompiledEstimator:
         self._newest = None
         self._measurement.fill(measurement)
         notes = self._notes
-        self._update(self._at_constants, self._at_memory, t, self._measurement.address, notes.address)
+        self._state = self._update(self._at_constants, self._at_memory, t, self._measurement.address, notes.address)
         return notes.sentences()
 
     def restart_elsewhere(self) -> bool:
         """See `StateEstimator.restart_elsewhere`."""
         self._newest = None
-        return bool(self._restart(self._at_constants, self._at_memory))
+        restarted = bool(self._restart(self._at_constants, self._at_memory))
+        if restarted:
+            self._state = _READY
+        return restarted

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -45,16 +44,25 @@ class MeasurementBuffer:
             return
         begin = _STAMPED * place
         self._flags[flags] = 1
-        self._numbers[begin] = _finite(stamped.time, 1)[0]
-        self._write(begin + _VALUE, _finite(stamped.value, count))
-        self._flags[flags + 1] = int(stamped.covariance is not None)
-        if stamped.covariance is not None:
-            self._write(begin + _COVARIANCE, _finite(stamped.covariance, count * count))
+        self._write(begin, stamped.time, 1)
+        self._write(begin + _VALUE, stamped.value, count)
+        covariance = stamped.covariance
+        self._flags[flags + 1] = int(covariance is not None)
+        if covariance is not None:
+            flat = covariance.reshape(-1) if isinstance(covariance, np.ndarray) else covariance
+            self._write(begin + _COVARIANCE, flat, count * count)
 
-    def _write(self, begin: int, values: Sequence[float]) -> None:
-        target = self._numbers
-        for place, value in enumerate(values, begin):
-            target[place] = value
+    def _write(self, begin: int, value: Any, count: int) -> None:  # noqa: ANN401 - whatever arrives
+        """`value` as `count` numbers; NaN if it is anything else."""
+        if count == 1 and isinstance(value, float):
+            self._numbers[begin] = value
+            return
+        try:
+            # Quick, and right for nothing but so many doubles in a row.
+            self._numbers[begin : begin + count] = value
+        except (TypeError, ValueError):
+            found = numbers(value, count)
+            self._numbers[begin : begin + count] = (np.full(count, np.nan) if found is None else found).data
 
 
 class NotesBuffer:
@@ -88,13 +96,3 @@ class NotesBuffer:
             TOO_MANY,
         )
         return f"{_NAMES[subject]} rejected: {reasons[fault]}"
-
-
-def _finite(value: object, count: int) -> Sequence[float]:
-    """`value` as `count` numbers; NaN if it is anything else."""
-    if count == 1 and isinstance(value, float):
-        return (value,)
-    if type(value) is np.ndarray and value.dtype == np.float64 and value.size == count:
-        return value.ravel().tolist()
-    found = numbers(value, count)
-    return (math.nan,) * count if found is None else found.tolist()

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from models.interface import FloatArray
+from mpc.compiled.least_distance import CompiledLeastDistance, from_bits
 from mpc.compiled.library import bound_function, callable_in, checked_size, pointer
 from mpc.quadratic_program import Kinds, Relaxed
 from mpc.solver_report import SolverStatus
@@ -60,6 +61,7 @@ class CompiledProgram:
         self._write_values = bound_function(library, "ddmpc_soft_values", constants, tick, work, own_plan, values)
         write = callable_in(library, "ddmpc_soft_rows", None, address, address, address, ctypes.c_int, address)
         self._write_rows: Callable[[int], None] = lambda kind: write(constants, tick, work, kind, rows)
+        self._least_distance = CompiledLeastDistance(library, n, constants, tick, work, qp, relaxed)
         check = callable_in(library, "ddmpc_broken", ctypes.c_int, *(address,) * 5, ctypes.c_double)
         self._broken: Callable[[float], int] = lambda slack: check(constants, tick, work, qp, own_plan, slack)
 
@@ -87,14 +89,14 @@ class CompiledProgram:
         """See `QuadraticProgram`."""
         if self._status:
             return _FAULTS[self._status]
-        missed = _kinds(self._bits.value)
+        missed = from_bits(self._bits.value)
         return Relaxed(self._minimiser.copy(), self._factor, float(self._relaxed[self._minimiser.size]), missed)
 
     def broken(self, plan: FloatArray, slack: float) -> Kinds:
         """See `QuadraticProgram`."""
         self._plan[:] = plan
-        return _kinds(self._broken(slack))
+        return from_bits(self._broken(slack))
 
-
-def _kinds(bits: int) -> Kinds:
-    return tuple(kind for kind in range(bits.bit_length()) if bits >> kind & 1) if bits else ()
+    def least_distance(self, relaxed: Relaxed, kinds: Kinds) -> CompiledLeastDistance:  # noqa: ARG002 - it is in C
+        """See `QuadraticProgram`; `relaxed` is the one of this program, which C has kept."""
+        return self._least_distance.load(kinds)

@@ -135,33 +135,52 @@ static void linear_moves(const ddmpc_tracking *constants, const ddmpc_workspace 
     }
 }
 
+/* Displacement of one arc per unit of mean v, mean omega and heading before it; heading of the path, roots of the
+   weights and weighted residuals at its end. */
+typedef struct {
+    real x[3], y[3];
+    real cosine, sine, along, across;
+    real along_residual, across_residual, heading_residual;
+} row_weights;
+
+/* The rows of one sample: positions, errors along and across, and their part of the gradient. The compiler is told that
+   nothing overlaps, and so works on whole lanes. */
+static void fill_row(int count, const row_weights *w, const real *restrict mean_v, const real *restrict mean_omega,
+                     const real *restrict before, const real *restrict after, real *restrict x, real *restrict y,
+                     real *restrict aside, real *restrict along, real *restrict across, real *restrict gradient)
+{
+    const row_weights r = *w;
+    for (int j = 0; j < count; j++) {
+        const real move_x = x[j] + r.x[0] * mean_v[j] + r.x[1] * mean_omega[j] + r.x[2] * before[j];
+        const real move_y = y[j] + r.y[0] * mean_v[j] + r.y[1] * mean_omega[j] + r.y[2] * before[j];
+        const real ahead = r.along * (r.cosine * move_x + r.sine * move_y);
+        const real beside = r.cosine * move_y - r.sine * move_x, weighted = r.across * beside;
+        x[j] = move_x;
+        y[j] = move_y;
+        aside[j] = beside;
+        along[j] = ahead;
+        across[j] = weighted;
+        gradient[j] += r.along_residual * ahead + r.across_residual * weighted + r.heading_residual * after[j];
+    }
+}
+
 /* Rows of the errors along and across at the samples 1 to N, and with the residuals of the plan their gradient. */
 static void fill_rows(const ddmpc_tracking *constants, ddmpc_workspace *work, const real along_residual[N],
                       const real across_residual[N], const real heading_residual[N])
 {
-    real *restrict x = work->moves[0], *restrict y = work->moves[1], *restrict gradient = work->gradient;
     memset(work->moves, 0, sizeof work->moves);
-    memset(gradient, 0, sizeof work->gradient);
+    memset(work->gradient, 0, sizeof work->gradient);
     for (int k = 0; k < N; k++) {
-        const int count = ddmpc_whole_lanes(2 * (k + 1));
-        const real *mean_v = constants->mean_row[0] + 2 * (N - k - 1);
-        const real *mean_omega = constants->mean_row[1] + 2 * (N - k - 1);
-        const real *before = constants->heading_row + 2 * (N - k), *after = before - 2;
-        const real xv = work->arc[2][k], xo = work->arc[3][k], xt = work->arc[4][k];
-        const real yv = work->arc[5][k], yo = work->arc[6][k], yt = work->arc[7][k];
-        const real c = work->cosine[k], s = work->sine[k];
-        const real along = constants->along[k], across = constants->across[k];
-        const real ra = along_residual[k], rc = across_residual[k], rh = heading_residual[k];
-        real *restrict along_row = work->stack[2 * k], *restrict across_row = work->stack[2 * k + 1];
-        real *restrict aside = work->across[k];
-        for (int j = 0; j < count; j++) {
-            x[j] += xv * mean_v[j] + xo * mean_omega[j] + xt * before[j];
-            y[j] += yv * mean_v[j] + yo * mean_omega[j] + yt * before[j];
-            aside[j] = c * y[j] - s * x[j];
-            along_row[j] = along * (c * x[j] + s * y[j]);
-            across_row[j] = across * aside[j];
-            gradient[j] += ra * along_row[j] + rc * across_row[j] + rh * after[j];
-        }
+        const real *after = constants->heading_row + 2 * (N - k - 1);
+        const row_weights weights = {
+            {work->arc[2][k], work->arc[3][k], work->arc[4][k]},
+            {work->arc[5][k], work->arc[6][k], work->arc[7][k]},
+            work->cosine[k], work->sine[k], constants->along[k], constants->across[k],
+            along_residual[k], across_residual[k], heading_residual[k],
+        };
+        fill_row(ddmpc_whole_lanes(2 * (k + 1)), &weights, constants->mean_row[0] + 2 * (N - k - 1),
+                 constants->mean_row[1] + 2 * (N - k - 1), after + 2, after, work->moves[0], work->moves[1],
+                 work->across[k], work->stack[2 * k], work->stack[2 * k + 1], work->gradient);
     }
 }
 
@@ -177,8 +196,10 @@ static void fill_hessian(const ddmpc_tracking *constants, const ddmpc_workspace 
             const int columns = INPUTS - j < LANES ? INPUTS - j : LANES;
             for (int a = 0; a < rows; a++)
                 for (int b = 0; b < columns; b++)
-                    qp->H[i + a][j + b] = qp->H[j + b][i + a] =
-                        sum[a][b] + scale * constants->heading_hessian[i + a][j + b];
+                    qp->H[i + a][j + b] = sum[a][b] + scale * constants->heading_hessian[i + a][j + b];
+            for (int b = 0; b < columns; b++)
+                for (int a = 0; a < rows; a++)
+                    qp->H[j + b][i + a] = qp->H[i + a][j + b];
         }
     for (int i = 0; i < INPUTS; i++) {
         const real increment = constants->increment_weight[i % 2];

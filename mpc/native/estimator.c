@@ -194,8 +194,13 @@ static int least(int a, int b)
     return a < b ? a : b;
 }
 
-void ddmpc_estimator_update(const ddmpc_estimation *constants, ddmpc_estimator *estimator, ddmpc_time t,
-                            const ddmpc_measurement *measurement, ddmpc_notes *notes)
+static int state(const ddmpc_estimator *estimator)
+{
+    return (ddmpc_estimator_ready(estimator) ? DDMPC_READY : 0) | (ddmpc_estimator_moved(estimator) ? DDMPC_MOVED : 0);
+}
+
+int ddmpc_estimator_update(const ddmpc_estimation *constants, ddmpc_estimator *estimator, ddmpc_time t,
+                           const ddmpc_measurement *measurement, ddmpc_notes *notes)
 {
     ddmpc_checked_pose pose;
     ddmpc_checked_twist twist[3];
@@ -209,7 +214,7 @@ void ddmpc_estimator_update(const ddmpc_estimation *constants, ddmpc_estimator *
             moving(constants, estimator, &estimator->node[0].prior);
             start(estimator, t, &pose, &estimator->node[0].prior);
         }
-        return;
+        return state(estimator);
     }
     int first = estimator->nodes;
     for (int i = 0; i < twists; i++) {
@@ -237,6 +242,7 @@ void ddmpc_estimator_update(const ddmpc_estimation *constants, ddmpc_estimator *
         }
     }
     filter_from(constants, estimator, first);
+    return state(estimator);
 }
 
 int ddmpc_estimator_restart_elsewhere(const ddmpc_estimation *constants, ddmpc_estimator *estimator)

@@ -148,6 +148,9 @@ typedef struct {
     real innovations[DDMPC_SENSORS];
 } ddmpc_estimate;
 
+/* Bits: there is an estimate; poses agree with each other but not with it. */
+enum { DDMPC_READY = 1, DDMPC_MOVED = 2 };
+
 /* A robot that stands still and of which nothing is known. */
 void ddmpc_estimator_init(ddmpc_estimator *estimator);
 /* Drop the estimate, as before the first pose; commands on their way stay. */
@@ -163,9 +166,9 @@ void ddmpc_estimator_correct_last(ddmpc_estimator *estimator, const real command
 int ddmpc_estimator_correct_sent(const ddmpc_estimation *constants, ddmpc_estimator *estimator, const real sent[2]);
 /* Predict to the tick at `t`; missed ticks are made up for with the last command. */
 void ddmpc_estimator_advance(const ddmpc_estimation *constants, ddmpc_estimator *estimator, ddmpc_time t);
-/* Take in what arrived; `notes` says what was rejected. */
-void ddmpc_estimator_update(const ddmpc_estimation *constants, ddmpc_estimator *estimator, ddmpc_time t,
-                            const ddmpc_measurement *measurement, ddmpc_notes *notes);
+/* Take in what arrived; `notes` says what was rejected. Returns DDMPC_READY and DDMPC_MOVED. */
+int ddmpc_estimator_update(const ddmpc_estimation *constants, ddmpc_estimator *estimator, ddmpc_time t,
+                           const ddmpc_measurement *measurement, ddmpc_notes *notes);
 /* Believe that the robot is where the poses that jumped agree it is; 0 if they do not. */
 int ddmpc_estimator_restart_elsewhere(const ddmpc_estimation *constants, ddmpc_estimator *estimator);
 /* The newest estimate; only once ready. */

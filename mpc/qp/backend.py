@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from models.interface import FloatArray
 from mpc.config import Solver, Weights
-from mpc.qp.limit_rows import LimitRows
 from mpc.quadratic_program import Kinds, QuadraticProgram, Relaxed
 from mpc.solver_report import SolverReport
 
@@ -18,10 +17,8 @@ class Task:
 
     Attributes
     ----------
-    qp, rows, relaxed
-        The problem, its limits, and its minimiser without them.
-    values
-        (9, N) the limits' rows at that minimiser.
+    qp, relaxed
+        The problem, and its minimiser without limits.
     kinds
         The kinds of limit to keep; a backend may keep more of them.
     guess
@@ -31,21 +28,31 @@ class Task:
     """
 
     qp: QuadraticProgram
-    rows: LimitRows
     relaxed: Relaxed
-    values: FloatArray
     kinds: Kinds
     guess: FloatArray
     multipliers: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """What a backend found: the flat plan (2 N,), its report, and multipliers (9, N), zero where nothing presses."""
+class Answer(NamedTuple):
+    """What a backend found.
+
+    Attributes
+    ----------
+    plan
+        (2 N,) the flat plan.
+    report
+        What the solver says of it.
+    multipliers
+        (9, N) of the limits, zero where nothing presses.
+    kinds
+        The kinds of limit that press somewhere.
+    """
 
     plan: FloatArray
     report: SolverReport
     multipliers: FloatArray
+    kinds: Kinds
 
 
 class Backend(Protocol):

@@ -14,7 +14,7 @@ from models.interface import FloatArray
 from mpc.config import Solver, Weights
 from mpc.qp.backend import Backend, Task
 from mpc.qp.daqp_backend import DaqpBackend
-from mpc.qp.limit_rows import KINDS, LimitRows
+from mpc.qp.limit_rows import KINDS
 from mpc.qp.osqp_backend import OsqpBackend
 from mpc.qp.solution import Solution
 from mpc.quadratic_program import Kinds, QuadraticProgram
@@ -40,7 +40,6 @@ class CondensedSolver:
         self._steps, self._settings, self._weights = steps, settings, weights
         # Below the solvers' own residuals a limit counts as kept.
         self._slack = 0.1 * settings.tolerance
-        self._rows = LimitRows(steps)
         self._nothing = np.zeros((KINDS, steps))
         self.reset()
 
@@ -48,6 +47,7 @@ class CondensedSolver:
         """Forget every earlier solve; called after a failure, so that no bad iterate is carried on."""
         self._backend = _BACKENDS[self._settings.backend](self._steps, self._settings, self._weights)
         self._multipliers = self._nothing
+        self._kinds: Kinds = ()
 
     def solve(self, qp: QuadraticProgram, guess: FloatArray) -> Solution:
         """Solve, starting from the plan `guess` (N, 2). Never raises on numbers: see the report's status."""
@@ -56,34 +56,31 @@ class CondensedSolver:
             return Solution(guess, SolverReport(relaxed))
         missed = relaxed.broken
         if missed:
-            rows, plan = self._rows, relaxed.plan
-            rows.load(qp)
-            return self._lean(Task(qp, rows, relaxed, rows.values(plan), missed, guess.reshape(-1), self._nothing))
-        self._multipliers = self._nothing
+            return self._lean(Task(qp, relaxed, missed, guess.reshape(-1), self._nothing))
+        self._kinds = ()
         report = SolverReport(SolverStatus.SOLVED, 0, 0.0, relaxed.residual)
         return Solution(relaxed.plan.reshape(-1, 2), report)
 
     def _lean(self, task: Task) -> Solution:
-        """Solve where limits matter: begin with those that mattered last, or else with those of `task`."""
-        if self._multipliers is not self._nothing:
+        """Solve where limits matter: begin with those of `task` and those that mattered last."""
+        if self._kinds:
             # One step ahead, as the plan.
             task.multipliers = np.concatenate((self._multipliers[:, 1:], self._multipliers[:, -1:]), axis=1)
-            task.kinds = _pressing(task.multipliers) or task.kinds
+            task.kinds = _union(task.kinds, self._kinds)
         iterations = 0
         while True:
             answer = self._backend.solve(task)
             iterations += answer.report.iterations
             if not answer.report.status.usable:
-                self._multipliers = self._nothing
+                self._kinds = ()
                 break
-            self._multipliers = task.multipliers = answer.multipliers
-            missed = set(task.qp.broken(answer.plan, self._slack)) - set(task.kinds)
-            if not missed:
+            self._multipliers, self._kinds, task.multipliers = answer.multipliers, answer.kinds, answer.multipliers
+            missed = task.qp.broken(answer.plan, self._slack)
+            if set(missed) <= set(task.kinds):
                 break
-            task.kinds = tuple(sorted({*task.kinds, *missed}))
+            task.kinds = _union(task.kinds, missed)
         return Solution(answer.plan.reshape(-1, 2), answer.report.after(iterations))
 
 
-def _pressing(multipliers: FloatArray) -> Kinds:
-    """Kinds of limit that press somewhere."""
-    return tuple(np.flatnonzero(multipliers.any(axis=1)).tolist())
+def _union(some: Kinds, others: Kinds) -> Kinds:
+    return some if some == others else tuple(sorted({*some, *others}))

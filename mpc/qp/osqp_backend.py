@@ -13,7 +13,7 @@ from scipy import sparse
 from models.interface import FloatArray
 from mpc.config import Solver, Weights
 from mpc.qp.backend import Answer, Task
-from mpc.qp.limit_rows import HARD_KINDS, KINDS
+from mpc.qp.limit_rows import HARD_KINDS, KINDS, LimitRows
 from mpc.qp.osqp_status import OSQP_STATUS
 from mpc.quadratic_program import Kinds
 from mpc.solver_report import SolverReport, SolverStatus
@@ -44,6 +44,7 @@ class _Workspace:
     def __init__(self, steps: int, settings: Solver, weights: Weights, kinds: Kinds) -> None:
         self._n = n = 2 * steps
         self._steps, self._kinds, self._weights, self._settings = steps, list(kinds), weights, settings
+        self._limits = LimitRows(steps)
         self._soft_rows = rows = len(kinds) * steps
         # Commands are interleaved and rows go by kind: the commands of one channel are every second one.
         channels = sparse.vstack([sparse.identity(n, format="csr")[i::2] for i in (0, 1)])
@@ -77,7 +78,7 @@ class _Workspace:
                 self._solver.update(q=self._gradient, l=self._lower, u=self._upper, Px=self._P.data, **changed)
         except (osqp.OSQPException, ValueError):
             refused = SolverReport(SolverStatus.REFUSED, soft_limits=bool(self._kinds))
-            return Answer(task.guess, refused, task.multipliers)
+            return Answer(task.guess, refused, task.multipliers, ())
         self._solver.warm_start(x=self._primal(task), y=self._dual(task.multipliers))
         result = self._solver.solve(raise_error=False)
         report = SolverReport(
@@ -87,10 +88,13 @@ class _Workspace:
             dual_residual=float(result.info.dual_res),
             soft_limits=bool(self._kinds),
         )
-        return Answer(np.array(result.x[: self._n]), report, self._multipliers(result.y))
+        multipliers = self._multipliers(result.y)
+        kinds = tuple(np.flatnonzero(multipliers.any(axis=1)).tolist())
+        return Answer(np.array(result.x[: self._n]), report, multipliers, kinds)
 
     def _load(self, task: Task) -> None:
-        n, rows, limits = self._n, self._soft_rows, task.rows
+        n, rows, limits = self._n, self._soft_rows, self._limits
+        limits.load(task.qp)
         self._P.data[: len(self._triangle)] = task.qp.H.reshape(-1)[self._triangle]
         self._gradient[:n] = task.qp.g
         self._upper[: 2 * n] = limits.upper[:HARD_KINDS].reshape(-1)
@@ -129,9 +133,9 @@ class _Workspace:
     def _primal(self, task: Task) -> FloatArray:
         if not self._kinds:
             return task.guess
-        excess = task.rows.values(task.guess)[self._kinds]
-        over = np.maximum(excess - task.rows.upper[self._kinds], 0)
-        under = np.maximum(task.rows.lower[self._kinds] - excess, 0)
+        excess = self._limits.values(task.guess)[self._kinds]
+        over = np.maximum(excess - self._limits.upper[self._kinds], 0)
+        under = np.maximum(self._limits.lower[self._kinds] - excess, 0)
         return np.concatenate([task.guess, over.reshape(-1), under.reshape(-1)])
 
     def _dual(self, multipliers: FloatArray) -> FloatArray:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from models.interface import Reference, ReferenceSample
 
 
-@dataclass(frozen=True)
-class Target:
+class Target(NamedTuple):
     """What to track now.
 
     Attributes

@@ -102,14 +102,14 @@ class Constraints:
         self._bound(layout.increment_rows, -slew, slew)
         self._bound(layout.increment_rows[0], at.last_command - at.slew, at.last_command + at.slew)
         for kind, where in zip(self._soft, self._soft_entries, strict=True):
-            data[place[where]] = soft_gradient(at, kind).reshape(-1)
+            data[place[where]] = _soft_gradient(at, kind).reshape(-1)
         self._bound(layout.soft_rows, at.soft_lower[self._soft], at.soft_upper[self._soft])
 
     def _bound(self, rows: Indices, lower: FloatArray, upper: FloatArray) -> None:
         self.lower[rows], self.upper[rows] = lower, upper
 
 
-def soft_gradient(at: Linearised, kind: int) -> FloatArray:
+def _soft_gradient(at: Linearised, kind: int) -> FloatArray:
     """(N, 2) soft limit `kind`, 0 to 4, by the twists, or that across the path by the positions."""
     if kind == _ACROSS:
         return np.column_stack([-at.direction[:, 1], at.direction[:, 0]])

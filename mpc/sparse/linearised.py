@@ -57,7 +57,11 @@ class Lineariser:
 
     def __init__(self, problem: TrackingProblem) -> None:
         self._problem = problem
-        self._arcs = arc_derivatives(problem.steps, problem.model.dt)
+        self._arcs_in, self._arcs_out = np.empty((4, problem.steps)), np.empty((problem.steps, 8))
+        self._buffer, self._arcs = arc_derivatives(problem.steps, problem.model.dt).buffer()
+        for row in range(4):
+            self._buffer.set_arg(row, memoryview(self._arcs_in[row]))  # type: ignore[call-arg]  # wrong in casadi's stubs
+        self._buffer.set_res(0, memoryview(self._arcs_out))  # type: ignore[call-arg, arg-type]
 
     def linearise(self, tick: Tick, plan: FloatArray) -> Linearised:
         """Linearise along `plan` (N, 2)."""
@@ -66,8 +70,9 @@ class Lineariser:
         twist = tick.free_twist + tick.gains * by_plan
         mean = 0.5 * (twist[:-1] + twist[1:])
         theta = tick.pose[2] + np.concatenate([[0.0], np.cumsum(dt * mean[:, 1])])
-        slip = np.full((1, len(plan)), tick.side_slip)
-        arcs = self._arcs(theta[None, :-1], mean[None, :, 0], mean[None, :, 1], slip).toarray().T
+        self._arcs_in[0], self._arcs_in[1:3], self._arcs_in[3] = theta[:-1], mean.T, tick.side_slip
+        self._arcs()
+        arcs = self._arcs_out
         error = np.empty((len(plan), 3))
         error[:, :2] = tick.pose[:2] + np.cumsum(arcs[:, :2], axis=0) - tick.reference[1:, :2]
         error[:, 2] = theta[1:] - tick.heading[1:]
@@ -80,7 +85,7 @@ class Lineariser:
         return Linearised(
             gains=tick.gains,
             twists=by_plan[1:],
-            moves=arcs[:, 2:].reshape(-1, 2, 3),
+            moves=arcs[:, 2:].reshape(-1, 2, 3).copy(),
             error=error,
             direction=direction,
             box=command_box(limits, dt, tick.last_command, len(plan)),

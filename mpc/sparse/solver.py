@@ -38,8 +38,8 @@ class SparseSolver:
         """Linearise along the plan `guess` (N, 2) and solve. Never raises on numbers: see the report's status."""
         at = self._lineariser.linearise(tick, guess)
         data = (at.twists, at.moves, at.error, at.box, at.last_command, at.feed_forward, at.soft_upper)
-        # Written so that NaN fails the comparison.
-        if not all((np.abs(part) < _LARGEST).all() for part in data):
+        # Squares add up to one number; NaN fails the comparison.
+        if not all(np.vdot(part, part) < _LARGEST**2 for part in data):
             return Solution(guess, SolverReport(SolverStatus.NOT_FINITE))
         iterations, kinds = 0, self._kinds
         while True:

@@ -7,11 +7,11 @@ import osqp
 
 from models.interface import FloatArray
 from mpc.problem import TrackingProblem
-from mpc.qp.limit_rows import HARD_KINDS, SOFT_KINDS
+from mpc.qp.limit_rows import HARD_KINDS
 from mpc.qp.osqp_status import OSQP_STATUS
 from mpc.quadratic_program import Kinds
 from mpc.solver_report import SolverReport, SolverStatus
-from mpc.sparse.constraints import Constraints, soft_gradient
+from mpc.sparse.constraints import Constraints
 from mpc.sparse.cost import Cost
 from mpc.sparse.layout import Layout
 from mpc.sparse.linearised import Linearised
@@ -63,11 +63,11 @@ class SparseWorkspace:
             # The states go on from where they were; commands, twists and poses are those of the next guess.
             self._start[layout.states] = z[layout.states]
             self._dual = np.array(result.y)
-        values = [
-            (soft_gradient(at, kind) * z[layout.poses[:, :2] if kind == SOFT_KINDS - 1 else layout.twists]).sum(axis=1)
-            for kind in range(SOFT_KINDS)
-        ]
-        return z[layout.commands], np.array(values), report
+        values = np.empty_like(at.soft_upper)
+        values[:-1] = at.soft_rows @ z[layout.twists].T
+        dx, dy, _ = z[layout.poses].T
+        values[-1] = at.direction[:, 0] * dy - at.direction[:, 1] * dx
+        return z[layout.commands], values, report
 
     @property
     def active_kinds(self) -> Kinds:

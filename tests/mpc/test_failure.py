@@ -285,6 +285,7 @@ def test_a_plan_that_is_not_finite_is_not_driven(monkeypatch, way):
 
 def poison_condensed(way):
     way._solver._multipliers = np.full_like(way._solver._multipliers, 1e12)
+    way._solver._kinds = tuple(range(9))
 
 
 def poison_sparse(way):

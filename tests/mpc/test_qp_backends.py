@@ -12,7 +12,6 @@ from mpc.qp.condensed_solver import CondensedSolver
 from mpc.qp.daqp_backend import DaqpBackend
 from mpc.qp.limit_rows import HARD_KINDS, KINDS, LimitRows
 from mpc.qp.osqp_backend import OsqpBackend
-from mpc.qp.relaxed import relax
 from mpc.solver_report import SolverStatus
 
 STEPS = 6
@@ -55,18 +54,16 @@ def gradients(qp):
     return np.stack([rows.values(e) - at_zero for e in np.eye(2 * STEPS)], axis=-1)
 
 
-def whole_task(qp, rows, multipliers):
+def whole_task(qp, multipliers):
     """All kinds of limit at once."""
-    rows.load(qp)
-    relaxed = relax(qp)
-    kinds = tuple(range(KINDS))
-    return Task(qp, rows, relaxed, rows.values(relaxed.plan), kinds, np.zeros(2 * STEPS), multipliers)
+    return Task(qp, qp.relax(), tuple(range(KINDS)), np.zeros(2 * STEPS), multipliers)
 
 
 def answer(qp, backend):
-    rows, nothing = LimitRows(STEPS), np.zeros((KINDS, STEPS))
     chosen = BACKENDS[backend](STEPS, solver_settings(backend, max_iterations=100_000), WEIGHTS)
-    return chosen.solve(whole_task(qp, rows, nothing)), rows
+    rows = LimitRows(STEPS)
+    rows.load(qp)
+    return chosen.solve(whole_task(qp, np.zeros((KINDS, STEPS)))), rows
 
 
 @settings(max_examples=60, deadline=None)
@@ -178,7 +175,7 @@ def test_a_cost_that_is_not_convex_is_reported(backend):
 def test_multipliers_that_cannot_be_are_no_harm_to_daqp():
     """A warm start with every limit active, more than there are commands, is put aside."""
     qp = random_problem(2)
-    right, rows = answer(qp, "daqp")
+    right, _ = answer(qp, "daqp")
     backend = DaqpBackend(STEPS, solver_settings(), WEIGHTS)
-    task = whole_task(qp, rows, np.ones((KINDS, STEPS)))
+    task = whole_task(qp, np.ones((KINDS, STEPS)))
     assert backend.solve(task).plan == pytest.approx(right.plan, abs=1e-9)
