@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
@@ -121,6 +122,8 @@ def _build(
     folder: Path,
     core: int | None,
 ) -> tuple[Subject, dict[str, float]]:
+    if chosen.kind == "acados" and not shutil.which("gcc"):
+        raise SubjectError("no C compiler: it needs gcc")
     if chosen.foreign:
         if not isinstance(environment, PeerEnvironment):
             raise environment or SubjectError("it needs the peers' environment")

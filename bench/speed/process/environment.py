@@ -33,8 +33,6 @@ def peer_environment(folder: Path | None = None) -> PeerEnvironment:
     bench.speed.process.subject.SubjectError
         If it cannot be made: no package index within reach, or no wheel for this system.
     """
-    if not shutil.which("gcc"):
-        raise SubjectError("no C compiler (gcc) was found, which acados needs")
     digest = hashlib.sha256(REQUIREMENTS.read_bytes() + sys.version.encode()).hexdigest()[:16]
     folder = (folder or cache_folder() / "peers" / digest).resolve()
     if not (folder / _READY).is_file():
@@ -75,8 +73,8 @@ def _run(*command: str) -> None:
     variables = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "LD_LIBRARY_PATH")}
     done = subprocess.run(command, capture_output=True, text=True, env=variables, check=False)
     if done.returncode:
-        said = [line for line in done.stderr.splitlines() if line.strip()]
-        raise SubjectError(f"its environment cannot be made: {said[-1].strip() if said else 'no reason given'}")
+        said = [line.strip().removeprefix("ERROR: ") for line in done.stderr.splitlines() if line.strip()]
+        raise SubjectError(f"its environment cannot be made: {said[-1] if said else 'no reason given'}")
 
 
 def _reachable(package: Path) -> None:
