@@ -11,6 +11,7 @@ import rclpy
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
+from threadpoolctl import threadpool_limits
 
 from mpc.ros.node import TrackingNode
 from mpc.ros.settings import NodeSettings
@@ -62,8 +63,10 @@ def run(
         executor.add_node(node)
         try:
             node.bring_up()
-            while not signals:
-                executor.spin_once(timeout_sec=_LONGEST_WAIT)
+            # The matrices are small: waking other threads for them takes longer than the sums, at times half a tick.
+            with threadpool_limits(limits=1):
+                while not signals:
+                    executor.spin_once(timeout_sec=_LONGEST_WAIT)
         except ExternalShutdownException:
             pass
         finally:
