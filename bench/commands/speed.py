@@ -38,7 +38,7 @@ def speed(
         ),
     ] = None,
 ) -> None:
-    """Time whole steps of the controller and of its peers on the same problem: about ten minutes."""
+    """Time whole steps of the controller and of its peers on the same problem: about a quarter of an hour."""
     from bench.speed.command import run_speed  # noqa: PLC0415 - --help and other commands do without it
     from bench.speed.settings import chosen, load_speed_settings  # noqa: PLC0415
 
