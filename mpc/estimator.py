@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from models.discrete_model import DiscreteModel
-from models.interface import FloatArray, Measurement
+from models.interface import Measurement
 from mpc.belief import Belief
 from mpc.command_line import CommandLine
 from mpc.config import Compensation, Estimator, Wheels
@@ -22,7 +22,7 @@ from mpc.pose_gate import CheckedPose, PoseGate
 from mpc.twist_gate import CheckedTwist, TwistGate
 
 TOO_MANY = "more arrived for one sample than is kept"
-SENT_REJECTED = "sent command rejected: it is not one that a robot can have got"
+_SENT_REJECTED = "sent command rejected: it is not one that a robot can have got"
 # What one tick of the history holds at most: numbers of wheels and gyro, and poses.
 _MOST_TWISTS, _MOST_POSES = 12, 4
 
@@ -42,13 +42,17 @@ def build_filter(
     return SlipFilter(model, settings, compensation or Compensation(), ratio)
 
 
-def check_sent(sent: tuple[float, float], settings: Estimator) -> FloatArray | None:
-    """What the robot says it got, as (2,) numbers; None if it cannot be."""
+def correct_sent(commands: CommandLine, sent: tuple[float, float] | None, settings: Estimator) -> list[str]:
+    """Put what the robot says it got at the last tick into `commands`, unless it cannot be; then returns why not."""
+    if sent is None:
+        return []
     value = numbers(sent, 2)
-    if value is None:
-        return None
-    v, omega = value.tolist()
-    return None if abs(v) > settings.max_wheel_speed or abs(omega) > settings.max_yaw_rate else value
+    if value is not None:
+        v, omega = value.tolist()
+        if abs(v) <= settings.max_wheel_speed and abs(omega) <= settings.max_yaw_rate:
+            commands.correct_last(value)
+            return []
+    return [_SENT_REJECTED]
 
 
 @dataclass
@@ -140,13 +144,7 @@ class StateEstimator:
 
     def correct_sent(self, sent: tuple[float, float] | None) -> list[str]:
         """Believe what the robot says it got at the last tick, unless it cannot be; then returns why not."""
-        if sent is None:
-            return []
-        value = check_sent(sent, self._settings)
-        if value is None:
-            return [SENT_REJECTED]
-        self.commands.correct_last(value)
-        return []
+        return correct_sent(self.commands, sent, self._settings)
 
     def advance(self, t: float) -> None:
         """Predict to the tick at `t` [s], not more than `longest_pause` after the last one.

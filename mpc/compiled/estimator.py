@@ -14,7 +14,7 @@ from mpc.compiled.library import callable_in, checked_constants, checked_size, l
 from mpc.compiled.messages import MeasurementBuffer, NotesBuffer
 from mpc.config import Compensation, Estimator, Wheels
 from mpc.estimate import Estimate
-from mpc.estimator import SENT_REJECTED, build_filter, check_sent, history_ticks
+from mpc.estimator import build_filter, correct_sent, history_ticks
 
 _READY, _MOVED = 1, 2
 _SOURCES = ("estimator.c", "filter.c", "checks.c")
@@ -93,13 +93,7 @@ class CompiledEstimator:
 
     def correct_sent(self, sent: tuple[float, float] | None) -> list[str]:
         """See `StateEstimator.correct_sent`."""
-        if sent is None:
-            return []
-        value = check_sent(sent, self._settings)
-        if value is None:
-            return [SENT_REJECTED]
-        self.commands.correct_last(value)
-        return []
+        return correct_sent(self.commands, sent, self._settings)
 
     def advance(self, t: float) -> None:
         """See `StateEstimator.advance`."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 from functools import lru_cache, partial
 
 import numpy as np
-import osqp
 from numpy.typing import NDArray
 from scipy import sparse
 
@@ -16,10 +15,10 @@ from models.interface import FloatArray
 from mpc.config import Weights
 from mpc.qp.backend import MOST_WORKSPACES, Answer, Task
 from mpc.qp.limit_rows import HARD_KINDS, KINDS, LimitRows
-from mpc.qp.osqp_status import OSQP_STATUS
+from mpc.qp.osqp_instance import OsqpInstance
 from mpc.quadratic_program import Kinds
 from mpc.solver_config import Solver
-from mpc.solver_report import SolverReport, SolverStatus
+from mpc.solver_report import SolverStatus
 
 # A multiplier below this is what is left of one: its limit is not active.
 _NO_PRESSURE = 1e-6
@@ -40,7 +39,7 @@ class _Workspace:
     """One OSQP instance of fixed sparsity: rows of hard limits, of soft ones, and bounds of their slacks."""
 
     def __init__(self, steps: int, settings: Solver, weights: Weights, kinds: Kinds) -> None:
-        self._n, self._steps, self._weights, self._settings = 2 * steps, steps, weights, settings
+        self._n, self._steps, self._weights = 2 * steps, steps, weights
         self._kinds, self._soft = list(kinds), [kind for kind in kinds if kind >= HARD_KINDS]
         self._limits = LimitRows(steps)
         # The rows of U are the chosen kinds', hard ones before soft ones.
@@ -66,32 +65,19 @@ class _Workspace:
         self._gradient = np.full(n + 2 * rows, weights.soft)
         self._lower = np.zeros(self._rows + 2 * rows)
         self._upper = np.full(self._rows + 2 * rows, np.inf)
-        self._solver: osqp.OSQP | None = None
+        self._osqp = OsqpInstance(self._P, self._A, settings, soft_limits=rows > 0, rows_change=rows > 0)
 
     def solve(self, task: Task) -> Answer:
         """Solve for the kinds of this work space."""
         self._load(task)
-        try:
-            if self._solver is None:
-                self._solver = self._set_up()
-            else:
-                changed = {"Ax": self._A.data} if self._soft else {}
-                self._solver.update(q=self._gradient, l=self._lower, u=self._upper, Px=self._P.data, **changed)
-        except (osqp.OSQPException, ValueError):
-            refused = SolverReport(SolverStatus.REFUSED, soft_limits=bool(self._soft))
-            return Answer(task.guess, refused, task.multipliers, ())
-        self._solver.warm_start(x=self._primal(task), y=self._dual(task.multipliers))
-        result = self._solver.solve(raise_error=False)
-        report = SolverReport(
-            status=OSQP_STATUS.get(result.info.status_val, SolverStatus.NOT_RUN),
-            iterations=int(result.info.iter),
-            primal_residual=float(result.info.prim_res),
-            dual_residual=float(result.info.dual_res),
-            soft_limits=bool(self._soft),
+        x, y, report = self._osqp.solve(
+            self._gradient, self._lower, self._upper, self._primal(task), self._dual(task.multipliers)
         )
-        multipliers = self._multipliers(result.y)
+        if report.status is SolverStatus.REFUSED:
+            return Answer(task.guess, report, task.multipliers, ())
+        multipliers = self._multipliers(y)
         kinds = tuple(np.flatnonzero(multipliers.any(axis=1)).tolist())
-        return Answer(np.array(result.x[: self._n]), report, multipliers, kinds)
+        return Answer(x[: self._n], report, multipliers, kinds)
 
     def _load(self, task: Task) -> None:
         n, limits, last = self._n, self._limits, task.qp.last_command
@@ -106,27 +92,6 @@ class _Workspace:
         if self._soft:
             soft = [task.qp.soft_rows(kind - HARD_KINDS) for kind in self._soft]
             self._A.data[self._soft_place] = np.concatenate(soft)
-
-    def _set_up(self) -> osqp.OSQP:
-        solver = osqp.OSQP()
-        solver.setup(
-            self._P,
-            self._gradient,
-            self._A,
-            self._lower,
-            self._upper,
-            verbose=False,
-            eps_abs=self._settings.tolerance,
-            eps_rel=self._settings.tolerance,
-            max_iter=self._settings.max_iterations,
-            check_termination=self._settings.check_every,
-            # By iterations, not by time: a run must not depend on how fast the machine is.
-            adaptive_rho=1,
-            adaptive_rho_interval=50,
-            polishing=False,
-            **({} if self._settings.time_limit is None else {"time_limit": self._settings.time_limit}),
-        )
-        return solver
 
     def _primal(self, task: Task) -> FloatArray:
         if not self._soft:
