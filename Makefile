@@ -63,7 +63,7 @@ calibrate: $(READY) ## fit the simulated robot to the published SSM again
 	$(BIN)/diffdrive-mpc models calibrate
 
 readme: $(READY) ## copy the tables and figures of the last `make bench`, `make tracking`, `make reproduce` and `make speed` into README and docs
-	$(BIN)/python -m bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT))
+	$(BIN)/python -m diffdrive_mpc.bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT))
 
 requirements: ## pin all dependencies anew (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from models.checked_yaml import ConfigError
-from sim.whole_file import new_folder, reason, scratch_folder
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.sim.whole_file import new_folder, reason, scratch_folder
 
 
 @contextmanager

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from bench.table import Table
-from sim.calibration import validate_calibration
-from sim.twin_parameters import Firmware
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.sim.calibration import validate_calibration
+from diffdrive_mpc.sim.twin_parameters import Firmware
 
 
 def calibration_table(firmware: Firmware) -> Table:

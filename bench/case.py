@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bench.controllers import PEERS, controller_config, make_controller
-from models.checked_yaml import ConfigError
-from models.interface import Reference, TrackingController
-from mpc import load_trajectory
-from sim import Plant, Run, make_plant, simulate
+from diffdrive_mpc.bench.controllers import PEERS, controller_config, make_controller
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import Reference, TrackingController
+from diffdrive_mpc.mpc import load_trajectory
+from diffdrive_mpc.sim import Plant, Run, make_plant, simulate
 
 Overrides = tuple[tuple[str, object], ...]
 """Configuration values by dotted key."""

@@ -6,11 +6,11 @@ from typing import Annotated
 
 import typer
 
-from bench.commands import bench, export, identify, node, real_logs, reproduce, robot, simulate, speed, tracking
-from bench.commands.config import config_app
-from bench.commands.models import models_app
-from bench.commands.one_line_errors import OneLineErrors
-from bench.commands.ros_arguments import PASSED_ON
+from diffdrive_mpc.bench.commands import bench, export, identify, node, real_logs, reproduce, robot, simulate, speed, tracking
+from diffdrive_mpc.bench.commands.config import config_app
+from diffdrive_mpc.bench.commands.models import models_app
+from diffdrive_mpc.bench.commands.one_line_errors import OneLineErrors
+from diffdrive_mpc.bench.commands.ros_arguments import PASSED_ON
 
 app = typer.Typer(
     cls=OneLineErrors,

@@ -7,18 +7,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.atomic import staged
-from bench.case import NO_SCENARIO, Case
-from bench.commands.options import parse_seeds, split_names, split_numbers
-from bench.console import output_console
-from bench.controllers import PEERS, default_model
-from bench.experiment import CasePlan, Experiment, default_experiment, plan_cases
-from bench.progress import ProgressBar
-from bench.results import Results, describe
-from bench.runner import Outcome, available_cores, run_cases, time_outcomes
-from bench.sweep import sweep_settings
-from bench.tables import report_tables
-from models.checked_yaml import ConfigError
+from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.case import NO_SCENARIO, Case
+from diffdrive_mpc.bench.commands.options import parse_seeds, split_names, split_numbers
+from diffdrive_mpc.bench.console import output_console
+from diffdrive_mpc.bench.controllers import PEERS, default_model
+from diffdrive_mpc.bench.experiment import CasePlan, Experiment, default_experiment, plan_cases
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.results import Results, describe
+from diffdrive_mpc.bench.runner import Outcome, available_cores, run_cases, time_outcomes
+from diffdrive_mpc.bench.sweep import sweep_settings
+from diffdrive_mpc.bench.tables import report_tables
+from diffdrive_mpc.models.checked_yaml import ConfigError
 
 _NAME_LISTS = {
     "controllers": "--controller",
@@ -105,8 +105,8 @@ def compare(choices: Choices, out: Path, jobs: int | None = None) -> Results:
     bench.errors.NotReproducibleError
         If the replay for the step times gave other commands.
     """
-    from bench.figures.draw import count_figures  # noqa: PLC0415 - matplotlib loads slowly, and bad input needs none
-    from bench.report import FIGURES, REPORT_FILES, write_report  # noqa: PLC0415
+    from diffdrive_mpc.bench.figures.draw import count_figures  # noqa: PLC0415 - matplotlib loads slowly, and bad input needs none
+    from diffdrive_mpc.bench.report import FIGURES, REPORT_FILES, write_report  # noqa: PLC0415
 
     began = time.perf_counter()
     experiment = choices.experiment()

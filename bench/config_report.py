@@ -13,9 +13,9 @@ from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from bench.console import output_console
-from bench.table import Table
-from mpc.config import ControllerConfig
+from diffdrive_mpc.bench.console import output_console
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.mpc.config import ControllerConfig
 
 _BOUNDS = {Gt: ("gt", ">"), Ge: ("ge", ">="), Lt: ("lt", "<"), Le: ("le", "<=")}
 """Attribute and sign of each kind of bound."""

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
-from bench.peers.kanayama import KanayamaController
-from models.checked_yaml import ConfigError
-from models.interface import TrackingController
-from models.load import MODEL_NAMES, load_model
-from mpc import Controller, ControllerConfig, load_config
+from diffdrive_mpc.bench.peers.kanayama import KanayamaController
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import TrackingController
+from diffdrive_mpc.models.load import MODEL_NAMES, load_model
+from diffdrive_mpc.mpc import Controller, ControllerConfig, load_config
 
 PEERS: dict[str, Callable[[], TrackingController]] = {"kanayama": KanayamaController}
 """Controllers without a velocity model, by name."""

@@ -1,6 +1,6 @@
 """Copy tables and figures of a bench run and of studies into the documents, so that they show what was produced.
 
-Run as ``python -m bench.documents OUT [STUDY_OUT ...]``, from the top of the repository.
+Run as ``python -m diffdrive_mpc.bench.documents OUT [STUDY_OUT ...]``, from the top of the repository.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from models.checked_yaml import ConfigError
+from diffdrive_mpc.models.checked_yaml import ConfigError
 
 COPIED = ("bench.md", "bench.json", "figures/overview.png", "figures/horizon.png")
 """What the documents show of a report."""

@@ -10,10 +10,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from bench.case import Case, Overrides, build, label
-from bench.controllers import CONTROLLERS, NO_MODEL, PEERS
-from models.checked_yaml import ConfigError, StrictModel, load_checked
-from mpc import load_trajectory
+from diffdrive_mpc.bench.case import Case, Overrides, build, label
+from diffdrive_mpc.bench.controllers import CONTROLLERS, NO_MODEL, PEERS
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.mpc import load_trajectory
 
 Names = Annotated[tuple[str, ...], Field(min_length=1)]
 Seed = Annotated[int, Field(ge=0)]

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from bench.runner import Outcome
-from models.interface import FloatArray
-from models.load import MODEL_NAMES
+from diffdrive_mpc.bench.runner import Outcome
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.load import MODEL_NAMES
 
 
 def mean(outcomes: Iterable[Outcome], field: str) -> float:

@@ -15,17 +15,17 @@ from time import perf_counter
 import numpy as np
 from scipy import signal
 
-from bench.table import Table
-from models.checked_yaml import StrictModel, load_checked
-from models.identification.estimate import Estimate
-from models.identification.sm import identify_sm
-from models.interface import FloatArray
-from models.load import build_model
-from models.logs.record import Record
-from models.robot import Positive
-from models.structures import SmFile
-from models.velocity_model import CHANNELS
-from sim.drives import random_drive
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.identification.estimate import Estimate
+from diffdrive_mpc.models.identification.sm import identify_sm
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.load import build_model
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.robot import Positive
+from diffdrive_mpc.models.structures import SmFile
+from diffdrive_mpc.models.velocity_model import CHANNELS
+from diffdrive_mpc.sim.drives import random_drive
 
 Range = tuple[Positive, Positive]
 _COVERED = 1.959964

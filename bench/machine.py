@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from bench.runner import available_cores
+from diffdrive_mpc.bench.runner import available_cores
 
 PACKAGES = ("numpy", "scipy", "casadi", "osqp", "daqp", "mujoco", "control", "joblib")
 """Packages whose version can change a figure."""

@@ -16,9 +16,9 @@ import numpy as np
 import yaml
 from scipy.optimize import minimize_scalar
 
-from bench.atomic import staged
-from bench.table import Table
-from models.identification import (
+from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.identification import (
     Experiment,
     TwoPolesFit,
     identify_track,
@@ -26,14 +26,14 @@ from models.identification import (
     pooled_fit_percent,
     side_difference,
 )
-from models.interface import FloatArray
-from models.load import PARAMETERS, load_model
-from models.robot import load_robot
-from models.structures import Motors, TwoPoles
-from models.velocity_model import CHANNELS, VelocityModel
-from sim.drives import random_drive, step_drives
-from sim.log import Log, record
-from sim.make import make_plant
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.load import PARAMETERS, load_model
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.structures import Motors, TwoPoles
+from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
+from diffdrive_mpc.sim.drives import random_drive, step_drives
+from diffdrive_mpc.sim.log import Log, record
+from diffdrive_mpc.sim.make import make_plant
 
 # Experiments are numbered on from here, each with noise of its own; validation drives are apart from them.
 _FIRST_SEED = 1000

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.console import output_console
-from bench.table import Table
-from models.load import MODEL_NAMES, load_model
-from models.velocity_model import VelocityModel
+from diffdrive_mpc.bench.console import output_console
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.load import MODEL_NAMES, load_model
+from diffdrive_mpc.models.velocity_model import VelocityModel
 
 
 def print_models() -> None:

@@ -6,10 +6,10 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from bench.case import NO_SCENARIO
-from bench.figures.draw import draw_all
-from bench.results import Results, chosen_configuration
-from bench.tables import report_tables
+from diffdrive_mpc.bench.case import NO_SCENARIO
+from diffdrive_mpc.bench.figures.draw import draw_all
+from diffdrive_mpc.bench.results import Results, chosen_configuration
+from diffdrive_mpc.bench.tables import report_tables
 
 REPORT_FILES = ("bench.json", "bench.md")
 FIGURES = "figures"

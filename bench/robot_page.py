@@ -1,14 +1,14 @@
-"""Write the table of the node's parameters into docs/robot.md. Run as ``python -m bench.robot_page``, from the top."""
+"""Write the table of the node's parameters into docs/robot.md. Run as ``python -m diffdrive_mpc.bench.robot_page``, from the top."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from bench.config_report import FieldRow, schema_rows
-from bench.documents import insert
-from models.checked_yaml import ConfigError, read_yaml
-from mpc.config import ControllerConfig
-from mpc.ros.settings import NodeSettings
+from diffdrive_mpc.bench.config_report import FieldRow, schema_rows
+from diffdrive_mpc.bench.documents import insert
+from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 PAGE = Path("docs/robot.md")
 MARKER = "parameters"

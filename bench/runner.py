@@ -11,9 +11,9 @@ from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky import get_reusable_executor
 from threadpoolctl import threadpool_limits
 
-from bench.case import Case, run_case
-from bench.timing import quiet_core, time_steps
-from sim import Run
+from diffdrive_mpc.bench.case import Case, run_case
+from diffdrive_mpc.bench.timing import quiet_core, time_steps
+from diffdrive_mpc.sim import Run
 
 Progress = Callable[[], None]
 

@@ -6,19 +6,19 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from bench.atomic import staged
-from bench.case import NO_SCENARIO, Case, build
-from bench.console import output_console
-from bench.controllers import NO_MODEL, PEERS, default_model
-from bench.groups import groups
-from bench.progress import ProgressBar
-from bench.runner import Outcome
-from bench.sweep import single_settings
-from bench.tables import error_table, path_table, scenario_table, summary_table
-from models.checked_yaml import ConfigError
-from sim import simulate
-from sim.log_csv import write_rows
-from sim.whole_file import whole_file
+from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.case import NO_SCENARIO, Case, build
+from diffdrive_mpc.bench.console import output_console
+from diffdrive_mpc.bench.controllers import NO_MODEL, PEERS, default_model
+from diffdrive_mpc.bench.groups import groups
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.runner import Outcome
+from diffdrive_mpc.bench.sweep import single_settings
+from diffdrive_mpc.bench.tables import error_table, path_table, scenario_table, summary_table
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.sim import simulate
+from diffdrive_mpc.sim.log_csv import write_rows
+from diffdrive_mpc.sim.whole_file import whole_file
 
 _MESSAGES_SHOWN = 5
 
@@ -103,9 +103,9 @@ def _print(outcome: Outcome) -> None:
 
 
 def _draw(outcome: Outcome, folder: Path) -> None:
-    from bench.figures.case import draw_case  # noqa: PLC0415 - matplotlib loads slowly
-    from bench.figures.draw import file_name  # noqa: PLC0415
-    from bench.figures.step_time import draw_step_times  # noqa: PLC0415
+    from diffdrive_mpc.bench.figures.case import draw_case  # noqa: PLC0415 - matplotlib loads slowly
+    from diffdrive_mpc.bench.figures.draw import file_name  # noqa: PLC0415
+    from diffdrive_mpc.bench.figures.step_time import draw_step_times  # noqa: PLC0415
 
     (who,) = groups([outcome])
     title = f"{who}, {outcome.case.labels['trajectory']}"

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import yaml
 
-from bench.case import Overrides
-from models.checked_yaml import ConfigError
+from diffdrive_mpc.bench.case import Overrides
+from diffdrive_mpc.models.checked_yaml import ConfigError
 
 
 def parse_setting(text: str) -> tuple[str, list[object]]:

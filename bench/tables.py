@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.case import NO_SCENARIO
-from bench.groups import (
+from diffdrive_mpc.bench.case import NO_SCENARIO
+from diffdrive_mpc.bench.groups import (
     by_horizon,
     by_model,
     by_scenario,
@@ -18,10 +18,10 @@ from bench.groups import (
     step_times,
     worst,
 )
-from bench.results import Results
-from bench.runner import Outcome
-from bench.table import Table, duration, number
-from models.interface import FloatArray
+from diffdrive_mpc.bench.results import Results
+from diffdrive_mpc.bench.runner import Outcome
+from diffdrive_mpc.bench.table import Table, duration, number
+from diffdrive_mpc.models.interface import FloatArray
 
 _POSITION = ("position_rmse_m", "position_mean_m", "position_std_m", "position_max_m")
 _HEADING = ("heading_rmse_rad", "heading_mean_rad", "heading_std_rad", "heading_max_rad")

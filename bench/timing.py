@@ -15,11 +15,11 @@ from contextlib import contextmanager
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from bench.case import Case
-from bench.controllers import make_controller
-from bench.errors import NotReproducibleError
-from models.interface import FloatArray, TrackingController
-from sim import Run
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.controllers import make_controller
+from diffdrive_mpc.bench.errors import NotReproducibleError
+from diffdrive_mpc.models.interface import FloatArray, TrackingController
+from diffdrive_mpc.sim import Run
 
 _WARM_UP_TICKS = 25
 

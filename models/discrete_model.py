@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray
 
 # A dead time this close to a whole number of samples counts as whole: it came from rounded decimals.
 _WHOLE = 1e-9

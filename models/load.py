@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from models.base_effects.parameters import BaseEffects
-from models.checked_yaml import ConfigError, check, read_yaml
-from models.named_file import named_file
-from models.structures import STRUCTURES, ModelFile
-from models.velocity_model import ModelError, VelocityModel
+from diffdrive_mpc.models.base_effects.parameters import BaseEffects
+from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
+from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.models.structures import STRUCTURES, ModelFile
+from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 
 PARAMETERS = Path(__file__).parent / "parameters"
 MODEL_NAMES = ("mbm", "sm", "ssm")

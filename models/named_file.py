@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Sequence
 from pathlib import Path
 
-from models.checked_yaml import ConfigError
+from diffdrive_mpc.models.checked_yaml import ConfigError
 
 
 def named_file(kind: str, folder: Path, name: str | Path, shipped: Sequence[str] | None = None) -> Path:

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray
 
 # sin(x)/x is replaced by its series below this |x|: the first term left out is below 1e-17 relative there.
 _SERIES_LIMIT = 1e-2

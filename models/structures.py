@@ -7,12 +7,12 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from models.base_effects.parameters import BaseEffects
-from models.checked_yaml import StrictModel
-from models.interface import FloatArray
-from models.uncertainty import CommandLimits, Uncertainty
-from models.velocity_model import CHANNELS
-from models.wheels import WheelKinematics
+from diffdrive_mpc.models.base_effects.parameters import BaseEffects
+from diffdrive_mpc.models.checked_yaml import StrictModel
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.uncertainty import CommandLimits, Uncertainty
+from diffdrive_mpc.models.velocity_model import CHANNELS
+from diffdrive_mpc.models.wheels import WheelKinematics
 
 Matrices = tuple[FloatArray, FloatArray, FloatArray]
 Finite = Annotated[float, Field(allow_inf_nan=False)]

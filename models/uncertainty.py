@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from models.checked_yaml import StrictModel
+from diffdrive_mpc.models.checked_yaml import StrictModel
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.discrete_model import DiscreteModel, zero_order_hold
-from models.interface import FloatArray
+from diffdrive_mpc.models.discrete_model import DiscreteModel, zero_order_hold
+from diffdrive_mpc.models.interface import FloatArray
 
 CHANNELS = ("v", "omega")
 

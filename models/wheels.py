@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray
 
 _RIGHT = np.array([-1.0, 1.0, -1.0, 1.0])
 """Sign of each wheel's side: right wheels turn faster in a left turn."""

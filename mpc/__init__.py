@@ -1,14 +1,14 @@
 """What decides: reference trajectories, the tracking problem, its solver, the estimator and the failure ladder."""
 
-from models.interface import Measurement, Stamped
-from mpc.config import ControllerConfig
-from mpc.config_file import load_config
-from mpc.controller import Controller
-from mpc.estimate import Estimate
-from mpc.hold import Hold
-from mpc.solver_report import SolverReport, SolverStatus
-from mpc.step_result import Mode, StepResult
-from mpc.trajectories import Trajectory, load_trajectory
+from diffdrive_mpc.models.interface import Measurement, Stamped
+from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config_file import load_config
+from diffdrive_mpc.mpc.controller import Controller
+from diffdrive_mpc.mpc.estimate import Estimate
+from diffdrive_mpc.mpc.hold import Hold
+from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
+from diffdrive_mpc.mpc.step_result import Mode, StepResult
+from diffdrive_mpc.mpc.trajectories import Trajectory, load_trajectory
 
 __all__ = [
     "Controller",

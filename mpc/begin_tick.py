@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray, ReferenceSample
-from mpc.estimate import Estimate
-from mpc.feed_forward import FeedForward
-from mpc.lean import lean
-from mpc.problem import TrackingProblem
-from mpc.tick import Tick
+from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
+from diffdrive_mpc.mpc.estimate import Estimate
+from diffdrive_mpc.mpc.feed_forward import FeedForward
+from diffdrive_mpc.mpc.lean import lean
+from diffdrive_mpc.mpc.problem import TrackingProblem
+from diffdrive_mpc.mpc.tick import Tick
 
 
 def begin_tick(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray
 
 
 class Belief(NamedTuple):

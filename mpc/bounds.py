@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray
-from mpc.config import Limits
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config import Limits
 
 
 def slew_step(limits: Limits, dt: float) -> FloatArray:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.discrete_model import DiscreteModel
-from models.interface import FloatArray
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.interface import FloatArray
 
 
 class CommandLine:

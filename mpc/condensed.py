@@ -10,15 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.interface import FloatArray
-from mpc.bounds import command_box, slew_step
-from mpc.problem import TrackingProblem, arc_derivatives
-from mpc.qp.least_distance import ArrayLeastDistance
-from mpc.qp.limit_rows import LimitRows, broken
-from mpc.qp.relaxed import relax
-from mpc.quadratic_program import Kinds, Relaxed
-from mpc.solver_report import SolverStatus
-from mpc.tick import Tick
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.bounds import command_box, slew_step
+from diffdrive_mpc.mpc.problem import TrackingProblem, arc_derivatives
+from diffdrive_mpc.mpc.qp.least_distance import ArrayLeastDistance
+from diffdrive_mpc.mpc.qp.limit_rows import LimitRows, broken
+from diffdrive_mpc.mpc.qp.relaxed import relax
+from diffdrive_mpc.mpc.quadratic_program import Kinds, Relaxed
+from diffdrive_mpc.mpc.solver_report import SolverStatus
+from diffdrive_mpc.mpc.tick import Tick
 
 
 @dataclass(frozen=True)

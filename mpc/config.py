@@ -10,9 +10,9 @@ from typing import Annotated
 
 from pydantic import Field
 
-from models.robot import load_robot
-from mpc.config_group import Group, NotNegative, Positive
-from mpc.solver_config import Solver
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.mpc.config_group import Group, NotNegative, Positive
+from diffdrive_mpc.mpc.solver_config import Solver
 
 # Limits and sample time default to those of the shipped robot file.
 _ROBOT = load_robot()

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from models.checked_yaml import ConfigError, check, read_yaml
-from models.load import MODEL_NAMES
-from models.named_file import named_file
-from mpc.config import ControllerConfig
+from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
+from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.mpc.config import ControllerConfig
 
 PARAMETERS = Path(__file__).parent / "parameters"
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from models.checked_yaml import StrictModel
+from diffdrive_mpc.models.checked_yaml import StrictModel
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]

@@ -10,25 +10,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from models.interface import FloatArray, Measurement, Reference
-from models.load import load_model
-from models.velocity_model import VelocityModel
-from mpc.bounds import clip_command, inside_limits
-from mpc.compiled.estimator import CompiledEstimator
-from mpc.compiled.library import compiled_or_not
-from mpc.compiled.reference import compile_reference
-from mpc.config import ControllerConfig
-from mpc.config_file import replace_values
-from mpc.estimate import Estimate
-from mpc.estimator import StateEstimator
-from mpc.finish import FinishWatch
-from mpc.hold import Hold
-from mpc.planner import Plan, Planner
-from mpc.reentry import Pursuit, Target, TooFar
-from mpc.reference_check import check_speeds
-from mpc.solver_report import SolverReport, SolverStatus
-from mpc.step_result import Mode, StepResult
-from mpc.tick_clock import TickClock, TickKind
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
+from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc.bounds import clip_command, inside_limits
+from diffdrive_mpc.mpc.compiled.estimator import CompiledEstimator
+from diffdrive_mpc.mpc.compiled.library import compiled_or_not
+from diffdrive_mpc.mpc.compiled.reference import compile_reference
+from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config_file import replace_values
+from diffdrive_mpc.mpc.estimate import Estimate
+from diffdrive_mpc.mpc.estimator import StateEstimator
+from diffdrive_mpc.mpc.finish import FinishWatch
+from diffdrive_mpc.mpc.hold import Hold
+from diffdrive_mpc.mpc.planner import Plan, Planner
+from diffdrive_mpc.mpc.reentry import Pursuit, Target, TooFar
+from diffdrive_mpc.mpc.reference_check import check_speeds
+from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
+from diffdrive_mpc.mpc.step_result import Mode, StepResult
+from diffdrive_mpc.mpc.tick_clock import TickClock, TickKind
 
 _NOT_RUN = SolverReport(SolverStatus.NOT_RUN)
 _CHANGEABLE = ("weights", "limits")

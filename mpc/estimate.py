@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from models.interface import FloatArray
-from mpc.slip import Slip
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.slip import Slip
 
 SENSORS = ("wheel_speed", "wheel_yaw_rate", "yaw_rate", "pose")
 """Names of the sensors, in the order in which the filter counts them."""

@@ -10,16 +10,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from models.discrete_model import DiscreteModel
-from models.interface import Measurement
-from mpc.belief import Belief
-from mpc.command_line import CommandLine
-from mpc.config import Compensation, Estimator, Wheels
-from mpc.estimate import SENSORS, Estimate
-from mpc.kalman import SlipFilter
-from mpc.measurement_check import numbers
-from mpc.pose_gate import CheckedPose, PoseGate
-from mpc.twist_gate import CheckedTwist, TwistGate
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.interface import Measurement
+from diffdrive_mpc.mpc.belief import Belief
+from diffdrive_mpc.mpc.command_line import CommandLine
+from diffdrive_mpc.mpc.config import Compensation, Estimator, Wheels
+from diffdrive_mpc.mpc.estimate import SENSORS, Estimate
+from diffdrive_mpc.mpc.kalman import SlipFilter
+from diffdrive_mpc.mpc.measurement_check import numbers
+from diffdrive_mpc.mpc.pose_gate import CheckedPose, PoseGate
+from diffdrive_mpc.mpc.twist_gate import CheckedTwist, TwistGate
 
 TOO_MANY = "more arrived for one sample than is kept"
 _SENT_REJECTED = "sent command rejected: it is not one that a robot can have got"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray
-from models.velocity_model import VelocityModel
-from mpc.slip import Slip
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc.slip import Slip
 
 
 class FeedForward:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import Reference
-from mpc.config import Finish
-from mpc.estimate import Estimate
+from diffdrive_mpc.models.interface import Reference
+from diffdrive_mpc.mpc.config import Finish
+from diffdrive_mpc.mpc.estimate import Estimate
 
 
 class FinishWatch:

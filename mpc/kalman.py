@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.discrete_model import DiscreteModel
-from models.interface import FloatArray
-from models.pose import linearised_arc, wrap_angle
-from mpc.belief import Belief
-from mpc.command_line import CommandLine
-from mpc.config import Compensation, Estimator
-from mpc.slip import Slip
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.pose import linearised_arc, wrap_angle
+from diffdrive_mpc.mpc.belief import Belief
+from diffdrive_mpc.mpc.command_line import CommandLine
+from diffdrive_mpc.mpc.config import Compensation, Estimator
+from diffdrive_mpc.mpc.slip import Slip
 
 # Places after the n velocity states.
 _V_OFFSET, _OMEGA_GAIN, _LONGITUDINAL_GAIN, _YAW_GAIN, _SIDE_SLIP, _GYRO_BIAS, _POSE = range(7)

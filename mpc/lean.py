@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray
-from mpc.config import Weights
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config import Weights
 
 
 def lean(poses: FloatArray, twist: FloatArray, side_slip: float, weights: Weights) -> tuple[FloatArray, FloatArray]:

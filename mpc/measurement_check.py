@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray
 
 # A variance of a square kilometre says nothing about a robot, and would overflow the filter before long.
 _LARGEST_VARIANCE = 1e6

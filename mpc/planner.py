@@ -8,20 +8,20 @@ from functools import partial
 
 import numpy as np
 
-from models.interface import FloatArray, Reference, ReferenceSample
-from models.velocity_model import VelocityModel
-from mpc.begin_tick import begin_tick
-from mpc.bounds import command_box
-from mpc.compiled.condenser import CompiledCondenser
-from mpc.compiled.library import compiled_or_not
-from mpc.condensed import Condenser
-from mpc.config import ControllerConfig
-from mpc.estimate import Estimate
-from mpc.feed_forward import FeedForward
-from mpc.problem import TrackingProblem
-from mpc.solver_report import SolverReport
-from mpc.tick import Tick
-from mpc.ways import make_way
+from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc.begin_tick import begin_tick
+from diffdrive_mpc.mpc.bounds import command_box
+from diffdrive_mpc.mpc.compiled.condenser import CompiledCondenser
+from diffdrive_mpc.mpc.compiled.library import compiled_or_not
+from diffdrive_mpc.mpc.condensed import Condenser
+from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.estimate import Estimate
+from diffdrive_mpc.mpc.feed_forward import FeedForward
+from diffdrive_mpc.mpc.problem import TrackingProblem
+from diffdrive_mpc.mpc.solver_report import SolverReport
+from diffdrive_mpc.mpc.tick import Tick
+from diffdrive_mpc.mpc.ways import make_way
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.discrete_model import DiscreteModel
-from models.interface import FloatArray
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.interface import FloatArray
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,13 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from models.discrete_model import DiscreteModel
-from models.interface import FloatArray
-from models.pose import arc_function
-from mpc.bounds import command_box, slew_step
-from mpc.config import ControllerConfig
-from mpc.prediction import Prediction, build_prediction
-from mpc.tick import Tick
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.pose import arc_function
+from diffdrive_mpc.mpc.bounds import command_box, slew_step
+from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.prediction import Prediction, build_prediction
+from diffdrive_mpc.mpc.tick import Tick
 
 
 @cache

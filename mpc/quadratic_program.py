@@ -8,8 +8,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from models.interface import FloatArray
-from mpc.solver_report import SolverStatus
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.solver_report import SolverStatus
 
 Kinds = tuple[int, ...]
 """Some of the kinds of limit, ascending: v_ref, omega_ref, their increments, and from 4 on the kinds of `soft`."""

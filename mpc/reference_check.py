@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import Reference
-from mpc.config import Limits
+from diffdrive_mpc.models.interface import Reference
+from diffdrive_mpc.mpc.config import Limits
 
 # A spline through timed poses may ring a little over its limit.
 _SPEED_EXCESS = 1.01

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from models.interface import FloatArray
-from mpc.estimate import Estimate
-from mpc.solver_report import SolverReport
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.estimate import Estimate
+from diffdrive_mpc.mpc.solver_report import SolverReport
 
 
 class Mode(StrEnum):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray
 
 
 @dataclass

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.interface import Measurement, Stamped
-from mpc.config import Estimator
-from mpc.measurement_check import covariance, numbers, stamp_fault
+from diffdrive_mpc.models.interface import Measurement, Stamped
+from diffdrive_mpc.mpc.config import Estimator
+from diffdrive_mpc.mpc.measurement_check import covariance, numbers, stamp_fault
 
 
 @dataclass(frozen=True)

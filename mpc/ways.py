@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from models.interface import FloatArray
-from mpc.compiled.condenser import CompiledCondenser
-from mpc.condensed import Condenser
-from mpc.problem import TrackingProblem
-from mpc.qp.condensed_solver import CondensedSolver
-from mpc.qp.solution import Solution
-from mpc.sparse.solver import SparseSolver
-from mpc.tick import Tick
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.compiled.condenser import CompiledCondenser
+from diffdrive_mpc.mpc.condensed import Condenser
+from diffdrive_mpc.mpc.problem import TrackingProblem
+from diffdrive_mpc.mpc.qp.condensed_solver import CondensedSolver
+from diffdrive_mpc.mpc.qp.solution import Solution
+from diffdrive_mpc.mpc.sparse.solver import SparseSolver
+from diffdrive_mpc.mpc.tick import Tick
 
 
 class Way(Protocol):

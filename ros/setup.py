@@ -28,5 +28,5 @@ setup(
         (f"{SHARE}/launch", files("launch")),
         (f"{SHARE}/config", files("config")),
     ],
-    entry_points={"console_scripts": ["node = mpc.ros.main:main"]},
+    entry_points={"console_scripts": ["node = diffdrive_mpc.mpc.ros.main:main"]},
 )

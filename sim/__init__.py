@@ -9,18 +9,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sim.loop import simulate
-    from sim.make import make_plant
-    from sim.metrics import Metrics
-    from sim.plant import Plant
-    from sim.run import Run
+    from diffdrive_mpc.sim.loop import simulate
+    from diffdrive_mpc.sim.make import make_plant
+    from diffdrive_mpc.sim.metrics import Metrics
+    from diffdrive_mpc.sim.plant import Plant
+    from diffdrive_mpc.sim.run import Run
 
 _HOMES = {
-    "Metrics": "sim.metrics",
-    "Plant": "sim.plant",
-    "Run": "sim.run",
-    "make_plant": "sim.make",
-    "simulate": "sim.loop",
+    "Metrics": "diffdrive_mpc.sim.metrics",
+    "Plant": "diffdrive_mpc.sim.plant",
+    "Run": "diffdrive_mpc.sim.run",
+    "make_plant": "diffdrive_mpc.sim.make",
+    "simulate": "diffdrive_mpc.sim.loop",
 }
 
 __all__ = ["Metrics", "Plant", "Run", "make_plant", "simulate"]

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from models.base_effects import PARTS, BaseEffects
-from models.interface import FloatArray
-from models.velocity_model import VelocityModel
+from diffdrive_mpc.models.base_effects import PARTS, BaseEffects
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.velocity_model import VelocityModel
 
 
 class Motion(NamedTuple):

@@ -15,18 +15,18 @@ from typing import NamedTuple
 import numpy as np
 import yaml
 
-from models.checked_yaml import ConfigError, StrictModel, load_checked
-from models.discrete_model import DiscreteModel
-from models.identification.fit import fit_percent
-from models.interface import FloatArray
-from models.load import load_model
-from models.robot import load_robot
-from sim.drives import random_drive
-from sim.log import Log, record
-from sim.sensor_set import load_sensor_set
-from sim.surface import load_surface
-from sim.twin_parameters import FIRMWARE_FILE, PARAMETERS, Firmware, load_firmware
-from sim.whole_file import whole_file
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.identification.fit import fit_percent
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.sim.drives import random_drive
+from diffdrive_mpc.sim.log import Log, record
+from diffdrive_mpc.sim.sensor_set import load_sensor_set
+from diffdrive_mpc.sim.surface import load_surface
+from diffdrive_mpc.sim.twin_parameters import FIRMWARE_FILE, PARAMETERS, Firmware, load_firmware
+from diffdrive_mpc.sim.whole_file import whole_file
 
 _SIGNIFICANT_DIGITS = 4
 
@@ -161,7 +161,7 @@ def _calibrated(date: datetime.date, on_evaluation: Callable[[], None] | None) -
 
 
 def _drive(firmware: Firmware, seed: int, smooth: bool) -> Log:
-    from sim.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
+    from diffdrive_mpc.sim.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
 
     friction = load_surface("default").friction
     if friction is None:

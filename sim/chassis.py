@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.interface import FloatArray
-from models.robot import Robot
-from sim.disturbance_types import Payload, Slope
-from sim.plant import RobotLostError
-from sim.twin_parameters import TwinParameters
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.robot import Robot
+from diffdrive_mpc.sim.disturbance_types import Payload, Slope
+from diffdrive_mpc.sim.plant import RobotLostError
+from diffdrive_mpc.sim.twin_parameters import TwinParameters
 
 _TIPPED = math.pi / 4
 """Lean from which no robot with its wheels below its body comes back [rad]."""

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from models.interface import FloatArray
-from sim.chassis import WHEELS, Chassis
-from sim.disturbance_types import Blockade, Patch, Push, Span
-from sim.drivetrain import VelocityLoops
-from sim.scenario import Scenario
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.sim.chassis import WHEELS, Chassis
+from diffdrive_mpc.sim.disturbance_types import Blockade, Patch, Push, Span
+from diffdrive_mpc.sim.drivetrain import VelocityLoops
+from diffdrive_mpc.sim.scenario import Scenario
 
 
 class Disturbances:

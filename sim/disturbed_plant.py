@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.interface import FloatArray, Measurement
-from models.robot import TwistBounds
-from sim.disturbance_types import Span
-from sim.link import clip_command
-from sim.plant import Plant
-from sim.scenario import Scenario
+from diffdrive_mpc.models.interface import FloatArray, Measurement
+from diffdrive_mpc.models.robot import TwistBounds
+from diffdrive_mpc.sim.disturbance_types import Span
+from diffdrive_mpc.sim.link import clip_command
+from diffdrive_mpc.sim.plant import Plant
+from diffdrive_mpc.sim.scenario import Scenario
 
 _FIELDS = {"pose": ("pose",), "wheels": ("wheel_twist", "wheel_speeds"), "gyro": ("yaw_rate",)}
 """Fields of a measurement by the sensor that fills them."""

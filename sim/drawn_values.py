@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from models.checked_yaml import ConfigError
+from diffdrive_mpc.models.checked_yaml import ConfigError
 
 _ONE_OF = "one_of"
 

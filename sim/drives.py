@@ -7,11 +7,11 @@ from typing import Literal
 
 import numpy as np
 
-from models.checked_yaml import StrictModel, load_checked
-from models.interface import FloatArray
-from models.robot import Positive, Robot, load_robot
-from sim.surface import NotNegative
-from sim.twin_parameters import PARAMETERS
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.robot import Positive, Robot, load_robot
+from diffdrive_mpc.sim.surface import NotNegative
+from diffdrive_mpc.sim.twin_parameters import PARAMETERS
 
 
 class StepDrives(StrictModel):

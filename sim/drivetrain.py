@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray
-from sim.twin_parameters import Driver, Motor
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.sim.twin_parameters import Driver, Motor
 
 
 class SpeedObserver:

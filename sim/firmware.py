@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray
-from models.robot import Robot
-from models.wheels import WheelKinematics
-from sim.twin_parameters import Firmware
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.robot import Robot
+from diffdrive_mpc.models.wheels import WheelKinematics
+from diffdrive_mpc.sim.twin_parameters import Firmware
 
 
 class CommandShaper:

@@ -7,8 +7,8 @@ from collections import deque
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.interface import FloatArray
-from models.robot import TwistBounds
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.robot import TwistBounds
 
 
 def clip_command(command: ArrayLike, limits: TwistBounds) -> FloatArray:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.interface import FloatArray
-from sim.plant import Plant
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.sim.plant import Plant
 
 
 @dataclass(frozen=True)

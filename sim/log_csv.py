@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from models.interface import FloatArray
-from sim.run import Run
-from sim.whole_file import whole_file
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.sim.run import Run
+from diffdrive_mpc.sim.whole_file import whole_file
 
 COLUMNS = (
     "t_s",

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
-from sim.disturbed_plant import DisturbedPlant
-from sim.plant import Plant, RobotLostError
-from sim.run import TIME_TOLERANCE, Run
+from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
+from diffdrive_mpc.sim.disturbed_plant import DisturbedPlant
+from diffdrive_mpc.sim.plant import Plant, RobotLostError
+from diffdrive_mpc.sim.run import TIME_TOLERANCE, Run
 
 
 def simulate(

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from models.checked_yaml import ConfigError
-from models.robot import load_robot
-from sim.disturbed_plant import DisturbedPlant
-from sim.plant import Plant
-from sim.scenario import load_scenario
-from sim.sensor_set import load_sensor_set
-from sim.surface import load_surface
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.sim.disturbed_plant import DisturbedPlant
+from diffdrive_mpc.sim.plant import Plant
+from diffdrive_mpc.sim.scenario import load_scenario
+from diffdrive_mpc.sim.sensor_set import load_sensor_set
+from diffdrive_mpc.sim.surface import load_surface
 
 _MODEL_PREFIX = "model:"
 
@@ -65,15 +65,15 @@ def make_plant(
             raise ConfigError(
                 "extra_dead_time is for 'model:' plants; 'mujoco' has link.dead_time in its parameter file"
             )
-        from sim.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
+        from diffdrive_mpc.sim.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
 
         if not happening.kinds:
             return MujocoPlant(floor.friction, sensor_set, seed)
         robot = MujocoPlant(floor.friction, sensor_set, seed, scenario=happening if happening.physical else None)
         return DisturbedPlant(robot, happening, load_robot().limits, lambda: robot.crossed)
     if name.startswith(_MODEL_PREFIX):
-        from models.load import load_base_effects, load_model  # noqa: PLC0415 - only this plant needs it
-        from sim.model_plant import ModelPlant  # noqa: PLC0415
+        from diffdrive_mpc.models.load import load_base_effects, load_model  # noqa: PLC0415 - only this plant needs it
+        from diffdrive_mpc.sim.model_plant import ModelPlant  # noqa: PLC0415
 
         if not extra_dead_time >= 0:
             raise ConfigError(f"extra_dead_time {extra_dead_time} s: it must not be negative")

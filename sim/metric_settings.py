@@ -7,8 +7,8 @@ from pathlib import Path
 
 from pydantic import Field
 
-from models.checked_yaml import StrictModel, load_checked
-from models.robot import Positive
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.robot import Positive
 
 
 class MetricSettings(StrictModel):

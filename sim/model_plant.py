@@ -7,17 +7,17 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.base_effects import BaseEffects
-from models.interface import FloatArray, Measurement
-from models.pose import integrate_pose
-from models.robot import Robot, load_robot
-from models.velocity_model import VelocityModel
-from models.wheels import WheelKinematics
-from sim.base_motion import BaseMotion
-from sim.link import clip_command
-from sim.sensor_set import SensorSet
-from sim.sensors import Sensors
-from sim.surface import Slip
+from diffdrive_mpc.models.base_effects import BaseEffects
+from diffdrive_mpc.models.interface import FloatArray, Measurement
+from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.models.robot import Robot, load_robot
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.models.wheels import WheelKinematics
+from diffdrive_mpc.sim.base_motion import BaseMotion
+from diffdrive_mpc.sim.link import clip_command
+from diffdrive_mpc.sim.sensor_set import SensorSet
+from diffdrive_mpc.sim.sensors import Sensors
+from diffdrive_mpc.sim.surface import Slip
 
 
 class ModelPlant:

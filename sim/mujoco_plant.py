@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.interface import FloatArray, Measurement
-from models.robot import Robot, load_robot
-from models.wheels import WheelKinematics
-from sim.chassis import Chassis
-from sim.disturbance_types import Span
-from sim.disturbances import Disturbances
-from sim.drivetrain import SpeedObserver, VelocityLoops
-from sim.firmware import CommandShaper
-from sim.link import DelayLine, clip_command
-from sim.scenario import Scenario
-from sim.sensor_set import SensorSet
-from sim.sensors import Sensors
-from sim.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
+from diffdrive_mpc.models.interface import FloatArray, Measurement
+from diffdrive_mpc.models.robot import Robot, load_robot
+from diffdrive_mpc.models.wheels import WheelKinematics
+from diffdrive_mpc.sim.chassis import Chassis
+from diffdrive_mpc.sim.disturbance_types import Span
+from diffdrive_mpc.sim.disturbances import Disturbances
+from diffdrive_mpc.sim.drivetrain import SpeedObserver, VelocityLoops
+from diffdrive_mpc.sim.firmware import CommandShaper
+from diffdrive_mpc.sim.link import DelayLine, clip_command
+from diffdrive_mpc.sim.scenario import Scenario
+from diffdrive_mpc.sim.sensor_set import SensorSet
+from diffdrive_mpc.sim.sensors import Sensors
+from diffdrive_mpc.sim.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
 
 # Spawn keys of the sensors' streams are 0, 1, 2, ...: this one can never meet them.
 _ENCODER_PHASE_KEY = 1_000

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from numpy.typing import ArrayLike
 
-from models.interface import FloatArray, Measurement
+from diffdrive_mpc.models.interface import FloatArray, Measurement
 
 
 class RobotLostError(ValueError):

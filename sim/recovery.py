@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from pydantic import Field
 
-from models.checked_yaml import StrictModel, load_checked
-from models.named_file import named_file
-from sim.surface import NotNegative
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.sim.surface import NotNegative
 
 SENSOR_SETS = Path(__file__).parent / "sensor_sets"
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray
-from sim.log import Log
-from sim.surface import Slip
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.sim.log import Log
+from diffdrive_mpc.sim.surface import Slip
 
 
 def measure_slip(log: Log, on_default: Log) -> Slip:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from models.interface import FloatArray
-from sim.metric_settings import metric_settings
-from sim.run import TIME_TOLERANCE, Run
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.sim.metric_settings import metric_settings
+from diffdrive_mpc.sim.run import TIME_TOLERANCE, Run
 
 # Two twists closer than this [m/s, rad/s] are the same: a ramp changes by a hundred times as much in a sample.
 _SAME_TWIST = 1e-6

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.interface import FloatArray, Reference, ReferenceSample
-from models.pose import wrap_angle
-from sim.metric_settings import metric_settings
-from sim.path_projection import path_polyline
+from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
+from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.sim.metric_settings import metric_settings
+from diffdrive_mpc.sim.path_projection import path_polyline
 
 
 @dataclass(frozen=True, slots=True)

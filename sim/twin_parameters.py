@@ -8,9 +8,9 @@ from typing import Any
 
 from pydantic import Field
 
-from models.checked_yaml import StrictModel, load_checked
-from models.robot import Positive
-from sim.surface import NotNegative
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.robot import Positive
+from diffdrive_mpc.sim.surface import NotNegative
 
 PARAMETERS = Path(__file__).parent / "parameters"
 FIRMWARE_FILE = PARAMETERS / "firmware.yaml"

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from models.checked_yaml import ConfigError
+from diffdrive_mpc.models.checked_yaml import ConfigError
 
 
 @contextmanager

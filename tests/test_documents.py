@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.documents import STUDIES, insert, summary, with_study
+from diffdrive_mpc.bench.documents import STUDIES, insert, summary, with_study
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])

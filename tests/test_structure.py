@@ -43,7 +43,7 @@ def test_ros_is_imported_where_the_nodes_are_and_nowhere_else(package):
 def test_the_controller_runs_without_mujoco_and_ros():
     code = (
         "import sys; sys.modules['mujoco'] = sys.modules['rclpy'] = None\n"
-        "from mpc import Controller, load_config, load_trajectory, Measurement\n"
+        "from diffdrive_mpc.mpc import Controller, load_config, load_trajectory, Measurement\n"
         "import sim, bench.cli\n"
         "c = Controller(load_config('ssm')); c.start(load_trajectory('circle'), 0.0)\n"
         "print(c.step(0.0, Measurement()).mode)\n"

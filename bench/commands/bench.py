@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from bench.commands.one_line_errors import FAILED
-from bench.commands.options import ConfigFile
-from bench.commands.out_folder import out_folder
+from diffdrive_mpc.bench.commands.one_line_errors import FAILED
+from diffdrive_mpc.bench.commands.options import ConfigFile
+from diffdrive_mpc.bench.commands.out_folder import out_folder
 
 EXAMPLE = "Example: diffdrive-mpc bench --out results --models ssm --set weights.across=60,120,240"
 
@@ -63,7 +63,7 @@ def bench(
 
     The exit code is 1 when a run of the predictive controller did not complete; the report is written all the same.
     """
-    from bench.compare import Choices, compare, incomplete  # noqa: PLC0415 - --help and other commands do without it
+    from diffdrive_mpc.bench.compare import Choices, compare, incomplete  # noqa: PLC0415 - --help and other commands do without it
 
     choices = Choices(
         controllers,

@@ -14,8 +14,8 @@ def show(
     source: Annotated[str, typer.Argument(metavar="MODEL|FILE", help="mbm, sm, ssm, or a configuration file.")],
 ) -> None:
     """Print every value of a configuration as a commented YAML file."""
-    from bench.config_report import commented_yaml  # noqa: PLC0415 - --help does without it
-    from mpc.config_file import load_config  # noqa: PLC0415
+    from diffdrive_mpc.bench.config_report import commented_yaml  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.mpc.config_file import load_config  # noqa: PLC0415
 
     typer.echo(commented_yaml(load_config(source)), nl=False)
 
@@ -23,7 +23,7 @@ def show(
 @config_app.command(epilog="Example: diffdrive-mpc config check my_robot.yaml")
 def check(file: Annotated[str, typer.Argument(metavar="FILE", help="A configuration file.")]) -> None:
     """Check a configuration file, and that a controller can be built from it."""
-    from mpc import Controller, load_config  # noqa: PLC0415
+    from diffdrive_mpc.mpc import Controller, load_config  # noqa: PLC0415
 
     config = load_config(file)
     Controller(config)
@@ -38,7 +38,7 @@ def schema(
     as_json: Annotated[bool, typer.Option("--json", help="The JSON schema instead of the table.")] = False,
 ) -> None:
     """List every key with its default, unit, range and meaning."""
-    from bench.config_report import json_schema, print_schema  # noqa: PLC0415
+    from diffdrive_mpc.bench.config_report import json_schema, print_schema  # noqa: PLC0415
 
     if as_json:
         typer.echo(json_schema())

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from bench.commands.options import ConfigFile
-from bench.commands.out_folder import out_folder
+from diffdrive_mpc.bench.commands.options import ConfigFile
+from diffdrive_mpc.bench.commands.out_folder import out_folder
 
 EXAMPLE = (
     "Example: diffdrive-mpc export --model ssm --set horizon=15 --set solver.max_iterations=100 --precision float "
@@ -41,7 +41,7 @@ def export(
     ] = False,
 ) -> None:
     """Write estimator, prediction, QP and failure ladder as C99 without allocation, and say how large they are."""
-    from bench.export.command import export_library  # noqa: PLC0415 - --help and other commands do without it
+    from diffdrive_mpc.bench.export.command import export_library  # noqa: PLC0415 - --help and other commands do without it
 
     export_library(
         out,

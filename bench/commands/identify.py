@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from bench.commands.out_folder import out_folder
+from diffdrive_mpc.bench.commands.out_folder import out_folder
 
 EXAMPLE = "Example: diffdrive-mpc identify drive.csv --model sm --out my_robot"
 
@@ -42,7 +42,7 @@ def identify(
     name: Annotated[str | None, typer.Option(help="Name of the model.", show_default="from the logs")] = None,
 ) -> None:
     """Identify a velocity model from logs; write it with a configuration, a report and figures."""
-    from bench.identification.command import identify as run  # noqa: PLC0415 - --help and other commands do without it
+    from diffdrive_mpc.bench.identification.command import identify as run  # noqa: PLC0415 - --help and other commands do without it
 
     run(
         logs,

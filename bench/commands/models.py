@@ -13,7 +13,7 @@ models_app = typer.Typer(no_args_is_help=True, help="List, show and check veloci
 @models_app.command("list", epilog="Example: diffdrive-mpc models list")
 def list_models() -> None:
     """List the shipped models with their order, lags, gains and origin."""
-    from bench.model_report import print_models  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.model_report import print_models  # noqa: PLC0415 - --help does without it
 
     print_models()
 
@@ -21,7 +21,7 @@ def list_models() -> None:
 @models_app.command(epilog="Example: diffdrive-mpc models show ssm")
 def show(name: Annotated[str, typer.Argument(metavar="NAME|FILE", help="mbm, sm, ssm, or a model file.")]) -> None:
     """Show one model: matrices, poles, gains, dead times, and where the numbers come from."""
-    from bench.model_report import print_model  # noqa: PLC0415
+    from diffdrive_mpc.bench.model_report import print_model  # noqa: PLC0415
 
     print_model(name)
 
@@ -29,7 +29,7 @@ def show(name: Annotated[str, typer.Argument(metavar="NAME|FILE", help="mbm, sm,
 @models_app.command(epilog="Example: diffdrive-mpc models check my_robot.yaml")
 def check(file: Annotated[str, typer.Argument(metavar="FILE", help="A model file.")]) -> None:
     """Check a model file: keys, stability, gains and units."""
-    from models.load import load_model  # noqa: PLC0415
+    from diffdrive_mpc.models.load import load_model  # noqa: PLC0415
 
     model = load_model(file)
     typer.echo(f"{file}: valid, {model.structure.upper()} '{model.name}' with {model.order} states")
@@ -43,10 +43,10 @@ def fit(
     ] = None,
 ) -> None:
     """Identify MBM and SM again, from the papers' experiments run on the simulated robot."""
-    from bench.console import output_console  # noqa: PLC0415
-    from bench.model_fitting import fit_models  # noqa: PLC0415
-    from bench.progress import ProgressBar  # noqa: PLC0415
-    from models.load import PARAMETERS  # noqa: PLC0415
+    from diffdrive_mpc.bench.console import output_console  # noqa: PLC0415
+    from diffdrive_mpc.bench.model_fitting import fit_models  # noqa: PLC0415
+    from diffdrive_mpc.bench.progress import ProgressBar  # noqa: PLC0415
+    from diffdrive_mpc.models.load import PARAMETERS  # noqa: PLC0415
 
     with ProgressBar("experiments and identification (about a minute)") as bar:
         table = fit_models(out or PARAMETERS, on_progress=bar.at)
@@ -64,11 +64,11 @@ def calibrate(
     ] = False,
 ) -> None:
     """Fit the simulated robot's firmware so that the published SSM predicts what it measures."""
-    from bench.calibration_report import calibration_table  # noqa: PLC0415
-    from bench.console import output_console  # noqa: PLC0415
-    from bench.progress import ProgressBar  # noqa: PLC0415
-    from sim.calibration import calibrate as fit_firmware  # noqa: PLC0415
-    from sim.twin_parameters import FIRMWARE_FILE, load_firmware  # noqa: PLC0415
+    from diffdrive_mpc.bench.calibration_report import calibration_table  # noqa: PLC0415
+    from diffdrive_mpc.bench.console import output_console  # noqa: PLC0415
+    from diffdrive_mpc.bench.progress import ProgressBar  # noqa: PLC0415
+    from diffdrive_mpc.sim.calibration import calibrate as fit_firmware  # noqa: PLC0415
+    from diffdrive_mpc.sim.twin_parameters import FIRMWARE_FILE, load_firmware  # noqa: PLC0415
 
     if check and out is not None:
         raise ValueError(f"--out {out}: --check writes nothing; give one of them")
@@ -85,9 +85,9 @@ def truths(
     quick: Annotated[bool, typer.Option("--quick", help="Five models instead of all of the study.")] = False,
 ) -> None:
     """Identify random models whose truth is known, and count how often it lies in the stated intervals."""
-    from bench.console import output_console  # noqa: PLC0415
-    from bench.identification_study import coverage_table, run_study  # noqa: PLC0415
-    from bench.progress import ProgressBar  # noqa: PLC0415
+    from diffdrive_mpc.bench.console import output_console  # noqa: PLC0415
+    from diffdrive_mpc.bench.identification_study import coverage_table, run_study  # noqa: PLC0415
+    from diffdrive_mpc.bench.progress import ProgressBar  # noqa: PLC0415
 
     with ProgressBar("known truths (a few seconds each)") as bar:
         recoveries = run_study(5 if quick else None, on_progress=bar.at)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from bench.commands.ros_arguments import ros_arguments
+from diffdrive_mpc.bench.commands.ros_arguments import ros_arguments
 
 EXAMPLE = "Example: diffdrive-mpc node --config my_robot.yaml --drive --ros-args -r cmd_vel:=/base/cmd_vel"
 
@@ -30,12 +30,12 @@ def node(
     ] = False,
 ) -> None:
     """Drive a robot through ROS 2, until interrupted. What follows `--ros-args` goes to ROS: remappings, parameters."""
-    from bench.sweep import single_settings  # noqa: PLC0415 - --help does without it
-    from mpc.ros.settings import NodeSettings  # noqa: PLC0415
+    from diffdrive_mpc.bench.sweep import single_settings  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.mpc.ros.settings import NodeSettings  # noqa: PLC0415
 
     arguments = ros_arguments(context)
     own = NodeSettings(config=config, trajectory=trajectory, autostart=autostart or drive, drive_on_activate=drive)
     overrides = single_settings(settings or [])
-    from mpc.ros.main import run  # noqa: PLC0415 - needs rclpy
+    from diffdrive_mpc.mpc.ros.main import run  # noqa: PLC0415 - needs rclpy
 
     run(arguments, own, dict(overrides))

@@ -8,7 +8,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from bench.errors import NotReproducibleError
+from diffdrive_mpc.bench.errors import NotReproducibleError
 
 BAD_INPUT = 2
 """Exit code for input that cannot be used."""

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from bench.commands.options import split_names
-from bench.commands.out_folder import out_folder
+from diffdrive_mpc.bench.commands.options import split_names
+from diffdrive_mpc.bench.commands.out_folder import out_folder
 
 EXAMPLE = "Example: diffdrive-mpc reproduce --out results --only virtual_track"
 
@@ -27,7 +27,7 @@ def reproduce(
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes.", show_default="one for each core")] = None,
 ) -> None:
     """Repeat the papers' experiments on the simulated robot and say which findings hold: minutes on two cores."""
-    from bench.reproduce.command import repeat  # noqa: PLC0415 - --help and other commands do without it
-    from bench.reproduce.study import PARTS, load_study  # noqa: PLC0415
+    from diffdrive_mpc.bench.reproduce.command import repeat  # noqa: PLC0415 - --help and other commands do without it
+    from diffdrive_mpc.bench.reproduce.study import PARTS, load_study  # noqa: PLC0415
 
     repeat(load_study(quick=quick), out, PARTS if only is None else split_names(only, "--only"), jobs)

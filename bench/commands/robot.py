@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from bench.commands.ros_arguments import ros_arguments
+from diffdrive_mpc.bench.commands.ros_arguments import ros_arguments
 
 EXAMPLE = "Example: diffdrive-mpc robot --trajectory s --lock-step --record out/drive"
 
@@ -62,11 +62,11 @@ def robot(
         raise ValueError(f"--duration {duration}: give a time in seconds, more than zero")
     arguments = ros_arguments(context)
 
-    from mpc import load_trajectory  # noqa: PLC0415 - --help does without it, and without ROS
-    from sim import make_plant  # noqa: PLC0415
-    from sim.ros.base_settings import load_base_settings  # noqa: PLC0415
-    from sim.ros.run_robot import run_robot  # noqa: PLC0415
-    from sim.sensor_set import load_sensor_set  # noqa: PLC0415
+    from diffdrive_mpc.mpc import load_trajectory  # noqa: PLC0415 - --help does without it, and without ROS
+    from diffdrive_mpc.sim import make_plant  # noqa: PLC0415
+    from diffdrive_mpc.sim.ros.base_settings import load_base_settings  # noqa: PLC0415
+    from diffdrive_mpc.sim.ros.run_robot import run_robot  # noqa: PLC0415
+    from diffdrive_mpc.sim.sensor_set import load_sensor_set  # noqa: PLC0415
 
     changes = {
         "stamped": stamped,

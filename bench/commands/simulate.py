@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from bench.commands.options import ConfigFile
-from bench.commands.out_folder import out_folder
+from diffdrive_mpc.bench.commands.options import ConfigFile
+from diffdrive_mpc.bench.commands.out_folder import out_folder
 
 EXAMPLE = "Example: diffdrive-mpc simulate --model ssm --trajectory square --set horizon=20 --out results"
 
@@ -39,7 +39,7 @@ def simulate(
     log: Annotated[Path | None, typer.Option(help="CSV file for the log of the run.", show_default=False)] = None,
 ) -> None:
     """Run one closed loop and print how well it tracked; --out draws it, --log writes it as CSV."""
-    from bench.simulate import simulate_one  # noqa: PLC0415 - --help and other commands do without it
+    from diffdrive_mpc.bench.simulate import simulate_one  # noqa: PLC0415 - --help and other commands do without it
 
     simulate_one(
         controller=controller,

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from bench.commands.options import split_names, split_numbers
-from bench.commands.out_folder import out_folder
+from diffdrive_mpc.bench.commands.options import split_names, split_numbers
+from diffdrive_mpc.bench.commands.out_folder import out_folder
 
 EXAMPLE = "Example: diffdrive-mpc speed --out results --quick --peers ours,acados"
 
@@ -39,8 +39,8 @@ def speed(
     ] = None,
 ) -> None:
     """Time whole steps of the controller and of its peers on the same problem: about a quarter of an hour."""
-    from bench.speed.command import run_speed  # noqa: PLC0415 - --help and other commands do without it
-    from bench.speed.settings import chosen, load_speed_settings  # noqa: PLC0415
+    from diffdrive_mpc.bench.speed.command import run_speed  # noqa: PLC0415 - --help and other commands do without it
+    from diffdrive_mpc.bench.speed.settings import chosen, load_speed_settings  # noqa: PLC0415
 
     loaded = load_speed_settings(settings, quick=quick)
     changes: dict[str, object] = {}

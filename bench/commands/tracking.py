@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from bench.commands.options import split_names
-from bench.commands.out_folder import out_folder
+from diffdrive_mpc.bench.commands.options import split_names
+from diffdrive_mpc.bench.commands.out_folder import out_folder
 
 EXAMPLE = "Example: diffdrive-mpc tracking --out results --quick --only cross,bound"
 
@@ -32,8 +32,8 @@ def tracking(
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes.", show_default="one for each core")] = None,
 ) -> None:
     """Run the tracking study and write its tables and figures: about ten minutes on two cores."""
-    from bench.tracking.command import track  # noqa: PLC0415 - --help and other commands do without it
-    from bench.tracking.study import PARTS, load_study  # noqa: PLC0415
+    from diffdrive_mpc.bench.tracking.command import track  # noqa: PLC0415 - --help and other commands do without it
+    from diffdrive_mpc.bench.tracking.study import PARTS, load_study  # noqa: PLC0415
 
     if quick and study is not None:
         raise ValueError(f"--study {study}: --quick has a study of its own; give one of them")

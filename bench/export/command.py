@@ -8,21 +8,21 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from bench.atomic import staged
-from bench.case import label
-from bench.console import output_console
-from bench.controllers import controller_config, default_model
-from bench.export.emulation import emulate
-from bench.export.readme import readme
-from bench.export.sizes import TARGETS, Size, link_stm32f4, measure_sizes
-from bench.machine import describe_run
-from bench.progress import ProgressBar
-from bench.sweep import single_settings
-from bench.table import Table, number
-from models.checked_yaml import ConfigError
-from models.interface import Reference
-from mpc import ControllerConfig, load_trajectory
-from mpc.export import FILES, FOLDERS, Precision, export_controller
+from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.case import label
+from diffdrive_mpc.bench.console import output_console
+from diffdrive_mpc.bench.controllers import controller_config, default_model
+from diffdrive_mpc.bench.export.emulation import emulate
+from diffdrive_mpc.bench.export.readme import readme
+from diffdrive_mpc.bench.export.sizes import TARGETS, Size, link_stm32f4, measure_sizes
+from diffdrive_mpc.bench.machine import describe_run
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.sweep import single_settings
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import Reference
+from diffdrive_mpc.mpc import ControllerConfig, load_trajectory
+from diffdrive_mpc.mpc.export import FILES, FOLDERS, Precision, export_controller
 
 README, REPORT = "README.md", "export.json"
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.export.emulator import MACHINE, EmulatedController
-from models.checked_yaml import ConfigError
-from models.interface import Reference
-from mpc import Controller, ControllerConfig
-from mpc.config_file import replace_values
-from sim import make_plant, simulate
+from diffdrive_mpc.bench.export.emulator import MACHINE, EmulatedController
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import Reference
+from diffdrive_mpc.mpc import Controller, ControllerConfig
+from diffdrive_mpc.mpc.config_file import replace_values
+from diffdrive_mpc.sim import make_plant, simulate
 
 _PLANT, _SEED = "mujoco", 0
 # What the commands are compared with: the same problem, solved to the end.

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-from bench.export.frames import ANSWER_BYTES, Answer, read_answer, request_bytes
-from models.checked_yaml import ConfigError
-from models.interface import FloatArray, Measurement, Reference
+from diffdrive_mpc.bench.export.frames import ANSWER_BYTES, Answer, read_answer, request_bytes
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 
 MACHINE = "netduinoplus2"
 """QEMU's name of a board with an STM32F405, a Cortex-M4F."""

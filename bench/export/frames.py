@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.interface import FloatArray, Measurement, Stamped
-from mpc import Mode
-from mpc.hold import Hold
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
+from diffdrive_mpc.mpc import Mode
+from diffdrive_mpc.mpc.hold import Hold
 
 MODES = (Mode.TRACKING, Mode.REUSED_PLAN, Mode.BRAKING, Mode.STOPPED, Mode.FINISHED)
 """In the order of `ddmpc_mode`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from bench.table import Table
+from diffdrive_mpc.bench.table import Table
 
 _TEXT = """\
 # Trajectory-tracking controller in C99

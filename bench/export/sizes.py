@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from models.checked_yaml import ConfigError
+from diffdrive_mpc.models.checked_yaml import ConfigError
 
 # As in stm32f4/toolchain.cmake and stm32f4/stm32f4.ld of the exported folder.
 _CORTEX_M4 = [

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from bench.figures.style import colour, new_figure
-from bench.tracking.results import StudyResults, group, mean
-from bench.tracking.row import Row
-from bench.tracking.variants import BOUND_NAME, variant_names, variants
+from diffdrive_mpc.bench.figures.style import colour, new_figure
+from diffdrive_mpc.bench.tracking.results import StudyResults, group, mean
+from diffdrive_mpc.bench.tracking.row import Row
+from diffdrive_mpc.bench.tracking.variants import BOUND_NAME, variant_names, variants
 
 _HATCHES = ("", "//", "..", "\\\\", "xx", "--", "++")
 _GROUP_WIDTH = 0.84

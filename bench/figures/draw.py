@@ -8,12 +8,12 @@ from collections.abc import Callable, Container
 from functools import partial
 from pathlib import Path
 
-from bench.figures.case import draw_case
-from bench.figures.horizon import draw_horizons
-from bench.figures.overview import draw_overview
-from bench.figures.step_time import draw_step_times
-from bench.groups import groups
-from bench.results import Results
+from diffdrive_mpc.bench.figures.case import draw_case
+from diffdrive_mpc.bench.figures.horizon import draw_horizons
+from diffdrive_mpc.bench.figures.overview import draw_overview
+from diffdrive_mpc.bench.figures.step_time import draw_step_times
+from diffdrive_mpc.bench.groups import groups
+from diffdrive_mpc.bench.results import Results
 
 
 def draw_all(results: Results, folder: Path, on_done: Callable[[], None]) -> list[str]:

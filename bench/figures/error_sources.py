@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from bench.figures.style import REFERENCE_COLOUR, colour, line_style, new_figure
-from bench.tracking.decomposition import ErrorParts, decompose
-from bench.tracking.results import StudyResults, group
-from bench.tracking.row import Row
-from bench.tracking.variants import BOUND_NAME, variants
-from mpc import load_trajectory
+from diffdrive_mpc.bench.figures.style import REFERENCE_COLOUR, colour, line_style, new_figure
+from diffdrive_mpc.bench.tracking.decomposition import ErrorParts, decompose
+from diffdrive_mpc.bench.tracking.results import StudyResults, group
+from diffdrive_mpc.bench.tracking.row import Row
+from diffdrive_mpc.bench.tracking.variants import BOUND_NAME, variants
+from diffdrive_mpc.mpc import load_trajectory
 
 _PARTS = {
     "bias": "across, steady arcs (repeated)",

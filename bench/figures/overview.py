@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from bench.figures.step_time import tail_of_step_times
-from bench.figures.style import REFERENCE_COLOUR, colour, new_figure
-from bench.groups import by_trajectory, groups, mean
-from bench.runner import Outcome
+from diffdrive_mpc.bench.figures.step_time import tail_of_step_times
+from diffdrive_mpc.bench.figures.style import REFERENCE_COLOUR, colour, new_figure
+from diffdrive_mpc.bench.groups import by_trajectory, groups, mean
+from diffdrive_mpc.bench.runner import Outcome
 
 
 def draw_overview(outcomes: Sequence[Outcome], path: Path) -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.ticker import NullFormatter
 
-from bench.figures.style import MARKERS, colour, line_style, new_figure
-from bench.speed.outcome.results import ACADOS, SpeedResults
+from diffdrive_mpc.bench.figures.style import MARKERS, colour, line_style, new_figure
+from diffdrive_mpc.bench.speed.outcome.results import ACADOS, SpeedResults
 
 
 def draw_horizons(results: SpeedResults, path: Path) -> None:

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from bench.figures.style import colour, line_style, new_figure
-from bench.groups import groups, step_times
-from bench.runner import Outcome
+from diffdrive_mpc.bench.figures.style import colour, line_style, new_figure
+from diffdrive_mpc.bench.groups import groups, step_times
+from diffdrive_mpc.bench.runner import Outcome
 
 
 def draw_step_times(outcomes: Sequence[Outcome], path: Path) -> None:

@@ -6,21 +6,21 @@ from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
 
-from bench.atomic import staged
-from bench.console import output_console
-from bench.identification.configuration import MODEL_FILE, configuration
-from bench.identification.data import read_data
-from bench.identification.fitting import fit
-from bench.identification.outcome import Outcome
-from bench.identification.poses import from_poses
-from bench.identification.report import write_json, write_markdown
-from bench.identification.tables import drift_table, score_table
-from bench.progress import ProgressBar
-from models.checked_yaml import ConfigError, check
-from models.identification.model_file import model_file, write_model_file
-from models.identification.ssm import LARGEST_ORDER
-from models.logs import Finding
-from mpc import Controller, ControllerConfig, load_config
+from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.console import output_console
+from diffdrive_mpc.bench.identification.configuration import MODEL_FILE, configuration
+from diffdrive_mpc.bench.identification.data import read_data
+from diffdrive_mpc.bench.identification.fitting import fit
+from diffdrive_mpc.bench.identification.outcome import Outcome
+from diffdrive_mpc.bench.identification.poses import from_poses
+from diffdrive_mpc.bench.identification.report import write_json, write_markdown
+from diffdrive_mpc.bench.identification.tables import drift_table, score_table
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.models.checked_yaml import ConfigError, check
+from diffdrive_mpc.models.identification.model_file import model_file, write_model_file
+from diffdrive_mpc.models.identification.ssm import LARGEST_ORDER
+from diffdrive_mpc.models.logs import Finding
+from diffdrive_mpc.mpc import Controller, ControllerConfig, load_config
 
 STRUCTURES = ("mbm", "sm", "ssm")
 AUTOMATIC = "auto"
@@ -97,7 +97,7 @@ def _order(structure: str, order: str) -> int | None:
 
 
 def _write(outcome: Outcome, folder: Path, bar: ProgressBar) -> None:
-    from bench.figures.identification.draw import draw_identification, figures_of  # noqa: PLC0415 - matplotlib is slow
+    from diffdrive_mpc.bench.figures.identification.draw import draw_identification, figures_of  # noqa: PLC0415 - matplotlib is slow
 
     day = date.today()
     content = model_file(

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.identification.geometry import firmware_track
-from bench.identification.outcome import Outcome
-from bench.identification.settings import report_settings
-from models.interface import FloatArray
-from models.velocity_model import CHANNELS
-from mpc.config import Limits
+from diffdrive_mpc.bench.identification.geometry import firmware_track
+from diffdrive_mpc.bench.identification.outcome import Outcome
+from diffdrive_mpc.bench.identification.settings import report_settings
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.velocity_model import CHANNELS
+from diffdrive_mpc.mpc.config import Limits
 
 MODEL_FILE = "model.yaml"
 _UNITS = {"v": "m/s", "omega": "rad/s"}

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.identification.settings import report_settings
-from models.checked_yaml import ConfigError
-from models.identification.signals import YawSource
-from models.logs import Finding, Log, Record, read_log
+from diffdrive_mpc.bench.identification.settings import report_settings
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.identification.signals import YawSource
+from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
 
 _SIGNALS = {"twist": "fresh_twist", "yaw_rate": "fresh_yaw_rate", "wheels": "fresh_twist"}
 

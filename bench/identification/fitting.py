@@ -6,19 +6,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
-from bench.identification.data import Data
-from bench.identification.geometry import WheelGeometry, wheel_geometry
-from models.checked_yaml import ConfigError
-from models.identification.base_effects import IdentifiedBase, identify_with_effects
-from models.identification.identified import IdentifiedModel
-from models.identification.mbm import identify_mbm
-from models.identification.order import OrderChoice, choose_order
-from models.identification.signals import twist_stretches
-from models.identification.sm import identify_sm
-from models.identification.ssm import LARGEST_ORDER
-from models.identification.validation import Validation, score, simulate_records
-from models.interface import FloatArray
-from models.logs import Record
+from diffdrive_mpc.bench.identification.data import Data
+from diffdrive_mpc.bench.identification.geometry import WheelGeometry, wheel_geometry
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.identification.base_effects import IdentifiedBase, identify_with_effects
+from diffdrive_mpc.models.identification.identified import IdentifiedModel
+from diffdrive_mpc.models.identification.mbm import identify_mbm
+from diffdrive_mpc.models.identification.order import OrderChoice, choose_order
+from diffdrive_mpc.models.identification.signals import twist_stretches
+from diffdrive_mpc.models.identification.sm import identify_sm
+from diffdrive_mpc.models.identification.ssm import LARGEST_ORDER
+from diffdrive_mpc.models.identification.validation import Validation, score, simulate_records
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs import Record
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from models.interface import FloatArray
-from models.logs import Record
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs import Record
 
 
 class WheelGeometry(NamedTuple):

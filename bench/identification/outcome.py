@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.identification.data import Data
-from bench.identification.fitting import Fitted
-from bench.identification.poses import PoseResults
-from bench.identification.settings import report_settings
-from models.velocity_model import CHANNELS
+from diffdrive_mpc.bench.identification.data import Data
+from diffdrive_mpc.bench.identification.fitting import Fitted
+from diffdrive_mpc.bench.identification.poses import PoseResults
+from diffdrive_mpc.bench.identification.settings import report_settings
+from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
 @dataclass(frozen=True)

@@ -8,18 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.identification.data import Data
-from bench.identification.fitting import Fitted
-from bench.identification.geometry import WheelGeometry
-from models.base_effects import PoseMount
-from models.identification.base_effects import IdentifiedBase
-from models.identification.estimate import Estimate, joined
-from models.identification.pose_calibration import PoseCalibration, calibrate_gyro, calibrate_wheels
-from models.identification.settings import load_settings
-from models.identification.slip_laws import ConstantTrack, SlipLaw, SlipPolynomial, VirtualTrack
-from models.identification.validation import PoseDrift, pose_drift
-from models.interface import FloatArray
-from models.logs import Record
+from diffdrive_mpc.bench.identification.data import Data
+from diffdrive_mpc.bench.identification.fitting import Fitted
+from diffdrive_mpc.bench.identification.geometry import WheelGeometry
+from diffdrive_mpc.models.base_effects import PoseMount
+from diffdrive_mpc.models.identification.base_effects import IdentifiedBase
+from diffdrive_mpc.models.identification.estimate import Estimate, joined
+from diffdrive_mpc.models.identification.pose_calibration import PoseCalibration, calibrate_gyro, calibrate_wheels
+from diffdrive_mpc.models.identification.settings import load_settings
+from diffdrive_mpc.models.identification.slip_laws import ConstantTrack, SlipLaw, SlipPolynomial, VirtualTrack
+from diffdrive_mpc.models.identification.validation import PoseDrift, pose_drift
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs import Record
 
 _LEVER_ARM = ("lever_arm_ahead", "lever_arm_left")
 # Wheels that an odometry without wheel speeds might have had: its twist is theirs by definition.

@@ -9,8 +9,8 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from bench.identification.outcome import Outcome
-from bench.identification.tables import (
+from diffdrive_mpc.bench.identification.outcome import Outcome
+from diffdrive_mpc.bench.identification.tables import (
     drift_table,
     effect_table,
     order_table,
@@ -19,11 +19,11 @@ from bench.identification.tables import (
     score_table,
     slip_table,
 )
-from bench.machine import project_version
-from bench.table import Table
-from models.identification.estimate import Estimate
-from models.interface import FloatArray
-from models.velocity_model import CHANNELS
+from diffdrive_mpc.bench.machine import project_version
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.identification.estimate import Estimate
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
 def write_json(outcome: Outcome, path: Path) -> None:

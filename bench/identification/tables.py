@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.identification.outcome import Outcome
-from bench.table import Table, number
-from models.identification.estimate import Estimate
-from models.velocity_model import CHANNELS
+from diffdrive_mpc.bench.identification.outcome import Outcome
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.identification.estimate import Estimate
+from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
 def score_table(outcome: Outcome) -> Table:

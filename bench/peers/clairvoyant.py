@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.peers.clairvoyant_program import ClairvoyantProgram, Present
-from bench.peers.clairvoyant_settings import ClairvoyantSettings, load_clairvoyant_settings
-from bench.peers.known_plant import KnownPlant
-from models.interface import FloatArray, Measurement, Reference
-from mpc.bounds import clip_command
-from mpc.config import ControllerConfig
+from diffdrive_mpc.bench.peers.clairvoyant_program import ClairvoyantProgram, Present
+from diffdrive_mpc.bench.peers.clairvoyant_settings import ClairvoyantSettings, load_clairvoyant_settings
+from diffdrive_mpc.bench.peers.known_plant import KnownPlant
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
+from diffdrive_mpc.mpc.bounds import clip_command
+from diffdrive_mpc.mpc.config import ControllerConfig
 
 
 @dataclass(frozen=True, slots=True)

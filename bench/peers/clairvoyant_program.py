@@ -8,12 +8,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from bench.peers.clairvoyant_settings import ClairvoyantSettings
-from bench.peers.known_plant import KnownPlant
-from models.interface import FloatArray, ReferenceSample
-from mpc.bounds import slew_step
-from mpc.config import ControllerConfig
-from sim.metric_settings import metric_settings
+from diffdrive_mpc.bench.peers.clairvoyant_settings import ClairvoyantSettings
+from diffdrive_mpc.bench.peers.known_plant import KnownPlant
+from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
+from diffdrive_mpc.mpc.bounds import slew_step
+from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.sim.metric_settings import metric_settings
 
 
 @dataclass(frozen=True)

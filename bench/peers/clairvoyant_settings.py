@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 
 
 class ClairvoyantSettings(StrictModel):

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from models.checked_yaml import StrictModel, load_checked
-from models.interface import FloatArray, Measurement, Reference
-from models.pose import wrap_angle
-from models.robot import Positive, Robot, load_robot
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
+from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.models.robot import Positive, Robot, load_robot
 
 
 class KanayamaGains(StrictModel):

@@ -7,15 +7,15 @@ from functools import cache
 
 import numpy as np
 
-from models.identification import Experiment, identify_two_poles
-from models.interface import FloatArray
-from models.load import load_model
-from models.structures import TwoPoles
-from models.velocity_model import VelocityModel
-from mpc import load_trajectory
-from sim.log import Log, record
-from sim.make import make_plant
-from sim.surface import load_surface
+from diffdrive_mpc.models.identification import Experiment, identify_two_poles
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.structures import TwoPoles
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc import load_trajectory
+from diffdrive_mpc.sim.log import Log, record
+from diffdrive_mpc.sim.make import make_plant
+from diffdrive_mpc.sim.surface import load_surface
 
 _PERFECT = "perfect"
 _MODEL_PREFIX = "model:"

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bench.atomic import staged
-from bench.console import output_console
-from bench.progress import ProgressBar
-from bench.real_logs.closed_loop import TRAJECTORIES, drive, tracking_table
-from bench.real_logs.protocol import Proof, prove
-from bench.real_logs.robot_files import FILES, write_robot_files
-from bench.real_logs.settings import load_protocol
-from bench.real_logs.tables import effect_table, parameter_table, score_table
+from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.console import output_console
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.real_logs.closed_loop import TRAJECTORIES, drive, tracking_table
+from diffdrive_mpc.bench.real_logs.protocol import Proof, prove
+from diffdrive_mpc.bench.real_logs.robot_files import FILES, write_robot_files
+from diffdrive_mpc.bench.real_logs.settings import load_protocol
+from diffdrive_mpc.bench.real_logs.tables import effect_table, parameter_table, score_table
 
 REPORT = "proof.md"
 

@@ -13,14 +13,14 @@ from time import perf_counter
 
 import numpy as np
 
-from bench.real_logs.settings import RealLog, load_protocol
-from models.base_effects import PoseMount
-from models.identification.base_effects import IdentifiedBase, identify_with_effects
-from models.identification.identified import IdentifiedModel
-from models.identification.sm import identify_sm
-from models.identification.validation import PoseDrift, pose_drift, simulate_records, validate
-from models.interface import FloatArray
-from models.logs import Record, read_log
+from diffdrive_mpc.bench.real_logs.settings import RealLog, load_protocol
+from diffdrive_mpc.models.base_effects import PoseMount
+from diffdrive_mpc.models.identification.base_effects import IdentifiedBase, identify_with_effects
+from diffdrive_mpc.models.identification.identified import IdentifiedModel
+from diffdrive_mpc.models.identification.sm import identify_sm
+from diffdrive_mpc.models.identification.validation import PoseDrift, pose_drift, simulate_records, validate
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs import Record, read_log
 
 _FEWEST_READINGS = 20
 

@@ -8,8 +8,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from models.checked_yaml import ConfigError, StrictModel, load_checked
-from models.robot import Positive
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.models.robot import Positive
 
 
 class Stated(StrictModel):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.real_logs.protocol import Proof
-from bench.real_logs.settings import load_protocol
-from bench.table import Table
+from diffdrive_mpc.bench.real_logs.protocol import Proof
+from diffdrive_mpc.bench.real_logs.settings import load_protocol
+from diffdrive_mpc.bench.table import Table
 
 
 def score_table(proof: Proof) -> Table:

@@ -6,16 +6,16 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from bench.atomic import staged
-from bench.console import output_console
-from bench.machine import describe_run
-from bench.progress import ProgressBar
-from bench.reproduce.report import FIGURES, REPORT_FILES, write_report
-from bench.reproduce.results import Reproduction
-from bench.reproduce.runner import count_steps, run_parts
-from bench.reproduce.study import PARTS, Study, check_parts
-from bench.reproduce.tables import report_tables
-from bench.runner import available_cores
+from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.console import output_console
+from diffdrive_mpc.bench.machine import describe_run
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.reproduce.report import FIGURES, REPORT_FILES, write_report
+from diffdrive_mpc.bench.reproduce.results import Reproduction
+from diffdrive_mpc.bench.reproduce.runner import count_steps, run_parts
+from diffdrive_mpc.bench.reproduce.study import PARTS, Study, check_parts
+from diffdrive_mpc.bench.reproduce.tables import report_tables
+from diffdrive_mpc.bench.runner import available_cores
 
 
 def repeat(study: Study, out: Path, only: Sequence[str] = PARTS, jobs: int | None = None) -> Reproduction:

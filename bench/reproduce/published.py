@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-from models.checked_yaml import StrictModel, load_checked
-from models.structures import ChannelFit
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.structures import ChannelFit
 
 Four = tuple[float, float, float, float]
 """RMSE, mean, standard deviation and maximum."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from bench.figures.reproduce.odometry import draw_odometry
-from bench.figures.reproduce.orders import draw_orders
-from bench.figures.reproduce.virtual_track import draw_virtual_track
-from bench.reproduce.findings import find
-from bench.reproduce.results import Reproduction, plain
-from bench.reproduce.tables import report_tables
+from diffdrive_mpc.bench.figures.reproduce.odometry import draw_odometry
+from diffdrive_mpc.bench.figures.reproduce.orders import draw_orders
+from diffdrive_mpc.bench.figures.reproduce.virtual_track import draw_virtual_track
+from diffdrive_mpc.bench.reproduce.findings import find
+from diffdrive_mpc.bench.reproduce.results import Reproduction, plain
+from diffdrive_mpc.bench.reproduce.tables import report_tables
 
 REPORT_FILES = ("reproduce.json", "reproduce.md")
 FIGURES = "figures"

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from bench.reproduce.experiments.cost import Cost
-from bench.reproduce.experiments.mbm_and_sm import MbmSmResult
-from bench.reproduce.experiments.state_space import SsmResult
-from bench.reproduce.experiments.virtual_track import VirtualTrackResult
-from bench.reproduce.study import Study
-from models.checked_yaml import StrictModel
+from diffdrive_mpc.bench.reproduce.experiments.cost import Cost
+from diffdrive_mpc.bench.reproduce.experiments.mbm_and_sm import MbmSmResult
+from diffdrive_mpc.bench.reproduce.experiments.state_space import SsmResult
+from diffdrive_mpc.bench.reproduce.experiments.virtual_track import VirtualTrackResult
+from diffdrive_mpc.bench.reproduce.study import Study
+from diffdrive_mpc.models.checked_yaml import StrictModel
 
 # Whole paths are for figures: they would fill the file.
 _NOT_WRITTEN = "paths"

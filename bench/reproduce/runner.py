@@ -10,12 +10,12 @@ from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky import get_reusable_executor
 from threadpoolctl import threadpool_limits
 
-from bench.reproduce.experiments.cost import measure_cost
-from bench.reproduce.experiments.mbm_and_sm import MbmSmResult, compare_mbm_and_sm
-from bench.reproduce.experiments.state_space import SsmResult, compare_orders
-from bench.reproduce.experiments.virtual_track import check_virtual_track
-from bench.reproduce.published import load_published
-from bench.reproduce.study import Study
+from diffdrive_mpc.bench.reproduce.experiments.cost import measure_cost
+from diffdrive_mpc.bench.reproduce.experiments.mbm_and_sm import MbmSmResult, compare_mbm_and_sm
+from diffdrive_mpc.bench.reproduce.experiments.state_space import SsmResult, compare_orders
+from diffdrive_mpc.bench.reproduce.experiments.virtual_track import check_virtual_track
+from diffdrive_mpc.bench.reproduce.published import load_published
+from diffdrive_mpc.bench.reproduce.study import Study
 
 Task = Callable[[], Any]
 

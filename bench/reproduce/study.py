@@ -8,8 +8,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from models.checked_yaml import ConfigError, StrictModel, load_checked
-from models.robot import Positive
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.models.robot import Positive
 
 PARTS = ("mbm_sm", "ssm", "cost", "virtual_track")
 """Names of the parts, in the order of the report."""

@@ -2,7 +2,7 @@
 
 `minute.yaml` beside this file is a trajectory long enough for figures of jitter and latency.
 
-Run as ``python -m bench.ros.compare [--real-time] [--page] [--model MODEL] [--seed SEED] [TRAJECTORY ...]``.
+Run as ``python -m diffdrive_mpc.bench.ros.compare [--real-time] [--page] [--model MODEL] [--seed SEED] [TRAJECTORY ...]``.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.case import Case, build
-from bench.console import output_console
-from bench.documents import insert
-from bench.machine import describe_machine
-from bench.ros.loop_timing import LoopTiming, loop_timing
-from bench.ros.recorded_drive import read_drive
-from bench.ros.two_processes import drive_over_dds
-from bench.table import Table
-from sim import Run, simulate
+from diffdrive_mpc.bench.case import Case, build
+from diffdrive_mpc.bench.console import output_console
+from diffdrive_mpc.bench.documents import insert
+from diffdrive_mpc.bench.machine import describe_machine
+from diffdrive_mpc.bench.ros.loop_timing import LoopTiming, loop_timing
+from diffdrive_mpc.bench.ros.recorded_drive import read_drive
+from diffdrive_mpc.bench.ros.two_processes import drive_over_dds
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.sim import Run, simulate
 
 TRAJECTORIES = ("circle", "s")
 PAGE = Path("docs/robot.md")
@@ -112,7 +112,7 @@ def timing_table(comparisons: Sequence[Comparison]) -> Table:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Compare and print."""
     parser = argparse.ArgumentParser(
-        prog="python -m bench.ros.compare", description="The drive over DDS beside that in one process"
+        prog="python -m diffdrive_mpc.bench.ros.compare", description="The drive over DDS beside that in one process"
     )
     parser.add_argument("trajectories", nargs="*", default=TRAJECTORIES, help="names or paths")
     parser.add_argument("--model", default="ssm")

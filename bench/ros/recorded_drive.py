@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from models.checked_yaml import ConfigError
-from models.interface import FloatArray, Reference
-from models.logs.bags.bag_messages import COMMANDS, POSES, Reading
-from models.logs.bags.bag_topics import TopicRows, opened, read_topic
-from sim import Run
-from sim.run import TIME_TOLERANCE
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.models.logs.bags.bag_messages import COMMANDS, POSES, Reading
+from diffdrive_mpc.models.logs.bags.bag_topics import TopicRows, opened, read_topic
+from diffdrive_mpc.sim import Run
+from diffdrive_mpc.sim.run import TIME_TOLERANCE
 
 
 def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:

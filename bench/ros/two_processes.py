@@ -12,9 +12,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from bench.case import Case
+from diffdrive_mpc.bench.case import Case
 
-_COMMAND = (sys.executable, "-c", "from bench.cli import main; main()")
+_COMMAND = (sys.executable, "-c", "from diffdrive_mpc.bench.cli import main; main()")
 # More ROS domains than this need ports that systems give to others.
 _DOMAINS = 101
 # How long a process may take to end after it was asked to [s].

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray, Reference
-from models.pose import wrap_angle
-from models.velocity_model import VelocityModel
-from mpc.config import ControllerConfig
-from mpc.feed_forward import FeedForward
-from mpc.slip import Slip
+from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.feed_forward import FeedForward
+from diffdrive_mpc.mpc.slip import Slip
 
 
 def closed_loop_cost(

@@ -7,18 +7,18 @@ import tempfile
 import time
 from pathlib import Path
 
-from bench.atomic import staged
-from bench.console import output_console
-from bench.machine import describe_run
-from bench.progress import ProgressBar
-from bench.speed.measure import load_problem, measure
-from bench.speed.outcome.record import Measured, Missing
-from bench.speed.outcome.report import FIGURES, REPORT_FILES, write_report
-from bench.speed.outcome.results import SpeedResults
-from bench.speed.outcome.tables import speed_tables
-from bench.speed.process.environment import REQUIREMENTS, PeerEnvironment, peer_environment
-from bench.speed.process.subject import SubjectError
-from bench.speed.settings import SpeedSettings
+from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.console import output_console
+from diffdrive_mpc.bench.machine import describe_run
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.speed.measure import load_problem, measure
+from diffdrive_mpc.bench.speed.outcome.record import Measured, Missing
+from diffdrive_mpc.bench.speed.outcome.report import FIGURES, REPORT_FILES, write_report
+from diffdrive_mpc.bench.speed.outcome.results import SpeedResults
+from diffdrive_mpc.bench.speed.outcome.tables import speed_tables
+from diffdrive_mpc.bench.speed.process.environment import REQUIREMENTS, PeerEnvironment, peer_environment
+from diffdrive_mpc.bench.speed.process.subject import SubjectError
+from diffdrive_mpc.bench.speed.settings import SpeedSettings
 
 
 def run_speed(settings: SpeedSettings, out: Path, peer_folder: Path | None = None) -> SpeedResults:

@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from bench.speed.process.subject import Answer, Subject
-from bench.speed.settings import SpeedSettings
-from bench.speed.stage import stage_data
-from models.interface import FloatArray, Measurement, Reference
-from models.velocity_model import VelocityModel
-from mpc import load_trajectory
-from mpc.bounds import clip_command
-from mpc.config import ControllerConfig
-from mpc.estimator import StateEstimator
-from mpc.planner import Planner
-from mpc.problem import TrackingProblem
-from sim import make_plant
+from diffdrive_mpc.bench.speed.process.subject import Answer, Subject
+from diffdrive_mpc.bench.speed.settings import SpeedSettings
+from diffdrive_mpc.bench.speed.stage import stage_data
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc import load_trajectory
+from diffdrive_mpc.mpc.bounds import clip_command
+from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.estimator import StateEstimator
+from diffdrive_mpc.mpc.planner import Planner
+from diffdrive_mpc.mpc.problem import TrackingProblem
+from diffdrive_mpc.sim import make_plant
 
 
 class PeerInput:

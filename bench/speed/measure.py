@@ -10,20 +10,20 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.controllers import controller_config
-from bench.speed.closed_loop_cost import closed_loop_cost
-from bench.speed.drive import Drive
-from bench.speed.outcome.record import Measured, Missing, Record, time_statistics
-from bench.speed.process.environment import PeerEnvironment
-from bench.speed.process.subject import Answer, Subject, SubjectError
-from bench.speed.settings import SpeedSettings, SubjectSettings
-from bench.speed.stage import StageProblem, stage_problem
-from models.interface import FloatArray
-from models.velocity_model import VelocityModel
-from mpc import Controller
-from mpc.bounds import slew_step
-from mpc.config import ControllerConfig
-from mpc.config_file import replace_values
+from diffdrive_mpc.bench.controllers import controller_config
+from diffdrive_mpc.bench.speed.closed_loop_cost import closed_loop_cost
+from diffdrive_mpc.bench.speed.drive import Drive
+from diffdrive_mpc.bench.speed.outcome.record import Measured, Missing, Record, time_statistics
+from diffdrive_mpc.bench.speed.process.environment import PeerEnvironment
+from diffdrive_mpc.bench.speed.process.subject import Answer, Subject, SubjectError
+from diffdrive_mpc.bench.speed.settings import SpeedSettings, SubjectSettings
+from diffdrive_mpc.bench.speed.stage import StageProblem, stage_problem
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc import Controller
+from diffdrive_mpc.mpc.bounds import slew_step
+from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config_file import replace_values
 
 _AT_LIMIT = 1e-5
 """A command this close to a limit stands at it [m/s, rad/s]."""

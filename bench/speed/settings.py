@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 
 Names = Annotated[tuple[str, ...], Field(min_length=1)]
 Count = Annotated[int, Field(ge=1)]

@@ -6,18 +6,18 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from bench.atomic import staged
-from bench.console import output_console
-from bench.machine import describe_run
-from bench.progress import ProgressBar
-from bench.results import STATISTICS
-from bench.runner import available_cores
-from bench.tracking.plan import check_plan, plan_study
-from bench.tracking.report import FIGURES, REPORT_FILES, write_report
-from bench.tracking.results import StudyResults, collect
-from bench.tracking.runner import run_rows
-from bench.tracking.study import PARTS, Study
-from bench.tracking.tables import study_tables
+from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.console import output_console
+from diffdrive_mpc.bench.machine import describe_run
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.results import STATISTICS
+from diffdrive_mpc.bench.runner import available_cores
+from diffdrive_mpc.bench.tracking.plan import check_plan, plan_study
+from diffdrive_mpc.bench.tracking.report import FIGURES, REPORT_FILES, write_report
+from diffdrive_mpc.bench.tracking.results import StudyResults, collect
+from diffdrive_mpc.bench.tracking.runner import run_rows
+from diffdrive_mpc.bench.tracking.study import PARTS, Study
+from diffdrive_mpc.bench.tracking.tables import study_tables
 
 
 def track(study: Study, out: Path, only: Sequence[str] = PARTS, jobs: int | None = None) -> StudyResults:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.tracking.row import Row
+from diffdrive_mpc.bench.tracking.row import Row
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,11 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from bench.case import NO_SCENARIO, Case, Overrides, build
-from bench.controllers import NO_MODEL
-from bench.tracking.study import PARTS, Study
-from models.checked_yaml import ConfigError
-from mpc import load_trajectory
+from diffdrive_mpc.bench.case import NO_SCENARIO, Case, Overrides, build
+from diffdrive_mpc.bench.controllers import NO_MODEL
+from diffdrive_mpc.bench.tracking.study import PARTS, Study
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc import load_trajectory
 
 BOUND = "clairvoyant"
 """Name of the controller that is the bound; it is no peer to choose on the command line."""

@@ -6,10 +6,10 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from bench.figures.ablation import draw_ablation
-from bench.figures.error_sources import draw_error_sources
-from bench.tracking.results import StudyResults
-from bench.tracking.tables import study_tables
+from diffdrive_mpc.bench.figures.ablation import draw_ablation
+from diffdrive_mpc.bench.figures.error_sources import draw_error_sources
+from diffdrive_mpc.bench.tracking.results import StudyResults
+from diffdrive_mpc.bench.tracking.tables import study_tables
 
 REPORT_FILES = ("tracking.json", "tracking.md")
 FIGURES = "figures"

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.case import NO_SCENARIO, Case
-from bench.tracking.plan import BOUND, DEFAULT, PHYSICS, StudyPlan
-from bench.tracking.row import Row
-from bench.tracking.study import Study
+from diffdrive_mpc.bench.case import NO_SCENARIO, Case
+from diffdrive_mpc.bench.tracking.plan import BOUND, DEFAULT, PHYSICS, StudyPlan
+from diffdrive_mpc.bench.tracking.row import Row
+from diffdrive_mpc.bench.tracking.study import Study
 
 
 @dataclass(frozen=True)

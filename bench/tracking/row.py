@@ -8,16 +8,16 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.case import Case, label, run_case
-from bench.controllers import controller_config
-from bench.peers.clairvoyant import ClairvoyantController
-from bench.peers.known_plant import know_plant
-from bench.tracking.plan import BOUND
-from bench.tracking.targets import load_targets
-from models.interface import FloatArray
-from mpc import load_trajectory
-from sim import Metrics, Run, make_plant, simulate
-from sim.steady_arcs import steady_arc_lateral, steady_arcs
+from diffdrive_mpc.bench.case import Case, label, run_case
+from diffdrive_mpc.bench.controllers import controller_config
+from diffdrive_mpc.bench.peers.clairvoyant import ClairvoyantController
+from diffdrive_mpc.bench.peers.known_plant import know_plant
+from diffdrive_mpc.bench.tracking.plan import BOUND
+from diffdrive_mpc.bench.tracking.targets import load_targets
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc import load_trajectory
+from diffdrive_mpc.sim import Metrics, Run, make_plant, simulate
+from diffdrive_mpc.sim.steady_arcs import steady_arc_lateral, steady_arcs
 
 
 @dataclass(frozen=True)

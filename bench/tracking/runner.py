@@ -8,8 +8,8 @@ from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky import get_reusable_executor
 from threadpoolctl import threadpool_limits
 
-from bench.case import Case
-from bench.tracking.row import Row, run_row
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.tracking.row import Row, run_row
 
 
 def run_rows(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field, model_validator
 
-from models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 
 if TYPE_CHECKING:
     from typing import Self

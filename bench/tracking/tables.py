@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from bench.table import Table, duration, number
-from bench.tracking.results import StudyResults, group, mean
-from bench.tracking.row import Row
-from bench.tracking.variants import BOUND_NAME, variant_names, variants
-from bench.tracking.verdicts import Verdict, judge, not_completed, worst_arc
-from models.load import MODEL_NAMES
+from diffdrive_mpc.bench.table import Table, duration, number
+from diffdrive_mpc.bench.tracking.results import StudyResults, group, mean
+from diffdrive_mpc.bench.tracking.row import Row
+from diffdrive_mpc.bench.tracking.variants import BOUND_NAME, variant_names, variants
+from diffdrive_mpc.bench.tracking.verdicts import Verdict, judge, not_completed, worst_arc
+from diffdrive_mpc.models.load import MODEL_NAMES
 
 _ERRORS = ("position_rmse_m", "lateral_rmse_m", "course_rmse_rad", "heading_rmse_rad")
 _ERROR_COLUMNS = ("position RMSE [mm]", "lateral RMSE [mm]", "course RMSE [mrad]", "heading RMSE [mrad]")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-from models.checked_yaml import StrictModel, load_checked
-from models.robot import Positive
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.robot import Positive
 
 
 class DefaultTargets(StrictModel):

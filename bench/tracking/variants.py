@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from bench.case import Overrides
-from bench.tracking.plan import overrides_of
-from bench.tracking.study import Study
+from diffdrive_mpc.bench.case import Overrides
+from diffdrive_mpc.bench.tracking.plan import overrides_of
+from diffdrive_mpc.bench.tracking.study import Study
 
 BOUND_NAME = "clairvoyant bound"
 """What tables and figures call the bound."""

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.tracking.row import Row
-from bench.tracking.study import Study
-from bench.tracking.targets import load_targets
+from diffdrive_mpc.bench.tracking.row import Row
+from diffdrive_mpc.bench.tracking.study import Study
+from diffdrive_mpc.bench.tracking.targets import load_targets
 
 
 @dataclass(frozen=True)

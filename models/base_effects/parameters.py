@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from models.base_effects.pose_mount import PoseMount
-from models.base_effects.twist_slew import TwistSlew
-from models.base_effects.veer import Veer
-from models.base_effects.wheel_command import WheelCommand
-from models.base_effects.yaw_relaxation import YawRelaxation
-from models.checked_yaml import StrictModel
+from diffdrive_mpc.models.base_effects.pose_mount import PoseMount
+from diffdrive_mpc.models.base_effects.twist_slew import TwistSlew
+from diffdrive_mpc.models.base_effects.veer import Veer
+from diffdrive_mpc.models.base_effects.wheel_command import WheelCommand
+from diffdrive_mpc.models.base_effects.yaw_relaxation import YawRelaxation
+from diffdrive_mpc.models.checked_yaml import StrictModel
 
 
 class BaseEffects(StrictModel):

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from models.checked_yaml import StrictModel
-from models.interface import FloatArray
+from diffdrive_mpc.models.checked_yaml import StrictModel
+from diffdrive_mpc.models.interface import FloatArray
 
 
 class PoseMount(StrictModel):

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.base_effects.parameters import BaseEffects
-from models.interface import FloatArray
-from models.velocity_model import VelocityModel
+from diffdrive_mpc.models.base_effects.parameters import BaseEffects
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.velocity_model import VelocityModel
 
 PARTS = 4
 """Inside a sample the base ramps; its limited command is held over this fraction of a sample."""

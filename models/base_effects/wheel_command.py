@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from models.checked_yaml import StrictModel
-from models.interface import FloatArray
+from diffdrive_mpc.models.checked_yaml import StrictModel
+from diffdrive_mpc.models.interface import FloatArray
 
 # A speed this close below a step, in steps, counts as on it: it came from rounded decimals.
 _ON_STEP = 1e-9

@@ -1,17 +1,17 @@
 """From records of a robot to the numbers of a velocity model."""
 
-from models.identification.estimate import Estimate
-from models.identification.fit import fit_percent, pooled_fit_percent
-from models.identification.identified import IdentifiedModel
-from models.identification.mbm import identify_mbm
-from models.identification.model_file import model_file, write_model_file
-from models.identification.order import OrderChoice, OrderRow, choose_order
-from models.identification.pose_calibration import PoseCalibration, calibrate_gyro, calibrate_wheels
-from models.identification.slip_laws import ConstantTrack, SlipPolynomial, VirtualTrack
-from models.identification.sm import identify_sm
-from models.identification.ssm import identify_ssm, identify_ssm_orders
-from models.identification.tracks import identify_track, side_difference
-from models.identification.two_poles import Experiment, TwoPolesFit, identify_two_poles, simulate_two_poles
+from diffdrive_mpc.models.identification.estimate import Estimate
+from diffdrive_mpc.models.identification.fit import fit_percent, pooled_fit_percent
+from diffdrive_mpc.models.identification.identified import IdentifiedModel
+from diffdrive_mpc.models.identification.mbm import identify_mbm
+from diffdrive_mpc.models.identification.model_file import model_file, write_model_file
+from diffdrive_mpc.models.identification.order import OrderChoice, OrderRow, choose_order
+from diffdrive_mpc.models.identification.pose_calibration import PoseCalibration, calibrate_gyro, calibrate_wheels
+from diffdrive_mpc.models.identification.slip_laws import ConstantTrack, SlipPolynomial, VirtualTrack
+from diffdrive_mpc.models.identification.sm import identify_sm
+from diffdrive_mpc.models.identification.ssm import identify_ssm, identify_ssm_orders
+from diffdrive_mpc.models.identification.tracks import identify_track, side_difference
+from diffdrive_mpc.models.identification.two_poles import Experiment, TwoPolesFit, identify_two_poles, simulate_two_poles
 
 __all__ = [
     "ConstantTrack",

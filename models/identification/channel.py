@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.identification import doubts
-from models.identification.estimate import Estimate
-from models.identification.output_error.layout import Layout
-from models.identification.output_error.problem import OutputErrorProblem
-from models.identification.output_error.robust import output_spread
-from models.identification.output_error.saturation import find_limits
-from models.identification.output_error.solve import OutputErrorFit, estimate
-from models.identification.output_error.stretch import Stretch
-from models.identification.output_error.structures import TwoPolesStructure, two_poles, two_poles_parameters
-from models.identification.settings import load_settings
-from models.interface import FloatArray
-from models.structures import TwoPoles
+from diffdrive_mpc.models.identification import doubts
+from diffdrive_mpc.models.identification.estimate import Estimate
+from diffdrive_mpc.models.identification.output_error.layout import Layout
+from diffdrive_mpc.models.identification.output_error.problem import OutputErrorProblem
+from diffdrive_mpc.models.identification.output_error.robust import output_spread
+from diffdrive_mpc.models.identification.output_error.saturation import find_limits
+from diffdrive_mpc.models.identification.output_error.solve import OutputErrorFit, estimate
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.identification.output_error.structures import TwoPolesStructure, two_poles, two_poles_parameters
+from diffdrive_mpc.models.identification.settings import load_settings
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.structures import TwoPoles
 
 _TRIED = 3
 

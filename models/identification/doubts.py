@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from models.identification.estimate import Estimate
-from models.identification.output_error.solve import OutputErrorFit
-from models.identification.settings import load_settings
+from diffdrive_mpc.models.identification.estimate import Estimate
+from diffdrive_mpc.models.identification.output_error.solve import OutputErrorFit
+from diffdrive_mpc.models.identification.settings import load_settings
 
 _AT_BOUND = 1e-3
 _CERTAIN = 2.0

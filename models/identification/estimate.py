@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray
 
 # Central differences of smooth functions: the cube root of the machine precision balances cut-off and rounding.
 _STEP = 6e-6

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray
 
 
 def fit_percent(measured: FloatArray, simulated: FloatArray) -> float:

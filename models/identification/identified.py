@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from models.identification.estimate import Estimate
-from models.identification.output_error.linear_system import LinearSystem
-from models.identification.output_error.solve import OutputErrorFit
-from models.identification.signals import YawSource
-from models.interface import FloatArray
-from models.load import build_model
-from models.structures import STRUCTURES, ModelFile
-from models.velocity_model import CHANNELS, VelocityModel
+from diffdrive_mpc.models.identification.estimate import Estimate
+from diffdrive_mpc.models.identification.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.identification.output_error.solve import OutputErrorFit
+from diffdrive_mpc.models.identification.signals import YawSource
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.load import build_model
+from diffdrive_mpc.models.structures import STRUCTURES, ModelFile
+from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 
 # The file carries this many digits: far finer than any standard deviation.
 _DIGITS = 8

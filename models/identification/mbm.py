@@ -6,20 +6,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.identification import doubts
-from models.identification.channel import ChannelEstimate, identify_channel
-from models.identification.estimate import Estimate, joined
-from models.identification.identified import IdentifiedModel, rounded
-from models.identification.output_error.layout import Layout
-from models.identification.output_error.motors import MotorsStructure
-from models.identification.output_error.solve import OutputErrorFit, estimate
-from models.identification.output_error.stretch import Stretch
-from models.identification.output_error.structures import two_poles, two_poles_parameters
-from models.identification.signals import twist_stretches, wheel_stretches
-from models.interface import FloatArray
-from models.logs.record import Record
-from models.structures import Motors, TwoPoles
-from models.velocity_model import CHANNELS
+from diffdrive_mpc.models.identification import doubts
+from diffdrive_mpc.models.identification.channel import ChannelEstimate, identify_channel
+from diffdrive_mpc.models.identification.estimate import Estimate, joined
+from diffdrive_mpc.models.identification.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.identification.output_error.layout import Layout
+from diffdrive_mpc.models.identification.output_error.motors import MotorsStructure
+from diffdrive_mpc.models.identification.output_error.solve import OutputErrorFit, estimate
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.identification.output_error.structures import two_poles, two_poles_parameters
+from diffdrive_mpc.models.identification.signals import twist_stretches, wheel_stretches
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.structures import Motors, TwoPoles
+from diffdrive_mpc.models.velocity_model import CHANNELS
 
 METHOD = (
     "output error (simulation from commands alone), two poles and no zeros for each motor, one dead time, firmware "

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import yaml
 
-from models.identification.estimate import Estimate
-from models.identification.identified import IdentifiedModel, rounded
-from models.interface import FloatArray
-from models.structures import ModelFile
-from models.velocity_model import CHANNELS
+from diffdrive_mpc.models.identification.estimate import Estimate
+from diffdrive_mpc.models.identification.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.structures import ModelFile
+from diffdrive_mpc.models.velocity_model import CHANNELS
 
 _HEAD = (
     "# Identified from a log. Gains and damping [-], frequencies and poles [rad/s], times [s], lengths [m], "

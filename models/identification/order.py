@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.identification.identified import IdentifiedModel
-from models.identification.signals import YawSource
-from models.identification.ssm import LARGEST_ORDER, identify_ssm_orders
-from models.identification.validation.simulation import validate
-from models.interface import FloatArray
-from models.logs.record import Record
-from models.velocity_model import ModelError
+from diffdrive_mpc.models.identification.identified import IdentifiedModel
+from diffdrive_mpc.models.identification.signals import YawSource
+from diffdrive_mpc.models.identification.ssm import LARGEST_ORDER, identify_ssm_orders
+from diffdrive_mpc.models.identification.validation.simulation import validate
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.velocity_model import ModelError
 
 # An order is worth its states if it explains this much more [percentage points of FIT, mean of both channels].
 _WORTH = 0.25

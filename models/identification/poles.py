@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.identification.output_error.linear_system import AnyArray
-from models.interface import FloatArray
+from diffdrive_mpc.models.identification.output_error.linear_system import AnyArray
+from diffdrive_mpc.models.interface import FloatArray
 
 _REAL = 1e-9
 

@@ -12,15 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from models.identification.doubts import badly_known
-from models.identification.estimate import Estimate
-from models.identification.output_error.covariance import sandwich
-from models.identification.output_error.robust import residual_scale, spike_weights
-from models.identification.pose_windows import pose_windows
-from models.identification.slip_laws import SlipLaw
-from models.interface import FloatArray
-from models.logs.record import Record
-from models.pose import wrap_angle
+from diffdrive_mpc.models.identification.doubts import badly_known
+from diffdrive_mpc.models.identification.estimate import Estimate
+from diffdrive_mpc.models.identification.output_error.covariance import sandwich
+from diffdrive_mpc.models.identification.output_error.robust import residual_scale, spike_weights
+from diffdrive_mpc.models.identification.pose_windows import pose_windows
+from diffdrive_mpc.models.identification.slip_laws import SlipLaw
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.pose import wrap_angle
 
 _ROUNDS = 6
 

@@ -7,10 +7,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from models.identification.settings import load_settings
-from models.interface import FloatArray
-from models.logs.record import Record
-from models.pose import wrap_angle
+from diffdrive_mpc.models.identification.settings import load_settings
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.pose import wrap_angle
 
 _FEWEST_WINDOWS = 20
 

@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from models.identification.output_error.stretch import Stretch
-from models.interface import FloatArray
-from models.logs.record import BoolArray, Record
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import BoolArray, Record
 
 YawSource = Literal["gyro", "encoders"]
 """What omega means: the true yaw rate, or the wheels' over the geometric track."""

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray
 
 
 class SlipLaw(Protocol):

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.identification.channel import ChannelEstimate, identify_channel
-from models.identification.estimate import joined
-from models.identification.identified import IdentifiedModel, rounded
-from models.identification.signals import YawSource, twist_stretches
-from models.logs.record import Record
-from models.structures import TwoPoles
-from models.velocity_model import CHANNELS
+from diffdrive_mpc.models.identification.channel import ChannelEstimate, identify_channel
+from diffdrive_mpc.models.identification.estimate import joined
+from diffdrive_mpc.models.identification.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.identification.signals import YawSource, twist_stretches
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.structures import TwoPoles
+from diffdrive_mpc.models.velocity_model import CHANNELS
 
 METHOD = (
     "output error (simulation from commands alone), two poles, no zeros and a dead time for each channel, all records "

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.identification import doubts
-from models.identification.channel import ChannelEstimate
-from models.identification.estimate import Estimate
-from models.identification.identified import IdentifiedModel, rounded
-from models.identification.output_error.layout import Layout
-from models.identification.output_error.realisation import (
+from diffdrive_mpc.models.identification import doubts
+from diffdrive_mpc.models.identification.channel import ChannelEstimate
+from diffdrive_mpc.models.identification.estimate import Estimate
+from diffdrive_mpc.models.identification.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.identification.output_error.layout import Layout
+from diffdrive_mpc.models.identification.output_error.realisation import (
     Realisation,
     balanced,
     beside,
@@ -19,16 +19,16 @@ from models.identification.output_error.realisation import (
     impulse_response,
     spare_state,
 )
-from models.identification.output_error.solve import OutputErrorFit, estimate
-from models.identification.output_error.stretch import Stretch
-from models.identification.output_error.structures import LocalStateSpace
-from models.identification.poles import distinct_poles, pole_names, pole_numbers, real_pole_names
-from models.identification.settings import load_settings
-from models.identification.signals import YawSource, twist_stretches
-from models.identification.sm import identify_channels
-from models.interface import FloatArray
-from models.logs.record import Record
-from models.velocity_model import CHANNELS
+from diffdrive_mpc.models.identification.output_error.solve import OutputErrorFit, estimate
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.identification.output_error.structures import LocalStateSpace
+from diffdrive_mpc.models.identification.poles import distinct_poles, pole_names, pole_numbers, real_pole_names
+from diffdrive_mpc.models.identification.settings import load_settings
+from diffdrive_mpc.models.identification.signals import YawSource, twist_stretches
+from diffdrive_mpc.models.identification.sm import identify_channels
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.velocity_model import CHANNELS
 
 METHOD = (
     "output error (simulation from commands alone), state space with a dead time for each input, data driven local "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray
 
 
 def side_difference(wheel_speeds: FloatArray, radius: float) -> FloatArray:

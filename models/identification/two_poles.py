@@ -9,10 +9,10 @@ import numpy as np
 from scipy import signal
 from scipy.optimize import least_squares
 
-from models.discrete_model import DiscreteModel, zero_order_hold
-from models.identification.fit import pooled_fit_percent
-from models.interface import FloatArray
-from models.structures import TwoPoles
+from diffdrive_mpc.models.discrete_model import DiscreteModel, zero_order_hold
+from diffdrive_mpc.models.identification.fit import pooled_fit_percent
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.structures import TwoPoles
 
 # Starting points: dead times [s] and natural frequencies [rad/s] around which a robot's drives lie.
 _START_DEAD_TIMES = (0.0, 0.03, 0.08, 0.2)

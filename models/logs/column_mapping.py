@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from models.checked_yaml import StrictModel, load_checked
-from models.logs.units import AngleUnit, LengthUnit, RateUnit, SpeedUnit, TimeUnit, WheelUnit
-from models.named_file import named_file
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.logs.units import AngleUnit, LengthUnit, RateUnit, SpeedUnit, TimeUnit, WheelUnit
+from diffdrive_mpc.models.named_file import named_file
 
 MAPPINGS = Path(__file__).parent / "mappings"
 

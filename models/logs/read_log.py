@@ -6,18 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
-from models.checked_yaml import ConfigError
-from models.logs.bags.bag_log import is_bag, read_bag
-from models.logs.checks.commands import check_commands
-from models.logs.checks.sensors import check_sensors
-from models.logs.checks.settings import CheckSettings, check_settings
-from models.logs.checks.signs_and_units import check_responses
-from models.logs.checks.timing import check_timing, gap_finding
-from models.logs.column_mapping import load_mapping
-from models.logs.csv_files.csv_log import read_csv
-from models.logs.record import Finding, Log, Record
-from models.logs.resample import pieces, resample
-from models.logs.signals import RawLog, usual_step
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.logs.bags.bag_log import is_bag, read_bag
+from diffdrive_mpc.models.logs.checks.commands import check_commands
+from diffdrive_mpc.models.logs.checks.sensors import check_sensors
+from diffdrive_mpc.models.logs.checks.settings import CheckSettings, check_settings
+from diffdrive_mpc.models.logs.checks.signs_and_units import check_responses
+from diffdrive_mpc.models.logs.checks.timing import check_timing, gap_finding
+from diffdrive_mpc.models.logs.column_mapping import load_mapping
+from diffdrive_mpc.models.logs.csv_files.csv_log import read_csv
+from diffdrive_mpc.models.logs.record import Finding, Log, Record
+from diffdrive_mpc.models.logs.resample import pieces, resample
+from diffdrive_mpc.models.logs.signals import RawLog, usual_step
 
 
 def read_log(path: str | Path, mapping: str | Path | None = None, sample_time: float | None = None) -> Log:

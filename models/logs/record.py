@@ -9,8 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from models.checked_yaml import ConfigError
-from models.interface import FloatArray
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
 
 BoolArray = NDArray[np.bool_]
 Severity = Literal["note", "warning", "error"]

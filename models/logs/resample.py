@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from models.interface import FloatArray
-from models.logs.checks.settings import CheckSettings
-from models.logs.record import BoolArray, Record
-from models.logs.signals import Signal, Stretch, usual_step
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.checks.settings import CheckSettings
+from diffdrive_mpc.models.logs.record import BoolArray, Record
+from diffdrive_mpc.models.logs.signals import Signal, Stretch, usual_step
 
 
 def hold(signal: Signal, grid: FloatArray, tolerance: float) -> FloatArray:

@@ -6,15 +6,15 @@ import math
 
 import numpy as np
 
-from models.interface import FloatArray, ReferenceSample
-from mpc.bounds import slew_step
-from mpc.compiled.constants import tracking_constants, tracking_sizes, vector
-from mpc.compiled.library import bound_function, checked_constants, checked_size, load_library, pointer
-from mpc.compiled.program import CompiledProgram
-from mpc.estimate import Estimate
-from mpc.feed_forward import FeedForward
-from mpc.problem import TrackingProblem
-from mpc.tick import Tick
+from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
+from diffdrive_mpc.mpc.bounds import slew_step
+from diffdrive_mpc.mpc.compiled.constants import tracking_constants, tracking_sizes, vector
+from diffdrive_mpc.mpc.compiled.library import bound_function, checked_constants, checked_size, load_library, pointer
+from diffdrive_mpc.mpc.compiled.program import CompiledProgram
+from diffdrive_mpc.mpc.estimate import Estimate
+from diffdrive_mpc.mpc.feed_forward import FeedForward
+from diffdrive_mpc.mpc.problem import TrackingProblem
+from diffdrive_mpc.mpc.tick import Tick
 
 _SOURCES = ("condense.c", "relax.c", "least_distance.c")
 _KINDS = 5

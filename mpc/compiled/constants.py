@@ -9,12 +9,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from models.discrete_model import DiscreteModel
-from models.interface import FloatArray
-from mpc.config import Estimator
-from mpc.feed_forward import FeedForward
-from mpc.kalman import SlipFilter
-from mpc.problem import TrackingProblem
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config import Estimator
+from diffdrive_mpc.mpc.feed_forward import FeedForward
+from diffdrive_mpc.mpc.kalman import SlipFilter
+from diffdrive_mpc.mpc.problem import TrackingProblem
 
 # DDMPC_LANES
 _LANES = 8

@@ -6,15 +6,15 @@ import ctypes
 
 import numpy as np
 
-from models.discrete_model import DiscreteModel
-from models.interface import Measurement
-from mpc.command_line import CommandLine
-from mpc.compiled.constants import estimation_constants, estimator_sizes, vector
-from mpc.compiled.library import callable_in, checked_constants, checked_size, load_library, pointer
-from mpc.compiled.messages import MeasurementBuffer, NotesBuffer
-from mpc.config import Compensation, Estimator, Wheels
-from mpc.estimate import Estimate
-from mpc.estimator import build_filter, correct_sent, history_ticks
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.interface import Measurement
+from diffdrive_mpc.mpc.command_line import CommandLine
+from diffdrive_mpc.mpc.compiled.constants import estimation_constants, estimator_sizes, vector
+from diffdrive_mpc.mpc.compiled.library import callable_in, checked_constants, checked_size, load_library, pointer
+from diffdrive_mpc.mpc.compiled.messages import MeasurementBuffer, NotesBuffer
+from diffdrive_mpc.mpc.config import Compensation, Estimator, Wheels
+from diffdrive_mpc.mpc.estimate import Estimate
+from diffdrive_mpc.mpc.estimator import build_filter, correct_sent, history_ticks
 
 _READY, _MOVED = 1, 2
 _SOURCES = ("estimator.c", "filter.c", "checks.c")

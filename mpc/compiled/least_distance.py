@@ -8,9 +8,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from models.interface import FloatArray
-from mpc.compiled.library import callable_in, checked_size, pointer
-from mpc.quadratic_program import Found, Kinds
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.compiled.library import callable_in, checked_size, pointer
+from diffdrive_mpc.mpc.quadratic_program import Found, Kinds
 
 _KINDS = 9
 

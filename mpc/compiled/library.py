@@ -10,10 +10,10 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from models.checked_yaml import ConfigError
-from models.interface import FloatArray
-from mpc.compiled.compiler import NotCompiledError, compile_library
-from mpc.compiled.constants import sizes_header
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.compiled.compiler import NotCompiledError, compile_library
+from diffdrive_mpc.mpc.compiled.constants import sizes_header
 
 Compiled = Literal["auto", "never", "always"]
 _C = TypeVar("_C")

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from models.interface import Measurement, Stamped
-from mpc.compiled.library import pointer
-from mpc.config import Estimator
-from mpc.estimator import TOO_MANY
-from mpc.measurement_check import numbers
+from diffdrive_mpc.models.interface import Measurement, Stamped
+from diffdrive_mpc.mpc.compiled.library import pointer
+from diffdrive_mpc.mpc.config import Estimator
+from diffdrive_mpc.mpc.estimator import TOO_MANY
+from diffdrive_mpc.mpc.measurement_check import numbers
 
 # Layout of ddmpc_stamped in numbers of eight bytes: stamp, value (3), covariance (9), two flags of four bytes.
 _STAMPED, _VALUE, _COVARIANCE, _FLAGS = 14, 1, 4, 26

@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from models.interface import FloatArray
-from mpc.compiled.least_distance import CompiledLeastDistance, from_bits
-from mpc.compiled.library import bound_function, callable_in, checked_size, pointer
-from mpc.quadratic_program import Kinds, Relaxed
-from mpc.solver_report import SolverStatus
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.compiled.least_distance import CompiledLeastDistance, from_bits
+from diffdrive_mpc.mpc.compiled.library import bound_function, callable_in, checked_size, pointer
+from diffdrive_mpc.mpc.quadratic_program import Kinds, Relaxed
+from diffdrive_mpc.mpc.solver_report import SolverStatus
 
 # By the values of ddmpc_relax_status.
 _FAULTS = {1: SolverStatus.NOT_FINITE, 2: SolverStatus.NOT_CONVEX}

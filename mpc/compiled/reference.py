@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.interface import Reference, ReferenceSample
-from mpc.compiled.library import callable_in, load_library, pointer
-from mpc.trajectories.arcs import ArcTrajectory
-from mpc.trajectories.moved import MovedReference
-from mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc.models.interface import Reference, ReferenceSample
+from diffdrive_mpc.mpc.compiled.library import callable_in, load_library, pointer
+from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
+from diffdrive_mpc.mpc.trajectories.moved import MovedReference
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
 _SOURCES = ("reference.c",)
 # More times than this at once are no matter of a tick.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mpc.compiled.constants import (
+from diffdrive_mpc.mpc.compiled.constants import (
     estimation_constants,
     estimator_sizes,
     initialiser,
@@ -12,8 +12,8 @@ from mpc.compiled.constants import (
     tracking_constants,
     tracking_sizes,
 )
-from mpc.export.osqp_workspaces import QpShape, slack_scale
-from mpc.export.parts import Parts
+from diffdrive_mpc.mpc.export.osqp_workspaces import QpShape, slack_scale
+from diffdrive_mpc.mpc.export.parts import Parts
 
 # What exceeds a soft limit by less is the size of the solver's residuals in each precision.
 _SOFT_SLACK = {False: 1e-6, True: 1e-4}

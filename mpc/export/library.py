@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from models.checked_yaml import ConfigError
-from models.interface import Reference
-from mpc.config import ControllerConfig
-from mpc.export.constants import constants_text, sizes_text
-from mpc.export.osqp_workspaces import QpShape, write_osqp
-from mpc.export.parts import build_parts
-from mpc.export.reference_table import table_text
-from mpc.reference_check import check_speeds
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import Reference
+from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.export.constants import constants_text, sizes_text
+from diffdrive_mpc.mpc.export.osqp_workspaces import QpShape, write_osqp
+from diffdrive_mpc.mpc.export.parts import build_parts
+from diffdrive_mpc.mpc.export.reference_table import table_text
+from diffdrive_mpc.mpc.reference_check import check_speeds
 
 _NATIVE = Path(__file__).parents[1] / "native"
 # Of the sources that Python compiles for itself, those that a controller needs.

@@ -6,18 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.discrete_model import DiscreteModel
-from models.interface import FloatArray
-from models.velocity_model import VelocityModel
-from mpc.condensed import Condenser
-from mpc.config import ControllerConfig
-from mpc.controller import Controller
-from mpc.estimator import build_filter, history_ticks
-from mpc.feed_forward import FeedForward
-from mpc.kalman import SlipFilter
-from mpc.problem import TrackingProblem
-from mpc.slip import Slip
-from mpc.tick import Tick
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc.condensed import Condenser
+from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.controller import Controller
+from diffdrive_mpc.mpc.estimator import build_filter, history_ticks
+from diffdrive_mpc.mpc.feed_forward import FeedForward
+from diffdrive_mpc.mpc.kalman import SlipFilter
+from diffdrive_mpc.mpc.problem import TrackingProblem
+from diffdrive_mpc.mpc.slip import Slip
+from diffdrive_mpc.mpc.tick import Tick
 
 # Share of the speed limit at which the typical tick drives straight ahead.
 _TYPICAL_SPEED = 0.5

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from models.interface import Reference
+from diffdrive_mpc.models.interface import Reference
 
 
 def table_text(reference: Reference, spacing: float) -> tuple[str, str]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from models.interface import FloatArray
-from mpc.config import Weights
-from mpc.quadratic_program import Kinds, QuadraticProgram, Relaxed
-from mpc.solver_config import Solver
-from mpc.solver_report import SolverReport
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config import Weights
+from diffdrive_mpc.mpc.quadratic_program import Kinds, QuadraticProgram, Relaxed
+from diffdrive_mpc.mpc.solver_config import Solver
+from diffdrive_mpc.mpc.solver_report import SolverReport
 
 MOST_WORKSPACES = 16
 """Work spaces that a backend keeps, one for each set of kinds of limit; few sets come up in practice."""

@@ -11,17 +11,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray
-from mpc.config import Weights
-from mpc.qp.backend import Answer, Backend, Task
-from mpc.qp.daqp_backend import DaqpBackend
-from mpc.qp.leaning import lean_on
-from mpc.qp.limit_rows import HARD_KINDS, KINDS
-from mpc.qp.osqp_backend import OsqpBackend
-from mpc.qp.solution import Solution
-from mpc.quadratic_program import Kinds, QuadraticProgram
-from mpc.solver_config import Solver
-from mpc.solver_report import SolverReport, SolverStatus
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config import Weights
+from diffdrive_mpc.mpc.qp.backend import Answer, Backend, Task
+from diffdrive_mpc.mpc.qp.daqp_backend import DaqpBackend
+from diffdrive_mpc.mpc.qp.leaning import lean_on
+from diffdrive_mpc.mpc.qp.limit_rows import HARD_KINDS, KINDS
+from diffdrive_mpc.mpc.qp.osqp_backend import OsqpBackend
+from diffdrive_mpc.mpc.qp.solution import Solution
+from diffdrive_mpc.mpc.quadratic_program import Kinds, QuadraticProgram
+from diffdrive_mpc.mpc.solver_config import Solver
+from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
 
 _BACKENDS: dict[str, type[Backend]] = {"osqp": OsqpBackend, "daqp": DaqpBackend}
 

@@ -13,13 +13,13 @@ import daqp
 import numpy as np
 from numpy.typing import NDArray
 
-from models.interface import FloatArray
-from mpc.config import Weights
-from mpc.qp.backend import MOST_WORKSPACES, Answer, Task
-from mpc.qp.limit_rows import HARD_KINDS
-from mpc.quadratic_program import Kinds, LeastDistance
-from mpc.solver_config import Solver
-from mpc.solver_report import SolverReport, SolverStatus
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config import Weights
+from diffdrive_mpc.mpc.qp.backend import MOST_WORKSPACES, Answer, Task
+from diffdrive_mpc.mpc.qp.limit_rows import HARD_KINDS
+from diffdrive_mpc.mpc.quadratic_program import Kinds, LeastDistance
+from diffdrive_mpc.mpc.solver_config import Solver
+from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
 
 _STATUS = {
     2: SolverStatus.SOLVED,  # with a soft limit exceeded

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from models.interface import FloatArray
-from mpc.quadratic_program import LeastDistance
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.quadratic_program import LeastDistance
 
 # More rounds rarely help: what is not found by then mostly goes round in circles.
 _ROUNDS = 5

@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from models.interface import FloatArray
-from mpc.qp.limit_rows import HARD_KINDS, KINDS, LimitRows
-from mpc.qp.relaxed import inverse_factor
-from mpc.quadratic_program import Found, Kinds, QuadraticProgram, Relaxed
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.qp.limit_rows import HARD_KINDS, KINDS, LimitRows
+from diffdrive_mpc.mpc.qp.relaxed import inverse_factor
+from diffdrive_mpc.mpc.quadratic_program import Found, Kinds, QuadraticProgram, Relaxed
 
 # DAQP's flags of a row; the last says of a soft limit that it is kept, though it presses.
 _ACTIVE, _LOWER, _SOFT, _KEPT = 1, 2, 8, 32

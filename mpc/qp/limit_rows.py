@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray
-from mpc.quadratic_program import Kinds, QuadraticProgram
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.quadratic_program import Kinds, QuadraticProgram
 
 HARD_KINDS, SOFT_KINDS = 4, 5
 KINDS = HARD_KINDS + SOFT_KINDS

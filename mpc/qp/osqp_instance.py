@@ -6,9 +6,9 @@ import numpy as np
 import osqp
 from scipy import sparse
 
-from models.interface import FloatArray
-from mpc.solver_config import Solver
-from mpc.solver_report import SolverReport, SolverStatus
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.solver_config import Solver
+from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
 
 _STATUS = {
     osqp.SolverStatus.OSQP_SOLVED: SolverStatus.SOLVED,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import lapack
 
-from models.interface import FloatArray
-from mpc.quadratic_program import QuadraticProgram, Relaxed
-from mpc.solver_report import SolverStatus
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.quadratic_program import QuadraticProgram, Relaxed
+from diffdrive_mpc.mpc.solver_report import SolverStatus
 
 # Numbers beyond this are no robot's, and OSQP takes bounds beyond 1e30 for none.
 _LARGEST = 1e15

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from models.interface import FloatArray
-from mpc.solver_report import SolverReport
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.solver_report import SolverReport
 
 
 @dataclass(frozen=True, slots=True)

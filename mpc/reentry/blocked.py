@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from models.interface import FloatArray
-from models.pose import wrap_angle
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.pose import wrap_angle
 
 # Less than this is no motion but noise of the pose: m, rad.
 _STIR = (0.04, 0.1)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray
-from models.pose import integrate_pose
-from mpc.reentry.quintic_path import Paths
-from mpc.trajectories.limits import TrajectoryLimits
-from mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.mpc.reentry.quintic_path import Paths
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
 # Closer than this, there is no direction from one point to another [m].
 SAME_PLACE = 0.01

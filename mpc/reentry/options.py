@@ -7,11 +7,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from models.interface import FloatArray
-from models.pose import integrate_pose, wrap_angle
-from mpc.reentry.motion_line import SAME_PLACE, braking_time
-from mpc.reentry.path_window import STANDING, TURNING, PathWindow
-from mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.pose import integrate_pose, wrap_angle
+from diffdrive_mpc.mpc.reentry.motion_line import SAME_PLACE, braking_time
+from diffdrive_mpc.mpc.reentry.path_window import STANDING, TURNING, PathWindow
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 
 # Points on the reference that are tried.
 _POINTS = 20

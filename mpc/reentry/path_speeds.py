@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray
-from mpc.reentry.quintic_path import Paths
-from mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.reentry.quintic_path import Paths
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 
 
 def path_speeds(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.interface import FloatArray, Reference
+from diffdrive_mpc.models.interface import FloatArray, Reference
 
 # The reference stands where it is slower than this [m/s]: its direction of travel is then that of the motion to come.
 STANDING = 0.02

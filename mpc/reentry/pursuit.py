@@ -7,18 +7,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from models.interface import FloatArray, Reference, ReferenceSample
-from models.pose import wrap_angle
-from mpc.config import ControllerConfig
-from mpc.estimate import Estimate
-from mpc.reentry.blocked import BlockedWatch
-from mpc.reentry.options import Course
-from mpc.reentry.path_window import STANDING, TURNING, PathWindow, in_path
-from mpc.reentry.reference_clock import ReferenceClock
-from mpc.reentry.rejoin import Rejoin
-from mpc.reentry.target import Target, TooFar
-from mpc.reentry.way_back import rejoin
-from mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
+from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.estimate import Estimate
+from diffdrive_mpc.mpc.reentry.blocked import BlockedWatch
+from diffdrive_mpc.mpc.reentry.options import Course
+from diffdrive_mpc.mpc.reentry.path_window import STANDING, TURNING, PathWindow, in_path
+from diffdrive_mpc.mpc.reentry.reference_clock import ReferenceClock
+from diffdrive_mpc.mpc.reentry.rejoin import Rejoin
+from diffdrive_mpc.mpc.reentry.target import Target, TooFar
+from diffdrive_mpc.mpc.reentry.way_back import rejoin
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 
 # The reference leaves the robot behind by no more than twice `wait`, and the robot never gets far ahead of it: beyond
 # these multiples of `wait` it was moved.

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray
 
 # A path shorter than this [m] is a point; it keeps the divisions finite.
 _SHORTEST = 1e-4

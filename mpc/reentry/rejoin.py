@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.interface import Reference, ReferenceSample
-from mpc.trajectories.trajectory import Trajectory
+from diffdrive_mpc.models.interface import Reference, ReferenceSample
+from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False)

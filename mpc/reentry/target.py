@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from models.interface import Reference, ReferenceSample
+from diffdrive_mpc.models.interface import Reference, ReferenceSample
 
 
 class Target(NamedTuple):

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray, Reference
-from mpc.reentry.motion_line import SAME_PLACE, MotionLine, turning_times
-from mpc.reentry.options import Course, Options, all_options
-from mpc.reentry.path_speeds import path_speeds, travel_times
-from mpc.reentry.path_window import PathWindow
-from mpc.reentry.quintic_path import Paths, quintic_paths
-from mpc.reentry.rejoin import Rejoin
-from mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.mpc.reentry.motion_line import SAME_PLACE, MotionLine, turning_times
+from diffdrive_mpc.mpc.reentry.options import Course, Options, all_options
+from diffdrive_mpc.mpc.reentry.path_speeds import path_speeds, travel_times
+from diffdrive_mpc.mpc.reentry.path_window import PathWindow
+from diffdrive_mpc.mpc.reentry.quintic_path import Paths, quintic_paths
+from diffdrive_mpc.mpc.reentry.rejoin import Rejoin
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 
 _NODES = 33
 # Between two nodes no path turns further than this [rad], unless by a cusp.

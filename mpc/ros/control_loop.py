@@ -9,15 +9,15 @@ from enum import StrEnum
 
 import numpy as np
 
-from models.interface import FloatArray, Reference
-from mpc.controller import Controller
-from mpc.hold import Hold
-from mpc.reference_check import check_speeds
-from mpc.ros.inbox import Inbox
-from mpc.ros.latency import LoopTimes
-from mpc.ros.settings import NodeSettings
-from mpc.step_result import Mode, StepResult
-from mpc.trajectories.moved import starting_at
+from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.mpc.controller import Controller
+from diffdrive_mpc.mpc.hold import Hold
+from diffdrive_mpc.mpc.reference_check import check_speeds
+from diffdrive_mpc.mpc.ros.inbox import Inbox
+from diffdrive_mpc.mpc.ros.latency import LoopTimes
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.step_result import Mode, StepResult
+from diffdrive_mpc.mpc.trajectories.moved import starting_at
 
 
 class LoopState(StrEnum):

@@ -11,7 +11,7 @@ from geometry_msgs.msg import Point, Pose, PoseStamped, PoseWithCovarianceStampe
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 
-from models.interface import FloatArray, Stamped
+from diffdrive_mpc.models.interface import FloatArray, Stamped
 
 NANOSECONDS = 1_000_000_000
 # Rows of x, y and yaw in the 6 x 6 covariance of a pose message.

@@ -6,11 +6,11 @@ import math
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from mpc.ros.control_loop import ControlLoop, LoopState
-from mpc.ros.conversions import time_message
-from mpc.ros.latency import Durations
-from mpc.ros.tracking_error import tracking_error
-from mpc.step_result import Mode, StepResult
+from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopState
+from diffdrive_mpc.mpc.ros.conversions import time_message
+from diffdrive_mpc.mpc.ros.latency import Durations
+from diffdrive_mpc.mpc.ros.tracking_error import tracking_error
+from diffdrive_mpc.mpc.step_result import Mode, StepResult
 
 
 def diagnostics(name: str, time: int, lifecycle: str, loop: ControlLoop | None) -> DiagnosticArray:

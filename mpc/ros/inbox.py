@@ -8,8 +8,8 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 
-from models.interface import Measurement, Stamped
-from mpc.ros.conversions import (
+from diffdrive_mpc.models.interface import Measurement, Stamped
+from diffdrive_mpc.mpc.ros.conversions import (
     MessageError,
     check_frame,
     imu_yaw_rate,
@@ -18,8 +18,8 @@ from mpc.ros.conversions import (
     odometry_twist,
     seconds,
 )
-from mpc.ros.settings import NodeSettings
-from mpc.ros.topic_watch import TopicWatch
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
 
 
 class Inbox:

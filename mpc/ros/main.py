@@ -13,8 +13,8 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from threadpoolctl import threadpool_limits
 
-from mpc.ros.node import TrackingNode
-from mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.ros.node import TrackingNode
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 # How long a signal may wait while nothing else happens [s].
 _LONGEST_WAIT = 0.1

@@ -16,21 +16,21 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
-from mpc.config import ControllerConfig
-from mpc.config_file import load_config
-from mpc.controller import Controller
-from mpc.reference_check import check_speeds
-from mpc.ros.control_loop import ControlLoop, RefusedError
-from mpc.ros.diagnostics import diagnostics
-from mpc.ros.inbox import Inbox
-from mpc.ros.parameter_changes import ParameterChanges
-from mpc.ros.parameters import declare, fields, read
-from mpc.ros.publishers import Publishers
-from mpc.ros.reference_input import path_reference, trajectory_reference
-from mpc.ros.settings import NodeSettings
-from mpc.ros.transitions import logged
-from mpc.trajectories import Trajectory, load_trajectory
-from mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config_file import load_config
+from diffdrive_mpc.mpc.controller import Controller
+from diffdrive_mpc.mpc.reference_check import check_speeds
+from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, RefusedError
+from diffdrive_mpc.mpc.ros.diagnostics import diagnostics
+from diffdrive_mpc.mpc.ros.inbox import Inbox
+from diffdrive_mpc.mpc.ros.parameter_changes import ParameterChanges
+from diffdrive_mpc.mpc.ros.parameters import declare, fields, read
+from diffdrive_mpc.mpc.ros.publishers import Publishers
+from diffdrive_mpc.mpc.ros.reference_input import path_reference, trajectory_reference
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.ros.transitions import logged
+from diffdrive_mpc.mpc.trajectories import Trajectory, load_trajectory
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
 
 class TrackingNode(LifecycleNode):

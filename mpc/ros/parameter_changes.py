@@ -9,10 +9,10 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from mpc.config import ControllerConfig
-from mpc.controller import Controller
-from mpc.ros.parameters import fields, read
-from mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.controller import Controller
+from diffdrive_mpc.mpc.ros.parameters import fields, read
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 _WHILE_DRIVING = ("weights.", "limits.")
 _KNOWN = {name for schema in (NodeSettings, ControllerConfig) for name, _ in fields(schema)} | {"use_sim_time"}

@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
-from models.checked_yaml import check
+from diffdrive_mpc.models.checked_yaml import check
 
 Value = bool | int | float | str
 Schema = TypeVar("Schema", bound=BaseModel)

@@ -13,12 +13,12 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker
 
-from models.interface import FloatArray, Reference
-from mpc.ros.control_loop import Tick
-from mpc.ros.conversions import stamped_pose_message, time_message, twist_message
-from mpc.ros.settings import NodeSettings
-from mpc.ros.tracking_error import tracking_error
-from mpc.step_result import Mode, StepResult
+from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.mpc.ros.control_loop import Tick
+from diffdrive_mpc.mpc.ros.conversions import stamped_pose_message, time_message, twist_message
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.ros.tracking_error import tracking_error
+from diffdrive_mpc.mpc.step_result import Mode, StepResult
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # A path of more poses only costs time to send and to draw.

@@ -9,13 +9,13 @@ from geometry_msgs.msg import Point, Pose
 from nav_msgs.msg import Path
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
-from models.interface import FloatArray
-from models.robot import load_robot
-from mpc.config import Limits
-from mpc.ros.conversions import NANOSECONDS, MessageError, check_frame, nanoseconds, planar_pose
-from mpc.trajectories.limits import TrajectoryLimits
-from mpc.trajectories.spline import SplineTrajectory
-from mpc.trajectories.timed_poses import lay_timed_poses
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.mpc.config import Limits
+from diffdrive_mpc.mpc.ros.conversions import NANOSECONDS, MessageError, check_frame, nanoseconds, planar_pose
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc.mpc.trajectories.timed_poses import lay_timed_poses
 
 # Checking more would take longer than a tick; these take 15 ms.
 _MOST_POSES = 1000

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from models.checked_yaml import StrictModel
+from diffdrive_mpc.models.checked_yaml import StrictModel
 
 Positive = Annotated[float, Field(gt=0)]
 Frame = Annotated[str, Field(min_length=1)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from mpc.ros.conversions import MessageError
+from diffdrive_mpc.mpc.ros.conversions import MessageError
 
 
 class TopicWatch:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from mpc.reentry.path_window import in_path
-from mpc.step_result import StepResult
+from diffdrive_mpc.mpc.reentry.path_window import in_path
+from diffdrive_mpc.mpc.step_result import StepResult
 
 
 def tracking_error(result: StepResult) -> tuple[float, float, float] | None:

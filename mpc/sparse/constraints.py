@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.discrete_model import DiscreteModel
-from models.interface import FloatArray
-from mpc.qp.limit_rows import HARD_KINDS
-from mpc.quadratic_program import Kinds
-from mpc.sparse.layout import Layout
-from mpc.sparse.linearised import Linearised
-from mpc.sparse.pattern import Indices, Pattern
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.qp.limit_rows import HARD_KINDS
+from diffdrive_mpc.mpc.quadratic_program import Kinds
+from diffdrive_mpc.mpc.sparse.layout import Layout
+from diffdrive_mpc.mpc.sparse.linearised import Linearised
+from diffdrive_mpc.mpc.sparse.pattern import Indices, Pattern
 
 _ACROSS = 4
 """Place of the distance across the path among the soft limits."""

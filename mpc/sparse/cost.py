@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from mpc.problem import TrackingProblem
-from mpc.sparse.layout import Layout
-from mpc.sparse.linearised import Linearised
-from mpc.sparse.pattern import Pattern
+from diffdrive_mpc.mpc.problem import TrackingProblem
+from diffdrive_mpc.mpc.sparse.layout import Layout
+from diffdrive_mpc.mpc.sparse.linearised import Linearised
+from diffdrive_mpc.mpc.sparse.pattern import Pattern
 
 
 class Cost:

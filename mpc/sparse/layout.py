@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mpc.quadratic_program import Kinds
-from mpc.sparse.pattern import Indices
+from diffdrive_mpc.mpc.quadratic_program import Kinds
+from diffdrive_mpc.mpc.sparse.pattern import Indices
 
 
 class Layout:

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.interface import FloatArray
-from mpc.bounds import command_box, slew_step
-from mpc.problem import TrackingProblem, arc_derivatives
-from mpc.tick import Tick
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.bounds import command_box, slew_step
+from diffdrive_mpc.mpc.problem import TrackingProblem, arc_derivatives
+from diffdrive_mpc.mpc.tick import Tick
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray
 
 Indices = NDArray[np.intp]
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray
-from mpc.problem import TrackingProblem
-from mpc.qp.solution import Solution
-from mpc.quadratic_program import Kinds
-from mpc.solver_report import SolverReport, SolverStatus
-from mpc.sparse.linearised import Lineariser
-from mpc.sparse.workspace import SparseWorkspace, soft_kinds_broken
-from mpc.tick import Tick
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.problem import TrackingProblem
+from diffdrive_mpc.mpc.qp.solution import Solution
+from diffdrive_mpc.mpc.quadratic_program import Kinds
+from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
+from diffdrive_mpc.mpc.sparse.linearised import Lineariser
+from diffdrive_mpc.mpc.sparse.workspace import SparseWorkspace, soft_kinds_broken
+from diffdrive_mpc.mpc.tick import Tick
 
 # Numbers beyond this are no robot's, and OSQP takes bounds beyond 1e30 for none.
 _LARGEST = 1e15

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray
-from mpc.problem import TrackingProblem
-from mpc.qp.limit_rows import HARD_KINDS
-from mpc.qp.osqp_instance import OsqpInstance
-from mpc.quadratic_program import Kinds
-from mpc.solver_report import SolverReport, SolverStatus
-from mpc.sparse.constraints import Constraints
-from mpc.sparse.cost import Cost
-from mpc.sparse.layout import Layout
-from mpc.sparse.linearised import Linearised
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.problem import TrackingProblem
+from diffdrive_mpc.mpc.qp.limit_rows import HARD_KINDS
+from diffdrive_mpc.mpc.qp.osqp_instance import OsqpInstance
+from diffdrive_mpc.mpc.quadratic_program import Kinds
+from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
+from diffdrive_mpc.mpc.sparse.constraints import Constraints
+from diffdrive_mpc.mpc.sparse.cost import Cost
+from diffdrive_mpc.mpc.sparse.layout import Layout
+from diffdrive_mpc.mpc.sparse.linearised import Linearised
 
 
 class SparseWorkspace:

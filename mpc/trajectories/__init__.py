@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from mpc.trajectories.limits import TrajectoryLimits
-from mpc.trajectories.load import BUILT_IN, load_segments, load_trajectory
-from mpc.trajectories.trajectory import Trajectory
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.load import BUILT_IN, load_segments, load_trajectory
+from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
 
 __all__ = ["BUILT_IN", "Trajectory", "TrajectoryLimits", "load_segments", "load_trajectory"]

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.interface import FloatArray, ReferenceSample
-from models.pose import integrate_pose
-from mpc.trajectories.timing import Phase
-from mpc.trajectories.trajectory import Trajectory
+from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
+from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.mpc.trajectories.timing import Phase
+from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
 
 # sin(h) / h is exactly 1 at this h; it stands in for h = 0.
 _TINY = 1e-200

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-from models.robot import Robot, load_robot
+from diffdrive_mpc.models.robot import Robot, load_robot
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from models.checked_yaml import ConfigError, check, read_yaml
-from models.named_file import named_file, shipped_names
-from mpc.trajectories.limits import TrajectoryLimits
-from mpc.trajectories.segments import Segment, SegmentFile, lay_segments
-from mpc.trajectories.settings import load_settings
-from mpc.trajectories.timed_poses import read_timed_poses
-from mpc.trajectories.trajectory import Trajectory
-from mpc.trajectories.waypoints import WaypointFile, lay_waypoints
+from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
+from diffdrive_mpc.models.named_file import named_file, shipped_names
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.segments import Segment, SegmentFile, lay_segments
+from diffdrive_mpc.mpc.trajectories.settings import load_settings
+from diffdrive_mpc.mpc.trajectories.timed_poses import read_timed_poses
+from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
+from diffdrive_mpc.mpc.trajectories.waypoints import WaypointFile, lay_waypoints
 
 _FOLDER = Path(__file__).parent / "built_in"
 

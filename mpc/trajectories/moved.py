@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.interface import FloatArray, Reference, ReferenceSample
+from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 
 
 @dataclass(frozen=True, eq=False)

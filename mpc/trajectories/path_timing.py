@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray
-from mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 
 
 def squared_speeds(

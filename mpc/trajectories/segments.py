@@ -19,10 +19,10 @@ from itertools import pairwise
 
 from pydantic import Field
 
-from models.checked_yaml import ConfigError, StrictModel
-from mpc.trajectories.arcs import ArcTrajectory, Stretch
-from mpc.trajectories.limits import TrajectoryLimits
-from mpc.trajectories.timing import Phase, rest_to_rest
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
+from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory, Stretch
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.timing import Phase, rest_to_rest
 
 # A slower twist is a wait: over any duration it leads nowhere, and its square would underflow.
 _STILL = 1e-100

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 
 
 class TrajectorySettings(StrictModel):

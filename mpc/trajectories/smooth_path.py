@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from models.checked_yaml import ConfigError
-from models.interface import FloatArray
-from mpc.trajectories.settings import load_settings
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.trajectories.settings import load_settings
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline
 
-from models.interface import FloatArray, ReferenceSample
-from mpc.trajectories.trajectory import Trajectory
+from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
+from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 

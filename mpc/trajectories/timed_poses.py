@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from models.checked_yaml import ConfigError
-from models.interface import FloatArray
-from mpc.trajectories.limits import TrajectoryLimits
-from mpc.trajectories.settings import load_settings
-from mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.settings import load_settings
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
 _COLUMNS = ("t", "x", "y", "theta")
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from models.interface import ReferenceSample
+from diffdrive_mpc.models.interface import ReferenceSample
 
 
 @dataclass(frozen=True, eq=False)

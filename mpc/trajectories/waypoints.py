@@ -8,12 +8,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from models.checked_yaml import ConfigError, StrictModel
-from models.interface import FloatArray
-from mpc.trajectories.limits import TrajectoryLimits
-from mpc.trajectories.path_timing import squared_speeds
-from mpc.trajectories.smooth_path import smooth_path
-from mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds
+from diffdrive_mpc.mpc.trajectories.smooth_path import smooth_path
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
 # A thousand kilometres: further is a mistake of units, and squares of it would overflow before long.
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]

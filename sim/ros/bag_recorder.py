@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
-from models.checked_yaml import ConfigError
+from diffdrive_mpc.models.checked_yaml import ConfigError
 
 Storage = Literal["mcap", "sqlite3"]
 Record = Callable[[str, Any, int], None]

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from models.checked_yaml import StrictModel, check, load_checked
+from diffdrive_mpc.models.checked_yaml import StrictModel, check, load_checked
 
 SHIPPED = Path(__file__).parent / "base.yaml"
 

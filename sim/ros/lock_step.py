@@ -9,10 +9,10 @@ from collections.abc import Callable
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 
-from sim.ros import messages
-from sim.ros.base_settings import LockStep
-from sim.ros.robot_clock import SteppedClock
-from sim.ros.simulated_base import SimulatedBase
+from diffdrive_mpc.sim.ros import messages
+from diffdrive_mpc.sim.ros.base_settings import LockStep
+from diffdrive_mpc.sim.ros.robot_clock import SteppedClock
+from diffdrive_mpc.sim.ros.simulated_base import SimulatedBase
 
 Spin = Callable[[float], None]
 """Handles at most one message, waiting for it at most so long [s]."""

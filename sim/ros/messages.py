@@ -14,7 +14,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 
-from models.interface import Stamped
+from diffdrive_mpc.models.interface import Stamped
 
 MAP, ODOM, BASE, IMU = "map", "odom", "base_link", "imu_link"
 """Frames. map and odom coincide at the start of a run."""

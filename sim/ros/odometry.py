@@ -7,8 +7,8 @@ from collections import deque
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.interface import FloatArray, Measurement
-from models.pose import integrate_pose
+from diffdrive_mpc.models.interface import FloatArray, Measurement
+from diffdrive_mpc.models.pose import integrate_pose
 
 
 class Odometry:

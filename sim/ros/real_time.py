@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sim.ros.base_settings import RealTime
-from sim.ros.lock_step import Spin
-from sim.ros.robot_clock import WallClock
-from sim.ros.simulated_base import SimulatedBase
+from diffdrive_mpc.sim.ros.base_settings import RealTime
+from diffdrive_mpc.sim.ros.lock_step import Spin
+from diffdrive_mpc.sim.ros.robot_clock import WallClock
+from diffdrive_mpc.sim.ros.simulated_base import SimulatedBase
 
 
 def drive_in_real_time(

@@ -15,15 +15,15 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from models.checked_yaml import ConfigError
-from sim.plant import Plant
-from sim.ros.bag_recorder import Storage, bag_recorder
-from sim.ros.base_settings import BaseSettings
-from sim.ros.lock_step import drive_in_lock_step
-from sim.ros.real_time import drive_in_real_time
-from sim.ros.robot_clock import SteppedClock, WallClock
-from sim.ros.simulated_base import SimulatedBase
-from sim.sensor_set import SensorSet
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.sim.plant import Plant
+from diffdrive_mpc.sim.ros.bag_recorder import Storage, bag_recorder
+from diffdrive_mpc.sim.ros.base_settings import BaseSettings
+from diffdrive_mpc.sim.ros.lock_step import drive_in_lock_step
+from diffdrive_mpc.sim.ros.real_time import drive_in_real_time
+from diffdrive_mpc.sim.ros.robot_clock import SteppedClock, WallClock
+from diffdrive_mpc.sim.ros.simulated_base import SimulatedBase
+from diffdrive_mpc.sim.sensor_set import SensorSet
 
 NODE_NAME = "simulated_robot"
 

@@ -13,12 +13,12 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import Imu, JointState
 
-from sim.plant import Plant
-from sim.ros import messages
-from sim.ros.bag_recorder import Record
-from sim.ros.base_settings import BaseSettings
-from sim.ros.command_inbox import CommandInbox
-from sim.ros.odometry import Odometry
+from diffdrive_mpc.sim.plant import Plant
+from diffdrive_mpc.sim.ros import messages
+from diffdrive_mpc.sim.ros.bag_recorder import Record
+from diffdrive_mpc.sim.ros.base_settings import BaseSettings
+from diffdrive_mpc.sim.ros.command_inbox import CommandInbox
+from diffdrive_mpc.sim.ros.odometry import Odometry
 
 # rclpy's throttling of repeated warnings [s].
 _WARN_EVERY = 1.0

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.case import Case, run_case
-from bench.runner import Outcome
-from models.interface import FloatArray, Measurement, ReferenceSample, Stamped
-from models.pose import integrate_pose
+from diffdrive_mpc.bench.case import Case, run_case
+from diffdrive_mpc.bench.runner import Outcome
+from diffdrive_mpc.models.interface import FloatArray, Measurement, ReferenceSample, Stamped
+from diffdrive_mpc.models.pose import integrate_pose
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.export.frames import ANSWER_BYTES, Answer, read_answer, request_bytes
-from models import Measurement
-from mpc import Controller, load_config, load_trajectory
-from mpc.export import Precision, export_controller
-from mpc.hold import Hold
-from sim import make_plant
+from diffdrive_mpc.bench.export.frames import ANSWER_BYTES, Answer, read_answer, request_bytes
+from diffdrive_mpc.models import Measurement
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc.mpc.export import Precision, export_controller
+from diffdrive_mpc.mpc.hold import Hold
+from diffdrive_mpc.sim import make_plant
 
 HOST = Path(__file__).with_name("export_host.c")
 OURS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from typer.testing import CliRunner
 
-from bench.cli import app
-from sim.log_csv import read_log
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.sim.log_csv import read_log
 
 runner = CliRunner()
 

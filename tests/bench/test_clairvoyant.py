@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.controllers import PEERS, make_controller
-from bench.peers.clairvoyant import ClairvoyantController
-from bench.peers.clairvoyant_settings import load_clairvoyant_settings
-from bench.peers.known_plant import know_plant
-from models.interface import Measurement
-from mpc import load_config, load_trajectory
-from sim import make_plant, simulate
-from sim.steady_arcs import steady_arc_lateral
+from diffdrive_mpc.bench.controllers import PEERS, make_controller
+from diffdrive_mpc.bench.peers.clairvoyant import ClairvoyantController
+from diffdrive_mpc.bench.peers.clairvoyant_settings import load_clairvoyant_settings
+from diffdrive_mpc.bench.peers.known_plant import know_plant
+from diffdrive_mpc.models.interface import Measurement
+from diffdrive_mpc.mpc import load_config, load_trajectory
+from diffdrive_mpc.sim import make_plant, simulate
+from diffdrive_mpc.sim.steady_arcs import steady_arc_lateral
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,11 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from bench.cli import app
-from bench.config_report import schema_rows
-from models import load_model
-from mpc import load_config
-from mpc.config import ControllerConfig
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.config_report import schema_rows
+from diffdrive_mpc.models import load_model
+from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc.mpc.config import ControllerConfig
 
 runner = CliRunner()
 

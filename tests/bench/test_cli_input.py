@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from bench.cli import app
-from sim import Run, simulate
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.sim import Run, simulate
 
 COMMANDS = [
     ["simulate"],
@@ -155,7 +155,7 @@ def test_a_run_that_did_not_complete_is_exit_code_1_after_the_report(
         run = simulate(*parts, **options)  # type: ignore[arg-type]
         return replace(run, true_pose=run.true_pose + 1.0)
 
-    monkeypatch.setattr("bench.case.simulate", displaced)
+    monkeypatch.setattr("diffdrive_mpc.bench.case.simulate", displaced)
     arguments = "--models ssm --trajectories cane --seeds 1 --horizons none --jobs 1 --plant model:ssm"
     result = runner.invoke(app, ["bench", "--out", str(tmp_path / "out"), *arguments.split()])
     assert result.exit_code == 1
@@ -183,7 +183,7 @@ def test_a_fault_of_the_program_is_not_passed_off_as_bad_input(monkeypatch: pyte
     def fails(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("bench.model_report.print_model", fails)
+    monkeypatch.setattr("diffdrive_mpc.bench.model_report.print_model", fails)
     result = runner.invoke(app, ["models", "show", "ssm"])
     assert isinstance(result.exception, ZeroDivisionError)
 
@@ -218,14 +218,14 @@ def test_the_command_line_loads_without_what_only_some_commands_need() -> None:
 
 
 def test_without_mujoco_the_remedy_is_named() -> None:
-    code = "import sys; sys.modules['mujoco'] = None; sys.argv = ['x', 'simulate']; from bench.cli import main; main()"
+    code = "import sys; sys.modules['mujoco'] = None; sys.argv = ['x', 'simulate']; from diffdrive_mpc.bench.cli import main; main()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert re.fullmatch(r"error: the package 'mujoco' is not installed; [^\n]*--plant model:ssm\n", done.stderr)
 
 
 def test_the_console_command_runs_as_a_program() -> None:
-    code = "import sys; sys.argv = ['diffdrive-mpc', 'models', 'show', 'foo']; from bench.cli import main; main()"
+    code = "import sys; sys.argv = ['diffdrive-mpc', 'models', 'show', 'foo']; from diffdrive_mpc.bench.cli import main; main()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert re.fullmatch(r"error: unknown model 'foo'[^\n]*\n", done.stderr)

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.interface import Measurement, Reference
-from models.pose import wrap_angle
-from mpc import Controller, load_config, load_trajectory
-from mpc.step_result import StepResult
-from sim import make_plant, simulate
+from diffdrive_mpc.models.interface import Measurement, Reference
+from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc.mpc.step_result import StepResult
+from diffdrive_mpc.sim import make_plant, simulate
 
 TRAJECTORIES = ["circle", "square", "s", "cane"]
 MINUTE = Path(__file__).parents[2] / "bench" / "ros" / "minute.yaml"

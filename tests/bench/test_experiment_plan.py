@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from bench_parts import quick_case
 
-from bench.case import label
-from bench.compare import Choices
-from bench.experiment import Experiment, default_experiment, plan_cases
-from models.checked_yaml import ConfigError
-from mpc import load_config
+from diffdrive_mpc.bench.case import label
+from diffdrive_mpc.bench.compare import Choices
+from diffdrive_mpc.bench.experiment import Experiment, default_experiment, plan_cases
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc import load_config
 
 QUICK = {"plants": ("model:ssm",), "surfaces": ("ideal",), "sensors": ("perfect",), "models": ("ssm",)}
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from export_parts import EXACT, differences, drive_both, export
 
-from models import Measurement, Stamped
-from mpc import Mode
-from mpc.hold import Hold
+from diffdrive_mpc.models import Measurement, Stamped
+from diffdrive_mpc.mpc import Mode
+from diffdrive_mpc.mpc.hold import Hold
 
 # Limits that the square's corners lean on.
 TIGHT = {"limits.omega": 1.0, "limits.v": 0.52, "limits.v_slew": 1.0, "limits.omega_slew": 2.5}

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from export_parts import SpoiledReference, compile_c
 
-from bench.export.command import export_library
-from mpc import load_config, load_trajectory
-from mpc.export import Precision, export_controller
-from mpc.export.osqp_workspaces import QpShape
-from mpc.export.parts import build_parts
-from mpc.export.reference_table import table_text
+from diffdrive_mpc.bench.export.command import export_library
+from diffdrive_mpc.mpc import load_config, load_trajectory
+from diffdrive_mpc.mpc.export import Precision, export_controller
+from diffdrive_mpc.mpc.export.osqp_workspaces import QpShape
+from diffdrive_mpc.mpc.export.parts import build_parts
+from diffdrive_mpc.mpc.export.reference_table import table_text
 
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.identification_study import Recovery, coverage_table, recover, run_study
+from diffdrive_mpc.bench.identification_study import Recovery, coverage_table, recover, run_study
 
 
 def test_truths_lie_within_four_standard_deviations():

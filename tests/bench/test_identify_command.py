@@ -9,10 +9,10 @@ import pytest
 from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_mapping
 from typer.testing import CliRunner
 
-from bench.cli import app
-from models import load_model
-from models.load import model_path, read_model_file
-from mpc import load_config
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.models import load_model
+from diffdrive_mpc.models.load import model_path, read_model_file
+from diffdrive_mpc.mpc import load_config
 
 runner = CliRunner()
 REPORT_KEYS = ["model", "train_fit_percent", "validation_fit_percent", "pose_error", "parameters", "warnings"]

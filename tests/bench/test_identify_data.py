@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from log_parts import drive, write_csv, write_mapping
 
-from bench.identification.data import divide, read_data
-from bench.identification.geometry import firmware_track, wheel_geometry
-from models.logs import Record
-from models.wheels import WheelKinematics
+from diffdrive_mpc.bench.identification.data import divide, read_data
+from diffdrive_mpc.bench.identification.geometry import firmware_track, wheel_geometry
+from diffdrive_mpc.models.logs import Record
+from diffdrive_mpc.models.wheels import WheelKinematics
 
 
 def record(count, start=0.0):

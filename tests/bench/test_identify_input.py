@@ -7,7 +7,7 @@ import pytest
 from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_mapping
 from typer.testing import CliRunner
 
-from bench.cli import app
+from diffdrive_mpc.bench.cli import app
 
 runner = CliRunner()
 COLUMNS = drive(seconds=12.0)

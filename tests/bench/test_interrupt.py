@@ -6,7 +6,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from bench.cli import app
+from diffdrive_mpc.bench.cli import app
 
 
 @pytest.mark.parametrize("kind", [KeyboardInterrupt, typer.Abort])
@@ -14,7 +14,7 @@ def test_an_interrupted_command_says_so(kind: type[BaseException], monkeypatch: 
     def interrupted(*_: object) -> None:
         raise kind
 
-    monkeypatch.setattr("bench.model_report.print_model", interrupted)
+    monkeypatch.setattr("diffdrive_mpc.bench.model_report.print_model", interrupted)
     result = CliRunner().invoke(app, ["models", "show", "ssm"])
     assert result.exit_code == 130
     assert result.stderr.strip() == "error: aborted"

@@ -8,10 +8,10 @@ from bench_parts import Arc, DisplacedUnicycle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.peers.kanayama import KanayamaController, load_gains
-from models.interface import Measurement, Stamped
-from models.robot import load_robot
-from sim import simulate
+from diffdrive_mpc.bench.peers.kanayama import KanayamaController, load_gains
+from diffdrive_mpc.models.interface import Measurement, Stamped
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.sim import simulate
 
 
 @settings(max_examples=25)

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from bench.cli import app
-from bench.model_fitting import IDENTIFICATIONS, PaperExperiments, fit_models
-from bench.table import Table
-from models import load_model
-from models.identification import Experiment, TwoPolesFit
-from models.interface import FloatArray
-from models.structures import TwoPoles
-from sim.log import Log, record
-from sim.make import make_plant
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.model_fitting import IDENTIFICATIONS, PaperExperiments, fit_models
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models import load_model
+from diffdrive_mpc.models.identification import Experiment, TwoPolesFit
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.structures import TwoPoles
+from diffdrive_mpc.sim.log import Log, record
+from diffdrive_mpc.sim.make import make_plant
 
 TRANSFER = TwoPoles(gain=1.0, natural_frequency=10.0, damping=1.0)
 runner = CliRunner()
@@ -35,9 +35,9 @@ def quick_parts(monkeypatch: pytest.MonkeyPatch) -> None:
         return TwoPolesFit(TRANSFER, 0.05 if dead_time is None else dead_time, 90.0)
 
     straight, turn = [_step(0.5, 0.0)], [_step(0.0, 1.0)]
-    monkeypatch.setattr("bench.model_fitting.run_experiments", lambda: PaperExperiments(straight, straight, turn))
-    monkeypatch.setattr("bench.model_fitting.identify_two_poles", identify)
-    monkeypatch.setattr("bench.model_fitting.validation_table", lambda folder: Table("FIT", ("model",), (("sm",),)))
+    monkeypatch.setattr("diffdrive_mpc.bench.model_fitting.run_experiments", lambda: PaperExperiments(straight, straight, turn))
+    monkeypatch.setattr("diffdrive_mpc.bench.model_fitting.identify_two_poles", identify)
+    monkeypatch.setattr("diffdrive_mpc.bench.model_fitting.validation_table", lambda folder: Table("FIT", ("model",), (("sm",),)))
 
 
 @pytest.fixture
@@ -45,8 +45,8 @@ def no_long_work(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object, **__: object) -> None:
         raise AssertionError("the long work began")
 
-    monkeypatch.setattr("bench.model_fitting.run_experiments", fails)
-    monkeypatch.setattr("sim.calibration._drive", fails)
+    monkeypatch.setattr("diffdrive_mpc.bench.model_fitting.run_experiments", fails)
+    monkeypatch.setattr("diffdrive_mpc.sim.calibration._drive", fails)
 
 
 @pytest.mark.usefixtures("quick_parts")

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from bench.cli import app
-from bench.real_logs.protocol import divide
-from bench.real_logs.settings import load_protocol
-from models.checked_yaml import ConfigError
-from models.logs import Record
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.real_logs.protocol import divide
+from diffdrive_mpc.bench.real_logs.settings import load_protocol
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.logs import Record
 
 
 def record(count, every=1):

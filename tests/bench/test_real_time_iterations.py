@@ -6,11 +6,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from bench.speed.closed_loop_cost import closed_loop_cost
-from models import load_model
-from mpc import Controller, load_config, load_trajectory
-from mpc.problem import TrackingProblem
-from sim import make_plant, simulate
+from diffdrive_mpc.bench.speed.closed_loop_cost import closed_loop_cost
+from diffdrive_mpc.models import load_model
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc.mpc.problem import TrackingProblem
+from diffdrive_mpc.sim import make_plant, simulate
 
 TIGHT = {"limits.v_slew": 0.6, "limits.omega_slew": 2.5, "limits.v": 0.6, "limits.omega": 1.2}
 

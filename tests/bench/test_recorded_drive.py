@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import TwistStamped
 
-from bench.case import Case, build
-from bench.ros.loop_timing import loop_timing
-from bench.ros.recorded_drive import read_drive
-from models.checked_yaml import ConfigError
-from models.interface import Stamped
-from sim import simulate
-from sim.ros import messages
-from sim.ros.bag_recorder import bag_recorder
+from diffdrive_mpc.bench.case import Case, build
+from diffdrive_mpc.bench.ros.loop_timing import loop_timing
+from diffdrive_mpc.bench.ros.recorded_drive import read_drive
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import Stamped
+from diffdrive_mpc.sim import simulate
+from diffdrive_mpc.sim.ros import messages
+from diffdrive_mpc.sim.ros.bag_recorder import bag_recorder
 
 DT = 0.0202
 START = 10_100_000_000

@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 from bench_parts import quick_outcome
 
-from bench.atomic import staged
-from bench.compare import incomplete
-from bench.experiment import default_experiment
-from bench.figures.case import draw_case
-from bench.figures.draw import count_figures, draw_all, file_name, free_name
-from bench.groups import groups
-from bench.report import markdown, write_report
-from bench.results import Results, describe, row
-from bench.runner import Outcome
-from bench.table import Table
-from bench.tables import error_table, horizon_table, report_tables, scenario_table, summary_table
-from models.checked_yaml import ConfigError
-from mpc import load_config
+from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.compare import incomplete
+from diffdrive_mpc.bench.experiment import default_experiment
+from diffdrive_mpc.bench.figures.case import draw_case
+from diffdrive_mpc.bench.figures.draw import count_figures, draw_all, file_name, free_name
+from diffdrive_mpc.bench.groups import groups
+from diffdrive_mpc.bench.report import markdown, write_report
+from diffdrive_mpc.bench.results import Results, describe, row
+from diffdrive_mpc.bench.runner import Outcome
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.bench.tables import error_table, horizon_table, report_tables, scenario_table, summary_table
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc import load_config
 
 FIELDS = {
     "controller": str,

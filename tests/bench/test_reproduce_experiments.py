@@ -10,19 +10,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from bench.reproduce.experiments.cost import measure_cost
-from bench.reproduce.experiments.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, compare_mbm_and_sm
-from bench.reproduce.experiments.odometry import Spread, dead_reckon, pose_error
-from bench.reproduce.experiments.robot_logs import RobotLogs, trajectory_commands
-from bench.reproduce.experiments.state_space import IDENTIFIED, PRINTED, compare_orders
-from bench.reproduce.experiments.virtual_track import check_virtual_track, fit_line
-from bench.reproduce.published import load_published
-from bench.reproduce.results import plain
-from bench.reproduce.runner import count_steps, run_parts
-from bench.reproduce.study import CostStudy, MbmSmStudy, SsmStudy, load_study
-from models.pose import integrate_pose
-from models.robot import load_robot
-from mpc import load_trajectory
+from diffdrive_mpc.bench.reproduce.experiments.cost import measure_cost
+from diffdrive_mpc.bench.reproduce.experiments.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, compare_mbm_and_sm
+from diffdrive_mpc.bench.reproduce.experiments.odometry import Spread, dead_reckon, pose_error
+from diffdrive_mpc.bench.reproduce.experiments.robot_logs import RobotLogs, trajectory_commands
+from diffdrive_mpc.bench.reproduce.experiments.state_space import IDENTIFIED, PRINTED, compare_orders
+from diffdrive_mpc.bench.reproduce.experiments.virtual_track import check_virtual_track, fit_line
+from diffdrive_mpc.bench.reproduce.published import load_published
+from diffdrive_mpc.bench.reproduce.results import plain
+from diffdrive_mpc.bench.reproduce.runner import count_steps, run_parts
+from diffdrive_mpc.bench.reproduce.study import CostStudy, MbmSmStudy, SsmStudy, load_study
+from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.mpc import load_trajectory
 
 DT = load_robot().sample_time
 twists = arrays(float, st.tuples(st.integers(2, 30), st.just(2)), elements=st.floats(-2.0, 2.0))

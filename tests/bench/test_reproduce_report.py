@@ -10,10 +10,10 @@ import pytest
 from reproduce_parts import made_up
 from typer.testing import CliRunner
 
-from bench.cli import app
-from bench.documents import REPRODUCE, study_sections
-from bench.reproduce.report import write_report
-from bench.reproduce.tables import report_tables
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.documents import REPRODUCE, study_sections
+from diffdrive_mpc.bench.reproduce.report import write_report
+from diffdrive_mpc.bench.reproduce.tables import report_tables
 
 runner = CliRunner()
 FIGURES = ("odometry.png", "orders.png", "virtual-track.png")

@@ -5,11 +5,11 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from bench.cli import app
-from bench.speed.command import run_speed
-from bench.speed.process.subject import Subject, SubjectError
-from bench.speed.settings import SubjectSettings, chosen, load_speed_settings
-from models.checked_yaml import ConfigError
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.speed.command import run_speed
+from diffdrive_mpc.bench.speed.process.subject import Subject, SubjectError
+from diffdrive_mpc.bench.speed.settings import SubjectSettings, chosen, load_speed_settings
+from diffdrive_mpc.models.checked_yaml import ConfigError
 
 
 @pytest.fixture(scope="module")

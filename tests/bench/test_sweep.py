@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.commands.options import parse_seeds, split_names, split_numbers
-from bench.sweep import parse_setting, single_settings, sweep_settings
-from models.checked_yaml import ConfigError
+from diffdrive_mpc.bench.commands.options import parse_seeds, split_names, split_numbers
+from diffdrive_mpc.bench.sweep import parse_setting, single_settings, sweep_settings
+from diffdrive_mpc.models.checked_yaml import ConfigError
 
 
 @pytest.mark.parametrize(

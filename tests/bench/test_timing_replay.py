@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from bench_parts import Arc, DisplacedUnicycle, quick_outcome
 
-from bench.errors import NotReproducibleError
-from bench.peers.kanayama import KanayamaController, KanayamaStep
-from bench.runner import run_cases, time_outcomes
-from bench.timing import quiet_core, replay
-from models.interface import Measurement
-from sim import simulate
+from diffdrive_mpc.bench.errors import NotReproducibleError
+from diffdrive_mpc.bench.peers.kanayama import KanayamaController, KanayamaStep
+from diffdrive_mpc.bench.runner import run_cases, time_outcomes
+from diffdrive_mpc.bench.timing import quiet_core, replay
+from diffdrive_mpc.models.interface import Measurement
+from diffdrive_mpc.sim import simulate
 
 
 class Moody(KanayamaController):
@@ -59,7 +59,7 @@ def test_every_outcome_gets_the_times_of_its_own_replay(monkeypatch: pytest.Monk
     outcomes = [quick_outcome(controller="kanayama", model="none", trajectory=name) for name in ("circle", "s")]
     expected = [np.linspace(1.0, 2.0, len(outcome.run.time)) + k for k, outcome in enumerate(outcomes)]
     measured = iter(expected)
-    monkeypatch.setattr("bench.runner.time_steps", lambda case, run: next(measured))
+    monkeypatch.setattr("diffdrive_mpc.bench.runner.time_steps", lambda case, run: next(measured))
     timed, _ = time_outcomes(outcomes, lambda: None)
     for outcome, times in zip(timed, expected, strict=True):
         assert np.array_equal(outcome.run.step_time, times)

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from tracking_parts import TINY
 
-from bench.tracking.plan import BOUND, check_plan, plan_study
-from bench.tracking.study import PARTS, load_study
-from bench.tracking.variants import variants
-from models.checked_yaml import ConfigError
+from diffdrive_mpc.bench.tracking.plan import BOUND, check_plan, plan_study
+from diffdrive_mpc.bench.tracking.study import PARTS, load_study
+from diffdrive_mpc.bench.tracking.variants import variants
+from diffdrive_mpc.models.checked_yaml import ConfigError
 
 TUNING_SEEDS = {100, 101}
 MODELS, TRAJECTORIES = ("mbm", "sm", "ssm"), ("circle", "square", "s", "cane")

@@ -10,13 +10,13 @@ import pytest
 from tracking_parts import made_up, row, tiny_study
 from typer.testing import CliRunner
 
-from bench.cli import app
-from bench.documents import TRACKING, copy_study, study_sections, with_study
-from bench.tracking.plan import plan_study
-from bench.tracking.report import write_report
-from bench.tracking.results import collect
-from bench.tracking.tables import study_tables
-from models.checked_yaml import ConfigError
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.documents import TRACKING, copy_study, study_sections, with_study
+from diffdrive_mpc.bench.tracking.plan import plan_study
+from diffdrive_mpc.bench.tracking.report import write_report
+from diffdrive_mpc.bench.tracking.results import collect
+from diffdrive_mpc.bench.tracking.tables import study_tables
+from diffdrive_mpc.models.checked_yaml import ConfigError
 
 runner = CliRunner()
 

@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tracking_parts import case, row
 
-from bench.peers.kanayama import KanayamaController
-from bench.tracking.decomposition import decompose
-from bench.tracking.row import Recovered, reduce_run
-from sim import simulate
+from diffdrive_mpc.bench.peers.kanayama import KanayamaController
+from diffdrive_mpc.bench.tracking.decomposition import decompose
+from diffdrive_mpc.bench.tracking.row import Recovered, reduce_run
+from diffdrive_mpc.sim import simulate
 
 
 @pytest.fixture(scope="module")

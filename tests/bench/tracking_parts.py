@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.case import Case
-from bench.tracking.plan import BOUND, plan_study
-from bench.tracking.results import StudyResults, collect
-from bench.tracking.row import Recovered, Row
-from bench.tracking.study import PARTS, Study, load_study
-from sim import Metrics
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.tracking.plan import BOUND, plan_study
+from diffdrive_mpc.bench.tracking.results import StudyResults, collect
+from diffdrive_mpc.bench.tracking.row import Recovered, Row
+from diffdrive_mpc.bench.tracking.study import PARTS, Study, load_study
+from diffdrive_mpc.sim import Metrics
 
 TINY = """
 models: [ssm]

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from models.base_effects import BaseEffects, respond
-from models.interface import FloatArray
-from models.load import build_model
-from models.logs.record import Record
-from models.structures import SmFile
+from diffdrive_mpc.models.base_effects import BaseEffects, respond
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.load import build_model
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.structures import SmFile
 
 DT = 0.05
 ENCODER_TRACK = 0.5

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from models import VelocityModel, load_model
-from models.identification.output_error.linear_system import LinearSystem
-from models.identification.output_error.stretch import Stretch
-from models.logs.record import Record
+from diffdrive_mpc.models import VelocityModel, load_model
+from diffdrive_mpc.models.identification.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.logs.record import Record
 
 DT = 0.02
 

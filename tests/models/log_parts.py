@@ -6,7 +6,7 @@ import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from models.pose import integrate_pose
+from diffdrive_mpc.models.pose import integrate_pose
 
 DT = 0.02
 MAPPING = """

@@ -9,15 +9,15 @@ from base_effect_parts import DT, ENCODER_TRACK, linear_model, record_of, step_c
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.base_effects import BaseEffects, PoseMount, TwistSlew, WheelCommand, YawRelaxation, respond
-from models.identification.base_effects import identify_with_effects
-from models.identification.base_effects.free_run import free_run, smoothed, two_lags
-from models.identification.base_effects.held_out import blocks
-from models.identification.base_effects.pose_sensor import pose_sensor
-from models.identification.base_effects.sensed import sensed
-from models.identification.output_error.stretch import Stretch
-from models.logs.record import Record
-from models.pose import integrate_pose
+from diffdrive_mpc.models.base_effects import BaseEffects, PoseMount, TwistSlew, WheelCommand, YawRelaxation, respond
+from diffdrive_mpc.models.identification.base_effects import identify_with_effects
+from diffdrive_mpc.models.identification.base_effects.free_run import free_run, smoothed, two_lags
+from diffdrive_mpc.models.identification.base_effects.held_out import blocks
+from diffdrive_mpc.models.identification.base_effects.pose_sensor import pose_sensor
+from diffdrive_mpc.models.identification.base_effects.sensed import sensed
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.pose import integrate_pose
 
 TRUE = BaseEffects.model_validate(
     {

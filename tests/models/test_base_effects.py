@@ -6,7 +6,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from models.base_effects import PoseMount, TwistSlew, Veer, WheelCommand, YawRelaxation
+from diffdrive_mpc.models.base_effects import PoseMount, TwistSlew, Veer, WheelCommand, YawRelaxation
 
 TWISTS = arrays(float, (2,), elements=st.floats(-3, 3, allow_subnormal=False))
 STEPS = WheelCommand(track=0.5, resolution=0.01, coasting_speed=0.08, top_speed=2.0)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import yaml
 
-from models.base_effects import BaseEffects, TwistSlew, Veer, WheelCommand, YawRelaxation, respond
-from models.checked_yaml import ConfigError
-from models.load import PARAMETERS, load_base_effects, load_model
+from diffdrive_mpc.models.base_effects import BaseEffects, TwistSlew, Veer, WheelCommand, YawRelaxation, respond
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.load import PARAMETERS, load_base_effects, load_model
 
 DT = 0.05
 EFFECTS = {

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from models import ModelError, load_model
+from diffdrive_mpc.models import ModelError, load_model
 
 SSM = load_model("ssm")
 dead_times = st.tuples(st.floats(0, 0.12), st.floats(0, 0.12))

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from models import VelocityModel
-from models.identification import (
+from diffdrive_mpc.models import VelocityModel
+from diffdrive_mpc.models.identification import (
     Experiment,
     fit_percent,
     identify_track,
@@ -12,8 +12,8 @@ from models.identification import (
     side_difference,
     simulate_two_poles,
 )
-from models.structures import SmFile, TwoPoles
-from models.wheels import WheelKinematics
+from diffdrive_mpc.models.structures import SmFile, TwoPoles
+from diffdrive_mpc.models.wheels import WheelKinematics
 
 DT = 0.0202
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from identification_parts import DT, noisy_drive, published_ssm, record, set_points, system
 
-from models import integrate_pose
-from models.identification import fit_percent
-from models.identification.output_error.linear_system import LinearSystem
-from models.identification.validation import pose_drift, simulate_records, validate
+from diffdrive_mpc.models import integrate_pose
+from diffdrive_mpc.models.identification import fit_percent
+from diffdrive_mpc.models.identification.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.identification.validation import pose_drift, simulate_records, validate
 
 MODEL = published_ssm()
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from identification_parts import DT, noisy_drive, published_ssm, record, set_points, two_channels
 
-from models.identification.channel import identify_channel
-from models.identification.mbm import identify_mbm
-from models.identification.order import choose_order
-from models.identification.output_error.covariance import effective_samples, long_run_covariance
-from models.identification.signals import twist_stretches
-from models.identification.sm import identify_sm
-from models.identification.ssm import identify_ssm
-from models.logs.record import Record
+from diffdrive_mpc.models.identification.channel import identify_channel
+from diffdrive_mpc.models.identification.mbm import identify_mbm
+from diffdrive_mpc.models.identification.order import choose_order
+from diffdrive_mpc.models.identification.output_error.covariance import effective_samples, long_run_covariance
+from diffdrive_mpc.models.identification.signals import twist_stretches
+from diffdrive_mpc.models.identification.sm import identify_sm
+from diffdrive_mpc.models.identification.ssm import identify_ssm
+from diffdrive_mpc.models.logs.record import Record
 
 SM = two_channels((0.95, 10.0, 1.3), (0.7, 7.0, 0.7), dead_time=(0.053, 0.031))
 SM_TRUTH = {

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from log_parts import bag_topics, drive, write_bag, write_csv, write_mapping
 
-from models.checked_yaml import ConfigError
-from models.logs import read_log
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.logs import read_log
 
 COLUMNS = drive(seconds=6.0)
 TOPICS = "topics:\n  command: /cmd_vel\n  odometry: /odom\n  imu: /imu\n  pose: /pose\n"

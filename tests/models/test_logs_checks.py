@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from log_parts import drive, write_csv, write_mapping
 
-from models.checked_yaml import ConfigError
-from models.logs import read_log
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.logs import read_log
 
 COLUMNS = drive()
 

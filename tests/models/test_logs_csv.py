@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from log_parts import DT, drive, write_csv, write_mapping
 
-from models.logs import read_log
-from mpc import Controller, load_config, load_trajectory
-from sim import make_plant, simulate
-from sim.log_csv import write_log
+from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc.sim import make_plant, simulate
+from diffdrive_mpc.sim.log_csv import write_log
 
 COLUMNS = drive()
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.logs import read_log
-from models.logs.column_mapping import MAPPINGS, load_mapping
+from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.logs.column_mapping import MAPPINGS, load_mapping
 
 
 @pytest.mark.parametrize("name", [path.stem for path in sorted(MAPPINGS.glob("*.yaml"))])

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.logs.checks.settings import check_settings
-from models.logs.record import Record
-from models.logs.resample import hold, pieces, resample, sample
-from models.logs.signals import Signal, Stretch, increasing, usual_step
+from diffdrive_mpc.models.logs.checks.settings import check_settings
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.logs.resample import hold, pieces, resample, sample
+from diffdrive_mpc.models.logs.signals import Signal, Stretch, increasing, usual_step
 
 values = st.floats(-1e3, 1e3)
 

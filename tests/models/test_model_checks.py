@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import yaml
 
-from models import ModelError, VelocityModel, load_model
-from models.checked_yaml import ConfigError
-from models.load import PARAMETERS
+from diffdrive_mpc.models import ModelError, VelocityModel, load_model
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.load import PARAMETERS
 
 GOOD = yaml.safe_load((PARAMETERS / "ssm.yaml").read_text())
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from models.checked_yaml import ConfigError
-from models.load import load_model
-from models.named_file import named_file, shipped_names
-from mpc import load_config, load_trajectory
-from sim.scenario import load_scenario
-from sim.sensor_set import load_sensor_set
-from sim.surface import load_surface
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.named_file import named_file, shipped_names
+from diffdrive_mpc.mpc import load_config, load_trajectory
+from diffdrive_mpc.sim.scenario import load_scenario
+from diffdrive_mpc.sim.sensor_set import load_sensor_set
+from diffdrive_mpc.sim.surface import load_surface
 
 
 @pytest.mark.parametrize(

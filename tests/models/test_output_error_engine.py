@@ -6,16 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from identification_parts import DT, published_ssm, set_points, single, system, two_channels
 
-from models import load_model
-from models.identification.output_error.layout import Layout
-from models.identification.output_error.linear_system import delayed, sample, settled_start
-from models.identification.output_error.motors import MotorsStructure
-from models.identification.output_error.problem import OutputErrorProblem
-from models.identification.output_error.realisation import balanced, from_impulse_response, impulse_response
-from models.identification.output_error.response import StateResponse
-from models.identification.output_error.robust import spike_weights
-from models.identification.output_error.structures import LocalStateSpace, TwoPolesStructure
-from models.identification.validation.simulation import simulate_stretch
+from diffdrive_mpc.models import load_model
+from diffdrive_mpc.models.identification.output_error.layout import Layout
+from diffdrive_mpc.models.identification.output_error.linear_system import delayed, sample, settled_start
+from diffdrive_mpc.models.identification.output_error.motors import MotorsStructure
+from diffdrive_mpc.models.identification.output_error.problem import OutputErrorProblem
+from diffdrive_mpc.models.identification.output_error.realisation import balanced, from_impulse_response, impulse_response
+from diffdrive_mpc.models.identification.output_error.response import StateResponse
+from diffdrive_mpc.models.identification.output_error.robust import spike_weights
+from diffdrive_mpc.models.identification.output_error.structures import LocalStateSpace, TwoPolesStructure
+from diffdrive_mpc.models.identification.validation.simulation import simulate_stretch
 
 
 @given(seed=st.integers(0, 10_000), n=st.integers(1, 5))

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from models import integrate_pose
-from models.pose import arc_function, linearised_arc, wrap_angle
+from diffdrive_mpc.models import integrate_pose
+from diffdrive_mpc.models.pose import arc_function, linearised_arc, wrap_angle
 
 poses = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-10, 10)).map(np.array)
 speeds, times = st.floats(-2, 2), st.floats(1e-3, 0.5)

@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pytest
 
-from models import load_model
+from diffdrive_mpc.models import load_model
 
 # Guffanti, Pavon, Sensors 2025, 25(18), 5821: numerators (s, 1) over the common denominator, as printed: without
 # minus signs, and with the two cross terms under each other's names.

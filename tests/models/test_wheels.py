@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models import WheelKinematics
-from models.robot import load_robot
+from diffdrive_mpc.models import WheelKinematics
+from diffdrive_mpc.models.robot import load_robot
 
 ROBOT = load_robot()
 KINEMATICS = WheelKinematics(ROBOT.wheel_radius, ROBOT.track)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from ideal_robot import WHEEL_YAW_RATIO, IdealRobot
 
-from models import DiscreteModel, Measurement, Stamped, integrate_pose
-from models.interface import FloatArray
-from mpc.config import Estimator
-from mpc.slip import Slip
+from diffdrive_mpc.models import DiscreteModel, Measurement, Stamped, integrate_pose
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config import Estimator
+from diffdrive_mpc.mpc.slip import Slip
 
 
 class NoisyRobot(IdealRobot):

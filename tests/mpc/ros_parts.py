@@ -21,10 +21,10 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
-from mpc.config_file import load_config
-from mpc.ros.conversions import nanoseconds, pose_message, time_message
-from mpc.ros.node import TrackingNode
-from sim import make_plant
+from diffdrive_mpc.mpc.config_file import load_config
+from diffdrive_mpc.mpc.ros.conversions import nanoseconds, pose_message, time_message
+from diffdrive_mpc.mpc.ros.node import TrackingNode
+from diffdrive_mpc.sim import make_plant
 
 CONFIG = load_config("ssm")
 DT = CONFIG.sample_time

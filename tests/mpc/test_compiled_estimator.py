@@ -6,13 +6,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ideal_robot import IdealRobot
 
-from models import Measurement, Stamped, load_model
-from mpc.compiled.compiler import NotCompiledError
-from mpc.compiled.estimator import CompiledEstimator
-from mpc.compiled.library import checked_constants, load_library
-from mpc.config import Compensation, Estimator
-from mpc.estimator import StateEstimator
-from mpc.slip import Slip
+from diffdrive_mpc.models import Measurement, Stamped, load_model
+from diffdrive_mpc.mpc.compiled.compiler import NotCompiledError
+from diffdrive_mpc.mpc.compiled.estimator import CompiledEstimator
+from diffdrive_mpc.mpc.compiled.library import checked_constants, load_library
+from diffdrive_mpc.mpc.config import Compensation, Estimator
+from diffdrive_mpc.mpc.estimator import StateEstimator
+from diffdrive_mpc.mpc.slip import Slip
 
 DT = 0.0202
 SAMPLED = {name: load_model(name).with_extra_dead_time([0.01, 0.03]).discretise(DT) for name in ("ssm", "sm", "mbm")}

@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_ways import DT, problem, random_tick
 
-from models import load_model
-from mpc.compiled.condenser import CompiledCondenser
-from mpc.condensed import Condenser
-from mpc.feed_forward import FeedForward
-from mpc.qp.limit_rows import KINDS
+from diffdrive_mpc.models import load_model
+from diffdrive_mpc.mpc.compiled.condenser import CompiledCondenser
+from diffdrive_mpc.mpc.condensed import Condenser
+from diffdrive_mpc.mpc.feed_forward import FeedForward
+from diffdrive_mpc.mpc.qp.limit_rows import KINDS
 
 
 def programs(seed, model="ssm"):

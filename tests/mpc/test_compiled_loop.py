@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from models import Measurement, Stamped
-from mpc import Controller, load_config, load_trajectory
-from mpc.config_file import replace_values
-from sim import make_plant
+from diffdrive_mpc.models import Measurement, Stamped
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc.mpc.config_file import replace_values
+from diffdrive_mpc.sim import make_plant
 
 
 def controllers(name, **changes):

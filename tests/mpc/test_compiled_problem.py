@@ -9,18 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models import load_model
-from mpc import load_config, load_trajectory
-from mpc.begin_tick import begin_tick
-from mpc.compiled.condenser import CompiledCondenser
-from mpc.compiled.constants import initialiser, sizes_header, tracking_constants, tracking_sizes
-from mpc.compiled.reference import CompiledReference, compile_reference
-from mpc.condensed import Condenser
-from mpc.estimate import Estimate
-from mpc.feed_forward import FeedForward
-from mpc.problem import TrackingProblem
-from mpc.solver_report import SolverStatus
-from mpc.trajectories.moved import starting_at
+from diffdrive_mpc.models import load_model
+from diffdrive_mpc.mpc import load_config, load_trajectory
+from diffdrive_mpc.mpc.begin_tick import begin_tick
+from diffdrive_mpc.mpc.compiled.condenser import CompiledCondenser
+from diffdrive_mpc.mpc.compiled.constants import initialiser, sizes_header, tracking_constants, tracking_sizes
+from diffdrive_mpc.mpc.compiled.reference import CompiledReference, compile_reference
+from diffdrive_mpc.mpc.condensed import Condenser
+from diffdrive_mpc.mpc.estimate import Estimate
+from diffdrive_mpc.mpc.feed_forward import FeedForward
+from diffdrive_mpc.mpc.problem import TrackingProblem
+from diffdrive_mpc.mpc.solver_report import SolverStatus
+from diffdrive_mpc.mpc.trajectories.moved import starting_at
 
 # Horizons that fill whole lanes, and that do not; the shortest that MBM's dead time allows.
 HORIZONS = (4, 9, 16)

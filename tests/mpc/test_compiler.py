@@ -7,12 +7,12 @@ import sys
 import numpy as np
 import pytest
 
-from models.checked_yaml import ConfigError
-from mpc import Controller, load_config
-from mpc.compiled import compiler, library
-from mpc.compiled.compiler import NotCompiledError, compile_library
-from mpc.compiled.reference import CompiledReference
-from mpc.config_file import replace_values
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc import Controller, load_config
+from diffdrive_mpc.mpc.compiled import compiler, library
+from diffdrive_mpc.mpc.compiled.compiler import NotCompiledError, compile_library
+from diffdrive_mpc.mpc.compiled.reference import CompiledReference
+from diffdrive_mpc.mpc.config_file import replace_values
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def test_without_a_compiler_always_is_refused(no_compiler):
 
 
 def test_many_times_at_once_are_sampled_in_python():
-    from mpc import load_trajectory
+    from diffdrive_mpc.mpc import load_trajectory
 
     circle = load_trajectory("circle")
     times = np.linspace(0, circle.duration, 2000)

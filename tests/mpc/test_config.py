@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
-from models.checked_yaml import ConfigError
-from mpc import load_config
-from mpc.bounds import clip_command, command_box
-from mpc.config import ControllerConfig, Limits
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc.mpc.bounds import clip_command, command_box
+from diffdrive_mpc.mpc.config import ControllerConfig, Limits
 
 
 @pytest.mark.parametrize("name", ["mbm", "sm", "ssm"])

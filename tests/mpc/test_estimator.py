@@ -10,10 +10,10 @@ from ideal_robot import IdealRobot
 from noisy_robot import NoisyRobot
 from scipy.stats import chi2
 
-from models import Measurement, Stamped, integrate_pose, load_model
-from mpc.config import Compensation, Estimator
-from mpc.estimator import StateEstimator
-from mpc.slip import Slip
+from diffdrive_mpc.models import Measurement, Stamped, integrate_pose, load_model
+from diffdrive_mpc.mpc.config import Compensation, Estimator
+from diffdrive_mpc.mpc.estimator import StateEstimator
+from diffdrive_mpc.mpc.slip import Slip
 
 DT = 0.0202
 MODEL = load_model("ssm").with_extra_dead_time([0.01, 0.03]).discretise(DT)

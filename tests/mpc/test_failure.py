@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ideal_robot import IdealRobot, drive
 
-from models import Measurement, Stamped, load_model
-from mpc import Controller, Mode, load_config, load_trajectory
-from mpc.qp.solution import Solution
-from mpc.solver_report import SolverReport, SolverStatus
-from mpc.sparse.solver import SparseSolver
-from mpc.ways import CondensedWay
+from diffdrive_mpc.models import Measurement, Stamped, load_model
+from diffdrive_mpc.mpc import Controller, Mode, load_config, load_trajectory
+from diffdrive_mpc.mpc.qp.solution import Solution
+from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
+from diffdrive_mpc.mpc.sparse.solver import SparseSolver
+from diffdrive_mpc.mpc.ways import CondensedWay
 
 DT = 0.0202
 REFERENCE = load_trajectory("circle")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from models import VelocityModel, load_model
-from mpc.feed_forward import FeedForward
-from mpc.slip import Slip
+from diffdrive_mpc.models import VelocityModel, load_model
+from diffdrive_mpc.mpc.feed_forward import FeedForward
+from diffdrive_mpc.mpc.slip import Slip
 
 DT = 0.0202
 

@@ -6,8 +6,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from mpc.config import Weights
-from mpc.lean import lean
+from diffdrive_mpc.mpc.config import Weights
+from diffdrive_mpc.mpc.lean import lean
 
 speeds = st.floats(-1.5, 1.5)
 rates = st.floats(-2.0, 2.0)

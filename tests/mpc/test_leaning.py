@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_qp_backends import BACKENDS, STEPS, WEIGHTS, random_problem, solver_settings
 
-from mpc.qp.backend import Task
-from mpc.qp.condensed_solver import CondensedSolver
-from mpc.qp.leaning import lean_on
-from mpc.qp.limit_rows import HARD_KINDS, KINDS
+from diffdrive_mpc.mpc.qp.backend import Task
+from diffdrive_mpc.mpc.qp.condensed_solver import CondensedSolver
+from diffdrive_mpc.mpc.qp.leaning import lean_on
+from diffdrive_mpc.mpc.qp.limit_rows import HARD_KINDS, KINDS
 
 HARD = tuple(range(HARD_KINDS))
 

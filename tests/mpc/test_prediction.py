@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models import load_model
-from mpc.prediction import build_prediction
+from diffdrive_mpc.models import load_model
+from diffdrive_mpc.mpc.prediction import build_prediction
 
 SSM = load_model("ssm")
 

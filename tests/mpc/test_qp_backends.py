@@ -5,15 +5,15 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from mpc import load_config
-from mpc.condensed import CondensedProgram
-from mpc.qp.backend import Task
-from mpc.qp.condensed_solver import CondensedSolver
-from mpc.qp.daqp_backend import DaqpBackend
-from mpc.qp.least_distance import ArrayLeastDistance
-from mpc.qp.limit_rows import HARD_KINDS, KINDS, LimitRows
-from mpc.qp.osqp_backend import OsqpBackend
-from mpc.solver_report import SolverStatus
+from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc.mpc.condensed import CondensedProgram
+from diffdrive_mpc.mpc.qp.backend import Task
+from diffdrive_mpc.mpc.qp.condensed_solver import CondensedSolver
+from diffdrive_mpc.mpc.qp.daqp_backend import DaqpBackend
+from diffdrive_mpc.mpc.qp.least_distance import ArrayLeastDistance
+from diffdrive_mpc.mpc.qp.limit_rows import HARD_KINDS, KINDS, LimitRows
+from diffdrive_mpc.mpc.qp.osqp_backend import OsqpBackend
+from diffdrive_mpc.mpc.solver_report import SolverStatus
 
 STEPS = 6
 # Cheap enough that some soft limits are exceeded, dear enough that others are kept.

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from ideal_robot import IdealRobot
 
-from models import load_model
-from models.pose import wrap_angle
-from mpc import Controller, Mode, load_config, load_trajectory
-from mpc.trajectories import TrajectoryLimits
-from mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.models import load_model
+from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.mpc import Controller, Mode, load_config, load_trajectory
+from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 
 DT = 0.0202
 MODEL = load_model("ssm").discretise(DT)

@@ -5,16 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.pose import wrap_angle
-from mpc import load_trajectory
-from mpc.reentry.motion_line import MotionLine, turning_times
-from mpc.reentry.options import Course
-from mpc.reentry.path_speeds import path_speeds, travel_times
-from mpc.reentry.path_window import PathWindow
-from mpc.reentry.quintic_path import quintic_paths
-from mpc.reentry.way_back import rejoin
-from mpc.trajectories.limits import TrajectoryLimits
-from mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.mpc import load_trajectory
+from diffdrive_mpc.mpc.reentry.motion_line import MotionLine, turning_times
+from diffdrive_mpc.mpc.reentry.options import Course
+from diffdrive_mpc.mpc.reentry.path_speeds import path_speeds, travel_times
+from diffdrive_mpc.mpc.reentry.path_window import PathWindow
+from diffdrive_mpc.mpc.reentry.quintic_path import quintic_paths
+from diffdrive_mpc.mpc.reentry.way_back import rejoin
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 
 LIMITS = TrajectoryLimits(v=0.625, omega=1.5, v_acceleration=1.0, omega_acceleration=2.0)
 ROBOT = TrajectoryLimits.of_robot()

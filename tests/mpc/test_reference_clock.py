@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mpc import load_trajectory
-from mpc.reentry.reference_clock import RateProfile, ReferenceClock, settling_profile
+from diffdrive_mpc.mpc import load_trajectory
+from diffdrive_mpc.mpc.reentry.reference_clock import RateProfile, ReferenceClock, settling_profile
 
 DT = 0.02
 FASTEST, RAMP = 1.25, 1.0

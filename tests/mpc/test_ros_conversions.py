@@ -8,9 +8,9 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.pose import wrap_angle
-from mpc import Controller, Hold, Measurement, Mode, Stamped, load_config, load_trajectory
-from mpc.ros.conversions import (
+from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.mpc import Controller, Hold, Measurement, Mode, Stamped, load_config, load_trajectory
+from diffdrive_mpc.mpc.ros.conversions import (
     MessageError,
     measured_pose,
     nanoseconds,
@@ -19,8 +19,8 @@ from mpc.ros.conversions import (
     time_message,
     yaw_of,
 )
-from mpc.ros.latency import Durations, LoopTimes
-from mpc.trajectories.moved import starting_at
+from diffdrive_mpc.mpc.ros.latency import Durations, LoopTimes
+from diffdrive_mpc.mpc.trajectories.moved import starting_at
 
 METRES = st.floats(-1e3, 1e3)
 ANGLES = st.floats(-10, 10)

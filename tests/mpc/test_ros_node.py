@@ -17,11 +17,11 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import Marker
 
-from mpc import Controller, load_trajectory
-from mpc.ros.control_loop import LoopState
-from mpc.ros.conversions import stamped_pose_message, time_message
-from mpc.step_result import Mode
-from sim import make_plant, simulate
+from diffdrive_mpc.mpc import Controller, load_trajectory
+from diffdrive_mpc.mpc.ros.control_loop import LoopState
+from diffdrive_mpc.mpc.ros.conversions import stamped_pose_message, time_message
+from diffdrive_mpc.mpc.step_result import Mode
+from diffdrive_mpc.sim import make_plant, simulate
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -111,7 +111,7 @@ def test_what_cannot_be_configured_is_refused_with_a_reason():
 
 def test_a_fault_of_the_code_in_a_transition_ends_unconfigured(monkeypatch):
     with stack(autostart=False) as s:
-        monkeypatch.setattr("mpc.ros.node.Controller", lambda _: 1 / 0)
+        monkeypatch.setattr("diffdrive_mpc.mpc.ros.node.Controller", lambda _: 1 / 0)
         assert not change(s, Transition.TRANSITION_CONFIGURE)
         assert s.node.failure == "ZeroDivisionError: division by zero"
         assert state(s) == State.PRIMARY_STATE_UNCONFIGURED

@@ -14,8 +14,8 @@ import yaml
 from rclpy.context import Context
 from ros_parts import stack
 
-from mpc.ros.node import TrackingNode
-from mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.ros.node import TrackingNode
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 ROOT = Path(__file__).parents[2]
 ROS = ROOT / "ros"
@@ -107,5 +107,5 @@ def test_rviz_shows_topics_that_exist():
 def test_the_entry_point_ends_bad_arguments_in_one_line(monkeypatch, word, line):
     monkeypatch.setattr(sys, "argv", ["node", "--ros-args", "-p", word])
     with pytest.raises(SystemExit, match=line) as ended:
-        import_module("mpc.ros.main").main()
+        import_module("diffdrive_mpc.mpc.ros.main").main()
     assert "\n" not in str(ended.value)

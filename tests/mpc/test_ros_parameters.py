@@ -13,10 +13,10 @@ from rclpy.parameter import Parameter
 from ros_parts import CONFIG, stack
 from std_srvs.srv import Trigger
 
-from models.checked_yaml import ConfigError, check
-from mpc.config import ControllerConfig
-from mpc.ros.parameters import declare, descriptor, fields, read
-from mpc.ros.settings import NodeSettings
+from diffdrive_mpc.models.checked_yaml import ConfigError, check
+from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.ros.parameters import declare, descriptor, fields, read
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 FIELDS = dict(fields(ControllerConfig)) | dict(fields(NodeSettings))
 

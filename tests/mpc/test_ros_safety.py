@@ -9,9 +9,9 @@ from lifecycle_msgs.srv import ChangeState
 from ros_parts import CONFIG, DT, stack
 from std_srvs.srv import Trigger
 
-from mpc.ros.control_loop import LoopState
-from mpc.solver_report import SolverReport, SolverStatus
-from mpc.step_result import Mode
+from diffdrive_mpc.mpc.ros.control_loop import LoopState
+from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
+from diffdrive_mpc.mpc.step_result import Mode
 
 LIMITS = CONFIG.limits
 WITHIN_SLEW = np.array([LIMITS.v_slew, LIMITS.omega_slew]) * DT + 1e-9

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from trajectory_checks import assert_holds_its_ends, largest_integration_gap
 
-from models.checked_yaml import ConfigError
-from models.interface import FloatArray
-from models.pose import wrap_angle
-from mpc.trajectories import BUILT_IN, TrajectoryLimits, load_trajectory
-from mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.mpc.trajectories import BUILT_IN, TrajectoryLimits, load_trajectory
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
 
 def write(folder: Path, name: str, text: str) -> Path:

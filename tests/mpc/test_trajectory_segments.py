@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trajectory_checks import assert_holds_its_ends, largest_integration_gap, largest_shares
 
-from models import pose as pose_kinematics
-from models.checked_yaml import ConfigError
-from models.interface import FloatArray, Reference
-from mpc.trajectories import BUILT_IN, TrajectoryLimits, load_trajectory
-from mpc.trajectories.arcs import ArcTrajectory
-from mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.models import pose as pose_kinematics
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.mpc.trajectories import BUILT_IN, TrajectoryLimits, load_trajectory
+from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 
 LIMITS = TrajectoryLimits(v=1.5, omega=2.0, v_acceleration=1.0, omega_acceleration=2.0)
 

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from trajectory_checks import assert_holds_its_ends, largest_integration_gap, largest_shares
 
-from models.interface import FloatArray
-from mpc.trajectories import TrajectoryLimits, load_trajectory
-from mpc.trajectories.path_timing import squared_speeds
-from mpc.trajectories.smooth_path import smooth_path
-from mpc.trajectories.waypoints import lay_waypoints
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.trajectories import TrajectoryLimits, load_trajectory
+from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds
+from diffdrive_mpc.mpc.trajectories.smooth_path import smooth_path
+from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
 
 LIMITS = TrajectoryLimits(v=1.5, omega=2.0, v_acceleration=1.0, omega_acceleration=2.0)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.interface import FloatArray
-from mpc.trajectories import Trajectory, TrajectoryLimits
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.trajectories import Trajectory, TrajectoryLimits
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.interface import FloatArray, Measurement, Reference, ReferenceSample, Stamped
-from models.pose import integrate_pose
-from sim.run import Run
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, ReferenceSample, Stamped
+from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.sim.run import Run
 
 
 @dataclass(frozen=True)

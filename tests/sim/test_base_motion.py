@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import yaml
 
-from models import load_model
-from models.base_effects import BaseEffects, PoseMount, respond
-from models.load import PARAMETERS, load_base_effects
-from models.robot import load_robot
-from sim.drives import random_drive
-from sim.make import make_plant
-from sim.model_plant import ModelPlant
-from sim.sensor_set import load_sensor_set
-from sim.surface import load_surface
+from diffdrive_mpc.models import load_model
+from diffdrive_mpc.models.base_effects import BaseEffects, PoseMount, respond
+from diffdrive_mpc.models.load import PARAMETERS, load_base_effects
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.sim.drives import random_drive
+from diffdrive_mpc.sim.make import make_plant
+from diffdrive_mpc.sim.model_plant import ModelPlant
+from diffdrive_mpc.sim.sensor_set import load_sensor_set
+from diffdrive_mpc.sim.surface import load_surface
 
 DT = load_robot().sample_time
 EFFECTS = {

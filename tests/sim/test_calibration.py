@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.checked_yaml import ConfigError
-from sim.calibration import DriveFit, calibrate, load_calibration_parameters, validate_calibration, write_firmware
-from sim.drives import random_drive
-from sim.log import Log, record
-from sim.make import make_plant
-from sim.sensor_set import load_sensor_set
-from sim.twin_parameters import Firmware, load_firmware
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.sim.calibration import DriveFit, calibrate, load_calibration_parameters, validate_calibration, write_firmware
+from diffdrive_mpc.sim.drives import random_drive
+from diffdrive_mpc.sim.log import Log, record
+from diffdrive_mpc.sim.make import make_plant
+from diffdrive_mpc.sim.sensor_set import load_sensor_set
+from diffdrive_mpc.sim.twin_parameters import Firmware, load_firmware
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def drives(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         plant = make_plant(f"model:ssm+{firmware.lag_v}", surface="ideal", sensors="perfect")
         return record(plant, random_drive(seed, smooth, duration=1.0))
 
-    monkeypatch.setattr("sim.calibration._drive", drive)
+    monkeypatch.setattr("diffdrive_mpc.sim.calibration._drive", drive)
     return driven
 
 

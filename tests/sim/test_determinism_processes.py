@@ -18,8 +18,8 @@ segments:  # v [m/s], omega [rad/s], duration [s]
 SCRIPT = """\
 import hashlib, sys
 import numpy as np
-from mpc import Controller, load_config, load_trajectory
-from sim import make_plant, simulate
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc.sim import make_plant, simulate
 
 reference = load_trajectory(sys.argv[1])
 for seed in (3, 4):

@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models.checked_yaml import check
-from models.robot import load_robot
-from sim.chassis import WHEELS, Chassis
-from sim.disturbance_types import Payload, Slope
-from sim.disturbances import Disturbances
-from sim.drivetrain import VelocityLoops
-from sim.log import record
-from sim.mujoco_plant import MujocoPlant
-from sim.plant import RobotLostError
-from sim.scenario import Scenario
-from sim.sensor_set import load_sensor_set
-from sim.surface import load_surface
-from sim.twin_parameters import load_twin_parameters
+from diffdrive_mpc.models.checked_yaml import check
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.sim.chassis import WHEELS, Chassis
+from diffdrive_mpc.sim.disturbance_types import Payload, Slope
+from diffdrive_mpc.sim.disturbances import Disturbances
+from diffdrive_mpc.sim.drivetrain import VelocityLoops
+from diffdrive_mpc.sim.log import record
+from diffdrive_mpc.sim.mujoco_plant import MujocoPlant
+from diffdrive_mpc.sim.plant import RobotLostError
+from diffdrive_mpc.sim.scenario import Scenario
+from diffdrive_mpc.sim.sensor_set import load_sensor_set
+from diffdrive_mpc.sim.surface import load_surface
+from diffdrive_mpc.sim.twin_parameters import load_twin_parameters
 
 G = 9.81
 ROBOT, TWIN = load_robot(), load_twin_parameters()

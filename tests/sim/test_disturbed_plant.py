@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from loop_parts import ConstantTwist, FeedForward
 
-from models.checked_yaml import ConfigError, check
-from models.interface import Measurement
-from models.robot import load_robot
-from sim import make_plant, simulate
-from sim.disturbed_plant import DisturbedPlant
-from sim.drives import random_drive
-from sim.plant import Plant
-from sim.scenario import SCENARIOS, Scenario, load_scenario
+from diffdrive_mpc.models.checked_yaml import ConfigError, check
+from diffdrive_mpc.models.interface import Measurement
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.sim import make_plant, simulate
+from diffdrive_mpc.sim.disturbed_plant import DisturbedPlant
+from diffdrive_mpc.sim.drives import random_drive
+from diffdrive_mpc.sim.plant import Plant
+from diffdrive_mpc.sim.scenario import SCENARIOS, Scenario, load_scenario
 
 PLANTS = ["mujoco", "model:ssm"]
 DT = load_robot().sample_time

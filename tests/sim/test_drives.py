@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.robot import load_robot
-from models.wheels import WheelKinematics
-from sim.drives import load_drive_parameters, random_drive, step_drives
-from sim.log import record
-from sim.make import make_plant
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.wheels import WheelKinematics
+from diffdrive_mpc.sim.drives import load_drive_parameters, random_drive, step_drives
+from diffdrive_mpc.sim.log import record
+from diffdrive_mpc.sim.make import make_plant
 
 RANDOM = load_drive_parameters().random
 

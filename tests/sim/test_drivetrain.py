@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.robot import load_robot
-from sim.drivetrain import SpeedObserver, VelocityLoops
-from sim.firmware import CommandShaper
-from sim.link import DelayLine
-from sim.twin_parameters import load_firmware, load_twin_parameters
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.sim.drivetrain import SpeedObserver, VelocityLoops
+from diffdrive_mpc.sim.firmware import CommandShaper
+from diffdrive_mpc.sim.link import DelayLine
+from diffdrive_mpc.sim.twin_parameters import load_firmware, load_twin_parameters
 
 ROBOT, TWIN = load_robot(), load_twin_parameters()
 STEP = ROBOT.sample_time / TWIN.substeps

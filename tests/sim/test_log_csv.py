@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from loop_parts import ConstantTwist, FeedForward, KinematicPlant
 
-from models.checked_yaml import ConfigError
-from models.interface import Measurement, Stamped
-from sim import Run, simulate
-from sim.log_csv import COLUMNS, read_log, write_log
-from sim.whole_file import whole_file
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import Measurement, Stamped
+from diffdrive_mpc.sim import Run, simulate
+from diffdrive_mpc.sim.log_csv import COLUMNS, read_log, write_log
+from diffdrive_mpc.sim.whole_file import whole_file
 
 
 class SparsePlant(KinematicPlant):

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loop_parts import ConstantTwist, ElbowReference, run_along
 
-from models.interface import FloatArray
-from models.pose import integrate_pose
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.pose import integrate_pose
 
 TIMES = np.arange(0.0, 10.0 + 1e-9, 0.02)
 COARSE = TIMES[::10]

@@ -11,19 +11,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models import integrate_pose, load_model
-from models.checked_yaml import ConfigError
-from models.interface import Stamped
-from models.load import model_path
-from models.robot import load_robot
-from models.velocity_model import ModelError
-from sim.drives import random_drive
-from sim.log import Log, record
-from sim.make import make_plant
-from sim.model_plant import ModelPlant
-from sim.plant import Plant
-from sim.sensor_set import load_sensor_set
-from sim.surface import Slip, load_surface
+from diffdrive_mpc.models import integrate_pose, load_model
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import Stamped
+from diffdrive_mpc.models.load import model_path
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.velocity_model import ModelError
+from diffdrive_mpc.sim.drives import random_drive
+from diffdrive_mpc.sim.log import Log, record
+from diffdrive_mpc.sim.make import make_plant
+from diffdrive_mpc.sim.model_plant import ModelPlant
+from diffdrive_mpc.sim.plant import Plant
+from diffdrive_mpc.sim.sensor_set import load_sensor_set
+from diffdrive_mpc.sim.surface import Slip, load_surface
 
 DT = load_robot().sample_time
 PLANTS = ["mujoco", "model:ssm"]

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from ros_driver import Driver, own_domain, recorded, recorded_truth
 
-from models.checked_yaml import ConfigError
-from models.logs import read_log
-from models.robot import load_robot
-from sim import make_plant
-from sim.log import record
-from sim.plant import RobotLostError
-from sim.ros.base_settings import BaseSettings, load_base_settings
-from sim.ros.run_robot import run_robot
-from sim.sensor_set import load_sensor_set
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.sim import make_plant
+from diffdrive_mpc.sim.log import record
+from diffdrive_mpc.sim.plant import RobotLostError
+from diffdrive_mpc.sim.ros.base_settings import BaseSettings, load_base_settings
+from diffdrive_mpc.sim.ros.run_robot import run_robot
+from diffdrive_mpc.sim.sensor_set import load_sensor_set
 
 DT = load_robot().sample_time
 TICKS = 60

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.interface import Measurement, Stamped
-from models.pose import integrate_pose, wrap_angle
-from sim.ros import messages
-from sim.ros.base_settings import load_base_settings
-from sim.ros.command_inbox import STOP, CommandInbox
-from sim.ros.odometry import Odometry
-from sim.ros.robot_clock import SteppedClock, WallClock
+from diffdrive_mpc.models.interface import Measurement, Stamped
+from diffdrive_mpc.models.pose import integrate_pose, wrap_angle
+from diffdrive_mpc.sim.ros import messages
+from diffdrive_mpc.sim.ros.base_settings import load_base_settings
+from diffdrive_mpc.sim.ros.command_inbox import STOP, CommandInbox
+from diffdrive_mpc.sim.ros.odometry import Odometry
+from diffdrive_mpc.sim.ros.robot_clock import SteppedClock, WallClock
 
 SECOND = 10**9
 DT = 0.02

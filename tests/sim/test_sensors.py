@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.checked_yaml import ConfigError
-from models.interface import Measurement
-from models.wheels import WheelKinematics
-from sim.sensor_set import Encoders, Gyro, PoseSensor, SensorSet, load_sensor_set
-from sim.sensors import Sensors
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import Measurement
+from diffdrive_mpc.models.wheels import WheelKinematics
+from diffdrive_mpc.sim.sensor_set import Encoders, Gyro, PoseSensor, SensorSet, load_sensor_set
+from diffdrive_mpc.sim.sensors import Sensors
 
 DT = 0.0202
 KINEMATICS = WheelKinematics(0.0675, 0.330)

@@ -9,11 +9,11 @@ import pytest
 from loop_parts import ConstantTwist, run_along
 from numpy.typing import ArrayLike
 
-from models.interface import ReferenceSample
-from models.pose import integrate_pose
-from mpc import load_trajectory
-from sim.metric_settings import metric_settings
-from sim.steady_arcs import steady_arc_lateral, steady_arcs
+from diffdrive_mpc.models.interface import ReferenceSample
+from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.mpc import load_trajectory
+from diffdrive_mpc.sim.metric_settings import metric_settings
+from diffdrive_mpc.sim.steady_arcs import steady_arc_lateral, steady_arcs
 
 DT = 0.0202
 

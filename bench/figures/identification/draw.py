@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from bench.figures.identification.drift import draw_drift
-from bench.figures.identification.dynamics import draw_poles, draw_steps
-from bench.figures.identification.orders import draw_orders
-from bench.figures.identification.residuals import draw_residuals
-from bench.figures.identification.simulation import draw_simulation
-from bench.identification.outcome import Outcome
+from diffdrive_mpc.bench.figures.identification.drift import draw_drift
+from diffdrive_mpc.bench.figures.identification.dynamics import draw_poles, draw_steps
+from diffdrive_mpc.bench.figures.identification.orders import draw_orders
+from diffdrive_mpc.bench.figures.identification.residuals import draw_residuals
+from diffdrive_mpc.bench.figures.identification.simulation import draw_simulation
+from diffdrive_mpc.bench.identification.outcome import Outcome
 
 Draw = Callable[[Outcome, Path], None]
 

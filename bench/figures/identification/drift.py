@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bench.figures.style import colour, line_style, new_figure
-from bench.identification.outcome import Outcome
+from diffdrive_mpc.bench.figures.style import colour, line_style, new_figure
+from diffdrive_mpc.bench.identification.outcome import Outcome
 
 
 def draw_drift(outcome: Outcome, path: Path) -> None:

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.figures.style import REFERENCE_COLOUR, colour, line_style, new_figure
-from bench.identification.outcome import Outcome
-from bench.identification.settings import report_settings
-from models.identification.estimate import Estimate
-from models.identification.identified import IdentifiedModel
-from models.interface import FloatArray
-from models.velocity_model import CHANNELS
+from diffdrive_mpc.bench.figures.style import REFERENCE_COLOUR, colour, line_style, new_figure
+from diffdrive_mpc.bench.identification.outcome import Outcome
+from diffdrive_mpc.bench.identification.settings import report_settings
+from diffdrive_mpc.models.identification.estimate import Estimate
+from diffdrive_mpc.models.identification.identified import IdentifiedModel
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.velocity_model import CHANNELS
 
 _SAMPLES = 400
 _INTERVAL = 1.959964

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from matplotlib.ticker import MaxNLocator
 
-from bench.figures.style import REFERENCE_COLOUR, colour, line_style, new_figure
-from bench.identification.outcome import Outcome
-from models.velocity_model import CHANNELS
+from diffdrive_mpc.bench.figures.style import REFERENCE_COLOUR, colour, line_style, new_figure
+from diffdrive_mpc.bench.identification.outcome import Outcome
+from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
 def draw_orders(outcome: Outcome, path: Path) -> None:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.figures.style import REFERENCE_COLOUR, colour, new_figure
-from bench.identification.outcome import Outcome
-from models.velocity_model import CHANNELS
+from diffdrive_mpc.bench.figures.style import REFERENCE_COLOUR, colour, new_figure
+from diffdrive_mpc.bench.identification.outcome import Outcome
+from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
 def draw_residuals(outcome: Outcome, path: Path) -> None:

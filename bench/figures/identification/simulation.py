@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.figures.style import REFERENCE_COLOUR, colour, new_figure
-from bench.identification.outcome import Outcome
-from bench.identification.settings import report_settings
-from models.identification.signals import twist_stretches
-from models.interface import FloatArray
+from diffdrive_mpc.bench.figures.style import REFERENCE_COLOUR, colour, new_figure
+from diffdrive_mpc.bench.identification.outcome import Outcome
+from diffdrive_mpc.bench.identification.settings import report_settings
+from diffdrive_mpc.models.identification.signals import twist_stretches
+from diffdrive_mpc.models.interface import FloatArray
 
 _LABELS = ("v [m/s]", "omega [rad/s]")
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from bench.figures.style import REFERENCE_COLOUR, colour, line_style, new_figure
-from bench.reproduce.experiments.mbm_and_sm import COMPARED, SM, MbmSmResult
-from bench.reproduce.published import load_published
-from models.interface import FloatArray
+from diffdrive_mpc.bench.figures.style import REFERENCE_COLOUR, colour, line_style, new_figure
+from diffdrive_mpc.bench.reproduce.experiments.mbm_and_sm import COMPARED, SM, MbmSmResult
+from diffdrive_mpc.bench.reproduce.published import load_published
+from diffdrive_mpc.models.interface import FloatArray
 
 _BAR = 0.16
 _QUANTITIES = {"position": "m", "heading": "rad"}

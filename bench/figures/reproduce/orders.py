@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.figures.style import colour, new_figure
-from bench.reproduce.experiments.state_space import PAPERS_ORDER, SsmResult
-from bench.reproduce.published import load_published
-from models.velocity_model import CHANNELS
+from diffdrive_mpc.bench.figures.style import colour, new_figure
+from diffdrive_mpc.bench.reproduce.experiments.state_space import PAPERS_ORDER, SsmResult
+from diffdrive_mpc.bench.reproduce.published import load_published
+from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
 def draw_orders(results: Sequence[SsmResult], path: Path) -> None:

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from bench.figures.style import REFERENCE_COLOUR, colour, line_style, new_figure
-from bench.reproduce.experiments.virtual_track import TrackLine, VirtualTrackResult
-from models.interface import FloatArray
+from diffdrive_mpc.bench.figures.style import REFERENCE_COLOUR, colour, line_style, new_figure
+from diffdrive_mpc.bench.reproduce.experiments.virtual_track import TrackLine, VirtualTrackResult
+from diffdrive_mpc.models.interface import FloatArray
 
 
 def draw_virtual_track(result: VirtualTrackResult, path: Path) -> None:

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.reproduce.experiments.odometry import predict_path
-from bench.reproduce.study import CostStudy
-from bench.timing import quiet_core
-from models.discrete_model import DiscreteModel
-from models.load import MODEL_NAMES, load_model
-from models.robot import load_robot
-from sim.drives import random_drive
+from diffdrive_mpc.bench.reproduce.experiments.odometry import predict_path
+from diffdrive_mpc.bench.reproduce.study import CostStudy
+from diffdrive_mpc.bench.timing import quiet_core
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.load import MODEL_NAMES, load_model
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.sim.drives import random_drive
 
 _SEED = 0
 _BYTES_PER_MB = 1e6

@@ -8,19 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from bench.reproduce.experiments.odometry import PoseError, pose_error, predict_path, sampled
-from bench.reproduce.experiments.robot_logs import STEP_KINDS, RobotLogs
-from bench.reproduce.study import MbmSmStudy
-from models.identification.fit import pooled_fit_percent
-from models.identification.identified import IdentifiedModel
-from models.identification.mbm import identify_mbm
-from models.identification.signals import wheel_stretches
-from models.identification.sm import identify_sm
-from models.identification.validation import validate
-from models.identification.validation.simulation import simulate_stretch
-from models.interface import FloatArray
-from models.logs.record import Record
-from models.robot import load_robot
+from diffdrive_mpc.bench.reproduce.experiments.odometry import PoseError, pose_error, predict_path, sampled
+from diffdrive_mpc.bench.reproduce.experiments.robot_logs import STEP_KINDS, RobotLogs
+from diffdrive_mpc.bench.reproduce.study import MbmSmStudy
+from diffdrive_mpc.models.identification.fit import pooled_fit_percent
+from diffdrive_mpc.models.identification.identified import IdentifiedModel
+from diffdrive_mpc.models.identification.mbm import identify_mbm
+from diffdrive_mpc.models.identification.signals import wheel_stretches
+from diffdrive_mpc.models.identification.sm import identify_sm
+from diffdrive_mpc.models.identification.validation import validate
+from diffdrive_mpc.models.identification.validation.simulation import simulate_stretch
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.robot import load_robot
 
 MBM, MBM_TRACKS, SM = "MBM", "MBM, own tracks", "SM"
 COMPARED = (MBM, MBM_TRACKS, SM)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.discrete_model import DiscreteModel, zero_order_hold
-from models.identification.output_error.linear_system import LinearSystem
-from models.interface import FloatArray
-from models.pose import integrate_pose
+from diffdrive_mpc.models.discrete_model import DiscreteModel, zero_order_hold
+from diffdrive_mpc.models.identification.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.pose import integrate_pose
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,13 @@ from typing import Literal
 
 import numpy as np
 
-from models.interface import FloatArray
-from models.logs.record import Record
-from models.robot import load_robot
-from mpc.trajectories import load_segments
-from sim.drives import random_drive, step_drives
-from sim.log import record
-from sim.make import make_plant
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.mpc.trajectories import load_segments
+from diffdrive_mpc.sim.drives import random_drive, step_drives
+from diffdrive_mpc.sim.log import record
+from diffdrive_mpc.sim.make import make_plant
 
 StepKind = Literal["wheels", "v", "omega"]
 STEP_KINDS: tuple[StepKind, ...] = ("wheels", "v", "omega")

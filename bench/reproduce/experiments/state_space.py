@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.reproduce.experiments.odometry import PoseError, pose_error, predict_path, sampled
-from bench.reproduce.experiments.robot_logs import RobotLogs
-from bench.reproduce.study import SsmStudy
-from models.identification.identified import IdentifiedModel
-from models.identification.order import OrderRow, choose_order
-from models.identification.output_error.linear_system import LinearSystem
-from models.identification.validation import validate
-from models.load import load_model
-from models.logs.record import Record
-from models.velocity_model import VelocityModel
+from diffdrive_mpc.bench.reproduce.experiments.odometry import PoseError, pose_error, predict_path, sampled
+from diffdrive_mpc.bench.reproduce.experiments.robot_logs import RobotLogs
+from diffdrive_mpc.bench.reproduce.study import SsmStudy
+from diffdrive_mpc.models.identification.identified import IdentifiedModel
+from diffdrive_mpc.models.identification.order import OrderRow, choose_order
+from diffdrive_mpc.models.identification.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.identification.validation import validate
+from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.velocity_model import VelocityModel
 
 PAPERS_ORDER = 2
 """The order that the paper settles on."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from bench.reproduce.published import PublishedTrack
-from models.interface import FloatArray
+from diffdrive_mpc.bench.reproduce.published import PublishedTrack
+from diffdrive_mpc.models.interface import FloatArray
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """What the papers found, as rules, and whether they hold on the simulated robot. The rules decide, nobody else."""
 
-from bench.reproduce.findings.all_findings import find
-from bench.reproduce.findings.finding import Finding
+from diffdrive_mpc.bench.reproduce.findings.all_findings import find
+from diffdrive_mpc.bench.reproduce.findings.finding import Finding
 
 __all__ = ["Finding", "find"]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from bench.reproduce.findings.cost import cost_findings
-from bench.reproduce.findings.finding import Finding
-from bench.reproduce.findings.mbm_and_sm import mbm_sm_findings
-from bench.reproduce.findings.state_space import ssm_findings
-from bench.reproduce.findings.virtual_track import virtual_track_findings
-from bench.reproduce.published import load_published
-from bench.reproduce.results import Reproduction
+from diffdrive_mpc.bench.reproduce.findings.cost import cost_findings
+from diffdrive_mpc.bench.reproduce.findings.finding import Finding
+from diffdrive_mpc.bench.reproduce.findings.mbm_and_sm import mbm_sm_findings
+from diffdrive_mpc.bench.reproduce.findings.state_space import ssm_findings
+from diffdrive_mpc.bench.reproduce.findings.virtual_track import virtual_track_findings
+from diffdrive_mpc.bench.reproduce.published import load_published
+from diffdrive_mpc.bench.reproduce.results import Reproduction
 
 
 def find(results: Reproduction) -> list[Finding]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from bench.reproduce.experiments.cost import Cost
-from bench.reproduce.findings.finding import Finding
-from bench.reproduce.published import Published
+from diffdrive_mpc.bench.reproduce.experiments.cost import Cost
+from diffdrive_mpc.bench.reproduce.findings.finding import Finding
+from diffdrive_mpc.bench.reproduce.published import Published
 
 
 def cost_findings(cost: Mapping[str, Cost], published: Published) -> list[Finding]:

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.reproduce.experiments.mbm_and_sm import DATA, MBM, MBM_TRACKS, SM, MbmSmResult
-from bench.reproduce.findings.finding import Finding, each
-from bench.reproduce.published import Published
-from models.interface import FloatArray
+from diffdrive_mpc.bench.reproduce.experiments.mbm_and_sm import DATA, MBM, MBM_TRACKS, SM, MbmSmResult
+from diffdrive_mpc.bench.reproduce.findings.finding import Finding, each
+from diffdrive_mpc.bench.reproduce.published import Published
+from diffdrive_mpc.models.interface import FloatArray
 
 _HELD_OUT = DATA[1]
 _QUANTITIES = {"position": "m", "heading": "rad"}

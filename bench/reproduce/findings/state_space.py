@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.reproduce.experiments.state_space import IDENTIFIED, PAPERS_ORDER, SsmResult
-from bench.reproduce.findings.finding import Finding, each
-from bench.reproduce.published import Published
-from models.interface import FloatArray
-from models.structures import ChannelFit
+from diffdrive_mpc.bench.reproduce.experiments.state_space import IDENTIFIED, PAPERS_ORDER, SsmResult
+from diffdrive_mpc.bench.reproduce.findings.finding import Finding, each
+from diffdrive_mpc.bench.reproduce.published import Published
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.structures import ChannelFit
 
 _TABLE = "P1, Table 1"
 _SLIGHTLY_HIGHER = (3, 4)

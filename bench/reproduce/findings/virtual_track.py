@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from bench.reproduce.experiments.virtual_track import TrackLine, VirtualTrackResult
-from bench.reproduce.findings.finding import Finding
-from bench.reproduce.published import Published
+from diffdrive_mpc.bench.reproduce.experiments.virtual_track import TrackLine, VirtualTrackResult
+from diffdrive_mpc.bench.reproduce.findings.finding import Finding
+from diffdrive_mpc.bench.reproduce.published import Published
 
 
 def virtual_track_findings(result: VirtualTrackResult, published: Published) -> list[Finding]:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bench.reproduce.findings import Finding, find
-from bench.reproduce.published import load_published
-from bench.reproduce.results import Reproduction
-from bench.reproduce.tables.cost import cost_table
-from bench.reproduce.tables.mbm_and_sm import fit_table, odometry_tables
-from bench.reproduce.tables.state_space import free_drive_tables, order_table
-from bench.reproduce.tables.virtual_track import virtual_track_table
-from bench.table import Table
+from diffdrive_mpc.bench.reproduce.findings import Finding, find
+from diffdrive_mpc.bench.reproduce.published import load_published
+from diffdrive_mpc.bench.reproduce.results import Reproduction
+from diffdrive_mpc.bench.reproduce.tables.cost import cost_table
+from diffdrive_mpc.bench.reproduce.tables.mbm_and_sm import fit_table, odometry_tables
+from diffdrive_mpc.bench.reproduce.tables.state_space import free_drive_tables, order_table
+from diffdrive_mpc.bench.reproduce.tables.virtual_track import virtual_track_table
+from diffdrive_mpc.bench.table import Table
 
 
 def report_tables(results: Reproduction) -> list[Table]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from bench.reproduce.experiments.cost import Cost
-from bench.reproduce.published import Published
-from bench.table import Table
+from diffdrive_mpc.bench.reproduce.experiments.cost import Cost
+from diffdrive_mpc.bench.reproduce.published import Published
+from diffdrive_mpc.bench.table import Table
 
 _ROUNDING = 1e-9
 

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.reproduce.experiments.mbm_and_sm import COMPARED, DATA, SM, MbmSmResult
-from bench.reproduce.published import Published
-from bench.table import Table, number
-from models.interface import FloatArray
-from models.velocity_model import CHANNELS
+from diffdrive_mpc.bench.reproduce.experiments.mbm_and_sm import COMPARED, DATA, SM, MbmSmResult
+from diffdrive_mpc.bench.reproduce.published import Published
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.velocity_model import CHANNELS
 
 STATISTICS = {"RMSE": "rmse", "mean": "mean", "standard deviation": "std", "max": "max"}
 """Names of the papers' statistics, in the order of their tables."""

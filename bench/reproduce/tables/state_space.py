@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.reproduce.experiments.odometry import PoseError
-from bench.reproduce.experiments.state_space import IDENTIFIED, PRINTED, FreeDrive, SsmResult, VelocityFit
-from bench.reproduce.published import Published, PublishedDrive
-from bench.reproduce.tables.mbm_and_sm import STATISTICS
-from bench.table import Table, number
-from models.interface import FloatArray
+from diffdrive_mpc.bench.reproduce.experiments.odometry import PoseError
+from diffdrive_mpc.bench.reproduce.experiments.state_space import IDENTIFIED, PRINTED, FreeDrive, SsmResult, VelocityFit
+from diffdrive_mpc.bench.reproduce.published import Published, PublishedDrive
+from diffdrive_mpc.bench.reproduce.tables.mbm_and_sm import STATISTICS
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.interface import FloatArray
 
 _FIT_COLUMNS = ("FIT v [%]", "FIT omega [%]", "RMSE v [m/s]", "RMSE omega [rad/s]")
 _PUBLISHED = "published"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from bench.reproduce.experiments.virtual_track import TrackLine, VirtualTrackResult
-from bench.table import Table, number
+from diffdrive_mpc.bench.reproduce.experiments.virtual_track import TrackLine, VirtualTrackResult
+from diffdrive_mpc.bench.table import Table, number
 
 
 def virtual_track_table(result: VirtualTrackResult) -> Table:

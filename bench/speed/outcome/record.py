@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ import json
 import math
 from pathlib import Path
 
-from bench.figures.speed import draw_horizons, draw_tails
-from bench.speed.outcome.results import SpeedResults
-from bench.speed.outcome.tables import detailed_horizon, speed_tables
+from diffdrive_mpc.bench.figures.speed import draw_horizons, draw_tails
+from diffdrive_mpc.bench.speed.outcome.results import SpeedResults
+from diffdrive_mpc.bench.speed.outcome.tables import detailed_horizon, speed_tables
 
 REPORT_FILES = ("speed.json", "speed.md")
 FIGURES = "figures"

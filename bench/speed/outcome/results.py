@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from bench.speed.outcome.record import Measured, Missing, Record, growth_exponent
+from diffdrive_mpc.bench.speed.outcome.record import Measured, Missing, Record, growth_exponent
 
 ACADOS = "acados"
 """The peer that ratios refer to."""

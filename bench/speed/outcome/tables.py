@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bench.speed.outcome.record import Record
-from bench.speed.outcome.results import ACADOS, GROWTH_FROM, SpeedResults
-from bench.table import Table, number
+from diffdrive_mpc.bench.speed.outcome.record import Record
+from diffdrive_mpc.bench.speed.outcome.results import ACADOS, GROWTH_FROM, SpeedResults
+from diffdrive_mpc.bench.table import Table, number
 
 _DETAILED = 30
 """The shipped horizon; a run without it shows its longest."""

@@ -10,8 +10,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.speed.process.subject import SubjectError
-from mpc.compiled.compiler import cache_folder
+from diffdrive_mpc.bench.speed.process.subject import SubjectError
+from diffdrive_mpc.mpc.compiled.compiler import cache_folder
 
 REQUIREMENTS = Path(__file__).parents[1] / "subjects" / "requirements.txt"
 _READY = ".ready"

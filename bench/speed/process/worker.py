@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 KINDS = {
-    "ours": ("bench.speed.subjects.ours", "OurSubject"),
-    "acados": ("bench.speed.subjects.acados_peer", "AcadosPeer"),
-    "do-mpc": ("bench.speed.subjects.do_mpc_peer", "DoMpcPeer"),
-    "nlpsol": ("bench.speed.subjects.nlp_peer", "NlpPeer"),
+    "ours": ("diffdrive_mpc.bench.speed.subjects.ours", "OurSubject"),
+    "acados": ("diffdrive_mpc.bench.speed.subjects.acados_peer", "AcadosPeer"),
+    "do-mpc": ("diffdrive_mpc.bench.speed.subjects.do_mpc_peer", "DoMpcPeer"),
+    "nlpsol": ("diffdrive_mpc.bench.speed.subjects.nlp_peer", "NlpPeer"),
 }
 """Module and class behind each kind of subject."""
 

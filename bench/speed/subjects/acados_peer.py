@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from acados_template import AcadosModel, AcadosOcp, AcadosOcpSolver
 
-from bench.speed.subjects.answer import Report
+from diffdrive_mpc.bench.speed.subjects.answer import Report
 
 _UPDATE = Path(__file__).with_name("acados_update.c")
 _HEADER = """#include "acados_solver_tracking.h"

@@ -14,8 +14,8 @@ import numpy as np
 from do_mpc.controller import MPC
 from do_mpc.model import Model
 
-from bench.speed.subjects.answer import Report
-from bench.speed.subjects.shooting import SOFT
+from diffdrive_mpc.bench.speed.subjects.answer import Report
+from diffdrive_mpc.bench.speed.subjects.shooting import SOFT
 
 
 class DoMpcPeer:

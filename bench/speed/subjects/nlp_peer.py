@@ -8,8 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from bench.speed.subjects.answer import Report
-from bench.speed.subjects.shooting import shooting_program
+from diffdrive_mpc.bench.speed.subjects.answer import Report
+from diffdrive_mpc.bench.speed.subjects.shooting import shooting_program
 
 
 class NlpPeer:

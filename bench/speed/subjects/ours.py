@@ -6,13 +6,13 @@ import time
 from pathlib import Path
 from typing import Any
 
-from bench.speed.subjects.answer import Report
-from models.interface import FloatArray, Measurement
-from mpc import Controller, StepResult, load_trajectory
-from mpc.command_line import CommandLine
-from mpc.config import ControllerConfig
-from mpc.planner import Planner
-from mpc.step_result import Mode
+from diffdrive_mpc.bench.speed.subjects.answer import Report
+from diffdrive_mpc.models.interface import FloatArray, Measurement
+from diffdrive_mpc.mpc import Controller, StepResult, load_trajectory
+from diffdrive_mpc.mpc.command_line import CommandLine
+from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.planner import Planner
+from diffdrive_mpc.mpc.step_result import Mode
 
 
 class OurSubject:

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from models.identification.base_effects.free_run import Point, free_run
-from models.identification.base_effects.settings import effect_settings
-from models.identification.output_error.covariance import sandwich
-from models.identification.output_error.robust import output_spread, residual_scale, spike_weights
-from models.identification.output_error.stretch import Stretch
-from models.interface import FloatArray
+from diffdrive_mpc.models.identification.base_effects.free_run import Point, free_run
+from diffdrive_mpc.models.identification.base_effects.settings import effect_settings
+from diffdrive_mpc.models.identification.output_error.covariance import sandwich
+from diffdrive_mpc.models.identification.output_error.robust import output_spread, residual_scale, spike_weights
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.interface import FloatArray
 
 
 @dataclass(frozen=True)

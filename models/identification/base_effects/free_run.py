@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import signal
 
-from models.base_effects import PARTS, TwistSlew, WheelCommand, YawRelaxation
-from models.identification.output_error.stretch import Stretch
-from models.interface import FloatArray
+from diffdrive_mpc.models.base_effects import PARTS, TwistSlew, WheelCommand, YawRelaxation
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.interface import FloatArray
 
 Point = Mapping[str, float]
 """Values of parameters by name; an effect whose parameters are missing is not there."""

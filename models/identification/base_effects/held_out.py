@@ -8,11 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from models.identification.base_effects.fitting import EffectFit, Weighted, fit_effects
-from models.identification.base_effects.free_run import Point
-from models.identification.base_effects.settings import effect_settings
-from models.identification.output_error.stretch import Stretch
-from models.interface import FloatArray
+from diffdrive_mpc.models.identification.base_effects.fitting import EffectFit, Weighted, fit_effects
+from diffdrive_mpc.models.identification.base_effects.free_run import Point
+from diffdrive_mpc.models.identification.base_effects.settings import effect_settings
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.interface import FloatArray
 
 Pieces = list[tuple[int, int, int]]
 """Number of a stretch, its samples from and up to."""

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.identification.base_effects.free_run import Point, free_run
-from models.identification.base_effects.selection import Trial
-from models.identification.base_effects.sensed import sensed
-from models.identification.estimate import Estimate
-from models.identification.fit import pooled_fit_percent
-from models.identification.identified import IdentifiedModel
-from models.interface import FloatArray
-from models.logs.record import Record
+from diffdrive_mpc.models.identification.base_effects.free_run import Point, free_run
+from diffdrive_mpc.models.identification.base_effects.selection import Trial
+from diffdrive_mpc.models.identification.base_effects.sensed import sensed
+from diffdrive_mpc.models.identification.estimate import Estimate
+from diffdrive_mpc.models.identification.fit import pooled_fit_percent
+from diffdrive_mpc.models.identification.identified import IdentifiedModel
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
 
 
 @dataclass(frozen=True)

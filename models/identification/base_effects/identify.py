@@ -7,20 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from models.base_effects import BaseEffects
-from models.identification import doubts
-from models.identification.base_effects.fitting import EffectFit, covariance
-from models.identification.base_effects.free_run import Point, base_track
-from models.identification.base_effects.identified_base import IdentifiedBase
-from models.identification.base_effects.pose_sensor import pose_sensor
-from models.identification.base_effects.selection import EFFECTS, Selection, select_effects
-from models.identification.base_effects.sensed import sensed
-from models.identification.base_effects.settings import effect_settings
-from models.identification.estimate import Estimate
-from models.identification.identified import IdentifiedModel, rounded
-from models.interface import FloatArray
-from models.logs.record import Record
-from models.velocity_model import CHANNELS
+from diffdrive_mpc.models.base_effects import BaseEffects
+from diffdrive_mpc.models.identification import doubts
+from diffdrive_mpc.models.identification.base_effects.fitting import EffectFit, covariance
+from diffdrive_mpc.models.identification.base_effects.free_run import Point, base_track
+from diffdrive_mpc.models.identification.base_effects.identified_base import IdentifiedBase
+from diffdrive_mpc.models.identification.base_effects.pose_sensor import pose_sensor
+from diffdrive_mpc.models.identification.base_effects.selection import EFFECTS, Selection, select_effects
+from diffdrive_mpc.models.identification.base_effects.sensed import sensed
+from diffdrive_mpc.models.identification.base_effects.settings import effect_settings
+from diffdrive_mpc.models.identification.estimate import Estimate
+from diffdrive_mpc.models.identification.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.velocity_model import CHANNELS
 
 METHOD = (
     "output error (simulation from commands alone) of v and omega of the encoders and omega of the gyro at once, two "

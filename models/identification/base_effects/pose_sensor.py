@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from models.identification.base_effects.settings import effect_settings
-from models.identification.estimate import Estimate, joined
-from models.identification.output_error.covariance import sandwich
-from models.interface import FloatArray
-from models.logs.record import Record
+from diffdrive_mpc.models.identification.base_effects.settings import effect_settings
+from diffdrive_mpc.models.identification.estimate import Estimate, joined
+from diffdrive_mpc.models.identification.output_error.covariance import sandwich
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
 
 _FEWEST_WINDOWS = 20
 _DELAY_STEP = 0.2

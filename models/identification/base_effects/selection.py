@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.identification.base_effects.fitting import EffectFit, Weighted, fit_effects, weighted
-from models.identification.base_effects.free_run import Point
-from models.identification.base_effects.held_out import gain, tried
-from models.identification.base_effects.settings import effect_settings
-from models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.identification.base_effects.fitting import EffectFit, Weighted, fit_effects, weighted
+from diffdrive_mpc.models.identification.base_effects.free_run import Point
+from diffdrive_mpc.models.identification.base_effects.held_out import gain, tried
+from diffdrive_mpc.models.identification.base_effects.settings import effect_settings
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
 
 LINEAR = (
     "gain.v",

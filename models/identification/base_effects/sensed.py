@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.identification.output_error.stretch import Stretch
-from models.identification.signals import twist_stretches
-from models.logs.record import Record
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.identification.signals import twist_stretches
+from diffdrive_mpc.models.logs.record import Record
 
 SENSORS = ("v", "omega of the encoders", "omega of the gyro")
 

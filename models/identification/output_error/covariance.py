@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray
 
 # Correlations of scores are capped here in the choice of the window: beyond, the window would take in everything.
 _MOST_CORRELATED = 0.97

@@ -7,9 +7,9 @@ from typing import Protocol
 
 import numpy as np
 
-from models.identification.output_error.linear_system import AnyArray, LinearSystem
-from models.identification.settings import load_settings
-from models.interface import FloatArray
+from diffdrive_mpc.models.identification.output_error.linear_system import AnyArray, LinearSystem
+from diffdrive_mpc.models.identification.settings import load_settings
+from diffdrive_mpc.models.interface import FloatArray
 
 
 class Structure(Protocol):

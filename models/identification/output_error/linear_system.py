@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray
 
 AnyArray = NDArray[Any]
 """Real, or complex on the way to a derivative."""

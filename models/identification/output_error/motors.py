@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.identification.output_error.linear_system import AnyArray
-from models.identification.output_error.structures import TwoPolesStructure
-from models.identification.settings import load_settings
-from models.interface import FloatArray
+from diffdrive_mpc.models.identification.output_error.linear_system import AnyArray
+from diffdrive_mpc.models.identification.output_error.structures import TwoPolesStructure
+from diffdrive_mpc.models.identification.settings import load_settings
+from diffdrive_mpc.models.interface import FloatArray
 
 
 @dataclass(frozen=True)

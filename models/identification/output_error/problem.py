@@ -12,17 +12,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from models.identification.output_error.layout import Layout
-from models.identification.output_error.linear_system import (
+from diffdrive_mpc.models.identification.output_error.layout import Layout
+from diffdrive_mpc.models.identification.output_error.linear_system import (
     AnyArray,
     LinearSystem,
     SampledSystem,
     delayed,
     sample,
 )
-from models.identification.output_error.response import StateResponse
-from models.identification.output_error.stretch import Stretch
-from models.interface import FloatArray
+from diffdrive_mpc.models.identification.output_error.response import StateResponse
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.interface import FloatArray
 
 # Any step this small is exact in complex arithmetic.
 _COMPLEX_STEP = 1e-30

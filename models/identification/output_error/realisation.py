@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg
 
-from models.identification.output_error.linear_system import delayed
-from models.identification.output_error.stretch import Stretch
-from models.interface import FloatArray
+from diffdrive_mpc.models.identification.output_error.linear_system import delayed
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.interface import FloatArray
 
 Realisation = tuple[FloatArray, FloatArray, FloatArray]
 """A (n, n), B (n, m), C (p, n), continuous."""

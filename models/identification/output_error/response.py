@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg, signal
 
-from models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray
 
 
 class StateResponse:

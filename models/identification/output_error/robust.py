@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import ndimage
 
-from models.identification.output_error.stretch import Stretch
-from models.interface import FloatArray
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.interface import FloatArray
 
 _SPIKE = 5.0
 """c for single readings: on normal noise next to none is held back."""

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.identification.output_error.solve import OutputErrorFit, estimate
-from models.identification.output_error.stretch import Stretch
-from models.identification.settings import load_settings
+from diffdrive_mpc.models.identification.output_error.solve import OutputErrorFit, estimate
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.identification.settings import load_settings
 
 _CERTAIN = 2.0
 # Only the level and the gain have to move before the best level shows.

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
-from models.identification.output_error.covariance import Sandwich, sandwich
-from models.identification.output_error.layout import Layout
-from models.identification.output_error.linear_system import LinearSystem
-from models.identification.output_error.problem import OutputErrorProblem
-from models.identification.output_error.robust import output_spread, residual_scale, spike_weights
-from models.identification.output_error.stretch import Stretch
-from models.interface import FloatArray
+from diffdrive_mpc.models.identification.output_error.covariance import Sandwich, sandwich
+from diffdrive_mpc.models.identification.output_error.layout import Layout
+from diffdrive_mpc.models.identification.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.identification.output_error.problem import OutputErrorProblem
+from diffdrive_mpc.models.identification.output_error.robust import output_spread, residual_scale, spike_weights
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.interface import FloatArray
 
 # Reweighting ends when a round lowers the cost by less than this part of it, or after so many rounds. A round goes on
 # where the last one stopped, so few evaluations in each are enough.

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.interface import FloatArray
-from models.logs.record import BoolArray
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import BoolArray
 
 _FEWEST_SAMPLES = 20
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.identification.settings import load_settings
-from models.interface import FloatArray
-from models.logs.record import Record
-from models.pose import integrate_pose, wrap_angle
+from diffdrive_mpc.models.identification.settings import load_settings
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.pose import integrate_pose, wrap_angle
 
 
 @dataclass(frozen=True)

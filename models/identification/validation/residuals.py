@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from models.identification.output_error.stretch import Stretch
-from models.identification.settings import load_settings
-from models.interface import FloatArray
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.identification.settings import load_settings
+from diffdrive_mpc.models.interface import FloatArray
 
 _BOUND = float(stats.norm.ppf(0.975))
 

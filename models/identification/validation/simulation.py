@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.identification.fit import pooled_fit_percent
-from models.identification.output_error.linear_system import LinearSystem, delayed, sample, settled_start
-from models.identification.output_error.response import StateResponse
-from models.identification.output_error.stretch import Stretch
-from models.identification.signals import YawSource, twist_stretches
-from models.identification.validation.residuals import ResidualCheck, check_residuals
-from models.interface import FloatArray
-from models.logs.record import Record
+from diffdrive_mpc.models.identification.fit import pooled_fit_percent
+from diffdrive_mpc.models.identification.output_error.linear_system import LinearSystem, delayed, sample, settled_start
+from diffdrive_mpc.models.identification.output_error.response import StateResponse
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.identification.signals import YawSource, twist_stretches
+from diffdrive_mpc.models.identification.validation.residuals import ResidualCheck, check_residuals
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from models.checked_yaml import ConfigError
-from models.interface import FloatArray
-from models.logs.bags.bag_messages import COMMANDS, IMU, ODOMETRY, POSES
-from models.logs.bags.bag_topics import Decoders, TopicRows, opened, read_topic
-from models.logs.checks.clocks import drifting_clocks, require_one_clock
-from models.logs.column_mapping import LogMapping, Topic, Topics
-from models.logs.record import Finding, ranges
-from models.logs.signals import RawLog, Signal, Stretch, increasing, unwrapped, usual_step
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.bags.bag_messages import COMMANDS, IMU, ODOMETRY, POSES
+from diffdrive_mpc.models.logs.bags.bag_topics import Decoders, TopicRows, opened, read_topic
+from diffdrive_mpc.models.logs.checks.clocks import drifting_clocks, require_one_clock
+from diffdrive_mpc.models.logs.column_mapping import LogMapping, Topic, Topics
+from diffdrive_mpc.models.logs.record import Finding, ranges
+from diffdrive_mpc.models.logs.signals import RawLog, Signal, Stretch, increasing, unwrapped, usual_step
 
 _DECODERS: dict[str, Decoders] = {"command": COMMANDS, "odometry": ODOMETRY, "imu": IMU, "pose": POSES}
 _FIELDS = {"odometry": "twist", "imu": "yaw_rate", "pose": "pose"}

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from models.checked_yaml import ConfigError
-from models.interface import FloatArray
-from models.logs.bags.bag_messages import Reading, stamp
-from models.logs.record import BoolArray
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.bags.bag_messages import Reading, stamp
+from diffdrive_mpc.models.logs.record import BoolArray
 
 if TYPE_CHECKING:
     from rosbags.rosbag2 import Reader

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from models.checked_yaml import ConfigError
-from models.interface import FloatArray
-from models.logs.checks.settings import check_settings
-from models.logs.record import Finding
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.checks.settings import check_settings
+from diffdrive_mpc.models.logs.record import Finding
 
 
 def require_one_clock(log: str, late: Mapping[str, FloatArray], remedy: str) -> None:

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.logs.checks.settings import CheckSettings
-from models.logs.record import Finding, Record
-from models.velocity_model import CHANNELS
+from diffdrive_mpc.models.logs.checks.settings import CheckSettings
+from diffdrive_mpc.models.logs.record import Finding, Record
+from diffdrive_mpc.models.velocity_model import CHANNELS
 
 _UNITS = {"v": "m/s", "omega": "rad/s"}
 _REMEDY = "drive steps of both signs in v and in omega, each for a second or more"

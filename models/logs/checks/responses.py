@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.interface import FloatArray
-from models.logs.record import Record
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.interface import FloatArray
-from models.logs.checks.responses import largest_command
-from models.logs.checks.settings import CheckSettings
-from models.logs.record import BoolArray, Finding, Record
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.checks.responses import largest_command
+from diffdrive_mpc.models.logs.checks.settings import CheckSettings
+from diffdrive_mpc.models.logs.record import BoolArray, Finding, Record
 
 _SENSORS = {
     "encoders": ("twist", "fresh_twist", (0, 1)),

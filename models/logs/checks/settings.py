@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.interface import FloatArray
-from models.logs.checks.responses import Response, responses
-from models.logs.checks.settings import CheckSettings
-from models.logs.record import Finding, Record
-from models.logs.units import MIXED_UP
-from models.velocity_model import CHANNELS
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.checks.responses import Response, responses
+from diffdrive_mpc.models.logs.checks.settings import CheckSettings
+from diffdrive_mpc.models.logs.record import Finding, Record
+from diffdrive_mpc.models.logs.units import MIXED_UP
+from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
 def check_responses(log: str, records: Sequence[Record], settings: CheckSettings) -> list[Finding]:

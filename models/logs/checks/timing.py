@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.logs.checks.settings import CheckSettings
-from models.logs.record import Finding
-from models.logs.signals import RawLog
+from diffdrive_mpc.models.logs.checks.settings import CheckSettings
+from diffdrive_mpc.models.logs.record import Finding
+from diffdrive_mpc.models.logs.signals import RawLog
 
 
 def gap_finding(log: str, end: float, start: float, settings: CheckSettings) -> Finding:

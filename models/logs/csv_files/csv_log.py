@@ -6,16 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-from models.checked_yaml import ConfigError
-from models.interface import FloatArray
-from models.logs.checks.clocks import require_one_clock
-from models.logs.checks.settings import check_settings
-from models.logs.column_mapping import Columns, LogMapping, SensorColumns, load_mapping
-from models.logs.csv_files.csv_signals import RowReader, Rows, RowSignal, fresh_rows
-from models.logs.csv_files.csv_table import CsvTable, read_table
-from models.logs.record import BoolArray, Finding, ranges
-from models.logs.signals import RawLog, Signal, Stretch, unwrapped
-from models.logs.units import FACTORS
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.checks.clocks import require_one_clock
+from diffdrive_mpc.models.logs.checks.settings import check_settings
+from diffdrive_mpc.models.logs.column_mapping import Columns, LogMapping, SensorColumns, load_mapping
+from diffdrive_mpc.models.logs.csv_files.csv_signals import RowReader, Rows, RowSignal, fresh_rows
+from diffdrive_mpc.models.logs.csv_files.csv_table import CsvTable, read_table
+from diffdrive_mpc.models.logs.record import BoolArray, Finding, ranges
+from diffdrive_mpc.models.logs.signals import RawLog, Signal, Stretch, unwrapped
+from diffdrive_mpc.models.logs.units import FACTORS
 
 OWN_FORMAT = "simulate"
 """The mapping of the logs that `diffdrive-mpc simulate --log` writes; they are recognised by their columns."""

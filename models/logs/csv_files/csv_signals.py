@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from models.checked_yaml import ConfigError
-from models.interface import FloatArray
-from models.logs.column_mapping import (
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.column_mapping import (
     FOUR_WHEELS,
     SIDES,
     CommandColumns,
@@ -18,11 +18,11 @@ from models.logs.column_mapping import (
     WheelColumn,
     Wheels,
 )
-from models.logs.csv_files.csv_table import CsvTable
-from models.logs.record import BoolArray, Finding, ranges
-from models.logs.signals import Signal, increasing
-from models.logs.units import FACTORS
-from models.wheels import WheelKinematics
+from diffdrive_mpc.models.logs.csv_files.csv_table import CsvTable
+from diffdrive_mpc.models.logs.record import BoolArray, Finding, ranges
+from diffdrive_mpc.models.logs.signals import Signal, increasing
+from diffdrive_mpc.models.logs.units import FACTORS
+from diffdrive_mpc.models.wheels import WheelKinematics
 
 Rows = NDArray[np.intp]
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from models.checked_yaml import ConfigError
-from models.interface import FloatArray
-from models.logs.record import BoolArray, Finding
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import BoolArray, Finding
 
 _SEPARATORS = ",;\t"
 
