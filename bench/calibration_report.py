@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from diffdrive_mpc.bench.table import Table
-from diffdrive_mpc.sim.calibration import validate_calibration
-from diffdrive_mpc.sim.twin_parameters import Firmware
+from diffdrive_mpc.sim.plants.calibration import validate_calibration
+from diffdrive_mpc.sim.plants.twin_parameters import Firmware
 
 
 def calibration_table(firmware: Firmware) -> Table:

@@ -6,7 +6,18 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.commands import bench, export, identify, node, real_logs, reproduce, robot, simulate, speed, tracking
+from diffdrive_mpc.bench.commands import (
+    bench,
+    export,
+    identify,
+    node,
+    real_logs,
+    reproduce,
+    robot,
+    simulate,
+    speed,
+    tracking,
+)
 from diffdrive_mpc.bench.commands.config import config_app
 from diffdrive_mpc.bench.commands.models import models_app
 from diffdrive_mpc.bench.commands.one_line_errors import OneLineErrors

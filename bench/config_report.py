@@ -1,4 +1,4 @@
-"""The configuration schema and configurations as text, all from the one schema in `mpc.config`."""
+"""The configuration schema and configurations as text, all from the one schema in `mpc.config.schema`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 
 from diffdrive_mpc.bench.console import output_console
 from diffdrive_mpc.bench.table import Table
-from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 _BOUNDS = {Gt: ("gt", ">"), Ge: ("ge", ">="), Lt: ("lt", "<"), Le: ("le", "<=")}
 """Attribute and sign of each kind of bound."""

@@ -1,4 +1,7 @@
-"""Write the table of the node's parameters into docs/robot.md. Run as ``python -m diffdrive_mpc.bench.robot_page``, from the top."""
+"""Write the table of the node's parameters into docs/robot.md.
+
+Run as ``python -m diffdrive_mpc.bench.robot_page``, from the top of the repository.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from pathlib import Path
 from diffdrive_mpc.bench.config_report import FieldRow, schema_rows
 from diffdrive_mpc.bench.documents import insert
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
-from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 PAGE = Path("docs/robot.md")

@@ -1,8 +1,8 @@
 """What decides: reference trajectories, the tracking problem, its solver, the estimator and the failure ladder."""
 
 from diffdrive_mpc.models.interface import Measurement, Stamped
-from diffdrive_mpc.mpc.config import ControllerConfig
-from diffdrive_mpc.mpc.config_file import load_config
+from diffdrive_mpc.mpc.config.config_file import load_config
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.hold import Hold

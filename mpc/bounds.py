@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.config import Limits
+from diffdrive_mpc.mpc.config.schema import Limits
 
 
 def slew_step(limits: Limits, dt: float) -> FloatArray:

@@ -17,8 +17,8 @@ from diffdrive_mpc.mpc.bounds import clip_command, inside_limits
 from diffdrive_mpc.mpc.compiled.estimator import CompiledEstimator
 from diffdrive_mpc.mpc.compiled.library import compiled_or_not
 from diffdrive_mpc.mpc.compiled.reference import compile_reference
-from diffdrive_mpc.mpc.config import ControllerConfig
-from diffdrive_mpc.mpc.config_file import replace_values
+from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.estimator import StateEstimator
 from diffdrive_mpc.mpc.finish import FinishWatch

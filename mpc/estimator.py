@@ -14,7 +14,7 @@ from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.mpc.belief import Belief
 from diffdrive_mpc.mpc.command_line import CommandLine
-from diffdrive_mpc.mpc.config import Compensation, Estimator, Wheels
+from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, Wheels
 from diffdrive_mpc.mpc.estimate import SENSORS, Estimate
 from diffdrive_mpc.mpc.kalman import SlipFilter
 from diffdrive_mpc.mpc.measurement_check import numbers

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from diffdrive_mpc.models.interface import Reference
-from diffdrive_mpc.mpc.config import Finish
+from diffdrive_mpc.mpc.config.schema import Finish
 from diffdrive_mpc.mpc.estimate import Estimate
 
 

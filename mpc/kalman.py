@@ -14,7 +14,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import linearised_arc, wrap_angle
 from diffdrive_mpc.mpc.belief import Belief
 from diffdrive_mpc.mpc.command_line import CommandLine
-from diffdrive_mpc.mpc.config import Compensation, Estimator
+from diffdrive_mpc.mpc.config.schema import Compensation, Estimator
 from diffdrive_mpc.mpc.slip import Slip
 
 # Places after the n velocity states.

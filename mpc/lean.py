@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.config import Weights
+from diffdrive_mpc.mpc.config.schema import Weights
 
 
 def lean(poses: FloatArray, twist: FloatArray, side_slip: float, weights: Weights) -> tuple[FloatArray, FloatArray]:

@@ -15,7 +15,7 @@ from diffdrive_mpc.mpc.bounds import command_box
 from diffdrive_mpc.mpc.compiled.condenser import CompiledCondenser
 from diffdrive_mpc.mpc.compiled.library import compiled_or_not
 from diffdrive_mpc.mpc.condensed import Condenser
-from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem import TrackingProblem

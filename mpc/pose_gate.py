@@ -8,7 +8,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Stamped
 from diffdrive_mpc.models.pose import wrap_angle
-from diffdrive_mpc.mpc.config import Estimator
+from diffdrive_mpc.mpc.config.schema import Estimator
 from diffdrive_mpc.mpc.measurement_check import covariance, numbers, stamp_fault
 
 # So many poses in a row that contradict the estimate but agree with each other are no outliers.

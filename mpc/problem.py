@@ -21,7 +21,7 @@ from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import arc_function
 from diffdrive_mpc.mpc.bounds import command_box, slew_step
-from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.prediction import Prediction, build_prediction
 from diffdrive_mpc.mpc.tick import Tick
 

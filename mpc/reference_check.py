@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from diffdrive_mpc.models.interface import Reference
-from diffdrive_mpc.mpc.config import Limits
+from diffdrive_mpc.mpc.config.schema import Limits
 
 # A spline through timed poses may ring a little over its limit.
 _SPEED_EXCESS = 1.01

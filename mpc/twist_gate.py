@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive_mpc.models.interface import Measurement, Stamped
-from diffdrive_mpc.mpc.config import Estimator
+from diffdrive_mpc.mpc.config.schema import Estimator
 from diffdrive_mpc.mpc.measurement_check import covariance, numbers, stamp_fault
 
 

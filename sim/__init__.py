@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from diffdrive_mpc.sim.loop import simulate
     from diffdrive_mpc.sim.make import make_plant
-    from diffdrive_mpc.sim.metrics import Metrics
+    from diffdrive_mpc.sim.metrics.metrics import Metrics
     from diffdrive_mpc.sim.plant import Plant
     from diffdrive_mpc.sim.run import Run
 
 _HOMES = {
-    "Metrics": "diffdrive_mpc.sim.metrics",
+    "Metrics": "diffdrive_mpc.sim.metrics.metrics",
     "Plant": "diffdrive_mpc.sim.plant",
     "Run": "diffdrive_mpc.sim.run",
     "make_plant": "diffdrive_mpc.sim.make",

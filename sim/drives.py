@@ -10,8 +10,8 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import Positive, Robot, load_robot
-from diffdrive_mpc.sim.surface import NotNegative
-from diffdrive_mpc.sim.twin_parameters import PARAMETERS
+from diffdrive_mpc.sim.plants.surface import NotNegative
+from diffdrive_mpc.sim.plants.twin_parameters import PARAMETERS
 
 
 class StepDrives(StrictModel):

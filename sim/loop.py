@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
-from diffdrive_mpc.sim.disturbed_plant import DisturbedPlant
+from diffdrive_mpc.sim.disturbances.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plant import Plant, RobotLostError
 from diffdrive_mpc.sim.run import TIME_TOLERANCE, Run
 

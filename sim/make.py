@@ -7,11 +7,11 @@ from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim.disturbed_plant import DisturbedPlant
+from diffdrive_mpc.sim.disturbances.disturbed_plant import DisturbedPlant
+from diffdrive_mpc.sim.disturbances.scenario import load_scenario
 from diffdrive_mpc.sim.plant import Plant
-from diffdrive_mpc.sim.scenario import load_scenario
-from diffdrive_mpc.sim.sensor_set import load_sensor_set
-from diffdrive_mpc.sim.surface import load_surface
+from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 _MODEL_PREFIX = "model:"
 
@@ -65,7 +65,7 @@ def make_plant(
             raise ConfigError(
                 "extra_dead_time is for 'model:' plants; 'mujoco' has link.dead_time in its parameter file"
             )
-        from diffdrive_mpc.sim.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
+        from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
 
         if not happening.kinds:
             return MujocoPlant(floor.friction, sensor_set, seed)
@@ -73,7 +73,7 @@ def make_plant(
         return DisturbedPlant(robot, happening, load_robot().limits, lambda: robot.crossed)
     if name.startswith(_MODEL_PREFIX):
         from diffdrive_mpc.models.load import load_base_effects, load_model  # noqa: PLC0415 - only this plant needs it
-        from diffdrive_mpc.sim.model_plant import ModelPlant  # noqa: PLC0415
+        from diffdrive_mpc.sim.plants.model_plant import ModelPlant  # noqa: PLC0415
 
         if not extra_dead_time >= 0:
             raise ConfigError(f"extra_dead_time {extra_dead_time} s: it must not be negative")

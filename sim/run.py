@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, ReferenceSample, Stamped
-from diffdrive_mpc.sim.metric_settings import metric_settings
-from diffdrive_mpc.sim.metrics import Metrics, compute_metrics
-from diffdrive_mpc.sim.recovery import Recovery, compute_recovery
-from diffdrive_mpc.sim.tracking_errors import TrackingErrors, tracking_errors
+from diffdrive_mpc.sim.metrics.metric_settings import metric_settings
+from diffdrive_mpc.sim.metrics.metrics import Metrics, compute_metrics
+from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
+from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, tracking_errors
 
 if TYPE_CHECKING:
     from typing import Self

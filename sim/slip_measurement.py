@@ -6,7 +6,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.log import Log
-from diffdrive_mpc.sim.surface import Slip
+from diffdrive_mpc.sim.plants.surface import Slip
 
 
 def measure_slip(log: Log, on_default: Log) -> Slip:

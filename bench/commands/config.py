@@ -15,7 +15,7 @@ def show(
 ) -> None:
     """Print every value of a configuration as a commented YAML file."""
     from diffdrive_mpc.bench.config_report import commented_yaml  # noqa: PLC0415 - --help does without it
-    from diffdrive_mpc.mpc.config_file import load_config  # noqa: PLC0415
+    from diffdrive_mpc.mpc.config.config_file import load_config  # noqa: PLC0415
 
     typer.echo(commented_yaml(load_config(source)), nl=False)
 

@@ -67,8 +67,8 @@ def calibrate(
     from diffdrive_mpc.bench.calibration_report import calibration_table  # noqa: PLC0415
     from diffdrive_mpc.bench.console import output_console  # noqa: PLC0415
     from diffdrive_mpc.bench.progress import ProgressBar  # noqa: PLC0415
-    from diffdrive_mpc.sim.calibration import calibrate as fit_firmware  # noqa: PLC0415
-    from diffdrive_mpc.sim.twin_parameters import FIRMWARE_FILE, load_firmware  # noqa: PLC0415
+    from diffdrive_mpc.sim.plants.calibration import calibrate as fit_firmware  # noqa: PLC0415
+    from diffdrive_mpc.sim.plants.twin_parameters import FIRMWARE_FILE, load_firmware  # noqa: PLC0415
 
     if check and out is not None:
         raise ValueError(f"--out {out}: --check writes nothing; give one of them")

@@ -66,7 +66,7 @@ def robot(
     from diffdrive_mpc.sim import make_plant  # noqa: PLC0415
     from diffdrive_mpc.sim.ros.base_settings import load_base_settings  # noqa: PLC0415
     from diffdrive_mpc.sim.ros.run_robot import run_robot  # noqa: PLC0415
-    from diffdrive_mpc.sim.sensor_set import load_sensor_set  # noqa: PLC0415
+    from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set  # noqa: PLC0415
 
     changes = {
         "stamped": stamped,

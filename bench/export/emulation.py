@@ -13,7 +13,7 @@ from diffdrive_mpc.bench.export.emulator import MACHINE, EmulatedController
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Reference
 from diffdrive_mpc.mpc import Controller, ControllerConfig
-from diffdrive_mpc.mpc.config_file import replace_values
+from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.sim import make_plant, simulate
 
 _PLANT, _SEED = "mujoco", 0

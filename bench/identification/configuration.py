@@ -9,7 +9,7 @@ from diffdrive_mpc.bench.identification.outcome import Outcome
 from diffdrive_mpc.bench.identification.settings import report_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.velocity_model import CHANNELS
-from diffdrive_mpc.mpc.config import Limits
+from diffdrive_mpc.mpc.config.schema import Limits
 
 MODEL_FILE = "model.yaml"
 _UNITS = {"v": "m/s", "omega": "rad/s"}

@@ -18,7 +18,7 @@ from diffdrive_mpc.bench.peers.clairvoyant_settings import ClairvoyantSettings, 
 from diffdrive_mpc.bench.peers.known_plant import KnownPlant
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.mpc.bounds import clip_command
-from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,8 @@ from diffdrive_mpc.bench.peers.clairvoyant_settings import ClairvoyantSettings
 from diffdrive_mpc.bench.peers.known_plant import KnownPlant
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
 from diffdrive_mpc.mpc.bounds import slew_step
-from diffdrive_mpc.mpc.config import ControllerConfig
-from diffdrive_mpc.sim.metric_settings import metric_settings
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.sim.metrics.metric_settings import metric_settings
 
 
 @dataclass(frozen=True)

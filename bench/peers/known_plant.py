@@ -15,7 +15,7 @@ from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim.log import Log, record
 from diffdrive_mpc.sim.make import make_plant
-from diffdrive_mpc.sim.surface import load_surface
+from diffdrive_mpc.sim.plants.surface import load_surface
 
 _PERFECT = "perfect"
 _MODEL_PREFIX = "model:"
@@ -49,7 +49,7 @@ def know_plant(plant: str, surface: str, trajectories: tuple[str, ...]) -> Known
     Parameters
     ----------
     plant, surface
-        As `sim.make_plant` takes them; of "model:" plants those without dead time in their name.
+        As `sim.make` takes them; of "model:" plants those without dead time in their name.
     trajectories
         Names or paths.
 

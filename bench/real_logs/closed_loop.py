@@ -11,8 +11,8 @@ import numpy as np
 from diffdrive_mpc.bench.real_logs.robot_files import CONFIG, MODEL, SURFACE
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
-from diffdrive_mpc.mpc.config import Limits
-from diffdrive_mpc.mpc.config_file import replace_values
+from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.config.schema import Limits
 from diffdrive_mpc.sim import make_plant, simulate
 
 TRAJECTORIES = ("circle", "square", "s", "cane")

@@ -2,7 +2,8 @@
 
 `minute.yaml` beside this file is a trajectory long enough for figures of jitter and latency.
 
-Run as ``python -m diffdrive_mpc.bench.ros.compare [--real-time] [--page] [--model MODEL] [--seed SEED] [TRAJECTORY ...]``.
+Run as ``python -m diffdrive_mpc.bench.ros.compare [--real-time] [--page] [--model MODEL] [--seed SEED]
+[TRAJECTORY ...]``.
 """
 
 from __future__ import annotations

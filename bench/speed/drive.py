@@ -14,7 +14,7 @@ from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.bounds import clip_command
-from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.estimator import StateEstimator
 from diffdrive_mpc.mpc.planner import Planner
 from diffdrive_mpc.mpc.problem import TrackingProblem

@@ -22,8 +22,8 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import Controller
 from diffdrive_mpc.mpc.bounds import slew_step
-from diffdrive_mpc.mpc.config import ControllerConfig
-from diffdrive_mpc.mpc.config_file import replace_values
+from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 _AT_LIMIT = 1e-5
 """A command this close to a limit stands at it [m/s, rad/s]."""

@@ -15,7 +15,7 @@ from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import arc_function
 from diffdrive_mpc.mpc.bounds import slew_step
-from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.problem import TrackingProblem
 from diffdrive_mpc.mpc.tick import Tick
 
@@ -44,7 +44,7 @@ class StageProblem:
     box, slew
         (2,) bounds of the command [m/s, rad/s] and of its increments; u_{k-1} is the end of z_k.
     tracking_weights, effort_weights, terminal, soft, soft_quadratic
-        (3,), (4,) and scalars; see `mpc.config.Weights`.
+        (3,), (4,) and scalars; see `mpc.config.schema.Weights`.
     step, tracking, effort, soft_values
         CasADi functions, serialised: (z, u, p) to z; (z, p) to the errors along, across, in heading; (z, u, p) to
         the deviation from the feed-forward and the increment; (z, p) to the five values with soft limits.

@@ -66,6 +66,6 @@ def group(rows: Iterable[Row], key: Callable[[Row], str]) -> dict[str, list[Row]
 
 
 def mean(rows: Iterable[Row], metric: str) -> float:
-    """Mean of one field of `sim.metrics.Metrics` over runs; NaN without runs."""
+    """Mean of one field of `sim.metrics.metrics.Metrics` over runs; NaN without runs."""
     values = [getattr(row.metrics, metric) for row in rows]
     return float(np.mean(values)) if values else float("nan")

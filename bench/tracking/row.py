@@ -17,12 +17,12 @@ from diffdrive_mpc.bench.tracking.targets import load_targets
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim import Metrics, Run, make_plant, simulate
-from diffdrive_mpc.sim.steady_arcs import steady_arc_lateral, steady_arcs
+from diffdrive_mpc.sim.metrics.steady_arcs import steady_arc_lateral, steady_arcs
 
 
 @dataclass(frozen=True)
 class Recovered:
-    """How a run came back after its disturbance, as `sim.recovery.Recovery` defines it."""
+    """How a run came back after its disturbance, as `sim.metrics.recovery.Recovery` defines it."""
 
     recovery_time_s: float = math.nan
     overshoot_m: float = math.nan

@@ -85,7 +85,7 @@ def judge(rows: Sequence[Row], study: Study) -> list[Verdict]:
 
 
 def mean_of(metric: str) -> Measure:
-    """Mean over runs of a field of `sim.metrics.Metrics`; NaN where one run could not compute it."""
+    """Mean over runs of a field of `sim.metrics.metrics.Metrics`; NaN where one run could not compute it."""
     return lambda rows: float(np.mean([getattr(row.metrics, metric) for row in rows]))
 
 

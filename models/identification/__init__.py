@@ -11,7 +11,12 @@ from diffdrive_mpc.models.identification.slip_laws import ConstantTrack, SlipPol
 from diffdrive_mpc.models.identification.sm import identify_sm
 from diffdrive_mpc.models.identification.ssm import identify_ssm, identify_ssm_orders
 from diffdrive_mpc.models.identification.tracks import identify_track, side_difference
-from diffdrive_mpc.models.identification.two_poles import Experiment, TwoPolesFit, identify_two_poles, simulate_two_poles
+from diffdrive_mpc.models.identification.two_poles import (
+    Experiment,
+    TwoPolesFit,
+    identify_two_poles,
+    simulate_two_poles,
+)
 
 __all__ = [
     "ConstantTrack",

@@ -15,7 +15,11 @@ from diffdrive_mpc.models.identification.output_error.robust import output_sprea
 from diffdrive_mpc.models.identification.output_error.saturation import find_limits
 from diffdrive_mpc.models.identification.output_error.solve import OutputErrorFit, estimate
 from diffdrive_mpc.models.identification.output_error.stretch import Stretch
-from diffdrive_mpc.models.identification.output_error.structures import TwoPolesStructure, two_poles, two_poles_parameters
+from diffdrive_mpc.models.identification.output_error.structures import (
+    TwoPolesStructure,
+    two_poles,
+    two_poles_parameters,
+)
 from diffdrive_mpc.models.identification.settings import load_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.structures import TwoPoles

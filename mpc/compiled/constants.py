@@ -11,7 +11,7 @@ import numpy as np
 
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.config import Estimator
+from diffdrive_mpc.mpc.config.schema import Estimator
 from diffdrive_mpc.mpc.feed_forward import FeedForward
 from diffdrive_mpc.mpc.kalman import SlipFilter
 from diffdrive_mpc.mpc.problem import TrackingProblem

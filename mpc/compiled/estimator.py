@@ -12,7 +12,7 @@ from diffdrive_mpc.mpc.command_line import CommandLine
 from diffdrive_mpc.mpc.compiled.constants import estimation_constants, estimator_sizes, vector
 from diffdrive_mpc.mpc.compiled.library import callable_in, checked_constants, checked_size, load_library, pointer
 from diffdrive_mpc.mpc.compiled.messages import MeasurementBuffer, NotesBuffer
-from diffdrive_mpc.mpc.config import Compensation, Estimator, Wheels
+from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, Wheels
 from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.estimator import build_filter, correct_sent, history_ticks
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import Measurement, Stamped
 from diffdrive_mpc.mpc.compiled.library import pointer
-from diffdrive_mpc.mpc.config import Estimator
+from diffdrive_mpc.mpc.config.schema import Estimator
 from diffdrive_mpc.mpc.estimator import TOO_MANY
 from diffdrive_mpc.mpc.measurement_check import numbers
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Reference
-from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.export.constants import constants_text, sizes_text
 from diffdrive_mpc.mpc.export.osqp_workspaces import QpShape, write_osqp
 from diffdrive_mpc.mpc.export.parts import build_parts

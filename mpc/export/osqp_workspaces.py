@@ -22,7 +22,7 @@ import osqp
 from scipy import sparse
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 # Step size and over-relaxation for rows of unit length: of 0.3, 1, 3 and 1.6, 1.8 the pair with the shortest tail over
 # 2256 programs of four trajectories at N = 15, a third of them with active constraints (85 iterations at most).

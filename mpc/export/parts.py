@@ -10,7 +10,7 @@ from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.condensed import Condenser
-from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.estimator import build_filter, history_ticks
 from diffdrive_mpc.mpc.feed_forward import FeedForward

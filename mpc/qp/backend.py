@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.config import Weights
+from diffdrive_mpc.mpc.config.schema import Weights
+from diffdrive_mpc.mpc.config.solver import Solver
 from diffdrive_mpc.mpc.quadratic_program import Kinds, QuadraticProgram, Relaxed
-from diffdrive_mpc.mpc.solver_config import Solver
 from diffdrive_mpc.mpc.solver_report import SolverReport
 
 MOST_WORKSPACES = 16

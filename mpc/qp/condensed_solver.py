@@ -12,7 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.config import Weights
+from diffdrive_mpc.mpc.config.schema import Weights
+from diffdrive_mpc.mpc.config.solver import Solver
 from diffdrive_mpc.mpc.qp.backend import Answer, Backend, Task
 from diffdrive_mpc.mpc.qp.daqp_backend import DaqpBackend
 from diffdrive_mpc.mpc.qp.leaning import lean_on
@@ -20,7 +21,6 @@ from diffdrive_mpc.mpc.qp.limit_rows import HARD_KINDS, KINDS
 from diffdrive_mpc.mpc.qp.osqp_backend import OsqpBackend
 from diffdrive_mpc.mpc.qp.solution import Solution
 from diffdrive_mpc.mpc.quadratic_program import Kinds, QuadraticProgram
-from diffdrive_mpc.mpc.solver_config import Solver
 from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
 
 _BACKENDS: dict[str, type[Backend]] = {"osqp": OsqpBackend, "daqp": DaqpBackend}

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.config import Weights
+from diffdrive_mpc.mpc.config.schema import Weights
+from diffdrive_mpc.mpc.config.solver import Solver
 from diffdrive_mpc.mpc.qp.backend import MOST_WORKSPACES, Answer, Task
 from diffdrive_mpc.mpc.qp.limit_rows import HARD_KINDS
 from diffdrive_mpc.mpc.quadratic_program import Kinds, LeastDistance
-from diffdrive_mpc.mpc.solver_config import Solver
 from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
 
 _STATUS = {

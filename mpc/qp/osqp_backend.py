@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.config import Weights
+from diffdrive_mpc.mpc.config.schema import Weights
+from diffdrive_mpc.mpc.config.solver import Solver
 from diffdrive_mpc.mpc.qp.backend import MOST_WORKSPACES, Answer, Task
 from diffdrive_mpc.mpc.qp.limit_rows import HARD_KINDS, KINDS, LimitRows
 from diffdrive_mpc.mpc.qp.osqp_instance import OsqpInstance
 from diffdrive_mpc.mpc.quadratic_program import Kinds
-from diffdrive_mpc.mpc.solver_config import Solver
 from diffdrive_mpc.mpc.solver_report import SolverStatus
 
 # A multiplier below this is what is left of one: its limit is not active.

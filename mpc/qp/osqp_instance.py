@@ -7,7 +7,7 @@ import osqp
 from scipy import sparse
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.solver_config import Solver
+from diffdrive_mpc.mpc.config.solver import Solver
 from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
 
 _STATUS = {

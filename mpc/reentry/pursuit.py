@@ -9,7 +9,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.models.pose import wrap_angle
-from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.reentry.blocked import BlockedWatch
 from diffdrive_mpc.mpc.reentry.options import Course

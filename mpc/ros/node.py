@@ -16,8 +16,8 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
-from diffdrive_mpc.mpc.config import ControllerConfig
-from diffdrive_mpc.mpc.config_file import load_config
+from diffdrive_mpc.mpc.config.config_file import load_config
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.reference_check import check_speeds
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, RefusedError

@@ -9,7 +9,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.ros.parameters import fields, read
 from diffdrive_mpc.mpc.ros.settings import NodeSettings

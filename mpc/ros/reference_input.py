@@ -11,7 +11,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.mpc.config import Limits
+from diffdrive_mpc.mpc.config.schema import Limits
 from diffdrive_mpc.mpc.ros.conversions import NANOSECONDS, MessageError, check_frame, nanoseconds, planar_pose
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory

@@ -23,7 +23,7 @@ from diffdrive_mpc.sim.ros.lock_step import drive_in_lock_step
 from diffdrive_mpc.sim.ros.real_time import drive_in_real_time
 from diffdrive_mpc.sim.ros.robot_clock import SteppedClock, WallClock
 from diffdrive_mpc.sim.ros.simulated_base import SimulatedBase
-from diffdrive_mpc.sim.sensor_set import SensorSet
+from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 
 NODE_NAME = "simulated_robot"
 

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from diffdrive_mpc.models.interface import Measurement, Stamped
     from diffdrive_mpc.models.load import load_model
     from diffdrive_mpc.models.pose import integrate_pose
-    from diffdrive_mpc.mpc.config import ControllerConfig
-    from diffdrive_mpc.mpc.config_file import load_config
+    from diffdrive_mpc.mpc.config.config_file import load_config
+    from diffdrive_mpc.mpc.config.schema import ControllerConfig
     from diffdrive_mpc.mpc.controller import Controller
     from diffdrive_mpc.mpc.trajectories.load import load_trajectory
     from diffdrive_mpc.sim.loop import simulate
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "Controller": "mpc.controller",
-    "ControllerConfig": "mpc.config",
+    "ControllerConfig": "mpc.config.schema",
     "Measurement": "models.interface",
     "Stamped": "models.interface",
     "integrate_pose": "models.pose",
-    "load_config": "mpc.config_file",
+    "load_config": "mpc.config.config_file",
     "load_model": "models.load",
     "load_trajectory": "mpc.trajectories.load",
     "make_plant": "sim.make",

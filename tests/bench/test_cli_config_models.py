@@ -13,7 +13,7 @@ from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.config_report import schema_rows
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.mpc import load_config
-from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 runner = CliRunner()
 

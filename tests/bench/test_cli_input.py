@@ -218,14 +218,20 @@ def test_the_command_line_loads_without_what_only_some_commands_need() -> None:
 
 
 def test_without_mujoco_the_remedy_is_named() -> None:
-    code = "import sys; sys.modules['mujoco'] = None; sys.argv = ['x', 'simulate']; from diffdrive_mpc.bench.cli import main; main()"
+    code = (
+        "import sys; sys.modules['mujoco'] = None; sys.argv = ['x', 'simulate']; "
+        "from diffdrive_mpc.bench.cli import main; main()"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert re.fullmatch(r"error: the package 'mujoco' is not installed; [^\n]*--plant model:ssm\n", done.stderr)
 
 
 def test_the_console_command_runs_as_a_program() -> None:
-    code = "import sys; sys.argv = ['diffdrive-mpc', 'models', 'show', 'foo']; from diffdrive_mpc.bench.cli import main; main()"
+    code = (
+        "import sys; sys.argv = ['diffdrive-mpc', 'models', 'show', 'foo']; "
+        "from diffdrive_mpc.bench.cli import main; main()"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert re.fullmatch(r"error: unknown model 'foo'[^\n]*\n", done.stderr)

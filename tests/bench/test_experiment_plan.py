@@ -73,10 +73,10 @@ def test_what_cannot_be_run_is_refused_before_anything_runs(change: dict[str, ob
 SHIPPED = {
     "models": "models/parameters/ssm.yaml",
     "trajectories": "mpc/trajectories/built_in/s.yaml",
-    "surfaces": "sim/surfaces/ideal.yaml",
-    "sensors": "sim/sensor_sets/perfect.yaml",
+    "surfaces": "sim/plants/surfaces/ideal.yaml",
+    "sensors": "sim/sensing/sensor_sets/perfect.yaml",
     "plants": "models/parameters/ssm.yaml",
-    "scenarios": "sim/scenarios/start_offset.yaml",
+    "scenarios": "sim/disturbances/scenarios/start_offset.yaml",
 }
 
 

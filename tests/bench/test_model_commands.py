@@ -35,9 +35,13 @@ def quick_parts(monkeypatch: pytest.MonkeyPatch) -> None:
         return TwoPolesFit(TRANSFER, 0.05 if dead_time is None else dead_time, 90.0)
 
     straight, turn = [_step(0.5, 0.0)], [_step(0.0, 1.0)]
-    monkeypatch.setattr("diffdrive_mpc.bench.model_fitting.run_experiments", lambda: PaperExperiments(straight, straight, turn))
+    monkeypatch.setattr(
+        "diffdrive_mpc.bench.model_fitting.run_experiments", lambda: PaperExperiments(straight, straight, turn)
+    )
     monkeypatch.setattr("diffdrive_mpc.bench.model_fitting.identify_two_poles", identify)
-    monkeypatch.setattr("diffdrive_mpc.bench.model_fitting.validation_table", lambda folder: Table("FIT", ("model",), (("sm",),)))
+    monkeypatch.setattr(
+        "diffdrive_mpc.bench.model_fitting.validation_table", lambda folder: Table("FIT", ("model",), (("sm",),))
+    )
 
 
 @pytest.fixture
@@ -46,7 +50,7 @@ def no_long_work(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("the long work began")
 
     monkeypatch.setattr("diffdrive_mpc.bench.model_fitting.run_experiments", fails)
-    monkeypatch.setattr("diffdrive_mpc.sim.calibration._drive", fails)
+    monkeypatch.setattr("diffdrive_mpc.sim.plants.calibration._drive", fails)
 
 
 @pytest.mark.usefixtures("quick_parts")

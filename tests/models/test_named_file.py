@@ -11,9 +11,9 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.mpc import load_config, load_trajectory
-from diffdrive_mpc.sim.scenario import load_scenario
-from diffdrive_mpc.sim.sensor_set import load_sensor_set
-from diffdrive_mpc.sim.surface import load_surface
+from diffdrive_mpc.sim.disturbances.scenario import load_scenario
+from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,11 @@ from diffdrive_mpc.models.identification.output_error.layout import Layout
 from diffdrive_mpc.models.identification.output_error.linear_system import delayed, sample, settled_start
 from diffdrive_mpc.models.identification.output_error.motors import MotorsStructure
 from diffdrive_mpc.models.identification.output_error.problem import OutputErrorProblem
-from diffdrive_mpc.models.identification.output_error.realisation import balanced, from_impulse_response, impulse_response
+from diffdrive_mpc.models.identification.output_error.realisation import (
+    balanced,
+    from_impulse_response,
+    impulse_response,
+)
 from diffdrive_mpc.models.identification.output_error.response import StateResponse
 from diffdrive_mpc.models.identification.output_error.robust import spike_weights
 from diffdrive_mpc.models.identification.output_error.structures import LocalStateSpace, TwoPolesStructure

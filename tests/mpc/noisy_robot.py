@@ -7,7 +7,7 @@ from ideal_robot import WHEEL_YAW_RATIO, IdealRobot
 
 from diffdrive_mpc.models import DiscreteModel, Measurement, Stamped, integrate_pose
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.config import Estimator
+from diffdrive_mpc.mpc.config.schema import Estimator
 from diffdrive_mpc.mpc.slip import Slip
 
 

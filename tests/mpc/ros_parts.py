@@ -21,7 +21,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
-from diffdrive_mpc.mpc.config_file import load_config
+from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.ros.conversions import nanoseconds, pose_message, time_message
 from diffdrive_mpc.mpc.ros.node import TrackingNode
 from diffdrive_mpc.sim import make_plant

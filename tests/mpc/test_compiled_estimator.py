@@ -10,7 +10,7 @@ from diffdrive_mpc.models import Measurement, Stamped, load_model
 from diffdrive_mpc.mpc.compiled.compiler import NotCompiledError
 from diffdrive_mpc.mpc.compiled.estimator import CompiledEstimator
 from diffdrive_mpc.mpc.compiled.library import checked_constants, load_library
-from diffdrive_mpc.mpc.config import Compensation, Estimator
+from diffdrive_mpc.mpc.config.schema import Compensation, Estimator
 from diffdrive_mpc.mpc.estimator import StateEstimator
 from diffdrive_mpc.mpc.slip import Slip
 

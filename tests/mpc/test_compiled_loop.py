@@ -5,7 +5,7 @@ import pytest
 
 from diffdrive_mpc.models import Measurement, Stamped
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
-from diffdrive_mpc.mpc.config_file import replace_values
+from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.sim import make_plant
 
 

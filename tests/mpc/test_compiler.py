@@ -12,7 +12,7 @@ from diffdrive_mpc.mpc import Controller, load_config
 from diffdrive_mpc.mpc.compiled import compiler, library
 from diffdrive_mpc.mpc.compiled.compiler import NotCompiledError, compile_library
 from diffdrive_mpc.mpc.compiled.reference import CompiledReference
-from diffdrive_mpc.mpc.config_file import replace_values
+from diffdrive_mpc.mpc.config.config_file import replace_values
 
 
 @pytest.fixture

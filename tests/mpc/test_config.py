@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.bounds import clip_command, command_box
-from diffdrive_mpc.mpc.config import ControllerConfig, Limits
+from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
 
 
 @pytest.mark.parametrize("name", ["mbm", "sm", "ssm"])

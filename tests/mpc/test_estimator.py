@@ -11,7 +11,7 @@ from noisy_robot import NoisyRobot
 from scipy.stats import chi2
 
 from diffdrive_mpc.models import Measurement, Stamped, integrate_pose, load_model
-from diffdrive_mpc.mpc.config import Compensation, Estimator
+from diffdrive_mpc.mpc.config.schema import Compensation, Estimator
 from diffdrive_mpc.mpc.estimator import StateEstimator
 from diffdrive_mpc.mpc.slip import Slip
 

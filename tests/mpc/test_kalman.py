@@ -6,7 +6,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from diffdrive_mpc.models import integrate_pose, load_model
-from diffdrive_mpc.mpc.config import Compensation, Estimator
+from diffdrive_mpc.mpc.config.schema import Compensation, Estimator
 from diffdrive_mpc.mpc.kalman import Belief, SlipFilter
 
 DT = 0.0202

@@ -6,7 +6,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from diffdrive_mpc.mpc.config import Weights
+from diffdrive_mpc.mpc.config.schema import Weights
 from diffdrive_mpc.mpc.lean import lean
 
 speeds = st.floats(-1.5, 1.5)

@@ -14,7 +14,7 @@ from ros_parts import CONFIG, stack
 from std_srvs.srv import Trigger
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
-from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.ros.parameters import declare, descriptor, fields, read
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 

@@ -75,7 +75,10 @@ def test_what_cannot_be_started_ends_in_one_line():
 
 
 def test_without_ros_it_says_what_to_install():
-    code = "import sys; sys.modules['rclpy'] = None; sys.argv = ['x', 'node']; from diffdrive_mpc.bench.cli import main; main()"
+    code = (
+        "import sys; sys.modules['rclpy'] = None; sys.argv = ['x', 'node']; "
+        "from diffdrive_mpc.bench.cli import main; main()"
+    )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert result.returncode == 1
     assert "error: the package 'rclpy' is not installed; install diffdrive-mpc[ros]" in result.stderr

@@ -12,9 +12,9 @@ from diffdrive_mpc.models.load import PARAMETERS, load_base_effects
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.drives import random_drive
 from diffdrive_mpc.sim.make import make_plant
-from diffdrive_mpc.sim.model_plant import ModelPlant
-from diffdrive_mpc.sim.sensor_set import load_sensor_set
-from diffdrive_mpc.sim.surface import load_surface
+from diffdrive_mpc.sim.plants.model_plant import ModelPlant
+from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 DT = load_robot().sample_time
 EFFECTS = {

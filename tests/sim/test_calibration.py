@@ -8,12 +8,18 @@ import numpy as np
 import pytest
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.sim.calibration import DriveFit, calibrate, load_calibration_parameters, validate_calibration, write_firmware
 from diffdrive_mpc.sim.drives import random_drive
 from diffdrive_mpc.sim.log import Log, record
 from diffdrive_mpc.sim.make import make_plant
-from diffdrive_mpc.sim.sensor_set import load_sensor_set
-from diffdrive_mpc.sim.twin_parameters import Firmware, load_firmware
+from diffdrive_mpc.sim.plants.calibration import (
+    DriveFit,
+    calibrate,
+    load_calibration_parameters,
+    validate_calibration,
+    write_firmware,
+)
+from diffdrive_mpc.sim.plants.twin_parameters import Firmware, load_firmware
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +83,7 @@ def drives(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         plant = make_plant(f"model:ssm+{firmware.lag_v}", surface="ideal", sensors="perfect")
         return record(plant, random_drive(seed, smooth, duration=1.0))
 
-    monkeypatch.setattr("diffdrive_mpc.sim.calibration._drive", drive)
+    monkeypatch.setattr("diffdrive_mpc.sim.plants.calibration._drive", drive)
     return driven
 
 

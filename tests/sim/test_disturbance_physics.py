@@ -10,17 +10,17 @@ import pytest
 
 from diffdrive_mpc.models.checked_yaml import check
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim.chassis import WHEELS, Chassis
-from diffdrive_mpc.sim.disturbance_types import Payload, Slope
-from diffdrive_mpc.sim.disturbances import Disturbances
-from diffdrive_mpc.sim.drivetrain import VelocityLoops
+from diffdrive_mpc.sim.disturbances.disturbance_types import Payload, Slope
+from diffdrive_mpc.sim.disturbances.disturbances import Disturbances
+from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.log import record
-from diffdrive_mpc.sim.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plant import RobotLostError
-from diffdrive_mpc.sim.scenario import Scenario
-from diffdrive_mpc.sim.sensor_set import load_sensor_set
-from diffdrive_mpc.sim.surface import load_surface
-from diffdrive_mpc.sim.twin_parameters import load_twin_parameters
+from diffdrive_mpc.sim.plants.chassis import WHEELS, Chassis
+from diffdrive_mpc.sim.plants.drivetrain import VelocityLoops
+from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
+from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.plants.twin_parameters import load_twin_parameters
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 G = 9.81
 ROBOT, TWIN = load_robot(), load_twin_parameters()

@@ -13,10 +13,10 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim import make_plant, simulate
-from diffdrive_mpc.sim.disturbed_plant import DisturbedPlant
+from diffdrive_mpc.sim.disturbances.disturbed_plant import DisturbedPlant
+from diffdrive_mpc.sim.disturbances.scenario import SCENARIOS, Scenario, load_scenario
 from diffdrive_mpc.sim.drives import random_drive
 from diffdrive_mpc.sim.plant import Plant
-from diffdrive_mpc.sim.scenario import SCENARIOS, Scenario, load_scenario
 
 PLANTS = ["mujoco", "model:ssm"]
 DT = load_robot().sample_time

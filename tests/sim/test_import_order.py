@@ -6,7 +6,7 @@ import ast
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-import sim
+from diffdrive_mpc import sim
 
 FOLDER = Path(sim.__file__).parent
 
@@ -19,10 +19,16 @@ def _imported(path: Path) -> set[str]:
             found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
         elif isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
-    return {name for name in found if name.startswith("sim.")}
+    return {name for name in found if name.startswith("diffdrive_mpc.sim.")}
+
+
+def name(path: Path) -> str:
+    return ".".join(("diffdrive_mpc.sim", *path.relative_to(FOLDER).with_suffix("").parts))
 
 
 def test_no_module_needs_itself_in_a_circle() -> None:
-    modules = {f"sim.{path.stem}": _imported(path) for path in FOLDER.glob("*.py") if path.stem != "__init__"}
-    assert {"diffdrive_mpc.sim.metrics", "diffdrive_mpc.sim.tracking_errors"} <= modules["diffdrive_mpc.sim.run"]
+    modules = {name(path): _imported(path) for path in FOLDER.rglob("*.py") if path.stem != "__init__"}
+    assert {"diffdrive_mpc.sim.metrics.metrics", "diffdrive_mpc.sim.metrics.tracking_errors"} <= modules[
+        "diffdrive_mpc.sim.run"
+    ]
     TopologicalSorter(modules).prepare()  # raises CycleError

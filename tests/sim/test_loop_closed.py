@@ -102,12 +102,12 @@ def test_every_tick_is_announced() -> None:
 
 
 def test_sim_imports_without_mujoco() -> None:
-    code = "import sys; sys.modules['mujoco'] = None; import sim; sim.simulate; sim.Run; sim.make_plant"
+    code = "import sys; sys.modules['mujoco'] = None; from diffdrive_mpc import sim; sim.simulate; sim.Run; sim.make"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_sim_has_no_other_names() -> None:
-    import sim
+    from diffdrive_mpc import sim
 
     with pytest.raises(AttributeError, match="no attribute 'robot'"):
         sim.robot  # noqa: B018

@@ -8,7 +8,7 @@ from loop_parts import ConstantTwist, FeedForward, KinematicPlant, Slow, run_alo
 
 from diffdrive_mpc.mpc import Mode
 from diffdrive_mpc.sim import simulate
-from diffdrive_mpc.sim.metrics import FALLBACK_MODES, GIVEN_UP_MODES
+from diffdrive_mpc.sim.metrics.metrics import FALLBACK_MODES, GIVEN_UP_MODES
 
 LINE = ConstantTwist(v=0.5, omega=0.0, duration=1.0)
 TIMES = np.arange(0, 51) * 0.02

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim.chassis import Chassis
 from diffdrive_mpc.sim.drives import random_drive
 from diffdrive_mpc.sim.log import Log, record
-from diffdrive_mpc.sim.mujoco_plant import MujocoPlant
-from diffdrive_mpc.sim.sensor_set import load_sensor_set
+from diffdrive_mpc.sim.plants.chassis import Chassis
+from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
+from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.plants.twin_parameters import load_firmware, load_twin_parameters
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from diffdrive_mpc.sim.slip_measurement import measure_slip
-from diffdrive_mpc.sim.surface import load_surface
-from diffdrive_mpc.sim.twin_parameters import load_firmware, load_twin_parameters
 
 FRICTION = {name: load_surface(name).friction or 0.0 for name in ("slippery", "default", "grippy")}
 

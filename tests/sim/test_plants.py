@@ -20,10 +20,10 @@ from diffdrive_mpc.models.velocity_model import ModelError
 from diffdrive_mpc.sim.drives import random_drive
 from diffdrive_mpc.sim.log import Log, record
 from diffdrive_mpc.sim.make import make_plant
-from diffdrive_mpc.sim.model_plant import ModelPlant
 from diffdrive_mpc.sim.plant import Plant
-from diffdrive_mpc.sim.sensor_set import load_sensor_set
-from diffdrive_mpc.sim.surface import Slip, load_surface
+from diffdrive_mpc.sim.plants.model_plant import ModelPlant
+from diffdrive_mpc.sim.plants.surface import Slip, load_surface
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 DT = load_robot().sample_time
 PLANTS = ["mujoco", "model:ssm"]
@@ -126,7 +126,7 @@ def test_surface_and_sensors_can_be_the_users_files(tmp_path: Path) -> None:
 
 def test_import_of_sim_does_not_load_mujoco() -> None:
     code = (
-        "import sys, sim.make, sim.surface, sim.drives; sim.make_plant('model:ssm'); sys.exit('mujoco' in sys.modules)"
+        "import sys, sim.make, sim.plants.surface, sim.drives; sim.make('model:ssm'); sys.exit('mujoco' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from loop_parts import ConstantTwist, run_along
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.sim.recovery import Recovery, compute_recovery
+from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
 
 DT, BAND = 0.01, 0.05
 TIME = np.arange(0.0, 10.0 + 1e-9, DT)

@@ -12,7 +12,7 @@ from diffdrive_mpc.sim.log import record
 from diffdrive_mpc.sim.plant import RobotLostError
 from diffdrive_mpc.sim.ros.base_settings import BaseSettings, load_base_settings
 from diffdrive_mpc.sim.ros.run_robot import run_robot
-from diffdrive_mpc.sim.sensor_set import load_sensor_set
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 DT = load_robot().sample_time
 TICKS = 60

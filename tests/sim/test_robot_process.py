@@ -88,7 +88,10 @@ def test_bad_input_ends_in_one_line(words, line, tmp_path, monkeypatch):
 
 
 def test_without_ros_it_says_what_to_install():
-    code = "import sys; sys.modules['rclpy'] = None; sys.argv = ['x', 'robot']; from diffdrive_mpc.bench.cli import main; main()"
+    code = (
+        "import sys; sys.modules['rclpy'] = None; sys.argv = ['x', 'robot']; "
+        "from diffdrive_mpc.bench.cli import main; main()"
+    )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=BOUND, check=False)
     assert result.returncode == 1
     assert result.stderr == (

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.mpc import load_trajectory
-from diffdrive_mpc.sim.disturbance_types import Patch
-from diffdrive_mpc.sim.scenario import SCENARIOS, Scenario, load_scenario
+from diffdrive_mpc.sim.disturbances.disturbance_types import Patch
+from diffdrive_mpc.sim.disturbances.scenario import SCENARIOS, Scenario, load_scenario
 
 SHIPPED = sorted(path.stem for path in SCENARIOS.glob("*.yaml"))
 PUSH = "pushes: [{force: 10.0, height: 0.09, start: 1.0, duration: 0.5}]"

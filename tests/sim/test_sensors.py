@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.models.wheels import WheelKinematics
-from diffdrive_mpc.sim.sensor_set import Encoders, Gyro, PoseSensor, SensorSet, load_sensor_set
-from diffdrive_mpc.sim.sensors import Sensors
+from diffdrive_mpc.sim.sensing.sensor_set import Encoders, Gyro, PoseSensor, SensorSet, load_sensor_set
+from diffdrive_mpc.sim.sensing.sensors import Sensors
 
 DT = 0.0202
 KINEMATICS = WheelKinematics(0.0675, 0.330)

@@ -9,7 +9,7 @@ from typing import Any
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.load import MODEL_NAMES
 from diffdrive_mpc.models.named_file import named_file
-from diffdrive_mpc.mpc.config import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 PARAMETERS = Path(__file__).parent / "parameters"
 

@@ -23,9 +23,9 @@ from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.drives import random_drive
 from diffdrive_mpc.sim.log import Log, record
-from diffdrive_mpc.sim.sensor_set import load_sensor_set
-from diffdrive_mpc.sim.surface import load_surface
-from diffdrive_mpc.sim.twin_parameters import FIRMWARE_FILE, PARAMETERS, Firmware, load_firmware
+from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.plants.twin_parameters import FIRMWARE_FILE, PARAMETERS, Firmware, load_firmware
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from diffdrive_mpc.sim.whole_file import whole_file
 
 _SIGNIFICANT_DIGITS = 4
@@ -161,7 +161,7 @@ def _calibrated(date: datetime.date, on_evaluation: Callable[[], None] | None) -
 
 
 def _drive(firmware: Firmware, seed: int, smooth: bool) -> Log:
-    from diffdrive_mpc.sim.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
+    from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
 
     friction = load_surface("default").friction
     if friction is None:
@@ -184,7 +184,7 @@ def _firmware(names: list[str], values: FloatArray, provenance: dict[str, object
 
 
 _HEADER = """\
-# Firmware of the digital twin, written by sim.calibration.calibrate(). SI units.
+# Firmware of the digital twin, written by sim.plants.calibration.calibrate(). SI units.
 # Adjusted: lag of each command channel, forward gain, and the track that turns yaw rate into wheel speeds.
 # Remains: the target has no dead time where the plant has 40 ms, so steps fit less well than smooth drives; the target
 # couples v_ref into omega where the plant is almost symmetric; yaw gain and side-slip of the plant depend on speed,

@@ -11,8 +11,8 @@ from typing import Annotated
 from pydantic import Field
 
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.mpc.config_group import Group, NotNegative, Positive
-from diffdrive_mpc.mpc.solver_config import Solver
+from diffdrive_mpc.mpc.config.group import Group, NotNegative, Positive
+from diffdrive_mpc.mpc.config.solver import Solver
 
 # Limits and sample time default to those of the shipped robot file.
 _ROBOT = load_robot()

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.robot import Positive
-from diffdrive_mpc.sim.surface import NotNegative
+from diffdrive_mpc.sim.plants.surface import NotNegative
 
 PARAMETERS = Path(__file__).parent / "parameters"
 FIRMWARE_FILE = PARAMETERS / "firmware.yaml"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.sim.twin_parameters import Driver, Motor
+from diffdrive_mpc.sim.plants.twin_parameters import Driver, Motor
 
 
 class SpeedObserver:

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.sim.metric_settings import metric_settings
-from diffdrive_mpc.sim.tracking_errors import TrackingErrors
+from diffdrive_mpc.sim.metrics.metric_settings import metric_settings
+from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors
 
 FALLBACK_MODES = frozenset({"REUSED_PLAN", "BRAKING", "STOPPED"})
 """Modes in which a controller did without a fresh plan."""

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from diffdrive_mpc.mpc.config_group import Group
+from diffdrive_mpc.mpc.config.group import Group
 
 
 class Solver(Group):

@@ -8,16 +8,16 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.robot import Robot, load_robot
 from diffdrive_mpc.models.wheels import WheelKinematics
-from diffdrive_mpc.sim.chassis import Chassis
-from diffdrive_mpc.sim.disturbance_types import Span
-from diffdrive_mpc.sim.disturbances import Disturbances
-from diffdrive_mpc.sim.drivetrain import SpeedObserver, VelocityLoops
-from diffdrive_mpc.sim.firmware import CommandShaper
-from diffdrive_mpc.sim.link import DelayLine, clip_command
-from diffdrive_mpc.sim.scenario import Scenario
-from diffdrive_mpc.sim.sensor_set import SensorSet
-from diffdrive_mpc.sim.sensors import Sensors
-from diffdrive_mpc.sim.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
+from diffdrive_mpc.sim.disturbances.disturbance_types import Span
+from diffdrive_mpc.sim.disturbances.disturbances import Disturbances
+from diffdrive_mpc.sim.disturbances.scenario import Scenario
+from diffdrive_mpc.sim.plants.chassis import Chassis
+from diffdrive_mpc.sim.plants.drivetrain import SpeedObserver, VelocityLoops
+from diffdrive_mpc.sim.plants.firmware import CommandShaper
+from diffdrive_mpc.sim.plants.link import DelayLine, clip_command
+from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
+from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
+from diffdrive_mpc.sim.sensing.sensors import Sensors
 
 # Spawn keys of the sensors' streams are 0, 1, 2, ...: this one can never meet them.
 _ENCODER_PHASE_KEY = 1_000
@@ -37,7 +37,7 @@ class MujocoPlant:
     robot, twin, firmware
         Other robots than the shipped one.
     scenario
-        What happens to chassis and motors; the rest of it is for `sim.disturbed_plant.DisturbedPlant`.
+        What happens to chassis and motors; the rest of it is for `sim.disturbances.disturbed_plant.DisturbedPlant`.
     """
 
     def __init__(

@@ -7,7 +7,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import Robot
 from diffdrive_mpc.models.wheels import WheelKinematics
-from diffdrive_mpc.sim.twin_parameters import Firmware
+from diffdrive_mpc.sim.plants.twin_parameters import Firmware
 
 
 class CommandShaper:

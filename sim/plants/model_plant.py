@@ -13,11 +13,11 @@ from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import Robot, load_robot
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.models.wheels import WheelKinematics
-from diffdrive_mpc.sim.base_motion import BaseMotion
-from diffdrive_mpc.sim.link import clip_command
-from diffdrive_mpc.sim.sensor_set import SensorSet
-from diffdrive_mpc.sim.sensors import Sensors
-from diffdrive_mpc.sim.surface import Slip
+from diffdrive_mpc.sim.plants.base_motion import BaseMotion
+from diffdrive_mpc.sim.plants.link import clip_command
+from diffdrive_mpc.sim.plants.surface import Slip
+from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
+from diffdrive_mpc.sim.sensing.sensors import Sensors
 
 
 class ModelPlant:

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, check, read_yaml
 from diffdrive_mpc.models.named_file import named_file
-from diffdrive_mpc.sim.disturbance_types import (
+from diffdrive_mpc.sim.disturbances.disturbance_types import (
     BatterySag,
     Blockade,
     DropOut,
@@ -28,7 +28,7 @@ from diffdrive_mpc.sim.disturbance_types import (
     WeakMotor,
     Window,
 )
-from diffdrive_mpc.sim.drawn_values import check_drawn, drawn, extremes
+from diffdrive_mpc.sim.disturbances.drawn_values import check_drawn, drawn, extremes
 
 SCENARIOS = Path(__file__).parent / "scenarios"
 _ANY_PLANT = ("start_offset", "drop_outs", "false_commands")

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.sim.metric_settings import metric_settings
+from diffdrive_mpc.sim.metrics.metric_settings import metric_settings
 from diffdrive_mpc.sim.run import TIME_TOLERANCE, Run
 
 # Two twists closer than this [m/s, rad/s] are the same: a ramp changes by a hundred times as much in a sample.

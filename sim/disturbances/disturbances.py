@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.sim.chassis import WHEELS, Chassis
-from diffdrive_mpc.sim.disturbance_types import Blockade, Patch, Push, Span
-from diffdrive_mpc.sim.drivetrain import VelocityLoops
-from diffdrive_mpc.sim.scenario import Scenario
+from diffdrive_mpc.sim.disturbances.disturbance_types import Blockade, Patch, Push, Span
+from diffdrive_mpc.sim.disturbances.scenario import Scenario
+from diffdrive_mpc.sim.plants.chassis import WHEELS, Chassis
+from diffdrive_mpc.sim.plants.drivetrain import VelocityLoops
 
 
 class Disturbances:

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import Robot
-from diffdrive_mpc.sim.disturbance_types import Payload, Slope
+from diffdrive_mpc.sim.disturbances.disturbance_types import Payload, Slope
 from diffdrive_mpc.sim.plant import RobotLostError
-from diffdrive_mpc.sim.twin_parameters import TwinParameters
+from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters
 
 _TIPPED = math.pi / 4
 """Lean from which no robot with its wheels below its body comes back [rad]."""

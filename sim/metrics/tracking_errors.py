@@ -8,8 +8,8 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.models.pose import wrap_angle
-from diffdrive_mpc.sim.metric_settings import metric_settings
-from diffdrive_mpc.sim.path_projection import path_polyline
+from diffdrive_mpc.sim.metrics.metric_settings import metric_settings
+from diffdrive_mpc.sim.metrics.path_projection import path_polyline
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.models.wheels import WheelKinematics
-from diffdrive_mpc.sim.sensor_set import SensorSet
+from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 
 # Times are sums and multiples of decimals: an instant this close [s] counts as reached.
 TIME_TOLERANCE = 1e-9

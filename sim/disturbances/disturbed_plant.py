@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.robot import TwistBounds
-from diffdrive_mpc.sim.disturbance_types import Span
-from diffdrive_mpc.sim.link import clip_command
+from diffdrive_mpc.sim.disturbances.disturbance_types import Span
+from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plant import Plant
-from diffdrive_mpc.sim.scenario import Scenario
+from diffdrive_mpc.sim.plants.link import clip_command
 
 _FIELDS = {"pose": ("pose",), "wheels": ("wheel_twist", "wheel_speeds"), "gyro": ("yaw_rate",)}
 """Fields of a measurement by the sensor that fills them."""

@@ -1,0 +1,1 @@
+"""The configuration of a controller: one typed schema, its files, and the shipped ones."""
