@@ -4,7 +4,9 @@
 
 #include <math.h>
 
-#include "ddmpc_sizes.h" /* where DDMPC_FLOAT is defined, if it is */
+#ifdef DDMPC_EXPORT
+#include "ddmpc_sizes.h" /* the sizes of one controller, and DDMPC_FLOAT, if it is float */
+#endif
 
 #ifdef DDMPC_FLOAT
 typedef float real;
@@ -28,6 +30,10 @@ typedef double real;
 #define ddmpc_floor floor
 #define ddmpc_rint rint
 #define ddmpc_hypot hypot
+#endif
+
+#ifndef DDMPC_HOT
+#define DDMPC_HOT
 #endif
 
 /* Instants stay double: a float counts hours in steps of milliseconds. */

@@ -1,6 +1,7 @@
-#include "checks.h"
-
+/* Which measurements may be believed: stamps, numbers, ranges and jumps. */
 #include <string.h>
+
+#include "internal.h"
 
 /* A variance of a square kilometre says nothing about a robot, and would overflow the filter before long. */
 #define LARGEST_VARIANCE R(1e6)
@@ -9,11 +10,11 @@
 /* Clocks of one robot agree to better than this; a stamp further ahead of the tick is a fault [s]. */
 #define FUTURE 1e-3
 
-void ddmpc_reject(ddmpc_notes *notes, int subject, int fault, real a, real b)
+void ddmpc_reject(ddmpc_result *result, int subject, int fault, real a, real b)
 {
-    if (notes->count < DDMPC_NOTES) {
+    if (result->notes < DDMPC_NOTES) {
         const ddmpc_note note = {a, b, subject, fault};
-        notes->note[notes->count++] = note;
+        result->note[result->notes++] = note;
     }
 }
 
@@ -67,19 +68,20 @@ static int stamp_fault(ddmpc_time stamp, ddmpc_time t, ddmpc_time last, real his
     return DDMPC_NO_FAULT;
 }
 
-int ddmpc_check_pose(const ddmpc_estimation *constants, ddmpc_estimator *estimator, ddmpc_time t,
-                     const ddmpc_stamped *pose, ddmpc_checked_pose *checked, ddmpc_notes *notes)
+int ddmpc_check_pose(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *pose, ddmpc_checked_pose *checked)
 {
+    const ddmpc_constants *constants = c->constants;
+    ddmpc_estimator *estimator = &c->estimator;
     real number = R(0.0);
     if (!pose->present)
         return 0;
-    int fault = stamp_fault(pose->stamp, t, estimator->pose_stamp, constants->history, &number);
+    int fault = stamp_fault(pose->stamp, t, estimator->pose_stamp, constants->stamp_history, &number);
     if (!all_finite(pose->value, 3))
         fault = DDMPC_NOT_NUMBERS;
     else if (pose->has_covariance && !possible_covariance(pose->covariance, 3))
         fault = DDMPC_BAD_COVARIANCE;
     if (fault != DDMPC_NO_FAULT) {
-        ddmpc_reject(notes, DDMPC_OF_POSE, fault, number, R(0.0));
+        ddmpc_reject(&c->result, DDMPC_OF_POSE, fault, number, R(0.0));
         return 0;
     }
     estimator->pose_stamp = checked->stamp = pose->stamp;
@@ -93,14 +95,14 @@ int ddmpc_check_pose(const ddmpc_estimation *constants, ddmpc_estimator *estimat
 }
 
 /* One message with `count` numbers, the sensors from `first` on. */
-static int check_twist(const ddmpc_estimation *constants, int subject, int first, int count, ddmpc_time *last_stamp,
-                       real *last, ddmpc_time t, const ddmpc_stamped *stamped, ddmpc_checked_twist *checked,
-                       ddmpc_notes *notes)
+static int check_twist(ddmpc_controller *c, int subject, int first, int count, ddmpc_time *last_stamp, real *last,
+                       ddmpc_time t, const ddmpc_stamped *stamped, ddmpc_checked_twist *checked)
 {
+    const ddmpc_constants *constants = c->constants;
     real a = R(0.0), b = R(0.0);
     if (!stamped->present)
         return 0;
-    int fault = stamp_fault(stamped->stamp, t, *last_stamp, constants->history, &a);
+    int fault = stamp_fault(stamped->stamp, t, *last_stamp, constants->stamp_history, &a);
     if (!all_finite(stamped->value, count)) {
         fault = DDMPC_NOT_NUMBERS;
     } else {
@@ -127,7 +129,7 @@ static int check_twist(const ddmpc_estimation *constants, int subject, int first
         memcpy(last, stamped->value, (size_t)count * sizeof(real));
     }
     if (fault != DDMPC_NO_FAULT) {
-        ddmpc_reject(notes, subject, fault, a, b);
+        ddmpc_reject(&c->result, subject, fault, a, b);
         return 0;
     }
     for (int i = 0; i < count; i++) {
@@ -139,21 +141,19 @@ static int check_twist(const ddmpc_estimation *constants, int subject, int first
     return count;
 }
 
-int ddmpc_check_wheels(const ddmpc_estimation *constants, ddmpc_estimator *estimator, ddmpc_time t,
-                       const ddmpc_stamped *wheels, ddmpc_checked_twist checked[2], ddmpc_notes *notes)
+int ddmpc_check_wheels(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *wheels, ddmpc_checked_twist checked[2])
 {
-    return check_twist(constants, DDMPC_OF_WHEELS, DDMPC_WHEEL_SPEED, 2, &estimator->wheels_stamp,
-                       estimator->last_wheels, t, wheels, checked, notes);
+    return check_twist(c, DDMPC_OF_WHEELS, WHEEL_SPEED, 2, &c->estimator.wheels_stamp, c->estimator.last_wheels, t,
+                       wheels, checked);
 }
 
-int ddmpc_check_yaw_rate(const ddmpc_estimation *constants, ddmpc_estimator *estimator, ddmpc_time t,
-                         const ddmpc_stamped *yaw_rate, ddmpc_checked_twist checked[1], ddmpc_notes *notes)
+int ddmpc_check_yaw_rate(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *rate, ddmpc_checked_twist checked[1])
 {
-    return check_twist(constants, DDMPC_OF_YAW_RATE, DDMPC_YAW_RATE, 1, &estimator->yaw_rate_stamp,
-                       &estimator->last_yaw_rate, t, yaw_rate, checked, notes);
+    return check_twist(c, DDMPC_OF_YAW_RATE, YAW_RATE, 1, &c->estimator.yaw_rate_stamp, &c->estimator.last_yaw_rate, t,
+                       rate, checked);
 }
 
-static int differs(const ddmpc_estimation *constants, const real value[3], const real expected[3])
+static int differs(const ddmpc_constants *constants, const real value[3], const real expected[3])
 {
     const real distance = ddmpc_hypot(value[0] - expected[0], value[1] - expected[1]);
     const real turn = ddmpc_fabs(ddmpc_wrap(value[2] - expected[2]));
@@ -161,28 +161,29 @@ static int differs(const ddmpc_estimation *constants, const real value[3], const
     return !(distance <= constants->largest_position_jump && turn <= constants->largest_heading_jump);
 }
 
-int ddmpc_pose_passes(const ddmpc_estimation *constants, ddmpc_estimator *estimator, const ddmpc_checked_pose *pose,
-                      const real expected[3], ddmpc_notes *notes)
+int ddmpc_pose_passes(ddmpc_controller *c, const ddmpc_checked_pose *pose, const real expected[3])
 {
+    const ddmpc_constants *constants = c->constants;
+    ddmpc_estimator *estimator = &c->estimator;
     if (!differs(constants, pose->value, expected)) {
-        ddmpc_accept_pose(estimator, pose);
+        ddmpc_accept_pose(c, pose);
         return 1;
     }
     if (estimator->jumps > 0 && differs(constants, pose->value, estimator->jumped[estimator->jumps - 1].value))
         estimator->jumps = 0;
-    if (estimator->jumps == DDMPC_AGREEING) {
-        memmove(estimator->jumped, estimator->jumped + 1, (DDMPC_AGREEING - 1) * sizeof estimator->jumped[0]);
+    if (estimator->jumps == AGREEING) {
+        memmove(estimator->jumped, estimator->jumped + 1, (AGREEING - 1) * sizeof estimator->jumped[0]);
         estimator->jumps--;
     }
     estimator->jumped[estimator->jumps++] = *pose;
-    ddmpc_reject(notes, DDMPC_OF_POSE, DDMPC_JUMPS,
+    ddmpc_reject(&c->result, DDMPC_OF_POSE, DDMPC_JUMPS,
                  ddmpc_hypot(pose->value[0] - expected[0], pose->value[1] - expected[1]),
                  ddmpc_fabs(ddmpc_wrap(pose->value[2] - expected[2])));
     return 0;
 }
 
-void ddmpc_accept_pose(ddmpc_estimator *estimator, const ddmpc_checked_pose *pose)
+void ddmpc_accept_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose)
 {
-    estimator->accepted_stamp = pose->stamp;
-    estimator->jumps = 0;
+    c->estimator.accepted_stamp = pose->stamp;
+    c->estimator.jumps = 0;
 }
