@@ -1,13 +1,13 @@
-"""What a solver says about one solve; it travels with every command."""
+"""What the solver says about one tick; it travels with every command."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 
 class SolverStatus(StrEnum):
-    """Outcome of one solve, as a sentence for people."""
+    """Outcome of one solve, as a sentence for people. The names are those of `ddmpc_solver_status` in core.h."""
 
     SOLVED = "solved"
     SOLVED_INACCURATELY = "solved, but only to a looser tolerance"
@@ -26,30 +26,44 @@ class SolverStatus(StrEnum):
         return self in (SolverStatus.SOLVED, SolverStatus.SOLVED_INACCURATELY)
 
 
+class SolverPath(StrEnum):
+    """The way that led to the plan of a tick."""
+
+    NONE = "none"
+    """Nothing was solved."""
+    UNLIMITED = "unlimited"
+    """No limit presses: the minimiser without limits keeps them all. One factorisation."""
+    ACTIVE_SET = "active_set"
+    """The limits that press were found and proven by their multipliers."""
+    OSQP = "osqp"
+    """The backend OSQP was asked."""
+    DAQP = "daqp"
+    """The backend DAQP was asked."""
+
+
 @dataclass(frozen=True)
 class SolverReport:
-    """Status, effort and accuracy of one solve.
+    """Status, way, effort and accuracy of one tick's solution.
 
     Attributes
     ----------
     status
         The outcome; only a `usable` one may move the robot.
+    path
+        The way that was taken.
     iterations
-        Iterations of the solver, over all solves of the tick; 0 where the minimiser without limits keeps them all and
-        so is the exact solution.
+        Iterations over all solves of the tick: of the backend, or systems of the active set; 0 where the minimiser
+        without limits keeps them all and so is the exact solution.
     primal_residual, dual_residual
         By how much limits are exceeded and how far the cost is from stationary: OSQP's own figures at its end, else
         computed from the solution. NaN if there is none.
     soft_limits
-        Whether the solve included the soft limits: it does only while they matter.
+        Whether soft limits took part.
     """
 
     status: SolverStatus
+    path: SolverPath = SolverPath.NONE
     iterations: int = 0
     primal_residual: float = float("nan")
     dual_residual: float = float("nan")
     soft_limits: bool = False
-
-    def after(self, iterations: int) -> SolverReport:
-        """The same with the `iterations` of all solves of the tick."""
-        return self if iterations == self.iterations else replace(self, iterations=iterations)

@@ -6,7 +6,7 @@ each description.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -211,6 +211,19 @@ class Finish(Group):
     )
 
 
+class TermConfig(Group):
+    """A function of the user: a residual of the cost, or something with soft limits; see docs/tuning.md."""
+
+    file: str = Field(min_length=1, description="Python file that defines it, from the folder of the configuration [-]")
+    function: str = Field(min_length=1, description="name of a casadi.Function in that file [-]")
+    kind: Literal["residual", "soft"] = Field(
+        "residual", description="residual: half its square is added to the cost; soft: its value is limited [-]"
+    )
+    upper: list[float] | None = Field(None, description="soft: upper limits of its values; none: no limit [its own]")
+    lower: list[float] | None = Field(None, description="soft: lower limits of its values; none: no limit [its own]")
+    parameters: list[float] = Field([], description="stage parameters until others are set [its own]")
+
+
 class ControllerConfig(Group):
     """Everything that one controller needs beside the reference."""
 
@@ -229,3 +242,4 @@ class ControllerConfig(Group):
     failure: Failure = Failure()
     reentry: Reentry = Reentry()
     finish: Finish = Finish()
+    terms: list[TermConfig] = Field([], description="functions of the user in cost and soft limits [-]")

@@ -7,48 +7,45 @@ from collections.abc import Mapping
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.slip import Slip
+from diffdrive_mpc.mpc.core.tick import ResultLayout
+from diffdrive_mpc.mpc.estimation.slip import Slip
 
 SENSORS = ("wheel_speed", "wheel_yaw_rate", "yaw_rate", "pose")
 """Names of the sensors, in the order in which the filter counts them."""
+_AFTER_STATES = 9
+_SLIPS = 5
 
 
 class Estimate:
-    """One vector of numbers, taken apart where it is looked at.
+    """One block of numbers, taken apart where it is looked at. The filter's state is (states, slip, gyro bias, pose).
 
     Parameters
     ----------
-    values
-        Time, pose age; mean and standard deviations (n + 9,) of the filter's state, see `mpc.kalman`; twist (2,) and
-        its standard deviations (2,); innovations (4,), NaN where there was none.
-    order
-        Order n of the velocity model.
+    layout, block
+        A copy of the core's result, and where what lies in it.
+    time
+        Time of the tick [s].
     """
 
-    __slots__ = ("_order", "values")
+    __slots__ = ("_block", "_layout", "time")
 
-    def __init__(self, values: FloatArray, order: int) -> None:
-        self.values, self._order = values, order
-
-    @property
-    def time(self) -> float:
-        """Time of the tick [s]."""
-        return float(self.values[0])
+    def __init__(self, layout: ResultLayout, block: FloatArray, time: float) -> None:
+        self._layout, self._block, self.time = layout, block, time
 
     @property
     def pose_age(self) -> float:
         """Time since the stamp of the last accepted pose [s]."""
-        return float(self.values[1])
+        return float(self._layout.take(self._block, "pose_age")[0])
 
     @property
     def mean(self) -> FloatArray:
         """(n + 9,) mean of the filter's state: states, slip, gyro bias and pose."""
-        return self.values[2 : self._order + 11]
+        return self._layout.take(self._block, "mean")
 
     @property
     def deviation(self) -> FloatArray:
         """(n + 9,) standard deviations of the same."""
-        return self.values[self._order + 11 : 2 * self._order + 20]
+        return self._layout.take(self._block, "deviation")
 
     @property
     def pose(self) -> FloatArray:
@@ -63,22 +60,22 @@ class Estimate:
     @property
     def twist(self) -> FloatArray:
         """(2,) v [m/s], omega [rad/s] of the body, slip included."""
-        return self.values[-8:-6]
+        return self._layout.take(self._block, "twist")
 
     @property
     def twist_deviation(self) -> FloatArray:
         """(2,) its standard deviations."""
-        return self.values[-6:-4]
+        return self._layout.take(self._block, "twist_deviation")
 
     @property
     def slip(self) -> Slip:
         """What lies between the model's twist and that of the body."""
-        return Slip(*self.mean[self._order : self._order + 5].tolist())
+        return Slip(*self.mean[-_AFTER_STATES:][:_SLIPS].tolist())
 
     @property
     def slip_deviation(self) -> Slip:
         """Its standard deviations."""
-        return Slip(*self.deviation[self._order : self._order + 5].tolist())
+        return Slip(*self.deviation[-_AFTER_STATES:][:_SLIPS].tolist())
 
     @property
     def gyro_bias(self) -> float:
@@ -93,10 +90,10 @@ class Estimate:
     @property
     def state(self) -> FloatArray:
         """(n,) states of the velocity model."""
-        return self.mean[: self._order]
+        return self.mean[:-_AFTER_STATES]
 
     @property
     def innovations(self) -> Mapping[str, float]:
         """By sensor, the newest squared innovation over its variance: 1 on average where the assumptions hold [-]."""
-        found = zip(SENSORS, self.values[-4:].tolist(), strict=True)
+        found = zip(SENSORS, self._layout.take(self._block, "innovations").tolist(), strict=True)
         return {sensor: value for sensor, value in found if not np.isnan(value)}

@@ -87,19 +87,19 @@ class Term:
         return len(self.defaults)
 
 
-def load_terms(configs: Sequence[TermConfig], folder: Path) -> tuple[Term, ...]:
-    """Terms that a configuration names; files without folder lie in `folder`. Runs the files.
+def load_terms(configs: Sequence[TermConfig]) -> tuple[Term, ...]:
+    """Terms that a configuration names. Runs their files.
 
     Raises
     ------
     models.checked_yaml.ConfigError
         If a file cannot be run, has no such function, or that is none of (pose, twist, command, ...).
     """
-    return tuple(_load(config, folder) for config in configs)
+    return tuple(_load(config) for config in configs)
 
 
-def _load(config: TermConfig, folder: Path) -> Term:
-    path = folder / config.file
+def _load(config: TermConfig) -> Term:
+    path = Path(config.file)
     function = getattr(_run(path), config.function, None)
     if not isinstance(function, ca.Function):
         raise ConfigError(f"{path}: '{config.function}' is no CasADi function there; give the name of a casadi.Function")
