@@ -218,7 +218,7 @@ typedef struct {
 } ddmpc_estimate;
 
 typedef struct {
-    real command[2]; /* v_ref [m/s], omega_ref [rad/s]; finite and inside range and slew */
+    real *command; /* [2] v_ref [m/s], omega_ref [rad/s]; finite and inside range and slew */
     int mode;
     unsigned int reasons;
     int has_estimate, has_plan;

@@ -92,6 +92,7 @@ static void lay(ddmpc_controller *c, memory *m)
     c->parameters = reals(m, (N + 1) * PARAMETERS(c));
     c->reference_pose = reals(m, 3 * SAMPLES(c));
     c->reference_twist = reals(m, 2 * SAMPLES(c));
+    result->command = reals(m, 2);
     result->estimate.mean = reals(m, BELIEF(c));
     result->estimate.deviation = reals(m, BELIEF(c));
     result->estimate.twist = reals(m, 2);

@@ -13,10 +13,10 @@ from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.config.thresholds import AHEAD, BEHIND, STANDING, TURNING
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem.prediction import Prediction, build_prediction
 from diffdrive_mpc.mpc.problem.terms import Term
-from diffdrive_mpc.mpc.reentry.path_window import STANDING, TURNING
 
 Constants = dict[str, object]
 """Numbers and arrays by the name of their field."""
@@ -25,9 +25,6 @@ SHIPPED_SOFT = ("v", "omega", "right", "left", "across")
 """Kinds of soft limit that every controller has, in their order."""
 LANES = 8
 """Columns that the core works on at once, DDMPC_LANES: rows of commands are padded to a multiple of it."""
-# In units of `reentry.wait`: how far behind its reference waiting leaves a robot at most, and how far ahead of it one may
-# be; further away it was moved.
-BEHIND, AHEAD = 3.0, 1.5
 # Beyond the solver's own tolerance: below it a limit counts as kept.
 _SLACK = 0.1
 

@@ -19,7 +19,7 @@ from diffdrive_mpc.mpc.condensed import Condenser
 from diffdrive_mpc.mpc.estimate import Estimate
 from diffdrive_mpc.mpc.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem import TrackingProblem
-from diffdrive_mpc.mpc.solver_report import SolverStatus
+from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.trajectories.moved import starting_at
 
 # Horizons that fill whole lanes, and that do not; the shortest that MBM's dead time allows.

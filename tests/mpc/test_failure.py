@@ -11,7 +11,7 @@ from ideal_robot import IdealRobot, drive
 from diffdrive_mpc.models import Measurement, Stamped, load_model
 from diffdrive_mpc.mpc import Controller, Mode, load_config, load_trajectory
 from diffdrive_mpc.mpc.qp.solution import Solution
-from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
+from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 from diffdrive_mpc.mpc.sparse.solver import SparseSolver
 from diffdrive_mpc.mpc.ways import CondensedWay
 

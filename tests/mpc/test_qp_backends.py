@@ -13,7 +13,7 @@ from diffdrive_mpc.mpc.qp.daqp_backend import DaqpBackend
 from diffdrive_mpc.mpc.qp.least_distance import ArrayLeastDistance
 from diffdrive_mpc.mpc.qp.limit_rows import HARD_KINDS, KINDS, LimitRows
 from diffdrive_mpc.mpc.qp.osqp_backend import OsqpBackend
-from diffdrive_mpc.mpc.solver_report import SolverStatus
+from diffdrive_mpc.mpc.solver.report import SolverStatus
 
 STEPS = 6
 # Cheap enough that some soft limits are exceeded, dear enough that others are kept.

@@ -14,7 +14,7 @@ from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.condensed import Condenser
 from diffdrive_mpc.mpc.problem import TrackingProblem
 from diffdrive_mpc.mpc.slip import Slip
-from diffdrive_mpc.mpc.solver_report import SolverStatus
+from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.sparse.solver import SparseSolver
 from diffdrive_mpc.mpc.tick import Tick
 from diffdrive_mpc.mpc.ways import CondensedWay, make_way

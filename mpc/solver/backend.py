@@ -15,7 +15,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Weights
 from diffdrive_mpc.mpc.config.solver import Solver
 from diffdrive_mpc.mpc.core.tick import Tick
-from diffdrive_mpc.mpc.solver_report import SolverPath, SolverReport, SolverStatus
+from diffdrive_mpc.mpc.solver.report import SolverPath, SolverReport, SolverStatus
 
 Kinds = tuple[int, ...]
 """Some of the kinds of limit, ascending: v_ref, omega_ref, their increments, and from `HARD` on the soft ones."""

@@ -16,8 +16,8 @@ from scipy import sparse
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Weights
 from diffdrive_mpc.mpc.config.solver import Solver
-from diffdrive_mpc.mpc.problem.backend import HARD, Kinds, Program, Solved
-from diffdrive_mpc.mpc.solver_report import SolverStatus
+from diffdrive_mpc.mpc.solver.backend import HARD, Kinds, Program, Solved
+from diffdrive_mpc.mpc.solver.report import SolverStatus
 
 _STATUS = {
     osqp.SolverStatus.OSQP_SOLVED: SolverStatus.SOLVED,
@@ -37,7 +37,7 @@ _MOST_WORKSPACES = 16
 
 
 class OsqpBackend:
-    """Implements `mpc.problem.backend.Backend`."""
+    """Implements `mpc.solver.backend.Backend`."""
 
     def __init__(self, steps: int, kinds: int, settings: Solver, weights: Weights) -> None:
         self._count = kinds
@@ -45,7 +45,7 @@ class OsqpBackend:
         self._workspace(())
 
     def solve(self, program: Program, kinds: Kinds, guess: FloatArray, multipliers: FloatArray) -> Solved:
-        """See `mpc.problem.backend.Backend`."""
+        """See `mpc.solver.backend.Backend`."""
         soft = tuple(kind for kind in kinds if kind >= HARD)
         return self._workspace(soft).solve(program, guess, multipliers)
 

@@ -13,8 +13,8 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Weights
 from diffdrive_mpc.mpc.config.solver import Solver
-from diffdrive_mpc.mpc.problem.backend import HARD, Kinds, Program, Solved
-from diffdrive_mpc.mpc.solver_report import SolverStatus
+from diffdrive_mpc.mpc.solver.backend import HARD, Kinds, Program, Solved
+from diffdrive_mpc.mpc.solver.report import SolverStatus
 
 _STATUS = {
     2: SolverStatus.SOLVED,  # with a soft limit exceeded
@@ -33,7 +33,7 @@ _ACTIVE, _LOWER, _SOFT, _KEPT = 1, 2, 8, 32
 
 
 class DaqpBackend:
-    """Implements `mpc.problem.backend.Backend`."""
+    """Implements `mpc.solver.backend.Backend`."""
 
     def __init__(self, steps: int, kinds: int, settings: Solver, weights: Weights) -> None:
         self._steps, self._count, self._weights = steps, kinds, weights
@@ -46,7 +46,7 @@ class DaqpBackend:
         self._hard = [commands[0::2], commands[1::2], increments[0::2], increments[1::2]]
 
     def solve(self, program: Program, kinds: Kinds, guess: FloatArray, multipliers: FloatArray) -> Solved:
-        """See `mpc.problem.backend.Backend`; the plan that is guessed has no part in it."""
+        """See `mpc.solver.backend.Backend`; the plan that is guessed has no part in it."""
         rows = np.concatenate([self._hard[kind] if kind < HARD else program.rows(kind) for kind in kinds])
         chosen = list(kinds)
         near = multipliers[chosen].reshape(-1)
