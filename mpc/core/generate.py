@@ -38,7 +38,7 @@ _TOKEN = re.compile(
 
 _SOURCE_HEAD = """\
 /* Generated from {origin}; do not edit. */
-#include "{header}"
+#include "{stem}.h"
 
 /* A function of math.h for numbers of type real. */
 #ifdef DDMPC_FLOAT
@@ -74,11 +74,14 @@ class GeneratedC:
         Names of both files without their ending; the source includes the header by it.
     source, header
         The texts. The header includes real.h, which defines `real`, `R(number)`, and DDMPC_FLOAT in single precision.
+    names
+        What the functions are called.
     """
 
     stem: str
     source: str
     header: str
+    names: tuple[str, ...]
 
 
 def generate_formulas() -> GeneratedC:
@@ -117,15 +120,15 @@ def generate(functions: Sequence[ca.Function], stem: str, origin: str) -> Genera
         if function.name() not in bodies:
             version = ca.CasadiMeta.version()
             raise ConfigError(f"{function.name()}: the C of CasADi {version} is not understood; install 3.8")
-    header = f"{stem}.h"
-    own = [text for name, text in _OWN.items() if any(_OWN_NAMES[name] in body for body in bodies.values())]
-    parts = [_SOURCE_HEAD.format(origin=origin, header=header), *(f"{line}\n" for line in own)]
-    for function in functions:
-        signature = _SIGNATURE.format(name=function.name())
-        parts.append(f"{signature}\n{{\n  (void)iw, (void)w, (void)mem;\n{bodies[function.name()]}}}\n")
-    declarations = "\n".join(_declaration(function) for function in functions)
-    guard = f"{stem.upper()}_H"
-    return GeneratedC(stem, "\n".join(parts), _HEADER.format(origin=origin, guard=guard, declarations=declarations))
+    own = [line for name, line in _OWN.items() if any(_OWN_NAMES[name] in body for body in bodies.values())]
+    parts = [_SOURCE_HEAD.format(origin=origin, stem=stem), *(f"{line}\n" for line in own)]
+    names = tuple(function.name() for function in functions)
+    for name in names:
+        signature = _SIGNATURE.format(name=name)
+        parts.append(f"{signature}\n{{\n  (void)iw, (void)w, (void)mem;\n{bodies[name]}}}\n")
+    declared = "\n".join(_declaration(function) for function in functions)
+    header = _HEADER.format(origin=origin, guard=f"{stem.upper()}_H", declarations=declared)
+    return GeneratedC(stem, "\n".join(parts), header, names)
 
 
 def _as_computed(function: ca.Function) -> ca.Function:
