@@ -20,8 +20,8 @@ class Solver(Group):
     backend: Literal["osqp", "daqp"] = Field(
         "osqp", description="osqp: operator splitting; daqp: dual active set, exact [-]"
     )
-    active_set_iterations: Annotated[int, Field(ge=0, le=1000)] = Field(
-        100, description="systems that the active set may solve before the backend is asked; 0: ask it at once [-]"
+    active_set_iterations: Annotated[int, Field(ge=0, le=5000)] = Field(
+        500, description="systems that the active set may solve before the backend is asked; 0: ask it at once [-]"
     )
     max_iterations: Annotated[int, Field(ge=10, le=100_000)] = Field(
         2000, description="limit of the iterations of one solve of the backend [-]"

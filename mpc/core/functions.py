@@ -9,30 +9,41 @@ import casadi as ca
 
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
-from diffdrive_mpc.mpc.core.generate import generate
-from diffdrive_mpc.mpc.core.library import load_functions
-from diffdrive_mpc.mpc.problem.formulas import differentiated, term, term_symbols
+from diffdrive_mpc.mpc.core.generate import GeneratedC, generate
+from diffdrive_mpc.mpc.core.library import load_core, load_functions
 from diffdrive_mpc.mpc.problem.terms import Term
+from diffdrive_mpc.mpc.problem.user_functions import user_output, user_step, user_term
 
 CompiledTerm = tuple[Any, int, bool, int]
 """Address of the function, rows of its value, whether it is soft, and the place of its first parameter."""
 
-
-def model_functions(model: NonlinearModel) -> tuple[ca.Function, ca.Function]:
-    """Step and output of a nonlinear model with their gradients, as the core calls them."""
-    inputs = {"x": ca.SX.sym("x", model.order), "window": ca.SX.sym("window", 2 * (model.memory + 1))}
-    states = {"x": inputs["x"]}
-    return (
-        differentiated("ddmpc_user_step", inputs, "after", model.step(*inputs.values()), ("x", "window")),
-        differentiated("ddmpc_user_output", states, "y", model.output(inputs["x"]), ("x",)),
-    )
+STEP, OUTPUT = "ddmpc_user_step", "ddmpc_user_output"
+"""Names of a nonlinear model's functions in C."""
 
 
-def term_function(index: int, own: Term) -> ca.Function:
-    """A term with its gradient by pose, twist and command, as the core calls it; `index` tells it from the others."""
-    inputs = term_symbols(own.parameters)
-    given = [inputs[name] for name in own.function.name_in()]
-    return term(f"ddmpc_user_term_{index}", inputs, own.function(*given))
+def term_name(index: int) -> str:
+    """Name in C of the term with this index."""
+    return f"ddmpc_user_term_{index}"
+
+
+def generated_functions(model: VelocityModel | NonlinearModel, terms: Sequence[Term]) -> GeneratedC | None:
+    """C of a nonlinear model's step and output, if it is one, and of the terms; None if there is nothing to write.
+
+    Raises
+    ------
+    ConfigError
+        If a function cannot be written as C.
+    """
+    functions: list[ca.Function] = []
+    if isinstance(model, NonlinearModel):
+        functions += [user_step(model.step, STEP), user_output(model.output, OUTPUT, model.order)]
+    functions += [user_term(term.function, term_name(index)) for index, term in enumerate(terms)]
+    return generate(functions, "ddmpc_user", "the user's functions") if functions else None
+
+
+def first_parameters(terms: Sequence[Term]) -> list[int]:
+    """Where the parameters of each term begin among those of all."""
+    return [sum(term.parameters for term in terms[:index]) for index in range(len(terms))]
 
 
 def compile_functions(
@@ -42,18 +53,21 @@ def compile_functions(
 
     Raises
     ------
+    ConfigError
+        If a function cannot be written as C.
     NotCompiledError
         If there is something to compile, and no compiler.
     """
-    functions = [*(model_functions(model) if isinstance(model, NonlinearModel) else ())]
-    own = [term_function(index, term) for index, term in enumerate(terms)]
-    if not functions and not own:
+    generated = generated_functions(model, terms)
+    if generated is None:
         return None, []
-    addresses = load_functions(generate([*functions, *own], "ddmpc_user", "the user's functions"))
-    step_and_output = (addresses[0], addresses[1]) if functions else None
-    compiled: list[CompiledTerm] = []
-    first = 0
-    for address, term in zip(addresses[len(functions) :], terms, strict=True):
-        compiled.append((address, term.rows, term.soft, first))
-        first += term.parameters
-    return step_and_output, compiled
+    (ffi, _), library = load_core(), load_functions(generated)
+
+    def address(name: str) -> Any:  # noqa: ANN401 - cffi has no types
+        return ffi.addressof(library, name)
+
+    step_and_output = (address(STEP), address(OUTPUT)) if isinstance(model, NonlinearModel) else None
+    places = zip(terms, first_parameters(terms), strict=True)
+    return step_and_output, [
+        (address(term_name(index)), term.rows, term.soft, first) for index, (term, first) in enumerate(places)
+    ]

@@ -48,9 +48,14 @@ def core_origin() -> str:
     return digest_of([*written, *((_PACKAGE / name).read_text("utf-8") for name in _FORMULAS)])
 
 
+def header_text() -> str:
+    """Text of the core's header."""
+    return (CORE / _HEADER).read_text(encoding="utf-8")
+
+
 def core_declarations() -> str:
     """What the core's header declares, as cffi reads it."""
-    return declarations((CORE / _HEADER).read_text(encoding="utf-8"))
+    return declarations(header_text())
 
 
 def declarations(header: str) -> str:

@@ -15,7 +15,8 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
 from diffdrive_mpc.models.velocity_model import ModelError
-from diffdrive_mpc.mpc.core.library import header_text, load_core
+from diffdrive_mpc.mpc.core.library import load_core
+from diffdrive_mpc.mpc.core.sources import header_text
 from diffdrive_mpc.mpc.problem.constants import Constants, whole_lanes
 
 _POINTER = re.compile(r"^\s*(?:const )?(?:real|ddmpc_time|int) \*(\w+);\s*/\* ((?:\[[^\]]+\])+)", re.MULTILINE)
