@@ -11,6 +11,8 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
+from diffdrive_mpc.models.errors import DiffdriveMpcError
+
 NATIVE = Path(__file__).parents[1] / "native"
 """Folder of the C sources and headers."""
 
@@ -23,7 +25,7 @@ _FLAGS = ("-std=c99", "-O3", "-ffp-contract=fast", "-fno-math-errno", "-fno-trap
 _TUNING = (("-march=native", "-mprefer-vector-width=512"), ("-march=native",), ("-mcpu=native",), ())
 
 
-class NotCompiledError(RuntimeError):
+class NotCompiledError(DiffdriveMpcError, RuntimeError):
     """There is no compiled library; the message says why in one line."""
 
 

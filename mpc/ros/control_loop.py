@@ -9,6 +9,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.hold import Hold
@@ -33,7 +34,7 @@ class LoopState(StrEnum):
     """Commands zero after an exception; `start` begins anew."""
 
 
-class RefusedError(ValueError):
+class RefusedError(DiffdriveMpcError, ValueError):
     """A request that cannot be granted now; says why and what to do."""
 
 

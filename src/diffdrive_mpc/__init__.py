@@ -10,20 +10,30 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from diffdrive_mpc.models.checked_yaml import ConfigError
+    from diffdrive_mpc.models.errors import DiffdriveMpcError
     from diffdrive_mpc.models.interface import Measurement, Stamped
     from diffdrive_mpc.models.load import load_model
     from diffdrive_mpc.models.pose import integrate_pose
+    from diffdrive_mpc.models.velocity_model import ModelError
+    from diffdrive_mpc.mpc.compiled.compiler import NotCompiledError
     from diffdrive_mpc.mpc.config.config_file import load_config
     from diffdrive_mpc.mpc.config.schema import ControllerConfig
     from diffdrive_mpc.mpc.controller import Controller
     from diffdrive_mpc.mpc.trajectories.load import load_trajectory
     from diffdrive_mpc.sim.loop import simulate
     from diffdrive_mpc.sim.make import make_plant
+    from diffdrive_mpc.sim.plant import RobotLostError
 
 _HOMES = {
+    "ConfigError": "models.checked_yaml",
     "Controller": "mpc.controller",
     "ControllerConfig": "mpc.config.schema",
+    "DiffdriveMpcError": "models.errors",
     "Measurement": "models.interface",
+    "ModelError": "models.velocity_model",
+    "NotCompiledError": "mpc.compiled.compiler",
+    "RobotLostError": "sim.plant",
     "Stamped": "models.interface",
     "integrate_pose": "models.pose",
     "load_config": "mpc.config.config_file",
@@ -34,9 +44,14 @@ _HOMES = {
 }
 
 __all__ = [
+    "ConfigError",
     "Controller",
     "ControllerConfig",
+    "DiffdriveMpcError",
     "Measurement",
+    "ModelError",
+    "NotCompiledError",
+    "RobotLostError",
     "Stamped",
     "integrate_pose",
     "load_config",
@@ -55,4 +70,4 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - the type checker sees the i
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *__all__]
+    return sorted({*globals(), *__all__})
