@@ -9,3 +9,7 @@ class DiffdriveMpcError(Exception):
     Most of its kinds are a ValueError or a RuntimeError too. An argument that no caller of a correct program gives (the
     wrong shape of an array) raises a plain ValueError, which is none of them.
     """
+
+
+class MissingPackageError(DiffdriveMpcError, ImportError):
+    """Something was asked for that needs a package which is not installed; says how to install it."""

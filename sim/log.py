@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.results import ReadOnlyArrays
 from diffdrive_mpc.sim.plant import Plant
 
 
 @dataclass(frozen=True)
-class Log:
+class Log(ReadOnlyArrays):
     """An open-loop drive, K samples. Row k was measured at `time[k]`, just before `command[k]` was sent.
 
     Attributes

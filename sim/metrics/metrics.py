@@ -6,14 +6,16 @@ Guffanti et al. 2026 (PMC12845739). They cover t = 0 to the end of the reference
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.models.results import text_table
 from diffdrive_mpc.sim.metrics.metric_settings import metric_settings
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors
 
@@ -22,10 +24,19 @@ FALLBACK_MODES = frozenset({"REUSED_PLAN", "BRAKING", "STOPPED"})
 GIVEN_UP_MODES = frozenset({"BRAKING", "STOPPED"})
 """Modes in which a controller no longer tracks."""
 
+# Name and unit in the fields of `Metrics`, by what a cell is multiplied, and how the row is called.
+_SHOWN = (
+    ("position", "m", 1.0, "position [m]"),
+    ("heading", "rad", 1.0, "heading [rad]"),
+    ("course", "rad", 1.0, "course [rad]"),
+    ("lateral", "m", 1.0, "|lateral| [m]"),
+    ("step_time", "s", 1e3, "step time [ms]"),
+)
+
 
 @dataclass(frozen=True, slots=True)
 class Metrics:
-    """Statistics of one run; the field names are those of `bench.json`, units in their endings.
+    """Statistics of one run; the field names are those of `bench.json`, units in their endings. They print as a table.
 
     `heading_*` other than the RMSE are of the absolute error. A value that cannot be computed (the robot never moved,
     a pose was not finite) is NaN.
@@ -53,6 +64,20 @@ class Metrics:
     step_time_max_s: float
     deadline_misses: int
     fallbacks: int
+
+    def __str__(self) -> str:
+        """A table: a row per error, a column per statistic, "-" where there is none."""
+        names, values = ("rmse", "mean", "std", "p50", "p95", "p99", "max"), asdict(self)
+        values["lateral_mean_m"] = self.lateral_mae_m
+        rows: list[tuple[str, ...]] = [("", *names)]
+        for quantity, unit, scale, shown in _SHOWN:
+            cells = [values.get(f"{quantity}_{name}_{unit}", math.nan) for name in names]
+            rows.append((shown, *(f"{scale * cell:.4g}" if math.isfinite(cell) else "-" for cell in cells)))
+        note = (
+            f"{self.steps} steps, {'completed' if self.completed else 'not completed'}; in the band "
+            f"{self.in_band_percent:.1f} %; deadlines missed {self.deadline_misses}, fall-backs {self.fallbacks}"
+        )
+        return text_table(rows, note=note)
 
 
 class ScoredRun(Protocol):

@@ -8,12 +8,13 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.models.results import ReadOnlyArrays
 from diffdrive_mpc.sim.metrics.metric_settings import metric_settings
 from diffdrive_mpc.sim.metrics.path_projection import path_polyline
 
 
-@dataclass(frozen=True, slots=True)
-class TrackingErrors:
+@dataclass(frozen=True)
+class TrackingErrors(ReadOnlyArrays):
     """Error series over the n ticks of a run.
 
     Attributes

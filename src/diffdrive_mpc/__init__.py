@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from diffdrive_mpc.models.checked_yaml import ConfigError
-    from diffdrive_mpc.models.errors import DiffdriveMpcError
+    from diffdrive_mpc.models.errors import DiffdriveMpcError, MissingPackageError
     from diffdrive_mpc.models.interface import Measurement, Stamped
     from diffdrive_mpc.models.load import load_model
     from diffdrive_mpc.models.pose import integrate_pose
@@ -31,6 +31,7 @@ _HOMES = {
     "ControllerConfig": "mpc.config.schema",
     "DiffdriveMpcError": "models.errors",
     "Measurement": "models.interface",
+    "MissingPackageError": "models.errors",
     "ModelError": "models.velocity_model",
     "NotCompiledError": "mpc.compiled.compiler",
     "RobotLostError": "sim.plant",
@@ -49,6 +50,7 @@ __all__ = [
     "ControllerConfig",
     "DiffdriveMpcError",
     "Measurement",
+    "MissingPackageError",
     "ModelError",
     "NotCompiledError",
     "RobotLostError",

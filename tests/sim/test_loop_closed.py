@@ -102,7 +102,9 @@ def test_every_tick_is_announced() -> None:
 
 
 def test_sim_imports_without_mujoco() -> None:
-    code = "import sys; sys.modules['mujoco'] = None; from diffdrive_mpc import sim; sim.simulate; sim.Run; sim.make"
+    code = (
+        "import sys; sys.modules['mujoco'] = None; from diffdrive_mpc import sim; sim.simulate; sim.Run; sim.make_plant"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

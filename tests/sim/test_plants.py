@@ -126,7 +126,11 @@ def test_surface_and_sensors_can_be_the_users_files(tmp_path: Path) -> None:
 
 def test_import_of_sim_does_not_load_mujoco() -> None:
     code = (
-        "import sys, sim.make, sim.plants.surface, sim.drives; sim.make('model:ssm'); sys.exit('mujoco' in sys.modules)"
+        "import sys\n"
+        "from diffdrive_mpc import make_plant\n"
+        "import diffdrive_mpc.sim.plants.surface, diffdrive_mpc.sim.drives\n"
+        "make_plant('model:ssm')\n"
+        "sys.exit('mujoco' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
