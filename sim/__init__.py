@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from diffdrive_mpc.sim.loop import simulate
-    from diffdrive_mpc.sim.make import make_plant
     from diffdrive_mpc.sim.metrics.metrics import Metrics
-    from diffdrive_mpc.sim.plant import Plant
+    from diffdrive_mpc.sim.plants.make import make_plant
+    from diffdrive_mpc.sim.plants.plant import Plant
     from diffdrive_mpc.sim.run import Run
 
 _HOMES = {
     "Metrics": "diffdrive_mpc.sim.metrics.metrics",
-    "Plant": "diffdrive_mpc.sim.plant",
+    "Plant": "diffdrive_mpc.sim.plants.plant",
     "Run": "diffdrive_mpc.sim.run",
-    "make_plant": "diffdrive_mpc.sim.make",
+    "make_plant": "diffdrive_mpc.sim.plants.make",
     "simulate": "diffdrive_mpc.sim.loop",
 }
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim.run import Run
-from diffdrive_mpc.sim.whole_file import whole_file
 
 
 def write_log(run: Run, path: str | Path) -> None:

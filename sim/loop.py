@@ -15,9 +15,10 @@ from diffdrive_mpc.models.interface import (
     Reference,
     TrackingController,
 )
-from diffdrive_mpc.sim.disturbances.disturbed_plant import DisturbedPlant
-from diffdrive_mpc.sim.plant import Plant, RobotLostError
-from diffdrive_mpc.sim.run import NO_SOLVER, TIME_TOLERANCE, Run
+from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
+from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
+from diffdrive_mpc.sim.plants.plant import Plant, RobotLostError
+from diffdrive_mpc.sim.run import NO_SOLVER, Run
 
 
 def simulate(

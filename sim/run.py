@@ -1,4 +1,4 @@
-"""The record of one closed-loop run."""
+"""What happened in one closed-loop run."""
 
 from __future__ import annotations
 
@@ -13,18 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, ReferenceSample, Stamped
 from diffdrive_mpc.models.results import ReadOnlyArrays
-from diffdrive_mpc.sim.metrics.metric_settings import metric_settings
-from diffdrive_mpc.sim.metrics.metrics import Metrics, compute_metrics
+from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE, Metrics, compute_metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
-from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, tracking_errors
+from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings, tracking_errors
 
 if TYPE_CHECKING:
     from typing import Self
 
     from pandas import DataFrame
 
-TIME_TOLERANCE = 1e-9
-"""Two instants closer than this [s] are the same tick: sums of sample times do not meet the duration exactly."""
 
 NO_SOLVER = "none"
 """Path of a tick at which no solver ran, or of a controller without one."""

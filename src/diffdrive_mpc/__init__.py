@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from diffdrive_mpc.mpc.controller import Controller
     from diffdrive_mpc.mpc.trajectories.load import load_trajectory
     from diffdrive_mpc.sim.loop import simulate
-    from diffdrive_mpc.sim.make import make_plant
-    from diffdrive_mpc.sim.plant import RobotLostError
+    from diffdrive_mpc.sim.plants.make import make_plant
+    from diffdrive_mpc.sim.plants.plant import RobotLostError
 
 _HOMES = {
     "ConfigError": "models.checked_yaml",
@@ -34,13 +34,13 @@ _HOMES = {
     "MissingPackageError": "models.errors",
     "ModelError": "models.velocity_model",
     "NotCompiledError": "mpc.compiled.compiler",
-    "RobotLostError": "sim.plant",
+    "RobotLostError": "sim.plants.plant",
     "Stamped": "models.interface",
     "integrate_pose": "models.pose",
     "load_config": "mpc.config.config_file",
     "load_model": "models.load",
     "load_trajectory": "mpc.trajectories.load",
-    "make_plant": "sim.make",
+    "make_plant": "sim.plants.make",
     "simulate": "sim.loop",
 }
 
