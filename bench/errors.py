@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from diffdrive_mpc.models.errors import DiffdriveMpcError
 
-class NotReproducibleError(RuntimeError):
+
+class NotReproducibleError(DiffdriveMpcError, RuntimeError):
     """The same measurements gave other commands when they were replayed."""

@@ -25,7 +25,7 @@ from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.structures import SmFile
 from diffdrive_mpc.models.velocity_model import CHANNELS
-from diffdrive_mpc.sim.drives import random_drive
+from diffdrive_mpc.sim.plants.open_loop import random_commands
 
 Range = tuple[Positive, Positive]
 _COVERED = 1.959964
@@ -177,7 +177,7 @@ def _draw(stream: np.random.Generator, study: StudyParameters) -> SmFile:
 
 def _log(truth: SmFile, stream: np.random.Generator, seed: int, study: StudyParameters) -> list[Record]:
     dt = study.sample_time
-    commands = random_drive(seed, smooth=False, duration=study.duration, sample_time=dt)
+    commands = random_commands(seed, smooth=False, duration=study.duration, sample_time=dt)
     twist = build_model(truth).discretise(dt).simulate(commands)
     v = twist[:, 0] + study.v_noise * stream.normal(size=len(twist))
     v = study.v_resolution * np.round(v / study.v_resolution)

@@ -31,9 +31,8 @@ from diffdrive_mpc.models.load import PARAMETERS, load_model
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures import Motors, TwoPoles
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
-from diffdrive_mpc.sim.drives import random_drive, step_drives
-from diffdrive_mpc.sim.log import Log, record
-from diffdrive_mpc.sim.make import make_plant
+from diffdrive_mpc.sim.plants.make import make_plant
+from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, random_commands, step_commands
 
 # Experiments are numbered on from here, each with noise of its own; validation drives are apart from them.
 _FIRST_SEED = 1000
@@ -60,19 +59,19 @@ Identify = Callable[[list[Experiment], float | None], TwoPolesFit]
 class PaperExperiments:
     """Logs of the experiments of Guffanti et al., Sensors 2025, 25(11), 3553, on the simulated robot."""
 
-    wheels: list[Log]
-    v: list[Log]
-    omega: list[Log]
+    wheels: list[Drive]
+    v: list[Drive]
+    omega: list[Drive]
 
 
 def run_experiments() -> PaperExperiments:
     """Drive the simulated robot through the steps of the paper."""
     seed = iter(range(_FIRST_SEED, _FIRST_SEED + 100))
 
-    def logs(commands: Iterable[FloatArray]) -> list[Log]:
-        return [record(make_plant("mujoco", seed=next(seed)), rows) for rows in commands]
+    def logs(commands: Iterable[FloatArray]) -> list[Drive]:
+        return [drive_open_loop(make_plant("mujoco", seed=next(seed)), rows) for rows in commands]
 
-    return PaperExperiments(logs(step_drives("wheels")), logs(step_drives("v")), logs(step_drives("omega")))
+    return PaperExperiments(logs(step_commands("wheels")), logs(step_commands("v")), logs(step_commands("omega")))
 
 
 def fit_models(
@@ -113,7 +112,7 @@ def fit_models(
     return validation_table(folder)
 
 
-def _write(path: Path, data: dict[str, Any], used: tuple[list[Log], list[Log]], day: str) -> None:
+def _write(path: Path, data: dict[str, Any], used: tuple[list[Drive], list[Drive]], day: str) -> None:
     """Write a parameter file, load it as a user would, and add the FIT of what was loaded."""
     name = path.stem
     data["provenance"] = {
@@ -136,7 +135,10 @@ def validation_table(folder: Path = PARAMETERS) -> Table:
     """FIT of the three models on drives that none was identified from."""
     rows = []
     for smooth in (True, False):
-        drives = [record(make_plant("mujoco", seed=seed), random_drive(seed, smooth)) for seed in _VALIDATION_SEEDS]
+        drives = [
+            drive_open_loop(make_plant("mujoco", seed=seed), random_commands(seed, smooth))
+            for seed in _VALIDATION_SEEDS
+        ]
         for name in ("mbm", "sm", "ssm"):
             model = load_model("ssm" if name == "ssm" else folder / f"{name}.yaml")
             fits = [_model_fit(model, drives, row) for row in (0, 1)]
@@ -152,7 +154,7 @@ def validation_table(folder: Path = PARAMETERS) -> Table:
     )
 
 
-def best_extra_dead_time(model: VelocityModel, logs: list[Log]) -> FloatArray:
+def best_extra_dead_time(model: VelocityModel, logs: list[Drive]) -> FloatArray:
     """(2,) dead time [s] that the model's file does not carry and that would make it explain the logs best."""
     dt, extra = load_robot().sample_time, np.zeros(2)
     for row in (0, 1):
@@ -200,12 +202,12 @@ def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     }
 
 
-def _experiment(log: Log, command: FloatArray, output: FloatArray) -> Experiment:
+def _experiment(log: Drive, command: FloatArray, output: FloatArray) -> Experiment:
     level = log.command[np.argmax(np.abs(log.command).sum(axis=1))]
     return Experiment(f"step to {level[0]:.3f} m/s, {level[1]:.3f} rad/s", load_robot().sample_time, command, output)
 
 
-def _settled(log: Log) -> FloatArray:
+def _settled(log: Drive) -> FloatArray:
     """(K,) whether the command has not changed for the settling time."""
     window = round(_SETTLING_TIME / load_robot().sample_time)
     changed = np.concatenate([[True], (np.diff(log.command, axis=0) != 0).any(axis=1)])
@@ -213,13 +215,13 @@ def _settled(log: Log) -> FloatArray:
     return np.asarray((recent == 0) & log.command.any(axis=1))
 
 
-def _model_fit(model: VelocityModel, logs: list[Log], row: int) -> float:
+def _model_fit(model: VelocityModel, logs: list[Drive], row: int) -> float:
     discrete = model.discretise(load_robot().sample_time)
     simulated = [discrete.simulate(log.command)[:, row] for log in logs]
     return pooled_fit_percent([log.output[:, row] for log in logs], simulated)
 
 
-def _describe(logs: list[Log], row: int) -> str:
+def _describe(logs: list[Drive], row: int) -> str:
     levels = [log.command[np.argmax(np.abs(log.command[:, row])), row] for log in logs]
     return f"steps from rest to {', '.join(f'{level:.4g}' for level in levels)} {('m/s', 'rad/s')[row]}"
 

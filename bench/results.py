@@ -11,7 +11,7 @@ from diffdrive_mpc.bench.controllers import PEERS, controller_config
 from diffdrive_mpc.bench.experiment import Experiment
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.runner import Outcome
-from diffdrive_mpc.sim.metrics.metric_settings import metric_settings
+from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 TIMING = "serial replay of the recorded measurements, one core, one BLAS thread, garbage collection off, whole step"
 STATISTICS = "true pose against the reference, from t = 0 to the end of the reference, no settling time added"

@@ -11,6 +11,7 @@ from pydantic import Field
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class TwistBounds(StrictModel):

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from diffdrive_mpc.bench.figures.style import ERROR_MAP, REFERENCE_COLOUR, boxed_legend, colour, new_figure
 from diffdrive_mpc.sim import Run
-from diffdrive_mpc.sim.metrics.metric_settings import metric_settings
+from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 
 def draw_case(run: Run, title: str, path: Path) -> None:

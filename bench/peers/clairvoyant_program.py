@@ -13,7 +13,7 @@ from diffdrive_mpc.bench.peers.known_plant import KnownPlant
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
 from diffdrive_mpc.mpc.bounds import slew_step
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.sim.metrics.metric_settings import metric_settings
+from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.structures import TwoPoles
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import load_trajectory
-from diffdrive_mpc.sim.log import Log, record
-from diffdrive_mpc.sim.make import make_plant
+from diffdrive_mpc.sim.plants.make import make_plant
+from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop
 from diffdrive_mpc.sim.plants.surface import load_surface
 
 _PERFECT = "perfect"
@@ -49,7 +49,7 @@ def know_plant(plant: str, surface: str, trajectories: tuple[str, ...]) -> Known
     Parameters
     ----------
     plant, surface
-        As `sim.make` takes them; of "model:" plants those without dead time in their name.
+        As `sim.plants.make` takes them; of "model:" plants those without dead time in their name.
     trajectories
         Names or paths.
 
@@ -75,12 +75,12 @@ def _exact(model: VelocityModel, surface: str) -> KnownPlant:
     return KnownPlant(known, slip.side_slip, 0.0)
 
 
-def _drive(plant: str, surface: str, trajectory: str) -> Log:
+def _drive(plant: str, surface: str, trajectory: str) -> Drive:
     robot, reference = make_plant(plant, surface, _PERFECT), load_trajectory(trajectory)
-    return record(robot, reference.sample(np.arange(0.0, reference.duration, robot.sample_time)).twist)
+    return drive_open_loop(robot, reference.sample(np.arange(0.0, reference.duration, robot.sample_time)).twist)
 
 
-def _experiments(logs: list[Log], channel: int, output: int) -> list[Experiment]:
+def _experiments(logs: list[Drive], channel: int, output: int) -> list[Experiment]:
     return [
         Experiment("reference", float(log.time[1] - log.time[0]), log.command[:, channel], log.true_twist[:, output])
         for log in logs
@@ -88,7 +88,7 @@ def _experiments(logs: list[Log], channel: int, output: int) -> list[Experiment]
     ]
 
 
-def _slip(logs: list[Log]) -> tuple[float, float]:
+def _slip(logs: list[Drive]) -> tuple[float, float]:
     """Side-slip and load shift, by least squares."""
     regressors, lateral = [], []
     for log in logs:

@@ -12,7 +12,7 @@ from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.logs.bags.bag_messages import COMMANDS, POSES, Reading
 from diffdrive_mpc.models.logs.bags.bag_topics import TopicRows, opened, read_topic
 from diffdrive_mpc.sim import Run
-from diffdrive_mpc.sim.run import TIME_TOLERANCE
+from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
 
 
 def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:

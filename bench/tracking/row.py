@@ -17,7 +17,7 @@ from diffdrive_mpc.bench.tracking.targets import load_targets
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim import Metrics, Run, make_plant, simulate
-from diffdrive_mpc.sim.metrics.steady_arcs import steady_arc_lateral, steady_arcs
+from diffdrive_mpc.sim.metrics.metrics import steady_arc_lateral, steady_arcs
 
 
 @dataclass(frozen=True)

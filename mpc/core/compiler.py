@@ -13,6 +13,8 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 
+from diffdrive_mpc.models.errors import DiffdriveMpcError
+
 _COMPILERS = ("cc", "gcc", "clang")
 _FLAGS = (
     "-std=c99",
@@ -35,7 +37,7 @@ NATIVE: tuple[tuple[str, ...], ...] = (
 _PATIENCE, _ANSWER_PATIENCE = 120.0, 10.0  # [s] to compile, and to say its version
 
 
-class NotCompiledError(RuntimeError):
+class NotCompiledError(DiffdriveMpcError, RuntimeError):
     """There is no compiled library and none can be made. The message is one line: why, and the remedy."""
 
 

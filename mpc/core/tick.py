@@ -209,7 +209,7 @@ class MeasurementBuffer:
         self.struct = ffi.new("ddmpc_input *")
         whole = memoryview(ffi.buffer(self.struct)).cast("B")
 
-        def numbers(offset: int, count: int) -> memoryview:
+        def numbers(offset: int, count: int) -> Any:  # noqa: ANN401 - a view of doubles, which its type cannot say
             return whole[offset : offset + 8 * count].cast("d")
 
         def message(field: str, count: int) -> _Message:
@@ -239,7 +239,7 @@ class _Message:
 
     __slots__ = ("_count", "_covariance", "_struct", "_value")
 
-    def __init__(self, struct: Any, value: memoryview, covariance: memoryview, count: int) -> None:  # noqa: ANN401
+    def __init__(self, struct: Any, value: Any, covariance: Any, count: int) -> None:  # noqa: ANN401
         self._struct, self._value, self._covariance, self._count = struct, value, covariance, count
 
     def fill(self, stamped: Stamped | None) -> None:
@@ -260,7 +260,7 @@ class _Message:
             _write(self._covariance, flat, self._count * self._count)
 
 
-def _write(memory: memoryview, value: Any, count: int) -> None:  # noqa: ANN401 - whatever arrives
+def _write(memory: Any, value: Any, count: int) -> None:  # noqa: ANN401 - whatever arrives
     """`value` as `count` numbers; NaN if it is anything else."""
     if count == 1 and isinstance(value, float):
         memory[0] = value

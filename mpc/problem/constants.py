@@ -53,8 +53,8 @@ class Problem:
                 f"horizon = {horizon}: with its dead time the robot answers to a command after {model.memory} "
                 f"steps; set horizon to {model.memory} or more"
             )
-        linear = isinstance(model, DiscreteModel)
-        object.__setattr__(self, "prediction", build_prediction(model, horizon) if linear else None)
+        prediction = build_prediction(model, horizon) if isinstance(model, DiscreteModel) else None
+        object.__setattr__(self, "prediction", prediction)
 
     @property
     def history(self) -> int:
@@ -196,8 +196,8 @@ class Problem:
             "largest_command": [limits.v, limits.omega],
             "slew": np.array([limits.v_slew, limits.omega_slew]) * dt,
             "braking": np.array([limits.v_braking, limits.omega_braking]) * dt,
-            "soft_upper": np.concatenate([shipped, *(term.upper for term in soft)]),
-            "soft_lower": np.concatenate([np.negative(shipped), *(term.lower for term in soft)]),
+            "soft_upper": np.concatenate([shipped, *(np.asarray(term.upper) for term in soft)]),
+            "soft_lower": np.concatenate([np.negative(shipped), *(np.asarray(term.lower) for term in soft)]),
             "half_track": 0.5 * self.config.wheels.track,
         }
 

@@ -34,4 +34,4 @@ class FeedForward:
         # A zero close to the origin can make a lag negative: there is no twist before now to answer to.
         ahead = np.maximum(model.lag, 0.0) / dt
         whole = np.floor(ahead).astype(np.int64)
-        return cls(np.linalg.inv(model.dc_gain), whole, ahead - whole)
+        return cls(np.asarray(np.linalg.inv(model.dc_gain), dtype=np.float64), whole, ahead - whole)

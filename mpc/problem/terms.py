@@ -14,9 +14,9 @@ from typing import Literal
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import TermConfig
 from diffdrive_mpc.mpc.problem.formulas import TERM_INPUTS
 
@@ -47,8 +47,8 @@ class Term:
     name: str
     function: ca.Function
     kind: Literal["residual", "soft"] = "residual"
-    upper: FloatArray | None = None
-    lower: FloatArray | None = None
+    upper: ArrayLike | None = None
+    lower: ArrayLike | None = None
     defaults: Sequence[float] = ()
 
     def __post_init__(self) -> None:

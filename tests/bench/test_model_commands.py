@@ -15,16 +15,16 @@ from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.identification import Experiment, TwoPolesFit
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.structures import TwoPoles
-from diffdrive_mpc.sim.log import Log, record
-from diffdrive_mpc.sim.make import make_plant
+from diffdrive_mpc.sim.plants.make import make_plant
+from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop
 
 TRANSFER = TwoPoles(gain=1.0, natural_frequency=10.0, damping=1.0)
 runner = CliRunner()
 
 
-def _step(v: float, omega: float) -> Log:
+def _step(v: float, omega: float) -> Drive:
     commands: FloatArray = np.vstack([np.zeros((10, 2)), np.tile([v, omega], (100, 1))])
-    return record(make_plant("model:ssm", surface="ideal", sensors="perfect"), commands)
+    return drive_open_loop(make_plant("model:ssm", surface="ideal", sensors="perfect"), commands)
 
 
 @pytest.fixture

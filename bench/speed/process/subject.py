@@ -10,6 +10,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from diffdrive_mpc.models.errors import DiffdriveMpcError
+
 if TYPE_CHECKING:
     from typing import Self
 
@@ -17,7 +19,7 @@ _WORKER = Path(__file__).with_name("worker.py")
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
-class SubjectError(RuntimeError):
+class SubjectError(DiffdriveMpcError, RuntimeError):
     """A subject cannot be run; the message is why, in one line."""
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim.disturbances.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
-from diffdrive_mpc.sim.plant import Plant
+from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
+from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 

@@ -13,7 +13,7 @@ from diffdrive_mpc.sim.plants.chassis import WHEELS, Chassis
 from diffdrive_mpc.sim.plants.drivetrain import VelocityLoops
 
 
-class Disturbances:
+class DisturbedPhysics:
     """Applies patches, slipping wheels, pushes and blockades to the chassis, and weak motors and sag to the drives.
 
     Payload and slope are part of the chassis from the beginning.

@@ -14,15 +14,15 @@ from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.robot import TwistBounds
 from diffdrive_mpc.sim.disturbances.disturbance_types import Span
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
-from diffdrive_mpc.sim.plant import Plant
 from diffdrive_mpc.sim.plants.link import clip_command
+from diffdrive_mpc.sim.plants.plant import Plant
 
 _FIELDS = {"pose": ("pose",), "wheels": ("wheel_twist", "wheel_speeds"), "gyro": ("yaw_rate",)}
 """Fields of a measurement by the sensor that fills them."""
 
 
 class DisturbedPlant:
-    """Start offset, sensor drop-outs and false commands around any plant; see `sim.plant.Plant`.
+    """Start offset, sensor drop-outs and false commands around any plant; see `sim.plants.plant.Plant`.
 
     Parameters
     ----------

@@ -6,10 +6,11 @@ from typing import Protocol
 
 from numpy.typing import ArrayLike
 
+from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 
 
-class RobotLostError(ValueError):
+class RobotLostError(DiffdriveMpcError, ValueError):
     """The robot tipped over or its motion diverged: it cannot be simulated further. One line: when, why, remedy."""
 
 
