@@ -48,8 +48,22 @@ class Limits(Group):
 
     v: Positive = Field(_ROBOT.limits.v, description="hard: |v_ref| [m/s]")
     omega: Positive = Field(_ROBOT.limits.omega, description="hard: |omega_ref| [rad/s]")
-    v_slew: Positive = Field(_ROBOT.command_slew.v, description="hard: rate of change of v_ref [m/s^2]")
-    omega_slew: Positive = Field(_ROBOT.command_slew.omega, description="hard: rate of change of omega_ref [rad/s^2]")
+    v_slew: Positive = Field(
+        _ROBOT.command_slew.v, description="hard: rate of change of v_ref while driving; braking has its own [m/s^2]"
+    )
+    omega_slew: Positive = Field(
+        _ROBOT.command_slew.omega,
+        description="hard: rate of change of omega_ref while driving; braking has its own [rad/s^2]",
+    )
+    v_braking: Annotated[float, Field(ge=0.2)] = Field(
+        _ROBOT.command_slew.v,
+        description="hard: rate at which v_ref goes to zero in BRAKING and FINISHED, whatever v_slew says [m/s^2]",
+    )
+    omega_braking: Annotated[float, Field(ge=0.5)] = Field(
+        _ROBOT.command_slew.omega,
+        description="hard: rate at which omega_ref goes to zero in BRAKING and FINISHED, whatever omega_slew says "
+        "[rad/s^2]",
+    )
     predicted_v: Positive = Field(1.6, description="soft: predicted |v| [m/s]")
     predicted_omega: Positive = Field(2.2, description="soft: predicted |omega| [rad/s]")
     wheel_speed: Positive = Field(
