@@ -29,18 +29,26 @@ def command_box(limits: Limits, dt: float, last_command: FloatArray, steps: int,
 
 
 def clip_command(
-    command: FloatArray, limits: Limits, dt: float, last_command: FloatArray, share: float = 1.0
+    command: FloatArray,
+    limits: Limits,
+    dt: float,
+    last_command: FloatArray,
+    share: float = 1.0,
+    *,
+    braking: bool = False,
 ) -> FloatArray:
     """The nearest command (2,) inside `share` of range, and slew: a solver meets its bounds only to its tolerance.
 
-    Number by number: for two of them arrays take ten times as long.
+    With `braking` the rates of braking take the place of slew. Number by number: for two of them arrays take ten times
+    as long.
     """
     v, omega = command
     last_v, last_omega = last_command.tolist()
+    v_rate, omega_rate = (limits.v_braking, limits.omega_braking) if braking else (limits.v_slew, limits.omega_slew)
     return np.array(
         [
-            _clip(float(v), last_v, share * limits.v, limits.v_slew * dt),
-            _clip(float(omega), last_omega, share * limits.omega, limits.omega_slew * dt),
+            _clip(float(v), last_v, share * limits.v, v_rate * dt),
+            _clip(float(omega), last_omega, share * limits.omega, omega_rate * dt),
         ]
     )
 

@@ -294,7 +294,8 @@ class Controller:
         return _Outcome(command, Mode.BRAKING if command.any() else Mode.STOPPED)
 
     def _ramp(self) -> FloatArray:
-        return self._inside(np.zeros(2))
+        config = self._config
+        return clip_command(np.zeros(2), config.limits, config.sample_time, self._last, braking=True)
 
     def _inside(self, command: FloatArray, share: float = 1.0) -> FloatArray:
         return clip_command(command, self._config.limits, self._config.sample_time, self._last, share)

@@ -18,11 +18,11 @@ class Mode(StrEnum):
     REUSED_PLAN = "REUSED_PLAN"
     """The solve failed; the command comes from the rest of the last good plan."""
     BRAKING = "BRAKING"
-    """The command ramps to zero at the slew limit."""
+    """The command ramps to zero at the limits of braking."""
     STOPPED = "STOPPED"
     """The command is zero."""
     FINISHED = "FINISHED"
-    """The end of the reference is reached; the command ramps to zero and stays there."""
+    """The end of the reference is reached; the command ramps to zero as in braking and stays there."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class StepResult:
     Attributes
     ----------
     command
-        (2,) v_ref [m/s], omega_ref [rad/s]; finite and inside range and slew in every mode.
+        (2,) v_ref [m/s], omega_ref [rad/s]; finite and inside range in every mode, and inside slew while it tracks.
     mode
         What the controller is doing.
     message

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from oracle.motion import wrapped
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
 from diffdrive_mpc.mpc.config.schema import Estimator
+from oracle.motion import wrapped
 
 _LARGEST_VARIANCE = 1e6
 _ASYMMETRY = 1e-6
@@ -18,7 +18,7 @@ _FUTURE = 1e-3
 _AGREEING = 3
 
 
-def numbers(value: Any, count: int) -> FloatArray | None:  # noqa: ANN401 - whatever arrives
+def numbers(value: Any, count: int) -> FloatArray | None:
     """`value` as `count` finite numbers, or None if it is anything else."""
     try:
         array = np.asarray(value, dtype=float).ravel()
@@ -27,7 +27,7 @@ def numbers(value: Any, count: int) -> FloatArray | None:  # noqa: ANN401 - what
     return array if len(array) == count and bool(np.isfinite(array).all()) else None
 
 
-def covariance(value: Any, size: int) -> FloatArray | None:  # noqa: ANN401 - whatever arrives
+def covariance(value: Any, size: int) -> FloatArray | None:
     """`value` as a symmetric positive definite (size, size) matrix with possible entries, or None."""
     entries = numbers(value, size * size)
     if entries is None or np.abs(entries).max() > _LARGEST_VARIANCE:

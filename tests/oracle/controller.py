@@ -1,4 +1,4 @@
-"""The controller: one tick straight down from measurement to command, and the ladder down to zero where a part fails."""
+"""The controller: one tick straight down from measurement to command, and the ladder where a part of it fails."""
 
 from __future__ import annotations
 
@@ -6,12 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from oracle.clock import TickClock, TickKind
-from oracle.estimator import StateEstimator
-from oracle.problem import TrackingProblem, command_box
-from oracle.solver import solve
-from oracle.tick import FeedForward, begin_tick
-from oracle.trajectories import sampled
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.load import load_model
@@ -23,6 +17,12 @@ from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.reentry import Pursuit, Target, TooFar
 from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
+from oracle.clock import TickClock, TickKind
+from oracle.estimator import StateEstimator
+from oracle.problem import TrackingProblem, command_box
+from oracle.solver import solve
+from oracle.tick import FeedForward, begin_tick
+from oracle.trajectories import sampled
 
 _NOT_RUN = SolverReport(SolverStatus.NOT_RUN)
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from oracle.checks import CheckedPose, CheckedTwist, PoseGate, TwistGates, sent_command
-from oracle.commands import PastCommands
-from oracle.kalman import Belief, build_filter
 
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, Wheels
 from diffdrive_mpc.mpc.estimate import SENSORS, Estimate
+from oracle.checks import CheckedPose, CheckedTwist, PoseGate, TwistGates, sent_command
+from oracle.commands import PastCommands
+from oracle.kalman import Belief, build_filter
 
 _TOO_MANY = "more arrived for one sample than is kept"
 # What one tick of the history holds at most: numbers of wheels and gyro, and poses.
@@ -131,9 +131,7 @@ class StateEstimator:
             node = self.nodes[index]
             if len(node.poses) == _MOST_POSES:
                 rejected.append(f"pose rejected: {_TOO_MANY}")
-            elif self.pose_gate.passes(
-                pose, self.filter.pose(node.posterior.mean, pose.stamp - node.time), rejected
-            ):
+            elif self.pose_gate.passes(pose, self.filter.pose(node.posterior.mean, pose.stamp - node.time), rejected):
                 node.poses.append(pose)
                 first = min(first, index)
         self._filter_from(first)

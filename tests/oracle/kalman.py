@@ -9,18 +9,18 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from oracle.commands import PastCommands
-from oracle.motion import arc, jacobian, wrapped
 
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, Wheels
 from diffdrive_mpc.mpc.estimate import SENSORS
 from diffdrive_mpc.mpc.slip import Slip
+from oracle.commands import PastCommands
+from oracle.motion import arc, jacobian, wrapped
 
 
 class Belief(NamedTuple):
-    """Mean (n + 9,) and covariance, and for each sensor the samples for which it has contradicted them (0: it agrees)."""
+    """Mean (n + 9,), covariance, and for each sensor the samples for which it has contradicted them; 0: it agrees."""
 
     mean: FloatArray
     covariance: FloatArray

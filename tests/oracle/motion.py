@@ -27,7 +27,9 @@ def sinc(x: FloatArray) -> FloatArray:
     return np.where(small, series, np.sin(safe) / safe)
 
 
-def arc(theta: FloatArray, v: FloatArray, omega: FloatArray, dt: float, side_slip: FloatArray) -> tuple[FloatArray, ...]:
+def arc(
+    theta: FloatArray, v: FloatArray, omega: FloatArray, dt: float, side_slip: FloatArray
+) -> tuple[FloatArray, ...]:
     """Displacement dx, dy [m], dtheta [rad] over `dt` from the heading `theta`.
 
     The body goes along the chord of its arc, v dt sinc(omega dt / 2) in the direction of its mean heading, and

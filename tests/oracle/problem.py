@@ -14,12 +14,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from oracle.motion import arc, jacobian
-from oracle.tick import Tick
 
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
+from oracle.motion import arc, jacobian
+from oracle.tick import Tick
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import daqp
 import numpy as np
-from oracle.problem import QuadraticProgram
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.solver_report import SolverStatus
+from oracle.problem import QuadraticProgram
 
 # Numbers beyond this are no robot's.
 _LARGEST = 1e15
@@ -35,7 +35,9 @@ def solve(qp: QuadraticProgram) -> Answer:
     AssertionError
         If what the solver gives is not the solution: nothing may be compared with it then.
     """
-    nothing = Answer(SolverStatus.NOT_FINITE, np.zeros(len(qp.g)), np.zeros(len(qp.lower)), np.zeros(len(qp.soft_lower)))
+    nothing = Answer(
+        SolverStatus.NOT_FINITE, np.zeros(len(qp.g)), np.zeros(len(qp.lower)), np.zeros(len(qp.soft_lower))
+    )
     data = (qp.H, qp.g, qp.rows, qp.upper, qp.soft_rows, qp.soft_upper)
     if not all(np.vdot(part, part) < _LARGEST**2 for part in data):
         return nothing

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from oracle.motion import arc
 
 from diffdrive_mpc.models.interface import Reference, ReferenceSample
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
 from diffdrive_mpc.mpc.trajectories.moved import MovedReference
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+from oracle.motion import arc
 
 
 @dataclass(frozen=True)
