@@ -9,7 +9,7 @@ from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.feed_forward import FeedForward
-from diffdrive_mpc.mpc.slip import Slip
+from diffdrive_mpc.mpc.estimation.slip import Slip
 
 
 def closed_loop_cost(

@@ -16,7 +16,7 @@ from diffdrive_mpc.mpc.estimator import build_filter, history_ticks
 from diffdrive_mpc.mpc.feed_forward import FeedForward
 from diffdrive_mpc.mpc.kalman import SlipFilter
 from diffdrive_mpc.mpc.problem import TrackingProblem
-from diffdrive_mpc.mpc.slip import Slip
+from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.tick import Tick
 
 # Share of the speed limit at which the typical tick drives straight ahead.

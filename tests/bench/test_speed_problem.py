@@ -13,7 +13,7 @@ from diffdrive_mpc.bench.speed.subjects.nlp_peer import NlpPeer
 from diffdrive_mpc.models import integrate_pose, load_model
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.problem import TrackingProblem
-from diffdrive_mpc.mpc.slip import Slip
+from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.tick import Tick
 
 DT = 0.0202

@@ -8,8 +8,8 @@ import daqp
 import numpy as np
 import osqp
 
-# So tight that a soft limit presses at every tick of a drive at 0.5 m/s: the backend is asked each time.
-PRESSING = {"limits.predicted_v": 0.4}
+# A soft limit presses at every tick of a drive at 0.5 m/s, and the backend is asked each time.
+PRESSING = {"limits.predicted_v": 0.4, "solver.strategy": "backend"}
 BACKENDS = {name: {"solver.backend": name} | PRESSING for name in ("osqp", "daqp")}
 
 _FLAGS = {

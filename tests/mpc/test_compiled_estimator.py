@@ -12,7 +12,7 @@ from diffdrive_mpc.mpc.compiled.estimator import CompiledEstimator
 from diffdrive_mpc.mpc.compiled.library import checked_constants, load_library
 from diffdrive_mpc.mpc.config.schema import Compensation, Estimator
 from diffdrive_mpc.mpc.estimator import StateEstimator
-from diffdrive_mpc.mpc.slip import Slip
+from diffdrive_mpc.mpc.estimation.slip import Slip
 
 DT = 0.0202
 SAMPLED = {name: load_model(name).with_extra_dead_time([0.01, 0.03]).discretise(DT) for name in ("ssm", "sm", "mbm")}

@@ -16,7 +16,7 @@ from diffdrive_mpc.mpc.compiled.condenser import CompiledCondenser
 from diffdrive_mpc.mpc.compiled.constants import initialiser, sizes_header, tracking_constants, tracking_sizes
 from diffdrive_mpc.mpc.compiled.reference import CompiledReference, compile_reference
 from diffdrive_mpc.mpc.condensed import Condenser
-from diffdrive_mpc.mpc.estimate import Estimate
+from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem import TrackingProblem
 from diffdrive_mpc.mpc.solver.report import SolverStatus

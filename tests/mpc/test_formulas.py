@@ -23,7 +23,7 @@ from diffdrive_mpc.mpc.lean import lean
 from diffdrive_mpc.mpc.problem import TrackingProblem
 from diffdrive_mpc.mpc.problem.formulas import formulas
 from diffdrive_mpc.mpc.problem.user_functions import user_output, user_step, user_term
-from diffdrive_mpc.mpc.slip import Slip
+from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
 FORMULAS = {function.name().removeprefix("ddmpc_f_"): function for function in formulas()}

@@ -11,7 +11,7 @@ from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.condensed import Condenser
 from diffdrive_mpc.mpc.problem import TrackingProblem
 from diffdrive_mpc.mpc.qp.condensed_solver import CondensedSolver
-from diffdrive_mpc.mpc.slip import Slip
+from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.tick import Tick
 from diffdrive_mpc.mpc.ways import make_way

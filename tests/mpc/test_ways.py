@@ -13,7 +13,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.condensed import Condenser
 from diffdrive_mpc.mpc.problem import TrackingProblem
-from diffdrive_mpc.mpc.slip import Slip
+from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.sparse.solver import SparseSolver
 from diffdrive_mpc.mpc.tick import Tick

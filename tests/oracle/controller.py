@@ -12,10 +12,10 @@ from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.estimate import Estimate
+from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.reentry import Pursuit, Target, TooFar
-from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
+from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
 from oracle.clock import TickClock, TickKind
 from oracle.estimator import StateEstimator

@@ -13,7 +13,7 @@ import numpy as np
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, Wheels
-from diffdrive_mpc.mpc.estimate import SENSORS, Estimate
+from diffdrive_mpc.mpc.estimation.estimate import SENSORS, Estimate
 from oracle.checks import CheckedPose, CheckedTwist, PoseGate, TwistGates, sent_command
 from oracle.commands import PastCommands
 from oracle.kalman import Belief, build_filter

@@ -1,6 +1,6 @@
 """The extended Kalman filter: z = (x, v_offset, omega_gain, longitudinal_gain, yaw_gain, side_slip, gyro_bias, pose).
 
-x are the n states of the velocity model; then what lies between its twist and the body's (`mpc.slip`), the gyro's bias
+x are the n states of the velocity model; then what lies between its twist and the body's (`mpc.estimation.slip`), the gyro's bias
 [rad/s] and x, y [m], theta [rad]. Functions of z take one state (n + 9,) or many, one to a column.
 """
 
@@ -13,8 +13,8 @@ import numpy as np
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, Wheels
-from diffdrive_mpc.mpc.estimate import SENSORS
-from diffdrive_mpc.mpc.slip import Slip
+from diffdrive_mpc.mpc.estimation.estimate import SENSORS
+from diffdrive_mpc.mpc.estimation.slip import Slip
 from oracle.commands import PastCommands
 from oracle.motion import arc, jacobian, wrapped
 

@@ -8,7 +8,7 @@ import daqp
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.solver_report import SolverStatus
+from diffdrive_mpc.mpc.solver.report import SolverStatus
 from oracle.problem import QuadraticProgram
 
 # Numbers beyond this are no robot's.
