@@ -9,6 +9,7 @@ import datetime
 import itertools
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,28 +19,20 @@ from scipy.optimize import minimize_scalar
 
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.table import Table
-from diffdrive_mpc.models.identification import (
-    Experiment,
-    TwoPolesFit,
-    identify_track,
-    identify_two_poles,
-    pooled_fit_percent,
-    side_difference,
-)
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.identification import identify_track, pooled_fit_percent, side_difference
+from diffdrive_mpc.models.identification.channel import identify_channel
+from diffdrive_mpc.models.identification.estimate import Estimate
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import PARAMETERS, load_model
-from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.robot import Positive, load_robot
 from diffdrive_mpc.models.structures import Motors, TwoPoles
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.sim.drives import random_drive, step_drives
 from diffdrive_mpc.sim.log import Log, record
 from diffdrive_mpc.sim.make import make_plant
 
-# Experiments are numbered on from here, each with noise of its own; validation drives are apart from them.
-_FIRST_SEED = 1000
-_VALIDATION_SEEDS = (2001, 2002)
-# Samples count as settled this long after the command last changed [s].
-_SETTLING_TIME = 1.0
 _SOURCE = (
     "digital twin of this project: mujoco plant, surface default, sensors default. Not from the paper, not from a robot"
 )
@@ -52,8 +45,23 @@ _METHOD = (
 IDENTIFICATIONS = len(CHANNELS) + 2 * len(Motors.model_fields)
 """Transfer functions that are fitted in all: both channels of SM, and each motor of MBM twice."""
 
-Identify = Callable[[list[Experiment], float | None], TwoPolesFit]
-"""Experiments of one channel, and its dead time [s] where that is known."""
+Identify = Callable[[list[Stretch], float | None], Estimate]
+"""From experiments of one channel, and its dead time [s] where that is known, to its parameters."""
+
+
+class FittingSettings(StrictModel):
+    """How the experiments are identified; the reasons stand in `model_fitting.yaml`."""
+
+    first_seed: int
+    validation_seeds: tuple[int, ...]
+    settling_time: Positive
+    shortest: Positive
+
+
+@cache
+def fitting_settings() -> FittingSettings:
+    """Read `model_fitting.yaml`; raises ConfigError on a mistake in it."""
+    return load_checked(FittingSettings, Path(__file__).with_name("model_fitting.yaml"))
 
 
 @dataclass(frozen=True)
@@ -67,7 +75,7 @@ class PaperExperiments:
 
 def run_experiments() -> PaperExperiments:
     """Drive the simulated robot through the steps of the paper."""
-    seed = iter(range(_FIRST_SEED, _FIRST_SEED + 100))
+    seed = itertools.count(fitting_settings().first_seed)
 
     def logs(commands: Iterable[FloatArray]) -> list[Log]:
         return [record(make_plant("mujoco", seed=next(seed)), rows) for rows in commands]
@@ -100,10 +108,14 @@ def fit_models(
     announce = on_progress or (lambda _done, _total: None)
     count = itertools.count(1)
 
-    def identify(experiments: list[Experiment], dead_time: float | None) -> TwoPolesFit:
-        fit = identify_two_poles(experiments, dead_time)
+    def identify(experiments: list[Stretch], dead_time: float | None) -> Estimate:
+        shortest = fitting_settings().shortest
+        # The simulated sensors have no outliers, and the experiments stay below every limit.
+        found = identify_channel(
+            experiments, "experiments", limit=False, robust=False, dead_time=dead_time, shortest=shortest
+        ).parameters
         announce(next(count), IDENTIFICATIONS)
-        return fit
+        return found
 
     with staged(folder) as stage:
         announce(0, IDENTIFICATIONS)
@@ -135,8 +147,9 @@ def _write(path: Path, data: dict[str, Any], used: tuple[list[Log], list[Log]], 
 def validation_table(folder: Path = PARAMETERS) -> Table:
     """FIT of the three models on drives that none was identified from."""
     rows = []
+    seeds = fitting_settings().validation_seeds
     for smooth in (True, False):
-        drives = [record(make_plant("mujoco", seed=seed), random_drive(seed, smooth)) for seed in _VALIDATION_SEEDS]
+        drives = [record(make_plant("mujoco", seed=seed), random_drive(seed, smooth)) for seed in seeds]
         for name in ("mbm", "sm", "ssm"):
             model = load_model("ssm" if name == "ssm" else folder / f"{name}.yaml")
             fits = [_model_fit(model, drives, row) for row in (0, 1)]
@@ -170,27 +183,27 @@ def _fit_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     for row, (channel, used) in enumerate(zip(CHANNELS, (logs.v, logs.omega), strict=True)):
         fits[channel] = identify([_experiment(log, log.command[:, row], log.output[:, row]) for log in used], None)
     return {
-        "dead_time": {channel: round(fit.dead_time, 5) for channel, fit in fits.items()},
-        "channels": {channel: _rounded(fit.transfer) for channel, fit in fits.items()},
+        "dead_time": {channel: round(fit.value("dead_time"), 5) for channel, fit in fits.items()},
+        "channels": {channel: _rounded(fit) for channel, fit in fits.items()},
     }
 
 
 def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     robot = load_robot()
 
-    def experiments(wheel: int) -> list[Experiment]:
+    def experiments(wheel: int) -> list[Stretch]:
         return [
             _experiment(log, log.command[:, 0] / robot.wheel_radius, log.wheel_speeds[:, wheel]) for log in logs.wheels
         ]
 
     # The command reaches all four motors over one link: one dead time for all.
-    shared = float(np.mean([identify(experiments(wheel), None).dead_time for wheel in range(4)]))
-    motors = [identify(experiments(wheel), shared).transfer for wheel in range(4)]
+    shared = float(np.mean([identify(experiments(wheel), None).value("dead_time") for wheel in range(4)]))
+    motors = [identify(experiments(wheel), shared) for wheel in range(4)]
     difference = np.concatenate([side_difference(log.wheel_speeds, robot.wheel_radius) for log in logs.omega])
     gyro = np.concatenate([log.yaw_rate for log in logs.omega])
     commanded = np.concatenate([log.command[:, 1] for log in logs.omega])
     settled = np.concatenate([_settled(log) for log in logs.omega])
-    gain = np.mean([motor.gain for motor in motors])
+    gain = np.mean([motor.value("gain") for motor in motors])
     return {
         "dead_time": {channel: round(shared, 5) for channel in CHANNELS},
         "motors": {name: _rounded(motor) for name, motor in zip(Motors.model_fields, motors, strict=True)},
@@ -200,14 +213,16 @@ def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     }
 
 
-def _experiment(log: Log, command: FloatArray, output: FloatArray) -> Experiment:
+def _experiment(log: Log, command: FloatArray, output: FloatArray) -> Stretch:
     level = log.command[np.argmax(np.abs(log.command).sum(axis=1))]
-    return Experiment(f"step to {level[0]:.3f} m/s, {level[1]:.3f} rad/s", load_robot().sample_time, command, output)
+    name = f"step to {level[0]:.3f} m/s, {level[1]:.3f} rad/s"
+    every = np.ones((len(output), 1), dtype=bool)
+    return Stretch(name, load_robot().sample_time, command[:, None], output[:, None], every)
 
 
 def _settled(log: Log) -> FloatArray:
     """(K,) whether the command has not changed for the settling time."""
-    window = round(_SETTLING_TIME / load_robot().sample_time)
+    window = round(fitting_settings().settling_time / load_robot().sample_time)
     changed = np.concatenate([[True], (np.diff(log.command, axis=0) != 0).any(axis=1)])
     recent = np.convolve(changed, np.ones(window))[: len(changed)]
     return np.asarray((recent == 0) & log.command.any(axis=1))
@@ -224,8 +239,8 @@ def _describe(logs: list[Log], row: int) -> str:
     return f"steps from rest to {', '.join(f'{level:.4g}' for level in levels)} {('m/s', 'rad/s')[row]}"
 
 
-def _rounded(transfer: TwoPoles) -> dict[str, float]:
-    return {key: float(f"{value:.5g}") for key, value in transfer.model_dump().items()}
+def _rounded(channel: Estimate) -> dict[str, float]:
+    return {key: float(f"{channel.value(key):.5g}") for key in TwoPoles.model_fields}
 
 
 def _yaml(name: str, data: dict[str, Any]) -> str:

@@ -7,7 +7,9 @@ from functools import cache
 
 import numpy as np
 
-from diffdrive_mpc.models.identification import Experiment, identify_two_poles
+from diffdrive_mpc.models.identification.channel import identify_channel
+from diffdrive_mpc.models.identification.estimate import Estimate
+from diffdrive_mpc.models.identification.output_error.stretch import Stretch
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.structures import TwoPoles
@@ -19,6 +21,8 @@ from diffdrive_mpc.sim.plants.surface import load_surface
 
 _PERFECT = "perfect"
 _MODEL_PREFIX = "model:"
+_REST = 1.0
+"""Time at rest before each drive [s]: longer than any response."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +65,14 @@ def know_plant(plant: str, surface: str, trajectories: tuple[str, ...]) -> Known
     if plant.startswith(_MODEL_PREFIX):
         return _exact(load_model(plant.removeprefix(_MODEL_PREFIX)), surface)
     logs = [_drive(plant, surface, trajectory) for trajectory in trajectories]
-    fits = [identify_two_poles(_experiments(logs, channel, output)) for channel, output in ((0, 0), (1, 2))]
-    A, B, C = _side_by_side([fit.transfer for fit in fits])
-    model = VelocityModel(f"{plant} on {surface}", "sm", A, B, C, np.array([fit.dead_time for fit in fits]))
+    # The truth has no outliers, and no reference is beyond a limit of the robot.
+    fits = [
+        identify_channel(_experiments(logs, channel, output), name, limit=False, robust=False).parameters
+        for name, channel, output in (("v", 0, 0), ("omega", 1, 2))
+    ]
+    A, B, C = _side_by_side([_transfer(fit) for fit in fits])
+    dead_time = np.array([fit.value("dead_time") for fit in fits])
+    model = VelocityModel(f"{plant} on {surface}", "sm", A, B, C, dead_time)
     side_slip, load_shift = _slip(logs)
     return KnownPlant(model, side_slip, load_shift)
 
@@ -80,12 +89,20 @@ def _drive(plant: str, surface: str, trajectory: str) -> Log:
     return record(robot, reference.sample(np.arange(0.0, reference.duration, robot.sample_time)).twist)
 
 
-def _experiments(logs: list[Log], channel: int, output: int) -> list[Experiment]:
-    return [
-        Experiment("reference", float(log.time[1] - log.time[0]), log.command[:, channel], log.true_twist[:, output])
-        for log in logs
-        if np.ptp(log.command[:, channel]) > 0
-    ]
+def _experiments(logs: list[Log], channel: int, output: int) -> list[Stretch]:
+    """Each drive after a while at rest, so that the initial state, which is free, is known too."""
+    experiments = []
+    for log in logs:
+        if np.ptp(log.command[:, channel]) > 0:
+            dt = float(log.time[1] - log.time[0])
+            before = ((round(_REST / dt), 0), (0, 0))
+            command, moved = (np.pad(rows, before) for rows in (log.command[:, [channel]], log.true_twist[:, [output]]))
+            experiments.append(Stretch("reference", dt, command, moved, np.ones(moved.shape, dtype=bool)))
+    return experiments
+
+
+def _transfer(found: Estimate) -> TwoPoles:
+    return TwoPoles(**{name: found.value(name) for name in TwoPoles.model_fields})
 
 
 def _slip(logs: list[Log]) -> tuple[float, float]:

@@ -11,23 +11,15 @@ from diffdrive_mpc.models.identification.slip_laws import ConstantTrack, SlipPol
 from diffdrive_mpc.models.identification.sm import identify_sm
 from diffdrive_mpc.models.identification.ssm import identify_ssm, identify_ssm_orders
 from diffdrive_mpc.models.identification.tracks import identify_track, side_difference
-from diffdrive_mpc.models.identification.two_poles import (
-    Experiment,
-    TwoPolesFit,
-    identify_two_poles,
-    simulate_two_poles,
-)
 
 __all__ = [
     "ConstantTrack",
     "Estimate",
-    "Experiment",
     "IdentifiedModel",
     "OrderChoice",
     "OrderRow",
     "PoseCalibration",
     "SlipPolynomial",
-    "TwoPolesFit",
     "VirtualTrack",
     "calibrate_gyro",
     "calibrate_wheels",
@@ -38,10 +30,8 @@ __all__ = [
     "identify_ssm",
     "identify_ssm_orders",
     "identify_track",
-    "identify_two_poles",
     "model_file",
     "pooled_fit_percent",
     "side_difference",
-    "simulate_two_poles",
     "write_model_file",
 ]

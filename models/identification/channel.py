@@ -34,7 +34,7 @@ class ChannelEstimate:
     Attributes
     ----------
     parameters
-        gain [-], natural_frequency [rad/s], damping [-], dead_time [s], then offset and limit where they were free.
+        gain [-], natural_frequency [rad/s], damping [-], then dead_time [s], offset and limit where they were free.
     poles
         pole_1, pole_2 [rad/s] where they are real; None where they are complex.
     fit
@@ -50,7 +50,14 @@ class ChannelEstimate:
 
 
 def identify_channel(
-    stretches: Sequence[Stretch], label: str, *, offset: bool = False, limit: bool = True, robust: bool = True
+    stretches: Sequence[Stretch],
+    label: str,
+    *,
+    offset: bool = False,
+    limit: bool = True,
+    robust: bool = True,
+    dead_time: float | None = None,
+    shortest: float | None = None,
 ) -> ChannelEstimate:
     """Estimate a channel from stretches with one input and one output.
 
@@ -66,6 +73,10 @@ def identify_channel(
         Whether to look for a level at which the robot clips the command.
     robust
         Whether single outliers are held back.
+    dead_time
+        [s] where it is known; then the estimate has none.
+    shortest
+        Least product of both time constants over their sum [s], about the shorter one; that of the settings by default.
 
     Raises
     ------
@@ -74,7 +85,7 @@ def identify_channel(
     """
     if not stretches:
         raise ValueError(f"{label}: no data; give at least one record in which the robot moves")
-    layout = Layout(TwoPolesStructure(), 1, 1, offset=(offset,))
+    layout = Layout(TwoPolesStructure(shortest=shortest), 1, 1, known_dead_time=dead_time, offset=(offset,))
     fit = estimate([(layout, start) for start in first_guesses(layout, stretches, label)], stretches, robust)
     if limit:
         fit = find_limits(fit, stretches, 0, robust)
@@ -87,7 +98,7 @@ def identify_channel(
         *doubts.at_bounds(fit, label),
         *(
             f"{label}: {sentence}"
-            for sentence in doubts.badly_known(parameters.part([*TwoPoles.model_fields, *named[4 + offset :]]))
+            for sentence in doubts.badly_known(parameters.part([n for n in named if n not in ("dead_time", "offset")]))
         ),
         *(doubts.merged_poles(poles, label) if poles else []),
         *doubts.hardly_identifiable(fit, label),
@@ -104,11 +115,12 @@ def first_guesses(layout: Layout, stretches: Sequence[Stretch], label: str) -> l
     spread = output_spread(stretches)
     gain = float(np.clip(spread[0] / commanded, *settings.gain))
     problem = OutputErrorProblem(layout, stretches, [stretch.counts / spread for stretch in stretches])
-    rest = np.zeros(len(layout.names) - 4)
+    _, dead_times, *others = layout.counts
+    rest = np.zeros(sum(others))
     grid = [
-        np.concatenate([two_poles_parameters(gain, frequency, 1.0), [dead_time], rest])
+        np.concatenate([two_poles_parameters(gain, frequency, 1.0), [dead_time] * dead_times, rest])
         for frequency in settings.start_frequencies
-        for dead_time in settings.start_dead_times
+        for dead_time in (settings.start_dead_times if dead_times else (0.0,))
     ]
     return sorted(grid, key=lambda start: float(np.sum(problem.residuals(start) ** 2)))[:_TRIED]
 

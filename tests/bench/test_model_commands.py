@@ -12,13 +12,10 @@ from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.model_fitting import IDENTIFICATIONS, PaperExperiments, fit_models
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models import load_model
-from diffdrive_mpc.models.identification import Experiment, TwoPolesFit
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.structures import TwoPoles
 from diffdrive_mpc.sim.log import Log, record
 from diffdrive_mpc.sim.make import make_plant
 
-TRANSFER = TwoPoles(gain=1.0, natural_frequency=10.0, damping=1.0)
 runner = CliRunner()
 
 
@@ -29,16 +26,12 @@ def _step(v: float, omega: float) -> Log:
 
 @pytest.fixture
 def quick_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Short experiments on a velocity model, and no search."""
-
-    def identify(experiments: list[Experiment], dead_time: float | None = None) -> TwoPolesFit:
-        return TwoPolesFit(TRANSFER, 0.05 if dead_time is None else dead_time, 90.0)
+    """Short experiments on a velocity model."""
 
     straight, turn = [_step(0.5, 0.0)], [_step(0.0, 1.0)]
     monkeypatch.setattr(
         "diffdrive_mpc.bench.model_fitting.run_experiments", lambda: PaperExperiments(straight, straight, turn)
     )
-    monkeypatch.setattr("diffdrive_mpc.bench.model_fitting.identify_two_poles", identify)
     monkeypatch.setattr(
         "diffdrive_mpc.bench.model_fitting.validation_table", lambda folder: Table("FIT", ("model",), (("sm",),))
     )

@@ -46,6 +46,8 @@ class Layout:
         m and p.
     shared_dead_time
         One dead time for all inputs instead of one each.
+    known_dead_time
+        That of every input [s], where it is known and not to be found.
     offset
         (p,) which outputs have a constant sensor bias.
     limited
@@ -56,6 +58,7 @@ class Layout:
     inputs: int
     outputs: int
     shared_dead_time: bool = False
+    known_dead_time: float | None = None
     offset: tuple[bool, ...] = ()
     limited: tuple[bool, ...] = ()
 
@@ -67,16 +70,20 @@ class Layout:
     @property
     def counts(self) -> tuple[int, int, int, int]:
         """Number of parameters of each kind."""
-        dead_times = 1 if self.shared_dead_time else self.inputs
-        return len(self.structure.names), dead_times, sum(self.offset), sum(self.limited)
+        return len(self.structure.names), len(self._dead_times), sum(self.offset), sum(self.limited)
 
     @property
     def names(self) -> tuple[str, ...]:
         """(q,) names: dead_time, offset and limit carry the number of their input or output."""
-        dead_times = ["dead_time"] if self.shared_dead_time else [f"dead_time_{j}" for j in range(self.inputs)]
         offsets = [f"offset_{i}" for i, free in enumerate(self.offset) if free]
         limits = [f"limit_{j}" for j, free in enumerate(self.limited) if free]
-        return (*self.structure.names, *dead_times, *offsets, *limits)
+        return (*self.structure.names, *self._dead_times, *offsets, *limits)
+
+    @property
+    def _dead_times(self) -> tuple[str, ...]:
+        if self.known_dead_time is not None:
+            return ()
+        return ("dead_time",) if self.shared_dead_time else tuple(f"dead_time_{j}" for j in range(self.inputs))
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
@@ -100,6 +107,8 @@ class Layout:
     def system(self, parameters: AnyArray) -> LinearSystem:
         """The system that `parameters` (q,) describe."""
         own, dead_time, offsets, limits = self.split(parameters)
+        if self.known_dead_time is not None:
+            dead_time = np.array([self.known_dead_time])
         offset = np.zeros(self.outputs, dtype=parameters.dtype)
         offset[np.array(self.offset)] = offsets
         limit = np.full(self.inputs, np.inf, dtype=parameters.dtype)

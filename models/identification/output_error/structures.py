@@ -16,15 +16,22 @@ class TwoPolesStructure:
     """gain / (1 + lag s + lag short s^2), two poles and no zeros; the parameters are logarithms of these three.
 
     Poles may be complex, and one may be far faster than the other, without any parameter going to extremes.
+
+    Attributes
+    ----------
+    shortest
+        Least value of `short` [s]; that of the settings by default.
     """
 
+    shortest: float | None = None
     names: tuple[str, ...] = ("log_gain", "log_lag", "log_short")
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """(3,) bounds from the settings."""
         settings = load_settings()
-        ranges = np.log([settings.gain, settings.lag, settings.short])
+        short = (self.shortest or settings.short[0], settings.short[1])
+        ranges = np.log([settings.gain, settings.lag, short])
         return ranges[:, 0], ranges[:, 1]
 
     def matrices(self, parameters: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
