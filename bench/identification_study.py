@@ -17,13 +17,12 @@ from scipy import signal
 
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
-from diffdrive_mpc.models.identification.estimate import Estimate
-from diffdrive_mpc.models.identification.sm import identify_sm
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.load import build_model
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.robot import Positive
-from diffdrive_mpc.models.structures import SmFile
+from diffdrive_mpc.models.structures.model_file import build_model
+from diffdrive_mpc.models.structures.sm import SmFile, identify_sm
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.sim.drives import random_drive
 
@@ -198,7 +197,7 @@ def _log(truth: SmFile, stream: np.random.Generator, seed: int, study: StudyPara
     ]
 
 
-def _with_poles(own: Estimate, channel: str, damping: float) -> Estimate:
+def _with_poles(own: ParameterEstimate, channel: str, damping: float) -> ParameterEstimate:
     poles = ("pole_1", "pole_2") if damping > _REAL else ("pole_1.real", "pole_1.imag")
     return own.derived((*own.names, *(f"{channel}.{name}" for name in poles)), lambda row: _numbers(row, damping))
 

@@ -21,13 +21,13 @@ from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.identification import identify_track, pooled_fit_percent, side_difference
-from diffdrive_mpc.models.identification.channel import identify_channel
-from diffdrive_mpc.models.identification.estimate import Estimate
-from diffdrive_mpc.models.identification.output_error.stretch import Stretch
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import PARAMETERS, load_model
+from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.robot import Positive, load_robot
-from diffdrive_mpc.models.structures import Motors, TwoPoles
+from diffdrive_mpc.models.structures.mbm import Motors
+from diffdrive_mpc.models.structures.two_poles import TwoPoles, identify_channel
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.sim.drives import random_drive, step_drives
 from diffdrive_mpc.sim.log import Log, record
@@ -45,7 +45,7 @@ _METHOD = (
 IDENTIFICATIONS = len(CHANNELS) + 2 * len(Motors.model_fields)
 """Transfer functions that are fitted in all: both channels of SM, and each motor of MBM twice."""
 
-Identify = Callable[[list[Stretch], float | None], Estimate]
+Identify = Callable[[list[Experiment], float | None], ParameterEstimate]
 """From experiments of one channel, and its dead time [s] where that is known, to its parameters."""
 
 
@@ -108,7 +108,7 @@ def fit_models(
     announce = on_progress or (lambda _done, _total: None)
     count = itertools.count(1)
 
-    def identify(experiments: list[Stretch], dead_time: float | None) -> Estimate:
+    def identify(experiments: list[Experiment], dead_time: float | None) -> ParameterEstimate:
         shortest = fitting_settings().shortest
         # The simulated sensors have no outliers, and the experiments stay below every limit.
         found = identify_channel(
@@ -191,7 +191,7 @@ def _fit_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
 def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     robot = load_robot()
 
-    def experiments(wheel: int) -> list[Stretch]:
+    def experiments(wheel: int) -> list[Experiment]:
         return [
             _experiment(log, log.command[:, 0] / robot.wheel_radius, log.wheel_speeds[:, wheel]) for log in logs.wheels
         ]
@@ -213,11 +213,11 @@ def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     }
 
 
-def _experiment(log: Log, command: FloatArray, output: FloatArray) -> Stretch:
+def _experiment(log: Log, command: FloatArray, output: FloatArray) -> Experiment:
     level = log.command[np.argmax(np.abs(log.command).sum(axis=1))]
     name = f"step to {level[0]:.3f} m/s, {level[1]:.3f} rad/s"
     every = np.ones((len(output), 1), dtype=bool)
-    return Stretch(name, load_robot().sample_time, command[:, None], output[:, None], every)
+    return Experiment(name, load_robot().sample_time, command[:, None], output[:, None], every)
 
 
 def _settled(log: Log) -> FloatArray:
@@ -239,7 +239,7 @@ def _describe(logs: list[Log], row: int) -> str:
     return f"steps from rest to {', '.join(f'{level:.4g}' for level in levels)} {('m/s', 'rad/s')[row]}"
 
 
-def _rounded(channel: Estimate) -> dict[str, float]:
+def _rounded(channel: ParameterEstimate) -> dict[str, float]:
     return {key: float(f"{channel.value(key):.5g}") for key in TwoPoles.model_fields}
 
 

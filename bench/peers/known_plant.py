@@ -7,12 +7,11 @@ from functools import cache
 
 import numpy as np
 
-from diffdrive_mpc.models.identification.channel import identify_channel
-from diffdrive_mpc.models.identification.estimate import Estimate
-from diffdrive_mpc.models.identification.output_error.stretch import Stretch
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import load_model
-from diffdrive_mpc.models.structures import TwoPoles
+from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.structures.two_poles import TwoPoles, identify_channel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim.log import Log, record
@@ -89,7 +88,7 @@ def _drive(plant: str, surface: str, trajectory: str) -> Log:
     return record(robot, reference.sample(np.arange(0.0, reference.duration, robot.sample_time)).twist)
 
 
-def _experiments(logs: list[Log], channel: int, output: int) -> list[Stretch]:
+def _experiments(logs: list[Log], channel: int, output: int) -> list[Experiment]:
     """Each drive after a while at rest, so that the initial state, which is free, is known too."""
     experiments = []
     for log in logs:
@@ -97,11 +96,11 @@ def _experiments(logs: list[Log], channel: int, output: int) -> list[Stretch]:
             dt = float(log.time[1] - log.time[0])
             before = ((round(_REST / dt), 0), (0, 0))
             command, moved = (np.pad(rows, before) for rows in (log.command[:, [channel]], log.true_twist[:, [output]]))
-            experiments.append(Stretch("reference", dt, command, moved, np.ones(moved.shape, dtype=bool)))
+            experiments.append(Experiment("reference", dt, command, moved, np.ones(moved.shape, dtype=bool)))
     return experiments
 
 
-def _transfer(found: Estimate) -> TwoPoles:
+def _transfer(found: ParameterEstimate) -> TwoPoles:
     return TwoPoles(**{name: found.value(name) for name in TwoPoles.model_fields})
 
 

@@ -15,12 +15,13 @@ import numpy as np
 
 from diffdrive_mpc.bench.real_logs.settings import RealLog, load_protocol
 from diffdrive_mpc.models.base_effects import PoseMount
-from diffdrive_mpc.models.identification.base_effects import IdentifiedBase, identify_with_effects
-from diffdrive_mpc.models.identification.identified import IdentifiedModel
-from diffdrive_mpc.models.identification.sm import identify_sm
-from diffdrive_mpc.models.identification.validation import PoseDrift, pose_drift, simulate_records, validate
+from diffdrive_mpc.models.identification.effects import IdentifiedBase, identify_with_effects
+from diffdrive_mpc.models.identification.pose_drift import PoseDrift, pose_drift
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record, read_log
+from diffdrive_mpc.models.output_error.validation import simulate_records, validate
+from diffdrive_mpc.models.structures.identified import IdentifiedModel
+from diffdrive_mpc.models.structures.sm import identify_sm
 
 _FEWEST_READINGS = 20
 

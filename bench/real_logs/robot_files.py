@@ -9,7 +9,7 @@ import numpy as np
 
 from diffdrive_mpc.bench.real_logs.protocol import Proof
 from diffdrive_mpc.models.base_effects import BaseEffects
-from diffdrive_mpc.models.identification.model_file import model_file, write_model_file
+from diffdrive_mpc.models.structures.identified import model_file, write_model_file
 from diffdrive_mpc.mpc.config.schema import Limits
 
 MODEL, CONFIG, SURFACE = "model.yaml", "config.yaml", "surface.yaml"

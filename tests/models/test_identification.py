@@ -10,9 +10,9 @@ from diffdrive_mpc.models.identification import (
     pooled_fit_percent,
     side_difference,
 )
-from diffdrive_mpc.models.identification.channel import identify_channel
-from diffdrive_mpc.models.identification.output_error.stretch import Stretch
-from diffdrive_mpc.models.identification.validation.simulation import simulate_stretch
+from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.validation import simulate_experiment
+from diffdrive_mpc.models.structures.two_poles import identify_channel
 from diffdrive_mpc.models.wheels import WheelKinematics
 
 
@@ -21,7 +21,7 @@ def steps(level):
 
 
 def experiment(command, output):
-    return Stretch("one", DT, command[:, None], output[:, None], np.ones((len(output), 1), dtype=bool))
+    return Experiment("one", DT, command[:, None], output[:, None], np.ones((len(output), 1), dtype=bool))
 
 
 def record(transfer, dead_time, level, noise=0.0, seed=0):
@@ -42,7 +42,7 @@ def identify(experiments, **known):
 def test_known_truth_is_recovered_without_noise(gain, frequency, damping, dead_time):
     experiments = [record((gain, frequency, damping), dead_time, level) for level in (0.5, -0.8)]
     found = identify(experiments)
-    simulated = [simulate_stretch(found.fit.system, one)[:, 0] for one in experiments]
+    simulated = [simulate_experiment(found.fit.system, one)[:, 0] for one in experiments]
     assert pooled_fit_percent([one.outputs[:, 0] for one in experiments], simulated) > 99.9
     assert found.parameters.value("gain") == pytest.approx(gain, rel=1e-3)
     assert found.parameters.value("natural_frequency") == pytest.approx(frequency, rel=2e-2)
@@ -57,7 +57,9 @@ def test_the_simulation_is_that_of_the_velocity_model():
     both = np.column_stack([command, command])
     start = np.full(2, command[0])
     outputs = discrete.simulate(both, discrete.settled_state(start), np.tile(start, (discrete.memory, 1)))
-    simulated = simulate_stretch(system(model), Stretch("both", DT, both, outputs, np.ones(both.shape, dtype=bool)))
+    simulated = simulate_experiment(
+        system(model), Experiment("both", DT, both, outputs, np.ones(both.shape, dtype=bool))
+    )
     assert outputs == pytest.approx(simulated, abs=1e-9)
 
 

@@ -10,7 +10,7 @@ from diffdrive_mpc.bench.figures.identification.dynamics import draw_poles, draw
 from diffdrive_mpc.bench.figures.identification.orders import draw_orders
 from diffdrive_mpc.bench.figures.identification.residuals import draw_residuals
 from diffdrive_mpc.bench.figures.identification.simulation import draw_simulation
-from diffdrive_mpc.bench.identification.outcome import Outcome
+from diffdrive_mpc.models.identification.report import Outcome
 
 Draw = Callable[[Outcome, Path], None]
 

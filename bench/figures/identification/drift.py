@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from diffdrive_mpc.bench.figures.style import colour, line_style, new_figure
-from diffdrive_mpc.bench.identification.outcome import Outcome
+from diffdrive_mpc.models.identification.report import Outcome
 
 
 def draw_drift(outcome: Outcome, path: Path) -> None:

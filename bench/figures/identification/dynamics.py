@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.bench.figures.style import REFERENCE_COLOUR, colour, line_style, new_figure
-from diffdrive_mpc.bench.identification.outcome import Outcome
-from diffdrive_mpc.bench.identification.settings import report_settings
-from diffdrive_mpc.models.identification.estimate import Estimate
-from diffdrive_mpc.models.identification.identified import IdentifiedModel
+from diffdrive_mpc.models.identification.report import Outcome
+from diffdrive_mpc.models.identification.settings import report_settings
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 _SAMPLES = 400
@@ -88,7 +88,7 @@ def _uncertain_poles(identified: IdentifiedModel) -> list[tuple[float, float, fl
     return rows
 
 
-def _row(pole: Estimate) -> tuple[float, float, float, float]:
+def _row(pole: ParameterEstimate) -> tuple[float, float, float, float]:
     (real, imag), (real_deviation, imag_deviation) = pole.values, pole.standard_deviation
     return float(real), float(imag), float(real_deviation), float(imag_deviation)
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.bench.figures.style import REFERENCE_COLOUR, colour, new_figure
-from diffdrive_mpc.bench.identification.outcome import Outcome
-from diffdrive_mpc.bench.identification.settings import report_settings
-from diffdrive_mpc.models.identification.signals import twist_stretches
+from diffdrive_mpc.models.identification.report import Outcome
+from diffdrive_mpc.models.identification.settings import report_settings
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.output_error.experiment import twist_experiments
 
 _LABELS = ("v [m/s]", "omega [rad/s]")
 
@@ -20,7 +20,7 @@ def draw_simulation(outcome: Outcome, path: Path) -> None:
     data, fitted = outcome.data, outcome.fitted
     longest = int(np.argmax([len(record.command) for record in data.validation]))
     record, simulated = data.validation[longest], fitted.simulated[longest]
-    (stretch,) = twist_stretches([record], data.yaw)
+    (experiment,) = twist_experiments([record], data.yaw)
     first = _busiest(record.command, round(report_settings().window / record.dt))
     rows = slice(first, first + round(report_settings().window / record.dt))
     time = record.time[rows]
@@ -28,7 +28,7 @@ def draw_simulation(outcome: Outcome, path: Path) -> None:
         panels = figure.subplots(4, 1, sharex=True, height_ratios=(2.2, 1.0, 2.2, 1.0))
         for i in (0, 1):
             upper, lower = panels[2 * i], panels[2 * i + 1]
-            measured = np.where(stretch.counts[:, i], stretch.outputs[:, i], np.nan)[rows]
+            measured = np.where(experiment.counts[:, i], experiment.outputs[:, i], np.nan)[rows]
             seen = np.isfinite(measured)
             upper.step(
                 time, record.command[rows, i], where="post", color=REFERENCE_COLOUR, linewidth=0.9, label="command"
