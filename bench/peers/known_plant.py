@@ -7,11 +7,10 @@ from functools import cache
 
 import numpy as np
 
-from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.output_error.experiment import Experiment
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
-from diffdrive_mpc.models.structures.two_poles import TwoPoles, identify_channel
+from diffdrive_mpc.models.structures.two_poles import TwoPoles, identify_channel, side_by_side
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim.log import Log, record
@@ -69,7 +68,7 @@ def know_plant(plant: str, surface: str, trajectories: tuple[str, ...]) -> Known
         identify_channel(_experiments(logs, channel, output), name, limit=False, robust=False).parameters
         for name, channel, output in (("v", 0, 0), ("omega", 1, 2))
     ]
-    A, B, C = _side_by_side([_transfer(fit) for fit in fits])
+    A, B, C = side_by_side([_transfer(fit) for fit in fits])
     dead_time = np.array([fit.value("dead_time") for fit in fits])
     model = VelocityModel(f"{plant} on {surface}", "sm", A, B, C, dead_time)
     side_slip, load_shift = _slip(logs)
@@ -113,12 +112,3 @@ def _slip(logs: list[Log]) -> tuple[float, float]:
         lateral.append(sideways)
     side_slip, load_shift = np.linalg.lstsq(np.vstack(regressors), np.concatenate(lateral), rcond=None)[0]
     return float(side_slip), float(load_shift)
-
-
-def _side_by_side(channels: list[TwoPoles]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    A, B, C = np.zeros((4, 4)), np.zeros((4, 2)), np.zeros((2, 4))
-    for i, channel in enumerate(channels):
-        own = slice(2 * i, 2 * i + 2)
-        a, b, c = channel.matrices()
-        A[own, own], B[own, i : i + 1], C[i : i + 1, own] = a, b, c
-    return A, B, C

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from time import perf_counter
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.effects import IdentifiedBase, identify_with_effects
-from diffdrive_mpc.models.identification.geometry import WheelGeometry, wheel_geometry
-from diffdrive_mpc.models.identification.log_data import Data
+from diffdrive_mpc.models.identification.log_data import LogData, OptionError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
+from diffdrive_mpc.models.logs.geometry import WheelGeometry, wheel_geometry
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.validation import Validation, score, simulate_records
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
-from diffdrive_mpc.models.structures.mbm import identify_mbm
 from diffdrive_mpc.models.structures.orders import OrderChoice
-from diffdrive_mpc.models.structures.sm import identify_sm
-from diffdrive_mpc.models.structures.ssm import LARGEST_ORDER, choose_order
+from diffdrive_mpc.models.structures.structure import Conditions, Found, Structure
 
 
 @dataclass(frozen=True)
@@ -30,7 +28,7 @@ class Fitted:
     identified
         The model.
     orders
-        The orders of SSM compared; None for the other structures.
+        The orders compared; None for structures that have no choice.
     base
         The same model with what its base does around it; None where that was not asked for.
     geometry
@@ -54,8 +52,8 @@ class Fitted:
 
 
 def fit(
-    data: Data,
-    structure: str,
+    data: LogData,
+    structure: Structure,
     order: int | None = None,
     *,
     effects: bool = False,
@@ -68,11 +66,11 @@ def fit(
     data
         The records.
     structure
-        "mbm", "sm" or "ssm".
+        Which structure.
     order
-        Of an SSM; None to choose it.
+        Of the model, where the structure has a choice; None to choose it.
     effects
-        Whether to look for what the base does around an SM.
+        Whether to look for what the base does around the model, where the structure allows it.
     on_trial
         Called with the name of each effect that is tried.
 
@@ -82,18 +80,16 @@ def fit(
         If the records do not allow it; ModelError, a kind of it, if the numbers found cannot be a robot's.
     """
     geometry = wheel_geometry(data.train)
-    orders: OrderChoice | None = None
     base: IdentifiedBase | None = None
     started = perf_counter()
     if effects:
         base = _with_effects(data, geometry, on_trial)
-        identified = base.identified
-    elif structure == "ssm":
-        orders = _orders(data, order)
-        identified = orders.identified
+        found = Found(base.identified)
     else:
-        identified = _sm_or_mbm(data, structure, geometry)
+        radius = geometry.radius if geometry else None
+        found = structure.identify(data.train, Conditions(data.validation, data.yaw, order, radius))
     seconds = perf_counter() - started
+    identified = found.identified
     _ = identified.model  # refuses what cannot be a robot
     simulated = [_simulated(identified, base, records) for records in (data.train, data.validation)]
     train, validation = (
@@ -102,26 +98,14 @@ def fit(
             simulated, (data.train, data.validation), ("training", "validation"), strict=True
         )
     )
-    return Fitted(identified, orders, base, geometry, train, validation, tuple(simulated[1]), seconds)
+    return Fitted(identified, found.orders, base, geometry, train, validation, tuple(simulated[1]), seconds)
 
 
-def _sm_or_mbm(data: Data, structure: str, geometry: WheelGeometry | None) -> IdentifiedModel:
-    if structure == "sm":
-        return identify_sm(data.train, yaw=data.yaw)
-    if geometry is None or data.yaw != "gyro":
-        raise ConfigError("mbm: it needs wheel speeds and a gyro in the log; map them, or identify sm or ssm")
-    return identify_mbm(data.train, geometry.radius)
-
-
-def _orders(data: Data, order: int | None) -> OrderChoice:
-    # Order 1 is only a floor to compare with, so at least order 2 is tried beside it.
-    choice = choose_order(data.train, data.validation, largest=max(order or LARGEST_ORDER, 2), yaw=data.yaw)
-    return choice if order is None else replace(choice, order=order, reason="as asked for")
-
-
-def _with_effects(data: Data, geometry: WheelGeometry | None, on_trial: Callable[[str], None] | None) -> IdentifiedBase:
+def _with_effects(
+    data: LogData, geometry: WheelGeometry | None, on_trial: Callable[[str], None] | None
+) -> IdentifiedBase:
     if data.yaw != "gyro":
-        raise ConfigError("--effects: they are told apart by a gyro beside the encoders; map one, or leave it out")
+        raise OptionError("effects", ": they are told apart by a gyro beside the encoders; map one, or leave it out")
     return identify_with_effects(data.train, encoder_track=geometry.track if geometry else None, on_trial=on_trial)
 
 

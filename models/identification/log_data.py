@@ -6,16 +6,37 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.identification.settings import report_settings
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check
+from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
 from diffdrive_mpc.models.output_error.experiment import YawSource
+from diffdrive_mpc.models.robot import SampleTime
 
 _SIGNALS = {"twist": "fresh_twist", "yaw_rate": "fresh_yaw_rate", "wheels": "fresh_twist"}
 
 
+class OptionError(ConfigError):
+    """An option of `identify` cannot be used.
+
+    Attributes
+    ----------
+    option, rest
+        Its name as an argument, and the rest of the message.
+    """
+
+    def __init__(self, option: str, rest: str) -> None:
+        super().__init__(option + rest)
+        self.option, self.rest = option, rest
+
+
+class _Clock(StrictModel):
+    """What a controller for the log would be run at."""
+
+    sample_time: SampleTime
+
+
 @dataclass(frozen=True)
-class Data:
+class LogData:
     """What a model is identified from and tried on.
 
     Attributes
@@ -47,11 +68,11 @@ def read_data(
     logs: Sequence[Path],
     validate: Sequence[Path],
     *,
-    mapping: str | None,
+    mapping: str | Path | None,
     fit_share: float,
     wheels: bool,
     on_findings: Callable[[Sequence[Finding]], None],
-) -> Data:
+) -> LogData:
     """Read all logs and divide them.
 
     Parameters
@@ -61,7 +82,7 @@ def read_data(
     validate
         Logs to try the model on; without any, the last part of each of `logs`.
     mapping
-        Mapping of all of them, as `models.logs.reading` takes it.
+        Mapping of all of them, as `models.logs.read_log` takes it.
     fit_share
         Part of the rows of each log that comes before that last part [-].
     wheels
@@ -72,11 +93,12 @@ def read_data(
     Raises
     ------
     models.checked_yaml.ConfigError
-        If a log cannot be read, would give a wrong model, or a signal is missing from all of them.
+        If a log cannot be read, would give a wrong model, has no sample time of a controller, or a signal is missing
+        from all of them.
     """
-    low, high = report_settings().shares
+    low, high = identification_settings().shares
     if not low <= fit_share <= high:
-        raise ConfigError(f"--fit-share {fit_share:g}: give {low:g} to {high:g}")
+        raise OptionError("fit_share", f" {fit_share:g}: give {low:g} to {high:g}")
     twice = [path for path in (*logs, *validate) if [*logs, *validate].count(path) > 1]
     if twice:
         raise ConfigError(f"{twice[0]}: this log is given twice; a model must not be tried on what it was made from")
@@ -100,7 +122,7 @@ def read_data(
         validation = [record for _, last in halves for record in last]
         held_out = f"the last {100 * (1 - fit_share):.0f} % of the rows of each log"
     warnings: list[str] = []
-    return Data(
+    data = LogData(
         train=_usable(train, needed, "to identify from", warnings),
         validation=_usable(validation, needed, "to validate on", warnings),
         logs=tuple(log.name for log in fitted),
@@ -109,6 +131,8 @@ def read_data(
         findings=tuple(finding for log in read for finding in log.findings),
         warnings=tuple(warnings),
     )
+    check(_Clock, {"sample_time": data.train[0].dt}, data.logs[0])
+    return data
 
 
 def divide(records: Sequence[Record], share: float) -> tuple[list[Record], list[Record]]:
@@ -131,7 +155,7 @@ def divide(records: Sequence[Record], share: float) -> tuple[list[Record], list[
 
 def _usable(records: Sequence[Record], needed: Sequence[str], use: str, warnings: list[str]) -> tuple[Record, ...]:
     """Records with enough readings of every signal; `warnings` gets a line for each that is left out."""
-    least = report_settings().fewest_readings
+    least = identification_settings().fewest_readings
     kept: list[Record] = []
     lacking = ""
     for record in records:

@@ -13,12 +13,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
+from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.identification.slip_laws import SlipLaw
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.doubts import badly_known
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
-from diffdrive_mpc.models.output_error.settings import load_settings
 from diffdrive_mpc.models.output_error.statistics import residual_scale, sandwich, spike_weights
 from diffdrive_mpc.models.pose import wrap_angle
 
@@ -68,7 +68,7 @@ def _of_record(record: Record, name: Literal["wheels", "yaw_rate"], pose_lag: fl
         raise ValueError(f"record '{record.name}': a calibration from poses needs pose and {name}")
     signal = np.asarray(value).reshape(len(value), -1)
     mean = 0.5 * (signal[1:] + signal[:-1])
-    steps, lag = round(load_settings().pose_window / record.dt), round(pose_lag / record.dt)
+    steps, lag = round(identification_settings().pose_window / record.dt), round(pose_lag / record.dt)
     starts, k = [], max(lag, 0)
     while k + steps < len(pose) and k + steps - lag < len(signal):
         if fresh[k] and fresh[k + steps] and np.isfinite(mean[k - lag : k - lag + steps]).all():

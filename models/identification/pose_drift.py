@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.settings import load_settings
 from diffdrive_mpc.models.pose import integrate_pose, wrap_angle
 
 
@@ -71,7 +71,7 @@ def pose_drift(
     ValueError
         If a record has no pose, or none is as long as the horizon.
     """
-    settings = load_settings().validation
+    settings = identification_settings()
     return [
         _drift(records, twists, horizon, lever_arm, side_slip, pose_lag, settings.start_every)
         for horizon in (horizons or settings.horizons)

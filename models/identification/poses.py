@@ -11,15 +11,15 @@ import numpy as np
 from diffdrive_mpc.models.base_effects import PoseMount
 from diffdrive_mpc.models.identification.effects import IdentifiedBase
 from diffdrive_mpc.models.identification.fitting import Fitted
-from diffdrive_mpc.models.identification.geometry import WheelGeometry
-from diffdrive_mpc.models.identification.log_data import Data
+from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.identification.pose_calibration import PoseCalibration, calibrate_gyro, calibrate_wheels
 from diffdrive_mpc.models.identification.pose_drift import PoseDrift, pose_drift
+from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.identification.slip_laws import ConstantTrack, SlipLaw, SlipPolynomial, VirtualTrack
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
+from diffdrive_mpc.models.logs.geometry import WheelGeometry
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, joined
-from diffdrive_mpc.models.output_error.settings import load_settings
 
 _LEVER_ARM = ("lever_arm_ahead", "lever_arm_left")
 # Wheels that an odometry without wheel speeds might have had: its twist is theirs by definition.
@@ -71,7 +71,7 @@ Predictions = list[tuple[Record, FloatArray]]
 NO_POSES = PoseResults(ParameterEstimate((), np.empty(0), np.empty((0, 0))), (), (), ())
 
 
-def from_poses(data: Data, fitted: Fitted) -> PoseResults:
+def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
     """Calibrate on the training records that have a pose, and predict the poses of the validation records.
 
     Where there are too few poses, that part is left out and a warning says why.
@@ -123,7 +123,7 @@ def _gyro(train: Sequence[Record], warnings: list[str]) -> PoseCalibration | Non
 
 
 def _of_model(
-    data: Data, fitted: Fitted, wheels: ParameterEstimate | None, gyro: PoseCalibration | None
+    data: LogData, fitted: Fitted, wheels: ParameterEstimate | None, gyro: PoseCalibration | None
 ) -> tuple[Predictions, PosePoint]:
     """The body's twist, which is the model's output behind the calibration, and where the pose was taken."""
     place = fitted.geometry or _UNIT_WHEELS
@@ -145,7 +145,7 @@ def _of_model(
     return predictions, PosePoint(arm, wheels.value("side_slip"))
 
 
-def _of_base(data: Data, base: IdentifiedBase) -> tuple[Predictions, PosePoint]:
+def _of_base(data: LogData, base: IdentifiedBase) -> tuple[Predictions, PosePoint]:
     """As `_of_model`, with the mount of the pose sensor already taken off the poses."""
     records = _with_pose(data.validation)
     predictions = list(zip(records, base.body_twists(records), strict=True))
@@ -159,7 +159,7 @@ def _of_base(data: Data, base: IdentifiedBase) -> tuple[Predictions, PosePoint]:
 def _drift(predictions: Predictions, point: PosePoint, warnings: list[str]) -> tuple[PoseDrift, ...]:
     records, twists = [record for record, _ in predictions], [twist for _, twist in predictions]
     drift: list[PoseDrift] = []
-    for horizon in load_settings().validation.horizons:
+    for horizon in identification_settings().horizons:
         try:
             drift += pose_drift(
                 records,

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
-from pathlib import Path
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
 
-from diffdrive_mpc.bench.machine import project_version
-from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.identification.fitting import Fitted
-from diffdrive_mpc.models.identification.log_data import Data
+from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.identification.poses import PoseResults
-from diffdrive_mpc.models.identification.settings import report_settings
+from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.identification.tables import (
     drift_table,
     effect_table,
+    finding_table,
     order_table,
     parameter_table,
     residual_table,
@@ -29,12 +27,13 @@ from diffdrive_mpc.models.identification.tables import (
 )
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.table import Table
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """One identification.
+class Report:
+    """One identification: what it was made from and what was found. `str` of it is what a person reads first.
 
     Attributes
     ----------
@@ -42,12 +41,21 @@ class Outcome:
         Of the model.
     data, fitted, poses
         What it was made from, the model with its scores, and what poses added.
+    day
+        Of the identification.
     """
 
     name: str
-    data: Data
+    data: LogData
     fitted: Fitted
     poses: PoseResults
+    day: date
+
+    def __str__(self) -> str:
+        """Scores, pose errors, parameters and warnings."""
+        tables = [*self.scores, parameter_table("Parameters", self.fitted.identified.parameters)]
+        lines = [f"warning: {warning}" for warning in self.warnings]
+        return "\n\n".join([self.name, *map(str, tables), *(["\n".join(lines)] if lines else [])])
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -65,10 +73,76 @@ class Outcome:
             )
         return tuple(dict.fromkeys([*found, *score_warnings(self.fitted), *mount_warnings(self.poses)]))
 
+    @property
+    def scores(self) -> tuple[Table, ...]:
+        """How good the model is: FIT and RMSE, and the open-loop pose error where there are poses."""
+        return (score_table(self.fitted), *([drift_table(self.poses)] if self.poses.drift else []))
+
+    def as_json(self) -> dict[str, Any]:
+        """Scores, pose errors, parameters and warnings for a program; parameters from poses stand behind "poses."."""
+        fitted = self.fitted
+        return {
+            "model": fitted.identified.structure,
+            "train_fit_percent": _channels(fitted.train.fit_percent),
+            "validation_fit_percent": _channels(fitted.validation.fit_percent),
+            "pose_error": [
+                {
+                    "horizon_s": drift.horizon,
+                    "position_rmse_m": drift.position_rmse,
+                    "heading_rmse_rad": drift.heading_rmse,
+                }
+                for drift in self.poses.drift
+            ],
+            "parameters": _parameters(fitted.identified.parameters)
+            | _parameters(self.poses.parameters.renamed("poses")),
+            "warnings": list(self.warnings),
+        }
+
+    def markdown(self, figures: Mapping[str, str] | None = None) -> str:
+        """The report as Markdown; `figures` are titles and relative paths, in the order to be shown."""
+        fitted, poses = self.fitted, self.poses
+        tables = [residual_table(fitted), *self.scores[1:]]
+        if fitted.orders:
+            tables.append(order_table(fitted.orders))
+        if fitted.base:
+            tables.append(effect_table(fitted.base))
+        tables.append(parameter_table("Parameters", fitted.identified.parameters))
+        if poses.parameters.names:
+            tables.append(parameter_table("Parameters from poses", poses.parameters))
+        if poses.laws:
+            tables.append(slip_table(poses))
+        if self.data.findings:
+            tables.append(finding_table(self.data.findings))
+        parts = [f"# {self.name}", "", *self._facts(), "", self.scores[0].markdown()]
+        parts += ["## Warnings", "", *_bullets(self.warnings), ""]
+        for title, path in (figures or {}).items():
+            parts += [f"## {title}", "", f"![{title}]({path})", ""]
+        parts += [table.markdown() for table in tables]
+        parts += ["## Stretches", ""]
+        parts += _bullets([f"training: {record.name}" for record in self.data.train])
+        parts += _bullets([f"validation: {record.name}" for record in self.data.validation])
+        return "\n".join(parts).rstrip() + "\n"
+
+    def _facts(self) -> list[str]:
+        data, fitted = self.data, self.fitted
+        spans = [
+            sum(len(record.command) * record.dt for record in records) for records in (data.train, data.validation)
+        ]
+        return _bullets(
+            [
+                f"{fitted.identified.structure.upper()} from {', '.join(data.logs)}: {fitted.identified.method}.",
+                f"Identified from {spans[0]:.0f} s, tried on {spans[1]:.0f} s, {data.held_out}; "
+                f"one sample every {data.train[0].dt:.6g} s.",
+                f"omega is that of the {data.yaw}.",
+                f"Estimation took {fitted.seconds:.1f} s.",
+                f"diffdrive-mpc {_version()}, {self.day.isoformat()}.",
+            ]
+        )
+
 
 def score_warnings(fitted: Fitted) -> list[str]:
     """What FIT and residuals on the records held out say against the model."""
-    limits = report_settings().warn
+    limits = identification_settings().warn
     found = []
     for row, channel in enumerate(CHANNELS):
         train, validation = float(fitted.train.fit_percent[row]), float(fitted.validation.fit_percent[row])
@@ -94,89 +168,12 @@ def score_warnings(fitted: Fitted) -> list[str]:
 def mount_warnings(poses: PoseResults) -> list[str]:
     """A sentence if poses are those of a point that the robot does not turn about."""
     place = {name.rpartition("_")[2].rpartition(".")[2]: poses.parameters.value(name) for name in poses.mount}
-    if not place or np.hypot(place["ahead"], place["left"]) < report_settings().warn.lever_arm:
+    if not place or np.hypot(place["ahead"], place["left"]) < identification_settings().warn.lever_arm:
         return []
     return [
         f"poses: their point sits {place['ahead']:.3f} m ahead and {place['left']:.3f} m to the left of the centre of "
         "rotation: give the controller poses of that centre (models.base_effects.PoseMount)"
     ]
-
-
-def write_json(outcome: Outcome, path: Path) -> None:
-    """Write what a program reads: scores, pose errors, parameters and warnings. The same run gives the same file."""
-    path.write_text(json.dumps(as_json(outcome), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def as_json(outcome: Outcome) -> dict[str, Any]:
-    """The content of `report.json`; parameters found from poses stand behind "poses."."""
-    fitted = outcome.fitted
-    return {
-        "model": fitted.identified.structure,
-        "train_fit_percent": _channels(fitted.train.fit_percent),
-        "validation_fit_percent": _channels(fitted.validation.fit_percent),
-        "pose_error": [
-            {
-                "horizon_s": drift.horizon,
-                "position_rmse_m": drift.position_rmse,
-                "heading_rmse_rad": drift.heading_rmse,
-            }
-            for drift in outcome.poses.drift
-        ],
-        "parameters": _parameters(fitted.identified.parameters)
-        | _parameters(outcome.poses.parameters.renamed("poses")),
-        "warnings": list(outcome.warnings),
-    }
-
-
-def write_markdown(outcome: Outcome, figures: Mapping[str, str], day: date, path: Path) -> None:
-    """Write what a person reads; `figures` are titles and relative paths, in the order to be shown."""
-    path.write_text(markdown(outcome, figures, day), encoding="utf-8")
-
-
-def markdown(outcome: Outcome, figures: Mapping[str, str], day: date) -> str:
-    """The report as Markdown."""
-    tables = [residual_table(outcome)]
-    if outcome.poses.drift:
-        tables.append(drift_table(outcome))
-    if outcome.fitted.orders:
-        tables.append(order_table(outcome))
-    if outcome.fitted.base:
-        tables.append(effect_table(outcome))
-    tables.append(parameter_table("Parameters", outcome.fitted.identified.parameters))
-    if outcome.poses.parameters.names:
-        tables.append(parameter_table("Parameters from poses", outcome.poses.parameters))
-    if outcome.poses.laws:
-        tables.append(slip_table(outcome))
-    parts = [f"# {outcome.name}", "", *_facts(outcome, day), "", score_table(outcome).markdown()]
-    parts += ["## Warnings", "", *_bullets(outcome.warnings), ""]
-    for title, name in figures.items():
-        parts += [f"## {title}", "", f"![{title}](figures/{name})", ""]
-    parts += [table.markdown() for table in tables]
-    parts += [_findings(outcome).markdown()] if outcome.data.findings else []
-    parts += ["## Stretches", ""]
-    parts += _bullets([f"training: {record.name}" for record in outcome.data.train])
-    parts += _bullets([f"validation: {record.name}" for record in outcome.data.validation])
-    return "\n".join(parts).rstrip() + "\n"
-
-
-def _facts(outcome: Outcome, day: date) -> list[str]:
-    data, fitted = outcome.data, outcome.fitted
-    spans = [sum(len(record.command) * record.dt for record in records) for records in (data.train, data.validation)]
-    return _bullets(
-        [
-            f"{fitted.identified.structure.upper()} from {', '.join(data.logs)}: {fitted.identified.method}.",
-            f"Identified from {spans[0]:.0f} s, tried on {spans[1]:.0f} s, {data.held_out}; "
-            f"one sample every {data.train[0].dt:.6g} s.",
-            f"omega is that of the {data.yaw}.",
-            f"Estimation took {fitted.seconds:.1f} s.",
-            f"diffdrive-mpc {project_version()}, {day.isoformat()}.",
-        ]
-    )
-
-
-def _findings(outcome: Outcome) -> Table:
-    rows = tuple((finding.severity, finding.kind, finding.place, finding.words) for finding in outcome.data.findings)
-    return Table("Findings in the logs", ("severity", "kind", "where", "what"), rows, text_columns=4)
 
 
 def _bullets(lines: Sequence[str]) -> list[str]:
@@ -192,3 +189,10 @@ def _parameters(estimate: ParameterEstimate) -> dict[str, dict[str, float | None
         name: {"value": float(value), "standard_deviation": float(deviation) if math.isfinite(deviation) else None}
         for name, value, deviation in zip(estimate.names, estimate.values, estimate.standard_deviation, strict=True)
     }
+
+
+def _version() -> str:
+    try:
+        return version("diffdrive-mpc")
+    except PackageNotFoundError:  # run from a copy that was never installed
+        return "unknown"

@@ -1,9 +1,10 @@
-"""What the report says and when it warns: read from `settings.yaml`."""
+"""How logs are divided and models judged: read from `settings.yaml`."""
 
 from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import Annotated
 
 from pydantic import Field
 
@@ -11,7 +12,7 @@ from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.robot import Positive
 
 
-class WarningSettings(StrictModel):
+class JudgementSettings(StrictModel):
     """When a model is said not to be trusted."""
 
     low_fit: float = Field(description="[%]")
@@ -20,18 +21,22 @@ class WarningSettings(StrictModel):
     lever_arm: Positive = Field(description="[m]")
 
 
-class ReportSettings(StrictModel):
-    """Sizes and thresholds of the report."""
+class IdentificationSettings(StrictModel):
+    """Sizes and thresholds of the way from logs to a model."""
 
+    fit_share: Positive = Field(description="of each log to identify from [-]")
     shares: tuple[Positive, Positive] = Field(description="least and largest share to identify from [-]")
     fewest_readings: int = Field(gt=0, description="[-]")
-    window: Positive = Field(description="[s]")
-    step_response: Positive = Field(description="[lags]")
+    pose_window: Positive = Field(description="[s]")
+    horizons: tuple[Positive, ...] = Field(description="horizons of the open-loop pose error [s]")
+    start_every: Positive = Field(description="time between two starts [s]")
     limit_margin: float = Field(ge=1, description="[-]")
-    warn: WarningSettings
+    certain: Positive = Field(description="[standard deviations]")
+    least_slew: Annotated[float, Field(gt=0, le=1)] = Field(description="part of the slew found [-]")
+    warn: JudgementSettings
 
 
 @cache
-def report_settings() -> ReportSettings:
+def identification_settings() -> IdentificationSettings:
     """Read `settings.yaml`; raises ConfigError on a mistake in it."""
-    return load_checked(ReportSettings, Path(__file__).parent / "settings.yaml")
+    return load_checked(IdentificationSettings, Path(__file__).with_name("settings.yaml"))

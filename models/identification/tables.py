@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from diffdrive_mpc.bench.table import Table, number
-from diffdrive_mpc.models.identification.report import Outcome
+from diffdrive_mpc.models.identification.effects import IdentifiedBase
+from diffdrive_mpc.models.identification.fitting import Fitted
+from diffdrive_mpc.models.identification.poses import PoseResults
+from diffdrive_mpc.models.logs.record import Finding
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.structures.orders import OrderChoice
+from diffdrive_mpc.models.table import Table, number
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
-def score_table(outcome: Outcome) -> Table:
+def score_table(fitted: Fitted) -> Table:
     """FIT and RMSE of the free simulation."""
-    train, validation = outcome.fitted.train, outcome.fitted.validation
+    train, validation = fitted.train, fitted.validation
     rows = [
         (
             channel,
@@ -28,9 +34,9 @@ def score_table(outcome: Outcome) -> Table:
     return Table("How much the model explains", columns, tuple(rows), note=note)
 
 
-def residual_table(outcome: Outcome) -> Table:
+def residual_table(fitted: Fitted) -> Table:
     """Whiteness of the validation residuals, and what the commands could still explain."""
-    check = outcome.fitted.validation.residuals
+    check = fitted.validation.residuals
     rows = [
         (channel, f"{check.ljung_box_p[i]:.2g}", *(number(float(x), 2) for x in check.unexplained[i]))
         for i, channel in enumerate(CHANNELS)
@@ -40,11 +46,11 @@ def residual_table(outcome: Outcome) -> Table:
     return Table("Residuals on data held out", columns, tuple(rows), note=note)
 
 
-def drift_table(outcome: Outcome) -> Table:
+def drift_table(poses: PoseResults) -> Table:
     """Open-loop pose error."""
     rows = [
         (f"{d.horizon:g}", number(d.position_rmse), number(d.position_mean), number(d.heading_rmse), str(d.starts))
-        for d in outcome.poses.drift
+        for d in poses.drift
     ]
     columns = ("after [s]", "position RMSE [m]", "position mean [m]", "heading RMSE [rad]", "starts")
     note = "Poses predicted from commands alone, held against the measured ones, on data held out."
@@ -61,10 +67,8 @@ def parameter_table(title: str, estimate: ParameterEstimate) -> Table:
     return Table(title, ("parameter", "value", "standard deviation"), tuple(rows), note=note)
 
 
-def order_table(outcome: Outcome) -> Table:
-    """Orders of SSM compared, as in Table 1 of Guffanti, Pavon, Sensors 2025, 25(18), 5821."""
-    choice = outcome.fitted.orders
-    assert choice is not None
+def order_table(choice: OrderChoice) -> Table:
+    """Orders compared, as in Table 1 of Guffanti, Pavon, Sensors 2025, 25(18), 5821."""
     rows = []
     for order, row in enumerate(choice.rows, start=1):
         held_out = row.validation_fit_percent if row.validation_fit_percent is not None else np.full(2, np.nan)
@@ -79,16 +83,14 @@ def order_table(outcome: Outcome) -> Table:
     return Table("Orders compared", columns, tuple(rows), text_columns=2, note=note)
 
 
-def effect_table(outcome: Outcome) -> Table:
+def effect_table(base: IdentifiedBase) -> Table:
     """What was tried around the linear model, and what was kept."""
-    base = outcome.fitted.base
-    assert base is not None
     rows = [
         (
             trial.effect + (", once more" if trial.again else ""),
             number(trial.gain),
             str(trial.blocks),
-            _kept(trial.kept),
+            "yes" if trial.kept else "no",
         )
         for trial in base.trials
     ]
@@ -98,11 +100,11 @@ def effect_table(outcome: Outcome) -> Table:
     )
 
 
-def slip_table(outcome: Outcome) -> Table:
+def slip_table(poses: PoseResults) -> Table:
     """Slip laws with their errors over a short window."""
     rows = [
         (name, ", ".join(_valued(law.parameters)), *(number(float(x)) for x in law.rmse), str(law.windows))
-        for name, law in outcome.poses.laws
+        for name, law in poses.laws
     ]
     columns = ("law", "coefficients", "ahead [m]", "to the left [m]", "heading [rad]", "windows")
     note = (
@@ -111,10 +113,12 @@ def slip_table(outcome: Outcome) -> Table:
     return Table("Slip laws", columns, tuple(rows), text_columns=2, note=note)
 
 
+def finding_table(findings: Sequence[Finding]) -> Table:
+    """What was found in the logs."""
+    rows = tuple((finding.severity, finding.kind, finding.place, finding.words) for finding in findings)
+    return Table("Findings in the logs", ("severity", "kind", "where", "what"), rows, text_columns=4)
+
+
 def _valued(estimate: ParameterEstimate) -> list[str]:
     pairs = zip(estimate.names, estimate.values, estimate.standard_deviation, strict=True)
     return [f"{name} {value:.3g} ± {deviation:.1g}" for name, value, deviation in pairs]
-
-
-def _kept(kept: bool) -> str:
-    return "yes" if kept else "no"

@@ -207,7 +207,7 @@ def follow(commands: Sequence[FloatArray], measured: Sequence[FloatArray], lags:
     """
     best = (float("nan"), float("nan"))
     for lag in lags:
-        u = np.concatenate([command[: len(command) - lag] for command in commands])
+        u = np.concatenate([command[: max(len(command) - lag, 0)] for command in commands])  # or shorter than the lag
         y = np.concatenate([response[lag:] for response in measured])
         u, y = u[np.isfinite(y)], y[np.isfinite(y)]
         if len(y) < 2 or np.ptp(y) == 0 or np.ptp(u) == 0:

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
-from diffdrive_mpc.models.output_error.settings import load_settings
+from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit
 
 _AT_BOUND = 1e-3
@@ -18,7 +18,7 @@ _FAR_APART = 4.0
 
 def badly_known(estimate: ParameterEstimate) -> list[str]:
     """A sentence for each parameter whose standard deviation is large beside its value."""
-    limit = load_settings().warn.relative_deviation
+    limit = estimator_settings().warn.relative_deviation
     return [
         f"{name} = {value:.4g} is badly known: standard deviation {deviation:.2g}"
         for name, value, deviation in zip(estimate.names, estimate.values, estimate.standard_deviation, strict=True)
@@ -40,7 +40,7 @@ def at_bounds(fit: OutputErrorFit, label: str) -> list[str]:
 
 def hardly_identifiable(fit: OutputErrorFit, label: str) -> list[str]:
     """A sentence if some combination of parameters leaves hardly a trace in the data."""
-    if fit.condition < load_settings().warn.condition:
+    if fit.condition < estimator_settings().warn.condition:
         return []
     return [
         f"{label}: condition number {fit.condition:.1e}: some parameters can only be told together; lower the order"

@@ -9,7 +9,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.linear_system import AnyArray, LinearSystem
-from diffdrive_mpc.models.output_error.settings import load_settings
+from diffdrive_mpc.models.output_error.settings import estimator_settings
 
 
 class Parametrisation(Protocol):
@@ -90,7 +90,7 @@ class Layout:
         """(q,) lower and upper bounds."""
         _, dead_times, offsets, limits = self.counts
         low, high = self.parametrisation.bounds
-        longest = load_settings().longest_dead_time
+        longest = estimator_settings().longest_dead_time
         return (
             np.concatenate([low, np.zeros(dead_times), np.full(offsets, -np.inf), np.full(limits, 1e-6)]),
             np.concatenate([high, np.full(dead_times, longest), np.full(offsets + limits, np.inf)]),

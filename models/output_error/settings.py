@@ -29,16 +29,8 @@ class WarningSettings(StrictModel):
     condition: Positive = Field(description="condition number of the scaled information matrix [-]")
 
 
-class ValidationSettings(StrictModel):
-    """How a model is tried on records that it was not identified from."""
-
-    horizons: tuple[Positive, ...] = Field(description="horizons of the open-loop pose error [s]")
-    start_every: Positive = Field(description="time between two starts [s]")
-    lag: Positive = Field(description="longest lag of the residuals' correlations [s]")
-
-
-class IdentificationSettings(StrictModel):
-    """Bounds, first guesses and thresholds of the identification."""
+class EstimatorSettings(StrictModel):
+    """Bounds, first guesses and thresholds of the estimator."""
 
     longest_dead_time: Positive = Field(description="[s]")
     lag: Range = Field(description="sum of both time constants [s]")
@@ -48,13 +40,12 @@ class IdentificationSettings(StrictModel):
     start_dead_times: tuple[float, ...] = Field(description="grid of first guesses [s]")
     start_frequencies: tuple[Positive, ...] = Field(description="grid of first guesses [rad/s]")
     impulse_response: Positive = Field(description="length of the impulse response an SSM starts from [s]")
-    pose_window: Positive = Field(description="[s]")
     saturation: SaturationSettings
     warn: WarningSettings
-    validation: ValidationSettings
+    residual_lag: Positive = Field(description="longest lag of the residuals' correlations [s]")
 
 
 @cache
-def load_settings() -> IdentificationSettings:
+def estimator_settings() -> EstimatorSettings:
     """Read `settings.yaml`; raises ConfigError on a mistake in it."""
-    return load_checked(IdentificationSettings, Path(__file__).parent / "settings.yaml")
+    return load_checked(EstimatorSettings, Path(__file__).parent / "settings.yaml")

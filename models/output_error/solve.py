@@ -15,7 +15,7 @@ from diffdrive_mpc.models.output_error.experiment import Experiment
 from diffdrive_mpc.models.output_error.layout import Layout
 from diffdrive_mpc.models.output_error.linear_system import LinearSystem
 from diffdrive_mpc.models.output_error.problem import OutputErrorProblem
-from diffdrive_mpc.models.output_error.settings import load_settings
+from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.statistics import (
     Sandwich,
     output_spread,
@@ -226,7 +226,7 @@ def find_limits(
     robust
         As for the fit.
     """
-    settings = load_settings().saturation
+    settings = estimator_settings().saturation
     size = np.concatenate([np.abs(experiment.inputs[:, channel]) for experiment in experiments])
     levels = np.linspace(settings.lowest, 1.0, settings.levels, endpoint=False) * size.max()
     levels = levels[[np.mean(size > level) > settings.share for level in levels]]

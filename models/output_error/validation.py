@@ -20,7 +20,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import Experiment, YawSource, twist_experiments
 from diffdrive_mpc.models.output_error.linear_system import LinearSystem, StateResponse, delayed, sample, settled_start
-from diffdrive_mpc.models.output_error.settings import load_settings
+from diffdrive_mpc.models.output_error.settings import estimator_settings
 
 
 def fit_percent(measured: FloatArray, simulated: FloatArray) -> float:
@@ -90,7 +90,7 @@ def check_residuals(errors: Sequence[FloatArray], experiments: Sequence[Experime
     no pairs and count as zero.
     """
     dt = experiments[0].dt
-    lags = min(round(load_settings().validation.lag / dt), min(map(len, errors)) - 1)
+    lags = min(round(estimator_settings().residual_lag / dt), min(map(len, errors)) - 1)
     outputs, inputs = errors[0].shape[1], experiments[0].inputs.shape[1]
     centred = [_centred(rows) for rows in _columns(errors)]
     driven = [_centred(rows) for rows in _columns([experiment.inputs for experiment in experiments])]

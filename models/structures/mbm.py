@@ -17,7 +17,7 @@ from diffdrive_mpc.models.output_error.experiment import Experiment, twist_exper
 from diffdrive_mpc.models.output_error.layout import Layout
 from diffdrive_mpc.models.output_error.linear_system import AnyArray
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, joined
-from diffdrive_mpc.models.output_error.settings import load_settings
+from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
@@ -101,7 +101,7 @@ class MotorsParametrisation:
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """(3 motors + 1,) bounds from the settings."""
         low, high = TwoPolesParametrisation().bounds
-        track = np.log(load_settings().track)
+        track = np.log(estimator_settings().track)
         count = len(self.sides)
         return np.append(np.tile(low, count), track[0]), np.append(np.tile(high, count), track[1])
 

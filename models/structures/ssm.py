@@ -15,7 +15,7 @@ from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import Experiment, YawSource, twist_experiments
 from diffdrive_mpc.models.output_error.layout import Layout
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
-from diffdrive_mpc.models.output_error.settings import load_settings
+from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
 from diffdrive_mpc.models.output_error.state_space import (
     LocalStateSpace,
@@ -167,7 +167,7 @@ def _fit(
         return layout, np.concatenate([np.zeros(len(space.names)), dead_time, shared])
 
     dt = experiments[0].dt
-    length = round(load_settings().impulse_response / dt)
+    length = round(estimator_settings().impulse_response / dt)
     candidates = []
     if order % 2 == 0:
         candidates.append(candidate(_side_by_side(channels, order // 2), dead_time))

@@ -16,7 +16,7 @@ from diffdrive_mpc.models.output_error.layout import Layout
 from diffdrive_mpc.models.output_error.linear_system import AnyArray
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.problem import OutputErrorProblem
-from diffdrive_mpc.models.output_error.settings import load_settings
+from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, find_limits, fit_output_error
 from diffdrive_mpc.models.output_error.statistics import output_spread
 from diffdrive_mpc.models.robot import Positive
@@ -67,7 +67,7 @@ class TwoPolesParametrisation:
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """(3,) bounds from the settings."""
-        settings = load_settings()
+        settings = estimator_settings()
         short = (self.shortest or settings.short[0], settings.short[1])
         ranges = np.log([settings.gain, settings.lag, short])
         return ranges[:, 0], ranges[:, 1]
@@ -177,7 +177,7 @@ def identify_channel(
 
 def first_guesses(layout: Layout, experiments: Sequence[Experiment], label: str) -> list[FloatArray]:
     """The best few points (q,) of a grid over dead time and natural frequency, the gain from the ratio of spreads."""
-    settings = load_settings()
+    settings = estimator_settings()
     commanded = float(np.std(np.concatenate([experiment.inputs for experiment in experiments])))
     if commanded == 0.0:
         raise ValueError(f"{label}: the command never changes; it excites nothing")

@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from diffdrive_mpc.models.identification.from_logs import identify
     from diffdrive_mpc.models.interface import Measurement, Stamped
     from diffdrive_mpc.models.load import load_model
     from diffdrive_mpc.models.pose import integrate_pose
@@ -25,6 +26,7 @@ _HOMES = {
     "ControllerConfig": "mpc.config.schema",
     "Measurement": "models.interface",
     "Stamped": "models.interface",
+    "identify": "models.identification.from_logs",
     "integrate_pose": "models.pose",
     "load_config": "mpc.config.config_file",
     "load_model": "models.load",
@@ -38,6 +40,7 @@ __all__ = [
     "ControllerConfig",
     "Measurement",
     "Stamped",
+    "identify",
     "integrate_pose",
     "load_config",
     "load_model",

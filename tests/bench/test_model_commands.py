@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.model_fitting import IDENTIFICATIONS, PaperExperiments, fit_models
+from diffdrive_mpc.bench.studies.identification.model_fitting import IDENTIFICATIONS, PaperExperiments, fit_models
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.interface import FloatArray
@@ -17,6 +17,7 @@ from diffdrive_mpc.sim.log import Log, record
 from diffdrive_mpc.sim.make import make_plant
 
 runner = CliRunner()
+FITTING = "diffdrive_mpc.bench.studies.identification.model_fitting"
 
 
 def _step(v: float, omega: float) -> Log:
@@ -30,10 +31,12 @@ def quick_parts(monkeypatch: pytest.MonkeyPatch) -> None:
 
     straight, turn = [_step(0.5, 0.0)], [_step(0.0, 1.0)]
     monkeypatch.setattr(
-        "diffdrive_mpc.bench.model_fitting.run_experiments", lambda: PaperExperiments(straight, straight, turn)
+        f"{FITTING}.run_experiments",
+        lambda: PaperExperiments(straight, straight, turn),
     )
     monkeypatch.setattr(
-        "diffdrive_mpc.bench.model_fitting.validation_table", lambda folder: Table("FIT", ("model",), (("sm",),))
+        f"{FITTING}.validation_table",
+        lambda folder: Table("FIT", ("model",), (("sm",),)),
     )
 
 
@@ -42,7 +45,7 @@ def no_long_work(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object, **__: object) -> None:
         raise AssertionError("the long work began")
 
-    monkeypatch.setattr("diffdrive_mpc.bench.model_fitting.run_experiments", fails)
+    monkeypatch.setattr(f"{FITTING}.run_experiments", fails)
     monkeypatch.setattr("diffdrive_mpc.sim.plants.calibration._drive", fails)
 
 

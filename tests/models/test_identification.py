@@ -4,14 +4,9 @@ import numpy as np
 import pytest
 from identification_parts import DT, system, two_channels
 
-from diffdrive_mpc.models.identification import (
-    fit_percent,
-    identify_track,
-    pooled_fit_percent,
-    side_difference,
-)
+from diffdrive_mpc.models.logs.geometry import identify_track, side_difference
 from diffdrive_mpc.models.output_error.experiment import Experiment
-from diffdrive_mpc.models.output_error.validation import simulate_experiment
+from diffdrive_mpc.models.output_error.validation import fit_percent, pooled_fit_percent, simulate_experiment
 from diffdrive_mpc.models.structures.two_poles import identify_channel
 from diffdrive_mpc.models.wheels import WheelKinematics
 

@@ -15,6 +15,7 @@ from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
 from diffdrive_mpc.models.identification.effects.selection import EFFECTS, Selection, Trial, select_effects
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.geometry import wheel_geometry
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
@@ -115,7 +116,8 @@ def identify_with_effects(
     ValueError
         If a record lacks encoders or gyro, a reading never changes, or the records are too short.
     """
-    track = encoder_track or _encoder_track(records)
+    geometry = wheel_geometry(records)
+    track = encoder_track or (geometry.track if geometry else None)
     selection = select_effects(sensed(records), track, on_trial)
     fit = selection.fit
     pose = pose_sensor(records, fit.point)
@@ -139,22 +141,6 @@ def identify_with_effects(
 def rounded_effects(effects: BaseEffects) -> Mapping[str, Any]:
     """The group `base_effects` of a model file, without what is not there."""
     return {name: rounded(values) for name, values in effects.model_dump(exclude_none=True).items()}
-
-
-def _encoder_track(records: Sequence[Record]) -> float | None:
-    """Track [m] that turns the records' wheel speeds into their yaw rate, by least squares; None without them."""
-    with_wheels = [record for record in records if record.wheels is not None and record.twist is not None]
-    if not with_wheels:
-        return None
-    wheels = np.concatenate([np.asarray(record.wheels) for record in with_wheels])
-    twist = np.concatenate([np.asarray(record.twist) for record in with_wheels])
-    known = np.isfinite(wheels).all(axis=1) & np.isfinite(twist).all(axis=1)
-    mean, difference = wheels[known].mean(axis=1), wheels[known] @ np.array([-1.0, 1.0])
-    v, omega = twist[known].T
-    if not (mean @ v and difference @ omega):
-        return None
-    radius = float(mean @ v) / float(mean @ mean)
-    return abs(radius * float(difference @ difference) / float(difference @ omega))
 
 
 def _linear(point: Point) -> Mapping[str, Any]:

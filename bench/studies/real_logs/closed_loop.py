@@ -8,8 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive_mpc.bench.real_logs.robot_files import CONFIG, MODEL, SURFACE
+from diffdrive_mpc.bench.studies.real_logs.robot_files import SURFACE
 from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.identification.configuration import MODEL_FILE
+from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE
+from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import Limits
@@ -54,7 +57,8 @@ def drive(folder: Path, seeds: Sequence[int], on_run: Callable[[], None] | None 
     """Drive the four trajectories on the robot whose files are in `folder`, with what is known of its base and without.
 
     Without means the linear part of the same model and the default slew limits: the controller asks for slopes that the
-    base does not follow. Weights are the shipped ones.
+    base does not follow. Weights are the shipped ones. The trajectories are faster than the log and the stand-in ticks
+    at a rate of its own, so what the configuration says of the log's reach and rate does not hold here.
 
     Parameters
     ----------
@@ -70,15 +74,15 @@ def drive(folder: Path, seeds: Sequence[int], on_run: Callable[[], None] | None 
     models.checked_yaml.ConfigError
         If a file has a mistake.
     """
-    known = load_config(folder / CONFIG)
     usual = Limits()
+    known = replace_values(load_config(folder / CONFIG_FILE), _unrestricted(usual))
     ignorant = replace_values(known, {"limits.v_slew": usual.v_slew, "limits.omega_slew": usual.omega_slew})
     rows = []
     for name, config in (("knows the base's slew", known), ("linear part only", ignorant)):
         for trajectory in TRAJECTORIES:
             found = []
             for seed in seeds:
-                plant = make_plant(f"model:{folder / MODEL}", surface=folder / SURFACE, seed=seed)
+                plant = make_plant(f"model:{folder / MODEL_FILE}", surface=folder / SURFACE, seed=seed)
                 found.append(simulate(Controller(config), plant, load_trajectory(trajectory)).metrics)
                 if on_run is not None:
                     on_run()
@@ -95,6 +99,12 @@ def drive(folder: Path, seeds: Sequence[int], on_run: Callable[[], None] | None 
                 )
             )
     return rows
+
+
+def _unrestricted(usual: Limits) -> dict[str, object]:
+    """The values that the log does not bind on a simulated stand-in, which obeys at any speed."""
+    reach = ("v", "omega", "predicted_v", "predicted_omega", "wheel_speed")
+    return {"sample_time": load_robot().sample_time} | {f"limits.{name}": getattr(usual, name) for name in reach}
 
 
 def tracking_table(rows: Sequence[Tracking]) -> Table:

@@ -9,18 +9,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 
-from diffdrive_mpc.bench.real_logs.settings import RealLog, load_protocol
+from diffdrive_mpc.bench.studies.real_logs.settings import RealLog, load_protocol
 from diffdrive_mpc.models.base_effects import PoseMount
-from diffdrive_mpc.models.identification.effects import IdentifiedBase, identify_with_effects
+from diffdrive_mpc.models.identification.effects import IdentifiedBase
+from diffdrive_mpc.models.identification.from_logs import Identification, identify_data
+from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.identification.pose_drift import PoseDrift, pose_drift
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record, read_log
 from diffdrive_mpc.models.output_error.validation import simulate_records, validate
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
+from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.sm import identify_sm
 
 _FEWEST_READINGS = 20
@@ -55,24 +57,23 @@ class Proof:
         Which.
     scores
         Linear model and model with effects.
-    linear, base
-        The models.
-    train, held_out
-        The records behind them.
-    seconds
-        How long the model with effects took to identify [s].
+    found
+        The model with effects, its configuration and report.
     """
 
     log: RealLog
     scores: tuple[Score, ...]
-    linear: IdentifiedModel
-    base: IdentifiedBase
-    train: tuple[Record, ...]
-    held_out: tuple[Record, ...]
-    seconds: float
+    found: Identification
+
+    @property
+    def base(self) -> IdentifiedBase:
+        """The model with effects, and the sensors that it was seen through."""
+        base = self.found.report.fitted.base
+        assert base is not None
+        return base
 
 
-def prove(log: RealLog, data: Path, on_trial: Callable[[str], None] | None = None) -> Proof:
+def prove(log: RealLog, data: Path, on_progress: Callable[[str], None] | None = None) -> Proof:
     """Identify and score, as `protocol.yaml` says.
 
     Parameters
@@ -81,8 +82,8 @@ def prove(log: RealLog, data: Path, on_trial: Callable[[str], None] | None = Non
         Which log.
     data
         The folder of the data.
-    on_trial
-        Called with the name of each effect before it is tried.
+    on_progress
+        Called with what is done next.
 
     Raises
     ------
@@ -91,13 +92,24 @@ def prove(log: RealLog, data: Path, on_trial: Callable[[str], None] | None = Non
     """
     read = read_log(data / log.file, log.mapping)
     read.require_sound()
-    train, held_out = divide(read.records, load_protocol().share)
+    share = load_protocol().share
+    train, held_out = map(tuple, divide(read.records, share))
+    records = LogData(
+        train=train,
+        validation=held_out,
+        logs=(f"{log.robot}; {Path(log.file).name}",),
+        held_out=f"the last {100 * (1 - share):.0f} % of the rows",
+        yaw="gyro",
+        findings=read.findings,
+        warnings=(),
+    )
+    name = log.robot.partition(",")[0]
+    found = identify_data(records, STRUCTURES["sm"], name, effects=True, on_progress=on_progress)
+    proof = Proof(log, (), found)
     linear = identify_sm(train)
-    began = perf_counter()
-    base = identify_with_effects(train, on_trial=on_trial)
-    seconds = perf_counter() - began
-    scores = [_linear_score(linear, train, held_out, base), _base_score(base, held_out)]
-    return Proof(log, tuple(scores), linear, base, tuple(train), tuple(held_out), seconds)
+    return replace(
+        proof, scores=(_linear_score(linear, train, held_out, proof.base), _base_score(proof.base, held_out))
+    )
 
 
 def divide(records: Sequence[Record], share: float) -> tuple[list[Record], list[Record]]:

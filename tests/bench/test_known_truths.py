@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from diffdrive_mpc.bench.identification_study import Recovery, coverage_table, recover, run_study
+from diffdrive_mpc.bench.studies.identification.known_truths import Recovery, coverage_table, recover, recover_all
 
 
 def test_truths_lie_within_four_standard_deviations():
     done = []
-    recoveries = run_study(6, lambda count, total: done.append((count, total)))
+    recoveries = recover_all(6, lambda count, total: done.append((count, total)))
     assert done == [(i, 6) for i in range(1, 7)]
     scores = np.concatenate([recovery.standardised for recovery in recoveries])
     assert np.abs(scores).max() < 4.0

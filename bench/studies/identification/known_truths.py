@@ -32,8 +32,8 @@ _COVERED = 1.959964
 _REAL = 1.0
 
 
-class StudyParameters(StrictModel):
-    """Ranges of the truths and sizes of the errors, units as in `identification_study.yaml`."""
+class TruthSettings(StrictModel):
+    """Ranges of the truths and sizes of the errors, units as in `known_truths.yaml`."""
 
     models: int
     duration: Positive
@@ -82,12 +82,12 @@ class Recovery:
 
 
 @cache
-def load_study() -> StudyParameters:
-    """Read `identification_study.yaml`; raises ConfigError on a mistake in it."""
-    return load_checked(StudyParameters, Path(__file__).parent / "identification_study.yaml")
+def truth_settings() -> TruthSettings:
+    """Read `known_truths.yaml`; raises ConfigError on a mistake in it."""
+    return load_checked(TruthSettings, Path(__file__).parent / "known_truths.yaml")
 
 
-def run_study(models: int | None = None, on_progress: Callable[[int, int], None] | None = None) -> list[Recovery]:
+def recover_all(models: int | None = None, on_progress: Callable[[int, int], None] | None = None) -> list[Recovery]:
     """Recover `models` random truths, by default all of the parameter file; seeds count from 0.
 
     Parameters
@@ -97,7 +97,7 @@ def run_study(models: int | None = None, on_progress: Callable[[int, int], None]
     on_progress
         Called with the number of truths done and their total.
     """
-    count = models or load_study().models
+    count = models or truth_settings().models
     recoveries = []
     for seed in range(count):
         recoveries.append(recover(seed))
@@ -108,10 +108,10 @@ def run_study(models: int | None = None, on_progress: Callable[[int, int], None]
 
 def recover(seed: int) -> Recovery:
     """Draw a truth, drive it, log it and identify it."""
-    study = load_study()
+    settings = truth_settings()
     stream = np.random.default_rng(seed)
-    truth = _draw(stream, study)
-    records = _log(truth, stream, seed, study)
+    truth = _draw(stream, settings)
+    records = _log(truth, stream, seed, settings)
     started = perf_counter()
     found = identify_sm(records, limits=False).parameters
     seconds = perf_counter() - started
@@ -157,33 +157,33 @@ def coverage_table(recoveries: list[Recovery]) -> Table:
     )
 
 
-def _draw(stream: np.random.Generator, study: StudyParameters) -> SmFile:
+def _draw(stream: np.random.Generator, settings: TruthSettings) -> SmFile:
     channels = {}
     for channel in CHANNELS:
-        if stream.uniform() < study.complex_share:
-            damping = stream.uniform(*study.complex_damping)
+        if stream.uniform() < settings.complex_share:
+            damping = stream.uniform(*settings.complex_damping)
         else:
-            ratio = stream.uniform(*study.pole_ratio)
+            ratio = stream.uniform(*settings.pole_ratio)
             damping = 0.5 * (np.sqrt(ratio) + 1 / np.sqrt(ratio))
-        gain, frequency = stream.uniform(*study.gain), stream.uniform(*study.natural_frequency)
+        gain, frequency = stream.uniform(*settings.gain), stream.uniform(*settings.natural_frequency)
         channels[channel] = {"gain": gain, "natural_frequency": frequency, "damping": damping}
-    dead_time = {channel: stream.uniform(*study.dead_time) for channel in CHANNELS}
+    dead_time = {channel: stream.uniform(*settings.dead_time) for channel in CHANNELS}
     provenance = {"origin": "identified", "source": "drawn at random"}
     return SmFile.model_validate(
         {"name": "truth", "structure": "sm", "provenance": provenance, "channels": channels, "dead_time": dead_time}
     )
 
 
-def _log(truth: SmFile, stream: np.random.Generator, seed: int, study: StudyParameters) -> list[Record]:
-    dt = study.sample_time
-    commands = random_drive(seed, smooth=False, duration=study.duration, sample_time=dt)
+def _log(truth: SmFile, stream: np.random.Generator, seed: int, settings: TruthSettings) -> list[Record]:
+    dt = settings.sample_time
+    commands = random_drive(seed, smooth=False, duration=settings.duration, sample_time=dt)
     twist = build_model(truth).discretise(dt).simulate(commands)
-    v = twist[:, 0] + study.v_noise * stream.normal(size=len(twist))
-    v = study.v_resolution * np.round(v / study.v_resolution)
-    rho = study.omega_correlation
+    v = twist[:, 0] + settings.v_noise * stream.normal(size=len(twist))
+    v = settings.v_resolution * np.round(v / settings.v_resolution)
+    rho = settings.omega_correlation
     coloured = signal.lfilter([np.sqrt(1 - rho**2)], [1.0, -rho], stream.normal(size=len(twist)))
-    yaw_rate = twist[:, 1] + study.omega_noise * coloured + study.omega_offset * stream.normal()
-    first, last = (round(time / dt) for time in study.gap)
+    yaw_rate = twist[:, 1] + settings.omega_noise * coloured + settings.omega_offset * stream.normal()
+    first, last = (round(time / dt) for time in settings.gap)
     return [
         Record(
             f"seed {seed}, from {rows.start * dt:.0f} s",

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.logs import Record
+from diffdrive_mpc.models.logs.record import Record
 
 
 class WheelGeometry(NamedTuple):

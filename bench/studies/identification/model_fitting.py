@@ -20,11 +20,12 @@ from scipy.optimize import minimize_scalar
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
-from diffdrive_mpc.models.identification import identify_track, pooled_fit_percent, side_difference
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import PARAMETERS, load_model
+from diffdrive_mpc.models.logs.geometry import identify_track, side_difference
 from diffdrive_mpc.models.output_error.experiment import Experiment
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
 from diffdrive_mpc.models.robot import Positive, load_robot
 from diffdrive_mpc.models.structures.mbm import Motors
 from diffdrive_mpc.models.structures.two_poles import TwoPoles, identify_channel

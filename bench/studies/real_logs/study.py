@@ -7,11 +7,11 @@ from pathlib import Path
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.console import output_console
 from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.bench.real_logs.closed_loop import TRAJECTORIES, drive, tracking_table
-from diffdrive_mpc.bench.real_logs.protocol import Proof, prove
-from diffdrive_mpc.bench.real_logs.robot_files import FILES, write_robot_files
-from diffdrive_mpc.bench.real_logs.settings import load_protocol
-from diffdrive_mpc.bench.real_logs.tables import effect_table, parameter_table, score_table
+from diffdrive_mpc.bench.studies.real_logs.closed_loop import TRAJECTORIES, drive, tracking_table
+from diffdrive_mpc.bench.studies.real_logs.protocol import Proof, prove
+from diffdrive_mpc.bench.studies.real_logs.robot_files import FILES, write_robot_files
+from diffdrive_mpc.bench.studies.real_logs.settings import load_protocol
+from diffdrive_mpc.bench.studies.real_logs.tables import effect_table, parameter_table, score_table
 
 REPORT = "proof.md"
 
@@ -37,7 +37,7 @@ def prove_log(name: str, data: Path, out: Path, seeds: int) -> Proof:
     """
     log = load_protocol().log(name)
     with staged(out, files=(*FILES, REPORT)) as folder, ProgressBar("identifying") as bar:
-        proof = prove(log, data, lambda effect: bar.begin(f"trying: {effect}", 1))
+        proof = prove(log, data, lambda text: bar.begin(text, 1))
         write_robot_files(proof, folder)
         tables = [score_table(proof), effect_table(proof), parameter_table(proof)]
         if seeds:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from diffdrive_mpc.bench.real_logs.protocol import Proof
-from diffdrive_mpc.bench.real_logs.settings import load_protocol
+from diffdrive_mpc.bench.studies.real_logs.protocol import Proof
+from diffdrive_mpc.bench.studies.real_logs.settings import load_protocol
 from diffdrive_mpc.bench.table import Table
 
 
@@ -40,7 +40,7 @@ def score_table(proof: Proof) -> Table:
             for name, fit, position, heading in rows
         ),
         note=f"On the last {100 * (1 - load_protocol().share):.0f} % of the rows; identified from the others in "
-        f"{proof.seconds:.0f} s. Pose errors are RMS.",
+        f"{proof.found.report.fitted.seconds:.0f} s. Pose errors are RMS.",
     )
 
 
