@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.robot import SampleTime, load_robot
 from diffdrive_mpc.mpc.config.group import Group, NotNegative, Positive
 from diffdrive_mpc.mpc.config.solver import Solver
 
@@ -228,7 +228,7 @@ class ControllerConfig(Group):
     """Everything that one controller needs beside the reference."""
 
     model: str = Field("ssm", min_length=1, description="velocity model: mbm, sm, ssm or the path of a model file [-]")
-    sample_time: Annotated[float, Field(ge=0.001, le=0.5)] = Field(
+    sample_time: SampleTime = Field(
         _ROBOT.sample_time, description="time between two ticks [s]"
     )
     horizon: Annotated[int, Field(ge=1, le=200)] = Field(30, description="steps that the controller looks ahead [-]")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from diffdrive_mpc.models.checked_yaml import ConfigError
     from diffdrive_mpc.models.errors import DiffdriveMpcError, MissingPackageError
+    from diffdrive_mpc.models.identification.from_logs import identify
     from diffdrive_mpc.models.interface import Measurement, Stamped
     from diffdrive_mpc.models.load import load_model
     from diffdrive_mpc.models.pose import integrate_pose
@@ -38,6 +39,7 @@ _HOMES = {
     "RobotLostError": "sim.plants.plant",
     "Stamped": "models.interface",
     "Term": "mpc.problem.terms",
+    "identify": "models.identification.from_logs",
     "integrate_pose": "models.pose",
     "load_config": "mpc.config.config_file",
     "load_model": "models.load",
@@ -58,6 +60,7 @@ __all__ = [
     "RobotLostError",
     "Stamped",
     "Term",
+    "identify",
     "integrate_pose",
     "load_config",
     "load_model",

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.discrete_model import DiscreteModel, zero_order_hold
-from diffdrive_mpc.models.identification.output_error.linear_system import LinearSystem
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.output_error.linear_system import LinearSystem
 from diffdrive_mpc.models.pose import integrate_pose
 
 

@@ -10,12 +10,13 @@ import numpy as np
 from diffdrive_mpc.bench.reproduce.experiments.odometry import PoseError, pose_error, predict_path, sampled
 from diffdrive_mpc.bench.reproduce.experiments.robot_logs import RobotLogs
 from diffdrive_mpc.bench.reproduce.study import SsmStudy
-from diffdrive_mpc.models.identification.identified import IdentifiedModel
-from diffdrive_mpc.models.identification.order import OrderRow, choose_order
-from diffdrive_mpc.models.identification.output_error.linear_system import LinearSystem
-from diffdrive_mpc.models.identification.validation import validate
 from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.output_error.validation import validate
+from diffdrive_mpc.models.structures.identified import IdentifiedModel
+from diffdrive_mpc.models.structures.orders import OrderRow
+from diffdrive_mpc.models.structures.ssm import choose_order
 from diffdrive_mpc.models.velocity_model import VelocityModel
 
 PAPERS_ORDER = 2

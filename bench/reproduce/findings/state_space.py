@@ -10,7 +10,7 @@ from diffdrive_mpc.bench.reproduce.experiments.state_space import IDENTIFIED, PA
 from diffdrive_mpc.bench.reproduce.findings.finding import Finding, each
 from diffdrive_mpc.bench.reproduce.published import Published
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.structures import ChannelFit
+from diffdrive_mpc.models.structures.model_file import ChannelFit
 
 _TABLE = "P1, Table 1"
 _SLIGHTLY_HIGHER = (3, 4)
