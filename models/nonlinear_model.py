@@ -80,7 +80,9 @@ class NonlinearModel:
         """A (n, n), B (n, 2) summed over the window, and C (2, n), at rest."""
         x, window = ca.SX.sym("x", self.order), ca.SX.sym("window", 2 * (self.memory + 1))
         after, y = self.step(x, window), self.output(x)
-        jacobians = ca.Function("jacobians", [x, window], [ca.jacobian(after, x), ca.jacobian(after, window), ca.jacobian(y, x)])
+        jacobians = ca.Function(
+            "jacobians", [x, window], [ca.jacobian(after, x), ca.jacobian(after, window), ca.jacobian(y, x)]
+        )
         A, by_window, C = (np.array(part) for part in jacobians(0, 0))
         return A, by_window.reshape(self.order, -1, 2).sum(axis=1), C
 
@@ -107,7 +109,9 @@ class NonlinearModel:
         for channel in (0, 1):
             step = np.zeros(2)
             step[channel] = 1e-4
-            answers = self.simulate(np.tile(step, (2000, 1)))[:, channel] / (step[channel] * self.dc_gain[channel, channel])
+            answers = self.simulate(np.tile(step, (2000, 1)))[:, channel] / (
+                step[channel] * self.dc_gain[channel, channel]
+            )
             missing[channel] = self.dt * (np.sum(1.0 - answers[1:]) + 0.5)
         return missing
 

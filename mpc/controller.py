@@ -28,15 +28,15 @@ from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import Words
-from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask
 from diffdrive_mpc.mpc.problem.constants import Problem
-from diffdrive_mpc.mpc.solver.daqp_backend import DaqpBackend
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
-from diffdrive_mpc.mpc.solver.osqp_backend import OsqpBackend
 from diffdrive_mpc.mpc.problem.terms import Term, load_terms
 from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
+from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask
+from diffdrive_mpc.mpc.solver.daqp_backend import DaqpBackend
+from diffdrive_mpc.mpc.solver.osqp_backend import OsqpBackend
 from diffdrive_mpc.mpc.solver.report import SolverPath, SolverReport, SolverStatus
-from diffdrive_mpc.mpc.step_result import Mode, StepResult
+from diffdrive_mpc.mpc.step_result import StepResult
 from diffdrive_mpc.mpc.trajectories.native import NativeReference
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 
@@ -120,7 +120,7 @@ class Controller:
         self._tick.parameters[:] = np.array(defaults, dtype=float)
 
     def __getstate__(self) -> dict[str, object]:
-        """What a process pool needs to make it anew: configuration, model, terms and reference, not a drive under way."""
+        """What a process pool needs to make it anew: configuration, model, terms, reference; no drive under way."""
         return {"config": self._config, "given": self._given, "reference": self._reference, "t0": self._t0}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -225,7 +225,7 @@ class Controller:
             p = places[name].stop - places[name].start
             if rows.shape not in ((p,), (len(table), p)) or not np.isfinite(rows).all():
                 raise ConfigError(
-                    f"term '{name}': give {p} finite parameters, or {len(table)} rows of them (found shape {rows.shape})"
+                    f"term '{name}': give {p} finite parameters, or {len(table)} rows of them (found {rows.shape})"
                 )
             checked[name] = rows
         for name, rows in checked.items():

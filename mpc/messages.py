@@ -73,7 +73,10 @@ class Words:
     def _time_words(lib: Any) -> list[tuple[int, Callable[[Any], str]]]:  # noqa: ANN401 - cffi has no types
         return [
             (lib.DDMPC_TIME_FAULTY, _faulty_time),
-            (lib.DDMPC_TIME_REPEATED, lambda c: f"called {1e3 * c.gap:.1f} ms after the last tick; its command is repeated"),
+            (
+                lib.DDMPC_TIME_REPEATED,
+                _repeated,
+            ),
             (lib.DDMPC_TIME_LEAPT, lambda c: f"no tick for {c.gap:.2f} s"),
             (lib.DDMPC_TIME_PAUSED, lambda c: f"no tick for {c.gap:.2f} s; the estimate starts anew"),
         ]
@@ -103,8 +106,7 @@ class Words:
         not_numbers = "it is not three finite numbers" if pose else "not 2 finite numbers" if wheels else "not finite"
         reasons = {
             lib.DDMPC_NOT_NUMBERS: not_numbers,
-            lib.DDMPC_BAD_COVARIANCE: "its covariance is not a possible "
-            + ("3 x 3 matrix" if pose else "one"),
+            lib.DDMPC_BAD_COVARIANCE: "its covariance is not a possible " + ("3 x 3 matrix" if pose else "one"),
             lib.DDMPC_BAD_STAMP: "its stamp is not a finite number",
             lib.DDMPC_IN_FUTURE: f"its stamp lies {a:.3f} s in the future",
             lib.DDMPC_NOT_NEWER: "its stamp is not newer than that of the one before",
@@ -114,6 +116,10 @@ class Words:
             lib.DDMPC_TOO_MANY: "more arrived for one sample than is kept",
         }
         return f"{self._subjects[note.subject]} rejected: {reasons[note.fault]}"
+
+
+def _repeated(c: Any) -> str:  # noqa: ANN401
+    return f"called {1e3 * c.gap:.1f} ms after the last tick; its command is repeated"
 
 
 def _faulty_time(c: Any) -> str:  # noqa: ANN401

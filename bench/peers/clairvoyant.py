@@ -12,12 +12,12 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
+from diffdrive_mpc.mpc.bounds import clip_command
 
 from diffdrive_mpc.bench.peers.clairvoyant_program import ClairvoyantProgram, Present
 from diffdrive_mpc.bench.peers.clairvoyant_settings import ClairvoyantSettings, load_clairvoyant_settings
 from diffdrive_mpc.bench.peers.known_plant import KnownPlant
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
-from diffdrive_mpc.mpc.bounds import clip_command
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 

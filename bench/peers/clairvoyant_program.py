@@ -7,11 +7,11 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from diffdrive_mpc.mpc.bounds import slew_step
 
 from diffdrive_mpc.bench.peers.clairvoyant_settings import ClairvoyantSettings
 from diffdrive_mpc.bench.peers.known_plant import KnownPlant
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
-from diffdrive_mpc.mpc.bounds import slew_step
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from diffdrive_mpc.mpc.feed_forward import FeedForward
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.feed_forward import FeedForward
 from diffdrive_mpc.mpc.estimation.slip import Slip
 
 

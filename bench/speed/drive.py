@@ -6,6 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from diffdrive_mpc.mpc.bounds import clip_command
+from diffdrive_mpc.mpc.estimator import StateEstimator
+from diffdrive_mpc.mpc.planner import Planner
 
 from diffdrive_mpc.bench.speed.process.subject import Answer, Subject
 from diffdrive_mpc.bench.speed.settings import SpeedSettings
@@ -13,10 +16,7 @@ from diffdrive_mpc.bench.speed.stage import stage_data
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import load_trajectory
-from diffdrive_mpc.mpc.bounds import clip_command
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.estimator import StateEstimator
-from diffdrive_mpc.mpc.planner import Planner
 from diffdrive_mpc.mpc.problem import TrackingProblem
 from diffdrive_mpc.sim import make_plant
 

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from diffdrive_mpc.mpc.bounds import slew_step
 
 from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.bench.speed.closed_loop_cost import closed_loop_cost
@@ -21,7 +22,6 @@ from diffdrive_mpc.bench.speed.stage import StageProblem, stage_problem
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import Controller
-from diffdrive_mpc.mpc.bounds import slew_step
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from diffdrive_mpc.mpc.bounds import slew_step
+from diffdrive_mpc.mpc.tick import Tick
 
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import arc_function
-from diffdrive_mpc.mpc.bounds import slew_step
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.problem import TrackingProblem
-from diffdrive_mpc.mpc.tick import Tick
 
 ROWS = (
     *("x", "y", "theta", "heading"),

@@ -14,8 +14,8 @@ class Solver(Group):
 
     strategy: Literal["auto", "backend"] = Field(
         "auto",
-        description="auto: the minimiser without limits where it keeps them, then the active set, and the backend where "
-        "that is not proven; backend: the backend at every tick, to measure it under its own name [-]",
+        description="auto: the minimiser without limits where it keeps them, then the active set, and the backend "
+        "where that is not proven; backend: the backend at every tick, to measure it under its own name [-]",
     )
     backend: Literal["osqp", "daqp"] = Field(
         "osqp", description="osqp: operator splitting; daqp: dual active set, exact [-]"

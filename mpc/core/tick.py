@@ -1,7 +1,7 @@
 """The compiled tick from Python: constants and results by the names of their fields in C.
 
-`core.h` is the only place that knows how memory is laid out. Its text declares the structs to cffi, and the shapes of what
-they point to stand in it beside each pointer; names that are missing, unknown or of another shape are refused.
+`core.h` is the only place that knows how memory is laid out. Its text declares the structs to cffi, and the shapes of
+what they point to stand in it beside each pointer; names that are missing, unknown or of another shape are refused.
 """
 
 from __future__ import annotations
@@ -103,8 +103,8 @@ class Tick:
         if not fits:
             raise ModelError(
                 f"a model of order {sizes['states']} with {sizes['window']} commands on their way, a horizon of "
-                f"{sizes['steps']} and {sizes['soft']} soft limits is more than the controller holds (order 64, 512, 200, "
-                "60); identify a model of lower order"
+                f"{sizes['steps']} and {sizes['soft']} soft limits is more than the controller holds (64, 512, 200, 60); "
+                "identify a model of lower order"
             )
         self.result = self.lib.ddmpc_result_of(self.c)
         self.samples: int = self.lib.ddmpc_samples(self.c)

@@ -59,7 +59,9 @@ class Term:
             if name not in known:
                 raise ConfigError(f"{where}: unknown input '{name}'; known inputs: {', '.join(known)}")
             if function.size1_in(index) != known[name] or function.size2_in(index) != 1:
-                raise ConfigError(f"{where}: input '{name}' has {function.numel_in(index)} numbers, expected {known[name]}")
+                raise ConfigError(
+                    f"{where}: input '{name}' has {function.numel_in(index)} numbers, expected {known[name]}"
+                )
         if function.n_out() != 1 or function.size2_out(0) != 1:
             raise ConfigError(f"{where}: give one output, a column of values")
         limits = {"upper": (self.upper, _NO_LIMIT), "lower": (self.lower, -_NO_LIMIT)}
@@ -102,7 +104,9 @@ def _load(config: TermConfig) -> Term:
     path = Path(config.file)
     function = getattr(_run(path), config.function, None)
     if not isinstance(function, ca.Function):
-        raise ConfigError(f"{path}: '{config.function}' is no CasADi function there; give the name of a casadi.Function")
+        raise ConfigError(
+            f"{path}: '{config.function}' is no CasADi function there; give the name of a casadi.Function"
+        )
     return Term(config.function, function, config.kind, config.upper, config.lower, tuple(config.parameters))
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.mpc.config.thresholds import STANDING, TURNING
+from diffdrive_mpc.mpc.config.thresholds import STANDING
 
 # Paths meet themselves, so a place further along the path counts as further away: by this share of the path between,
 # and by this for the time between [m/s].

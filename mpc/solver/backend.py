@@ -1,8 +1,8 @@
 """Solvers of the condensed problem beside the core's own: one interface, and the loop that asks them.
 
-A backend is given only the kinds of limit that matter: those that pressed at the last tick or that the minimiser without
-limits breaks. If its solution keeps all others it solves the whole problem; if not, the kinds that it breaks are added and
-it is asked again.
+A backend is given only the kinds of limit that matter: those that pressed at the last tick or that the minimiser
+without limits breaks. If its solution keeps all others it solves the whole problem; if not, the kinds that it breaks are
+added and it is asked again.
 """
 
 from __future__ import annotations
@@ -67,9 +67,7 @@ class Program:
         tick, found = self._tick, np.zeros(self._count, dtype=np.intc)
         plan = np.ascontiguousarray(plan)
         cast = tick.ffi.cast
-        tick.lib.ddmpc_broken(
-            tick.c, cast("const real *", plan.ctypes.data), margin, cast("int *", found.ctypes.data)
-        )
+        tick.lib.ddmpc_broken(tick.c, cast("const real *", plan.ctypes.data), margin, cast("int *", found.ctypes.data))
         return tuple(np.flatnonzero(found).tolist())
 
 

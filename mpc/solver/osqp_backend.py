@@ -1,7 +1,7 @@
 """Solve with OSQP, an operator-splitting method, driven directly and warm-started.
 
-Variables are (U, p, m): p, m >= 0 take up what exceeds the soft limits upwards and downwards. The work space of the hard
-limits is set up with the controller; one for each set of soft limits when it first matters.
+Variables are (U, p, m): p, m >= 0 take up what exceeds the soft limits upwards and downwards. The work space of the
+hard limits is set up with the controller; one for each set of soft limits when it first matters.
 """
 
 from __future__ import annotations

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import linprog
 
 CORE = Path(__file__).parents[2] / "mpc" / "core"
 PROVEN, NOT_PROVEN, INFEASIBLE = range(3)

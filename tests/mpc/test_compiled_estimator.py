@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
+from diffdrive_mpc.mpc.compiled.compiler import NotCompiledError
+from diffdrive_mpc.mpc.compiled.estimator import CompiledEstimator
+from diffdrive_mpc.mpc.compiled.library import checked_constants, load_library
+from diffdrive_mpc.mpc.estimator import StateEstimator
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ideal_robot import IdealRobot
 
 from diffdrive_mpc.models import Measurement, Stamped, load_model
-from diffdrive_mpc.mpc.compiled.compiler import NotCompiledError
-from diffdrive_mpc.mpc.compiled.estimator import CompiledEstimator
-from diffdrive_mpc.mpc.compiled.library import checked_constants, load_library
 from diffdrive_mpc.mpc.config.schema import Compensation, Estimator
-from diffdrive_mpc.mpc.estimator import StateEstimator
 from diffdrive_mpc.mpc.estimation.slip import Slip
 
 DT = 0.0202

@@ -2,15 +2,15 @@
 
 import numpy as np
 import pytest
+from diffdrive_mpc.mpc.compiled.condenser import CompiledCondenser
+from diffdrive_mpc.mpc.condensed import Condenser
+from diffdrive_mpc.mpc.feed_forward import FeedForward
+from diffdrive_mpc.mpc.qp.limit_rows import KINDS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_ways import DT, problem, random_tick
 
 from diffdrive_mpc.models import load_model
-from diffdrive_mpc.mpc.compiled.condenser import CompiledCondenser
-from diffdrive_mpc.mpc.condensed import Condenser
-from diffdrive_mpc.mpc.feed_forward import FeedForward
-from diffdrive_mpc.mpc.qp.limit_rows import KINDS
 
 
 def programs(seed, model="ssm"):

@@ -6,18 +6,18 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
-from diffdrive_mpc.models import load_model
-from diffdrive_mpc.mpc import load_config, load_trajectory
 from diffdrive_mpc.mpc.begin_tick import begin_tick
 from diffdrive_mpc.mpc.compiled.condenser import CompiledCondenser
 from diffdrive_mpc.mpc.compiled.constants import initialiser, sizes_header, tracking_constants, tracking_sizes
 from diffdrive_mpc.mpc.compiled.reference import CompiledReference, compile_reference
 from diffdrive_mpc.mpc.condensed import Condenser
-from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.feed_forward import FeedForward
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from diffdrive_mpc.models import load_model
+from diffdrive_mpc.mpc import load_config, load_trajectory
+from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.problem import TrackingProblem
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.trajectories.moved import starting_at

@@ -6,12 +6,12 @@ import sys
 
 import numpy as np
 import pytest
-
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.mpc import Controller, load_config
 from diffdrive_mpc.mpc.compiled import compiler, library
 from diffdrive_mpc.mpc.compiled.compiler import NotCompiledError, compile_library
 from diffdrive_mpc.mpc.compiled.reference import CompiledReference
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc import Controller, load_config
 from diffdrive_mpc.mpc.config.config_file import replace_values
 
 

@@ -6,6 +6,10 @@ import casadi as ca
 import cffi
 import numpy as np
 import pytest
+from diffdrive_mpc.mpc.belief import Belief
+from diffdrive_mpc.mpc.feed_forward import FeedForward
+from diffdrive_mpc.mpc.kalman import SlipFilter
+from diffdrive_mpc.mpc.lean import lean
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -14,16 +18,12 @@ from diffdrive_mpc.models import integrate_pose, load_model
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.pose import linearised_arc
 from diffdrive_mpc.mpc import load_config, load_trajectory
-from diffdrive_mpc.mpc.belief import Belief
 from diffdrive_mpc.mpc.config.schema import Weights
 from diffdrive_mpc.mpc.core.generate import generate, generate_formulas
-from diffdrive_mpc.mpc.feed_forward import FeedForward
-from diffdrive_mpc.mpc.kalman import SlipFilter
-from diffdrive_mpc.mpc.lean import lean
+from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.problem import TrackingProblem
 from diffdrive_mpc.mpc.problem.formulas import formulas
 from diffdrive_mpc.mpc.problem.user_functions import user_output, user_step, user_term
-from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
 FORMULAS = {function.name().removeprefix("ddmpc_f_"): function for function in formulas()}

@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from test_qp_backends import BACKENDS, STEPS, WEIGHTS, random_problem, solver_settings
-
 from diffdrive_mpc.mpc.qp.backend import Task
 from diffdrive_mpc.mpc.qp.condensed_solver import CondensedSolver
 from diffdrive_mpc.mpc.qp.leaning import lean_on
 from diffdrive_mpc.mpc.qp.limit_rows import HARD_KINDS, KINDS
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_qp_backends import BACKENDS, STEPS, WEIGHTS, random_problem, solver_settings
 
 HARD = tuple(range(HARD_KINDS))
 

@@ -2,10 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
-
-from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.condensed import CondensedProgram
 from diffdrive_mpc.mpc.qp.backend import Task
 from diffdrive_mpc.mpc.qp.condensed_solver import CondensedSolver
@@ -13,6 +9,10 @@ from diffdrive_mpc.mpc.qp.daqp_backend import DaqpBackend
 from diffdrive_mpc.mpc.qp.least_distance import ArrayLeastDistance
 from diffdrive_mpc.mpc.qp.limit_rows import HARD_KINDS, KINDS, LimitRows
 from diffdrive_mpc.mpc.qp.osqp_backend import OsqpBackend
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 
 STEPS = 6

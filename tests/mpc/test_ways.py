@@ -4,6 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from diffdrive_mpc.mpc.condensed import Condenser
+from diffdrive_mpc.mpc.sparse.solver import SparseSolver
+from diffdrive_mpc.mpc.tick import Tick
+from diffdrive_mpc.mpc.ways import CondensedWay, make_way
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ideal_robot import IdealRobot, drive
@@ -11,13 +15,9 @@ from ideal_robot import IdealRobot, drive
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
-from diffdrive_mpc.mpc.condensed import Condenser
-from diffdrive_mpc.mpc.problem import TrackingProblem
 from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.problem import TrackingProblem
 from diffdrive_mpc.mpc.solver.report import SolverStatus
-from diffdrive_mpc.mpc.sparse.solver import SparseSolver
-from diffdrive_mpc.mpc.tick import Tick
-from diffdrive_mpc.mpc.ways import CondensedWay, make_way
 
 DT, STEPS = 0.0202, 12
 TIGHT = {"solver.tolerance": 1e-8, "solver.max_iterations": 100_000}

@@ -10,8 +10,9 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from diffdrive_mpc.bench.speed.process.subject import SubjectError
 from diffdrive_mpc.mpc.compiled.compiler import cache_folder
+
+from diffdrive_mpc.bench.speed.process.subject import SubjectError
 
 REQUIREMENTS = Path(__file__).parents[1] / "subjects" / "requirements.txt"
 _READY = ".ready"

@@ -6,12 +6,13 @@ import time
 from pathlib import Path
 from typing import Any
 
+from diffdrive_mpc.mpc.command_line import CommandLine
+from diffdrive_mpc.mpc.planner import Planner
+
 from diffdrive_mpc.bench.speed.subjects.answer import Report
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.mpc import Controller, StepResult, load_trajectory
-from diffdrive_mpc.mpc.command_line import CommandLine
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.planner import Planner
 from diffdrive_mpc.mpc.step_result import Mode
 
 
