@@ -28,19 +28,17 @@ from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import Words
-from diffdrive_mpc.mpc.problem.constants import Problem
+from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, SLACK, Problem
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem.terms import Term, load_terms
 from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
 from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask
-from diffdrive_mpc.mpc.solver.daqp_backend import DaqpBackend
-from diffdrive_mpc.mpc.solver.osqp_backend import OsqpBackend
-from diffdrive_mpc.mpc.solver.report import SolverPath, SolverReport, SolverStatus
+from diffdrive_mpc.mpc.solver.backends import BACKENDS
+from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 from diffdrive_mpc.mpc.step_result import StepResult
 from diffdrive_mpc.mpc.trajectories.native import NativeReference
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 
-_BACKENDS: dict[str, type[Backend]] = {"osqp": OsqpBackend, "daqp": DaqpBackend}
 _CHANGEABLE = ("weights", "limits")
 # Of ddmpc_pending.
 _NEEDS_TARGET, _NEEDS_BACKEND = 1, 2
@@ -92,7 +90,7 @@ class Controller:
         sizes = problem.sizes
         functions, term_functions = compile_functions(self._model, self._terms)
         self._tick = Tick(sizes, problem.constants(), functions, term_functions)
-        self._kinds = 4 + sizes["soft"]
+        self._kinds = HARD_KINDS + sizes["soft"]
         self._backend = self._make_backend(config)
         self._program = Program(self._tick, config.horizon, self._kinds)
         self._words = Words(self._tick, config)
@@ -113,7 +111,7 @@ class Controller:
         return Problem(config, self._sampled, self._feed_forward, self._terms)
 
     def _make_backend(self, config: ControllerConfig) -> Backend:
-        return _BACKENDS[config.solver.backend](config.horizon, self._kinds, config.solver, config.weights)
+        return BACKENDS[config.solver.backend](config.horizon, self._kinds, config.solver, config.weights)
 
     def _set_defaults(self) -> None:
         defaults = [value for term in self._terms for value in term.defaults]
@@ -295,7 +293,7 @@ class Controller:
     def _ask_backend(self) -> bool:
         """Solve with the backend, and give the core its answer; returns whether it refused the numbers."""
         tick, solver = self._tick, self._config.solver
-        solved, report = ask(self._backend, self._program, SolverPath(solver.backend), 0.1 * solver.tolerance)
+        solved, report = ask(self._backend, self._program, solver.backend, SLACK * solver.tolerance)
         ffi = tick.ffi
         plan, multipliers = np.ascontiguousarray(solved.plan), np.ascontiguousarray(solved.multipliers)
         refused = report.status is SolverStatus.REFUSED

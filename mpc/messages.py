@@ -41,14 +41,14 @@ class Words:
     def configure(self, config: ControllerConfig) -> None:
         """Speak of the limits of `config` from now on."""
         self._config = config
-        self._paths = {
+        self._paths: dict[int, str] = {
             self._lib.DDMPC_NO_WAY: SolverPath.NONE,
             self._lib.DDMPC_UNLIMITED: SolverPath.UNLIMITED,
             self._lib.DDMPC_ACTIVE_SET: SolverPath.ACTIVE_SET,
-            self._lib.DDMPC_BACKEND: SolverPath(config.solver.backend),
+            self._lib.DDMPC_BACKEND: config.solver.backend,
         }
 
-    def path(self, number: int) -> SolverPath:
+    def path(self, number: int) -> str:
         """The way with this number."""
         return self._paths[number]
 

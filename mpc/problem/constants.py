@@ -25,8 +25,10 @@ SHIPPED_SOFT = ("v", "omega", "right", "left", "across")
 """Kinds of soft limit that every controller has, in their order."""
 LANES = 8
 """Columns that the core works on at once, DDMPC_LANES: rows of commands are padded to a multiple of it."""
-# Beyond the solver's own tolerance: below it a limit counts as kept.
-_SLACK = 0.1
+SLACK = 0.1
+"""By this share of the solver's tolerance a limit may be exceeded and still count as kept [-]."""
+HARD_KINDS = 4
+"""Kinds of hard limit: v_ref, omega_ref, and their increments."""
 
 
 @dataclass(frozen=True)
@@ -204,7 +206,7 @@ class Problem:
     def _solution(self) -> Constants:
         solver = self.config.solver
         return {
-            "slack": _SLACK * solver.tolerance,
+            "slack": SLACK * solver.tolerance,
             "active_set": solver.active_set_iterations,
             "forced": solver.strategy == "backend",
         }

@@ -15,13 +15,11 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Weights
 from diffdrive_mpc.mpc.config.solver import Solver
 from diffdrive_mpc.mpc.core.tick import Tick
-from diffdrive_mpc.mpc.solver.report import SolverPath, SolverReport, SolverStatus
+from diffdrive_mpc.mpc.problem.constants import HARD_KINDS as HARD
+from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 
 Kinds = tuple[int, ...]
 """Some of the kinds of limit, ascending: v_ref, omega_ref, their increments, and from `HARD` on the soft ones."""
-
-HARD = 4
-"""Kinds of hard limit."""
 
 
 class Program:
@@ -102,8 +100,8 @@ class Backend(Protocol):
         ...
 
 
-def ask(backend: Backend, program: Program, path: SolverPath, slack: float) -> tuple[Solved, SolverReport]:
-    """The solution of the whole problem by a backend; `slack` is what counts as kept."""
+def ask(backend: Backend, program: Program, path: str, slack: float) -> tuple[Solved, SolverReport]:
+    """The solution of the whole problem by a backend called `path`; `slack` is what counts as kept."""
     kinds = tuple(sorted({*range(HARD), *program.kinds}))
     guess, multipliers, iterations = program.guess, program.multipliers, 0
     while True:

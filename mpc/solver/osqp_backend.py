@@ -16,7 +16,8 @@ from scipy import sparse
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Weights
 from diffdrive_mpc.mpc.config.solver import Solver
-from diffdrive_mpc.mpc.solver.backend import HARD, Kinds, Program, Solved
+from diffdrive_mpc.mpc.problem.constants import HARD_KINDS as HARD
+from diffdrive_mpc.mpc.solver.backend import Kinds, Program, Solved
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 
 _STATUS = {

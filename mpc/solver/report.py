@@ -27,7 +27,7 @@ class SolverStatus(StrEnum):
 
 
 class SolverPath(StrEnum):
-    """The way that led to the plan of a tick."""
+    """The way that led to the plan of a tick; where a backend was asked, the way is its name in the configuration."""
 
     NONE = "none"
     """Nothing was solved."""
@@ -35,10 +35,6 @@ class SolverPath(StrEnum):
     """No limit presses: the minimiser without limits keeps them all. One factorisation."""
     ACTIVE_SET = "active_set"
     """The limits that press were found and proven by their multipliers."""
-    OSQP = "osqp"
-    """The backend OSQP was asked."""
-    DAQP = "daqp"
-    """The backend DAQP was asked."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +46,7 @@ class SolverReport:
     status
         The outcome; only a `usable` one may move the robot.
     path
-        The way that was taken.
+        The way that was taken: "none", "unlimited", "active_set", or the name of the backend that was asked.
     iterations
         Iterations over all solves of the tick: of the backend, or systems of the active set; 0 where the minimiser
         without limits keeps them all and so is the exact solution.
@@ -62,7 +58,7 @@ class SolverReport:
     """
 
     status: SolverStatus
-    path: SolverPath = SolverPath.NONE
+    path: str = SolverPath.NONE
     iterations: int = 0
     primal_residual: float = float("nan")
     dual_residual: float = float("nan")
