@@ -5,6 +5,6 @@ STANDING = 0.02
 TURNING = 0.05
 """... and turns on the spot where it is then faster than this [rad/s]."""
 BEHIND = 3.0
-"""In units of `reentry.wait`: waiting leaves a robot behind by no more than twice that; further back it was moved [-]."""
+"""In units of `reentry.wait`: waiting leaves a robot behind by twice that at most; further back it was moved [-]."""
 AHEAD = 1.5
 """The same for a robot that is ahead of its reference, which it never is by much unless it was moved [-]."""

@@ -103,7 +103,7 @@ class Tick:
         if not fits:
             raise ModelError(
                 f"a model of order {sizes['states']} with {sizes['window']} commands on their way, a horizon of "
-                f"{sizes['steps']} and {sizes['soft']} soft limits is more than the controller holds (64, 512, 200, 60); "
+                f"{sizes['steps']} and {sizes['soft']} soft limits is more than the core holds (64, 512, 200, 60); "
                 "identify a model of lower order"
             )
         self.result = self.lib.ddmpc_result_of(self.c)

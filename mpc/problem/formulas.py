@@ -4,7 +4,7 @@ Symbols, the same everywhere. They are columns.
 
 =============  ====  ============================================================================================
 y              2     v [m/s], omega [rad/s]: what the velocity model says, before slip
-slip           5     v_offset [m/s], omega_gain, longitudinal_gain, yaw_gain [-], side_slip [s]; see `estimation/slip.py`
+slip           5     v_offset [m/s], omega_gain, longitudinal_gain, yaw_gain [-], side_slip [s]; see estimation/slip.py
 pose           3     x, y [m], theta [rad] of the body in the frame of the reference
 twist          2     v [m/s], omega [rad/s] of the body, slip included
 command        2     v_ref [m/s], omega_ref [rad/s]

@@ -1,8 +1,8 @@
 """Solvers of the condensed problem beside the core's own: one interface, and the loop that asks them.
 
 A backend is given only the kinds of limit that matter: those that pressed at the last tick or that the minimiser
-without limits breaks. If its solution keeps all others it solves the whole problem; if not, the kinds that it breaks are
-added and it is asked again.
+without limits breaks. If its solution keeps all others it solves the whole problem; if not, the kinds that it breaks
+are added and it is asked again.
 """
 
 from __future__ import annotations
