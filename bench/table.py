@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
 
 from rich import box
 from rich.table import Table as RichTable
 from rich.text import Text
+
+T = TypeVar("T")
 
 _ABBREVIATIONS = {
     "position": "pos.",
@@ -52,6 +54,31 @@ class Table:
         for row in self.rows:
             if len(row) != len(self.columns):
                 raise ValueError(f"table '{self.title}': {len(row)} cells for {len(self.columns)} columns")
+
+    @classmethod
+    def of(
+        cls,
+        title: str,
+        names: tuple[str, ...],
+        columns: Mapping[str, Callable[[T], str]],
+        entries: Iterable[tuple[tuple[str, ...], T]],
+        note: str = "",
+    ) -> Table:
+        """A table of `entries`, each the names on its left and what its cells are made of.
+
+        Parameters
+        ----------
+        title, note
+            Of the table.
+        names
+            Headings of the columns that hold names.
+        columns
+            By the heading of a column, what gives its cells.
+        entries
+            One for each row.
+        """
+        rows = tuple((*left, *(cell(right) for cell in columns.values())) for left, right in entries)
+        return cls(title, (*names, *columns), rows, len(names), note)
 
     def markdown(self) -> str:
         """The table as a Markdown section."""

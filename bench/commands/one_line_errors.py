@@ -8,7 +8,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from diffdrive_mpc.bench.errors import NotReproducibleError
+from diffdrive_mpc.bench.errors import StudyFailedError
 
 BAD_INPUT = 2
 """Exit code for input that cannot be used."""
@@ -41,7 +41,7 @@ class OneLineErrors(TyperGroup):
             code = super().main(*args, **kwargs)
         except typer.Abort:
             code = INTERRUPTED  # how older versions of typer pass on Ctrl-C; newer ones return the exit code
-        except NotReproducibleError as error:
+        except StudyFailedError as error:
             _complain(str(error))
             sys.exit(FAILED)
         except ModuleNotFoundError as error:

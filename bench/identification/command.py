@@ -7,7 +7,6 @@ from datetime import date
 from pathlib import Path
 
 from diffdrive_mpc.bench.atomic import staged
-from diffdrive_mpc.bench.console import output_console
 from diffdrive_mpc.bench.identification.configuration import MODEL_FILE, configuration
 from diffdrive_mpc.bench.identification.data import read_data
 from diffdrive_mpc.bench.identification.fitting import fit
@@ -15,7 +14,7 @@ from diffdrive_mpc.bench.identification.outcome import Outcome
 from diffdrive_mpc.bench.identification.poses import from_poses
 from diffdrive_mpc.bench.identification.report import write_json, write_markdown
 from diffdrive_mpc.bench.identification.tables import drift_table, score_table
-from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.models.identification.model_file import model_file, write_model_file
 from diffdrive_mpc.models.identification.ssm import LARGEST_ORDER

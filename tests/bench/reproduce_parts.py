@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from diffdrive_mpc.bench.reproduce.experiments.cost import Cost
-from diffdrive_mpc.bench.reproduce.experiments.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, SM, MbmSmResult
-from diffdrive_mpc.bench.reproduce.experiments.odometry import PoseError, Spread
-from diffdrive_mpc.bench.reproduce.experiments.state_space import (
+from diffdrive_mpc.bench.studies.reproduce.cost import Cost
+from diffdrive_mpc.bench.studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, SM, MbmSmResult
+from diffdrive_mpc.bench.studies.reproduce.drives import PoseError, Spread
+from diffdrive_mpc.bench.studies.reproduce.state_space import (
     IDENTIFIED,
     PRINTED,
     FreeDrive,
@@ -15,10 +15,10 @@ from diffdrive_mpc.bench.reproduce.experiments.state_space import (
     SsmResult,
     VelocityFit,
 )
-from diffdrive_mpc.bench.reproduce.experiments.virtual_track import check_virtual_track
-from diffdrive_mpc.bench.reproduce.published import load_published
-from diffdrive_mpc.bench.reproduce.results import Reproduction
-from diffdrive_mpc.bench.reproduce.study import load_study
+from diffdrive_mpc.bench.studies.reproduce.virtual_track import check_virtual_track
+from diffdrive_mpc.bench.studies.reproduce.published import load_published
+from diffdrive_mpc.bench.studies.reproduce.results import Reproduction
+from diffdrive_mpc.bench.studies.reproduce.settings import load_study
 
 NAMES = ("circle", "square", "s", "cane")
 META = {

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import TwistStamped
 
-from diffdrive_mpc.bench.case import Case, build
-from diffdrive_mpc.bench.ros.loop_timing import loop_timing
-from diffdrive_mpc.bench.ros.recorded_drive import read_drive
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.controllers import build
+from diffdrive_mpc.bench.studies.ros.loop_timing import loop_timing
+from diffdrive_mpc.bench.studies.ros.recorded_drive import read_drive
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Stamped
 from diffdrive_mpc.sim import simulate

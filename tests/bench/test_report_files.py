@@ -12,16 +12,16 @@ import pytest
 from bench_parts import quick_outcome
 
 from diffdrive_mpc.bench.atomic import staged
-from diffdrive_mpc.bench.compare import incomplete
-from diffdrive_mpc.bench.experiment import default_experiment
-from diffdrive_mpc.bench.figures.case import draw_case
-from diffdrive_mpc.bench.figures.draw import count_figures, draw_all, file_name, free_name
-from diffdrive_mpc.bench.groups import groups
+from diffdrive_mpc.bench.studies.comparison.study import incomplete
+from diffdrive_mpc.bench.studies.comparison.plan import default_experiment
+from diffdrive_mpc.bench.studies.comparison.case_figure import draw_case
+from diffdrive_mpc.bench.studies.comparison.figures import count_figures, draw_all, file_name, free_name
+from diffdrive_mpc.bench.outcomes import groups
 from diffdrive_mpc.bench.report import markdown, write_report
-from diffdrive_mpc.bench.results import Results, describe, row
+from diffdrive_mpc.bench.studies.comparison.results import Results, describe, row
 from diffdrive_mpc.bench.runner import Outcome
 from diffdrive_mpc.bench.table import Table
-from diffdrive_mpc.bench.tables import error_table, horizon_table, report_tables, scenario_table, summary_table
+from diffdrive_mpc.bench.studies.comparison.tables import error_table, horizon_table, report_tables, scenario_table, summary_table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_config
 

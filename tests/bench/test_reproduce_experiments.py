@@ -10,16 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from diffdrive_mpc.bench.reproduce.experiments.cost import measure_cost
-from diffdrive_mpc.bench.reproduce.experiments.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, compare_mbm_and_sm
-from diffdrive_mpc.bench.reproduce.experiments.odometry import Spread, dead_reckon, pose_error
-from diffdrive_mpc.bench.reproduce.experiments.robot_logs import RobotLogs, trajectory_commands
-from diffdrive_mpc.bench.reproduce.experiments.state_space import IDENTIFIED, PRINTED, compare_orders
-from diffdrive_mpc.bench.reproduce.experiments.virtual_track import check_virtual_track, fit_line
-from diffdrive_mpc.bench.reproduce.published import load_published
-from diffdrive_mpc.bench.reproduce.results import plain
-from diffdrive_mpc.bench.reproduce.runner import count_steps, run_parts
-from diffdrive_mpc.bench.reproduce.study import CostStudy, MbmSmStudy, SsmStudy, load_study
+from diffdrive_mpc.bench.studies.reproduce.cost import measure_cost
+from diffdrive_mpc.bench.studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, compare_mbm_and_sm
+from diffdrive_mpc.bench.studies.reproduce.drives import Spread, dead_reckon, pose_error
+from diffdrive_mpc.bench.studies.reproduce.experiments.robot_logs import RobotLogs, trajectory_commands
+from diffdrive_mpc.bench.studies.reproduce.state_space import IDENTIFIED, PRINTED, compare_orders
+from diffdrive_mpc.bench.studies.reproduce.virtual_track import check_virtual_track, fit_line
+from diffdrive_mpc.bench.studies.reproduce.published import load_published
+from diffdrive_mpc.bench.studies.reproduce.results import plain
+from diffdrive_mpc.bench.studies.reproduce.runner import count_steps, run_parts
+from diffdrive_mpc.bench.studies.reproduce.settings import CostStudy, MbmSmStudy, SsmStudy, load_study
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc import load_trajectory

@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.documents import REPRODUCE, study_sections
-from diffdrive_mpc.bench.reproduce.report import write_report
-from diffdrive_mpc.bench.reproduce.tables import report_tables
+from diffdrive_mpc.bench.studies.reproduce.report import write_report
+from diffdrive_mpc.bench.studies.reproduce.tables import report_tables
 
 runner = CliRunner()
 FIGURES = ("odometry.png", "orders.png", "virtual-track.png")

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc.bench.speed.outcome.record import Measured, Missing, Record, growth_exponent, time_statistics
-from diffdrive_mpc.bench.speed.outcome.report import write_report
-from diffdrive_mpc.bench.speed.outcome.results import SpeedResults
-from diffdrive_mpc.bench.speed.outcome.tables import speed_tables
+from diffdrive_mpc.bench.studies.speed.outcome.record import Measured, Missing, Record, growth_exponent, time_statistics
+from diffdrive_mpc.bench.studies.speed.outcome.report import write_report
+from diffdrive_mpc.bench.studies.speed.results import SpeedResults
+from diffdrive_mpc.bench.studies.speed.tables import speed_tables
 
 META = {
     "version": "1",

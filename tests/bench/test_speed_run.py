@@ -6,9 +6,9 @@ import pytest
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.speed.command import run_speed
-from diffdrive_mpc.bench.speed.process.subject import Subject, SubjectError
-from diffdrive_mpc.bench.speed.settings import SubjectSettings, chosen, load_speed_settings
+from diffdrive_mpc.bench.studies.speed.study import run_speed
+from diffdrive_mpc.bench.studies.speed.process.subject import Subject, SubjectError
+from diffdrive_mpc.bench.studies.speed.settings import SubjectSettings, chosen, load_speed_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
 

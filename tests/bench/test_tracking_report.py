@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.documents import TRACKING, copy_study, study_sections, with_study
-from diffdrive_mpc.bench.tracking.plan import plan_study
-from diffdrive_mpc.bench.tracking.report import write_report
-from diffdrive_mpc.bench.tracking.results import collect
-from diffdrive_mpc.bench.tracking.tables import study_tables
+from diffdrive_mpc.bench.studies.tracking.plan import plan_study
+from diffdrive_mpc.bench.studies.tracking.report import write_report
+from diffdrive_mpc.bench.studies.tracking.results import collect
+from diffdrive_mpc.bench.studies.tracking.tables import study_tables
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
 runner = CliRunner()

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from tracking_parts import case, row
 
 from diffdrive_mpc.bench.peers.kanayama import KanayamaController
-from diffdrive_mpc.bench.tracking.decomposition import decompose
-from diffdrive_mpc.bench.tracking.row import Recovered, reduce_run
+from diffdrive_mpc.bench.studies.tracking.decomposition import decompose
+from diffdrive_mpc.bench.studies.tracking.outcome import Recovered, reduce_run
 from diffdrive_mpc.sim import simulate
 
 

@@ -8,12 +8,12 @@ from dataclasses import replace
 import pytest
 from tracking_parts import row
 
-from diffdrive_mpc.bench.tracking.plan import plan_study
-from diffdrive_mpc.bench.tracking.row import Recovered
-from diffdrive_mpc.bench.tracking.study import load_study
-from diffdrive_mpc.bench.tracking.tables import target_table
-from diffdrive_mpc.bench.tracking.targets import load_targets
-from diffdrive_mpc.bench.tracking.verdicts import judge, worst_arc
+from diffdrive_mpc.bench.studies.tracking.plan import plan_study
+from diffdrive_mpc.bench.studies.tracking.outcome import Recovered
+from diffdrive_mpc.bench.studies.tracking.settings import load_study
+from diffdrive_mpc.bench.studies.tracking.tables import target_table
+from diffdrive_mpc.bench.studies.tracking.targets import load_targets
+from diffdrive_mpc.bench.studies.tracking.verdicts import judge, worst_arc
 
 STUDY = load_study(quick=True)
 CASES = plan_study(STUDY, ["targets"]).all

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.tracking.plan import BOUND, plan_study
-from diffdrive_mpc.bench.tracking.results import StudyResults, collect
-from diffdrive_mpc.bench.tracking.row import Recovered, Row
-from diffdrive_mpc.bench.tracking.study import PARTS, Study, load_study
+from diffdrive_mpc.bench.studies.tracking.plan import BOUND, plan_study
+from diffdrive_mpc.bench.studies.tracking.results import StudyResults, collect
+from diffdrive_mpc.bench.studies.tracking.outcome import Recovered, Row
+from diffdrive_mpc.bench.studies.tracking.settings import PARTS, Study, load_study
 from diffdrive_mpc.sim import Metrics
 
 TINY = """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from diffdrive_mpc.bench.figures.style import colour, line_style, new_figure
+from diffdrive_mpc.bench.figure_style import colour, line_style, new_figure
 from diffdrive_mpc.bench.identification.outcome import Outcome
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive_mpc.bench.figures.style import REFERENCE_COLOUR, colour, line_style, new_figure
+from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
 from diffdrive_mpc.bench.identification.outcome import Outcome
 from diffdrive_mpc.bench.identification.settings import report_settings
 from diffdrive_mpc.models.identification.estimate import Estimate

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from matplotlib.ticker import MaxNLocator
 
-from diffdrive_mpc.bench.figures.style import REFERENCE_COLOUR, colour, line_style, new_figure
+from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
 from diffdrive_mpc.bench.identification.outcome import Outcome
 from diffdrive_mpc.models.velocity_model import CHANNELS
 

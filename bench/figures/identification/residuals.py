@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive_mpc.bench.figures.style import REFERENCE_COLOUR, colour, new_figure
+from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, new_figure
 from diffdrive_mpc.bench.identification.outcome import Outcome
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
