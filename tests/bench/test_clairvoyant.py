@@ -9,7 +9,7 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import make_controller
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.peers.clairvoyant import ClairvoyantController
-from diffdrive_mpc.bench.peers.clairvoyant import load_clairvoyant_settings
+from diffdrive_mpc.bench.peers.clairvoyant_program import load_clairvoyant_settings
 from diffdrive_mpc.bench.peers.known_plant import know_plant
 from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.mpc import load_config, load_trajectory

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from bench_parts import quick_case
 
-from diffdrive_mpc.bench.case import DIMENSIONS, HORIZONS, label
+from diffdrive_mpc.bench.case import DIMENSIONS, label
 from diffdrive_mpc.bench.studies.comparison.plan import (
     ComparisonSettings,
     default_settings,
