@@ -11,7 +11,7 @@ from reproduce_parts import made_up, report_of, write_made_up
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.documents import REPRODUCE, study_sections
+from diffdrive_mpc.bench.documents import REPRODUCE, sections
 
 runner = CliRunner()
 FIGURES = ("odometry.png", "orders.png", "virtual-track.png")
@@ -73,7 +73,7 @@ def test_the_same_results_give_the_same_files(report: Path, tmp_path: Path):
 
 
 def test_every_table_and_figure_has_its_place_on_the_page(report: Path):
-    parts = study_sections(REPRODUCE, (report / "reproduce.md").read_text())
+    parts = sections(REPRODUCE, (report / "reproduce.md").read_text())
     page = (Path(__file__).parents[2] / "docs" / "reproduce.md").read_text(encoding="utf-8")
     for name in parts:
         assert f"<!-- {name}:begin -->" in page

@@ -11,7 +11,7 @@ from tracking_parts import made_up, row, tiny_study, write_made_up
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.documents import TRACKING, copy_study, study_sections, with_study
+from diffdrive_mpc.bench.documents import TRACKING, copy_report, sections, with_report
 from diffdrive_mpc.bench.studies.tracking.outcome import collect
 from diffdrive_mpc.bench.studies.tracking.plan import plan_study
 from diffdrive_mpc.bench.studies.tracking.tables import study_tables
@@ -112,14 +112,14 @@ after
 
 
 def test_the_page_shows_every_part_of_the_report_between_its_markers(report: Path, tmp_path: Path):
-    copy_study(TRACKING, report, tmp_path / "tracking")
+    copy_report(TRACKING, report, tmp_path / "tracking")
     text = (tmp_path / "tracking" / "tracking.md").read_text()
-    page = with_study(TRACKING, PAGE, text)
+    page = with_report(TRACKING, PAGE, text)
     assert "![ablation](tracking/ablation.png)" in page
     assert "| SM | 8.0* | 8.0 |" in page
     assert "old" not in page
     assert "\nbetween\n" in page and page.endswith("\nafter\n")
-    assert with_study(TRACKING, page, text) == page
+    assert with_report(TRACKING, page, text) == page
     assert {path.name for path in (tmp_path / "tracking").iterdir()} == {
         "tracking.md",
         "ablation.png",
@@ -128,22 +128,22 @@ def test_the_page_shows_every_part_of_the_report_between_its_markers(report: Pat
 
 
 def test_parts_that_were_not_run_say_so_and_their_figures_go(report: Path, tmp_path: Path):
-    copy_study(TRACKING, report, tmp_path / "tracking")
+    copy_report(TRACKING, report, tmp_path / "tracking")
     results = made_up()
     part = replace(results, parts={"bound": results.parts["bound"]})
     (tmp_path / "out").mkdir()
     write_made_up(part, tmp_path / "out")
-    copy_study(TRACKING, tmp_path / "out", tmp_path / "tracking")
+    copy_report(TRACKING, tmp_path / "out", tmp_path / "tracking")
     text = (tmp_path / "tracking" / "tracking.md").read_text()
-    assert set(study_sections(TRACKING, text)) == {"tracking-runs", "tracking-bound"}
-    page = with_study(TRACKING, PAGE, text)
+    assert set(sections(TRACKING, text)) == {"tracking-runs", "tracking-bound"}
+    page = with_report(TRACKING, PAGE, text)
     assert page.count("This part was not run.") == 2
     assert [path.name for path in (tmp_path / "tracking").iterdir()] == ["tracking.md"]
 
 
 def test_without_a_report_nothing_is_copied(tmp_path: Path):
     with pytest.raises(ConfigError, match="run `make tracking` first"):
-        copy_study(TRACKING, tmp_path, tmp_path / "docs")
+        copy_report(TRACKING, tmp_path, tmp_path / "docs")
 
 
 def test_the_command_drives_a_small_study_and_writes_its_report(tmp_path: Path):
