@@ -24,7 +24,7 @@ BOUND = 120.0
 
 
 def case(trajectory):
-    return Case("mpc", "ssm", trajectory, "mujoco", "default", "default", 0)
+    return Case(trajectory=trajectory)
 
 
 @pytest.fixture(scope="module", params=["circle", "s"])
@@ -58,7 +58,7 @@ def test_commands_are_those_in_one_process_but_for_what_messages_leave_out(compa
 
 
 def test_a_process_that_fails_is_named_with_its_words(tmp_path):
-    bad = Case("mpc", "ssm", "circle", "mujoco", "ice", "default", 0)
+    bad = Case(surface="ice")
     with pytest.raises(DriveFailedError, match="robot: ended with code 2; it said: error: unknown surface 'ice'"):
         drive_over_dds(bad, 1.0, tmp_path / "bag", lock_step=True, timeout=BOUND)
 

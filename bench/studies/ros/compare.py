@@ -19,8 +19,7 @@ from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.bench.documents import insert
 from diffdrive_mpc.bench.machine import describe_machine
 from diffdrive_mpc.bench.progress import output_console
-from diffdrive_mpc.bench.studies.ros.loop_timing import LoopTiming, loop_timing
-from diffdrive_mpc.bench.studies.ros.recorded_drive import read_drive
+from diffdrive_mpc.bench.studies.ros.recorded_drive import LoopTiming, loop_timing, read_drive
 from diffdrive_mpc.bench.studies.ros.two_processes import drive_over_dds
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.sim import Run, simulate

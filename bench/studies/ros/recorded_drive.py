@@ -1,18 +1,23 @@
-"""A bag of the simulated robot as a run: the same statistics as those of the simulation in one process."""
+"""A bag of the simulated robot: the drive as a run with the usual statistics, and the timing of the loop."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.models.logs.bags.bag_messages import COMMANDS, POSES, Reading
+from diffdrive_mpc.models.logs.bags.bag_messages import COMMANDS, ODOMETRY, POSES, Reading
 from diffdrive_mpc.models.logs.bags.bag_topics import TopicRows, opened, read_topic
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.run import TIME_TOLERANCE
+
+# A command later than this share of the sample time after the one before leaves a sample of the robot without news.
+_MISSED = 1.5
 
 
 def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
@@ -88,3 +93,68 @@ def _held(commands: TopicRows, ticks: FloatArray) -> FloatArray:
 def _body_twist(message: Any) -> Reading:  # noqa: ANN401 - the types are made by rosbags
     twist = message.twist
     return float(twist.linear.x), float(twist.linear.y), float(twist.angular.z)
+
+
+@dataclass(frozen=True)
+class Percentiles:
+    """Median, 99th percentile and largest of some times [s]."""
+
+    p50: float
+    p99: float
+    max: float
+
+
+@dataclass(frozen=True)
+class LoopTiming:
+    """Times of one drive.
+
+    Attributes
+    ----------
+    commands
+        Number of commands.
+    period
+        From one command's stamp to the next.
+    jitter
+        By how much a period differs from the sample time, either way.
+    latency
+        From the stamp of the newest odometry at hand to the receipt of the command at the robot.
+    misses
+        Periods longer than one and a half sample times.
+    """
+
+    commands: int
+    period: Percentiles
+    jitter: Percentiles
+    latency: Percentiles
+    misses: int
+
+
+def loop_timing(bag: Path, sample_time: float) -> LoopTiming:
+    """Times of the drive in a bag that was recorded in real time.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the bag cannot be read or has fewer than two commands after the first odometry.
+    """
+    with opened(bag) as reader:
+        commands = read_topic(reader, bag, "/cmd_vel", COMMANDS)
+        odometry = read_topic(reader, bag, "/odom", ODOMETRY)
+    times = command_times(commands)
+    newest = np.searchsorted(odometry.stamped, times, side="right") - 1
+    counted = newest >= 0
+    if np.count_nonzero(counted) < 2:
+        raise ConfigError(f"{bag}: fewer than two commands after the first odometry; record a drive")
+    periods = 1e-9 * np.diff(times[counted])
+    latency = 1e-9 * (commands.received - odometry.stamped[newest])[counted]
+    misses = int(np.count_nonzero(periods > _MISSED * sample_time))
+    jitter = np.abs(periods - sample_time)
+    return LoopTiming(
+        int(np.count_nonzero(counted)), _percentiles(periods), _percentiles(jitter), _percentiles(latency), misses
+    )
+
+
+def _percentiles(times: ArrayLike) -> Percentiles:
+    values = np.asarray(times, dtype=float)
+    p50, p99 = np.percentile(values, [50, 99])
+    return Percentiles(float(p50), float(p99), float(values.max()))
