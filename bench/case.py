@@ -7,7 +7,7 @@ and the introduction of a report follow from them; docs/recipes/dimension.md sho
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -163,9 +163,9 @@ class Case:
         """Value of each dimension for tables and files; of a path only the stem, which says nothing of the machine."""
         return {one.name: label(getattr(self, one.name)) for one in DIMENSIONS}
 
-    def as_row(self, *, silent: bool = True) -> dict[str, object]:
-        """Value of each dimension for JSON; without `silent`, those dimensions are left out that may be."""
-        values = {one.name: getattr(self, one.name) for one in DIMENSIONS if silent or not one.silent}
+    def as_row(self, leave_out: Container[str] = ()) -> dict[str, object]:
+        """Value of each dimension for JSON, but of those whose names are in `leave_out`."""
+        values = {one.name: getattr(self, one.name) for one in DIMENSIONS if one.name not in leave_out}
         return {name: label(value) if isinstance(value, str) else value for name, value in values.items()}
 
     def with_override(self, key: str, value: object) -> Case:

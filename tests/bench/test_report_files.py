@@ -94,7 +94,7 @@ def text_of(results: ComparisonResults) -> str:
 
 
 def test_a_row_has_exactly_the_published_fields(outcome: Outcome) -> None:
-    values = row(outcome)
+    values = row(outcome, ["scenario"])
     assert list(values) == list(FIELDS)
     for name, kind in FIELDS.items():
         assert type(values[name]) is kind, name
@@ -104,18 +104,18 @@ def test_a_row_has_exactly_the_published_fields(outcome: Outcome) -> None:
 
 def test_a_swept_value_is_added_to_its_row(outcome: Outcome) -> None:
     case = outcome.case.with_override("weights.across", 200.0)
-    assert row(Outcome(case, outcome.run), with_settings=True)["set"] == {"weights.across": 200.0}
+    assert row(Outcome(case, outcome.run), ["scenario"], with_settings=True)["set"] == {"weights.across": 200.0}
 
 
 def test_a_scenario_is_added_to_its_row_only_where_scenarios_were_asked_for(outcome: Outcome) -> None:
-    added = [name for name in row(outcome, with_scenario=True) if name not in FIELDS]
+    added = [name for name in row(outcome, silent=()) if name not in FIELDS]
     recovery = ["recovery_time_s", "overshoot_m", "command_energy_v", "command_energy_omega"]
     assert added == ["scenario", "ended", "disturbance_s", *recovery]
 
 
 def test_what_lasts_has_no_end_and_no_recovery_in_its_row(outcome: Outcome) -> None:
     lasting = replace(outcome.run, disturbance=(0.0, math.inf))
-    values = row(Outcome(outcome.case, lasting), with_scenario=True)
+    values = row(Outcome(outcome.case, lasting), silent=())
     assert values["disturbance_s"] == [0.0, None]
     assert (values["recovery_time_s"], values["ended"]) == (None, None)
     assert values["overshoot_m"] == 0.0
@@ -140,7 +140,7 @@ def test_scenarios_stand_in_table_and_groups_and_a_run_that_never_recovers_has_n
 def test_what_cannot_be_computed_is_null(outcome: Outcome) -> None:
     broken = outcome.run.true_pose.copy()
     broken[5] = np.nan
-    values = row(Outcome(outcome.case, replace(outcome.run, true_pose=broken)))
+    values = row(Outcome(outcome.case, replace(outcome.run, true_pose=broken)), ["scenario"])
     assert values["position_rmse_m"] is None
     assert values["completed"] is False
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -42,35 +43,35 @@ class ComparisonResults:
         return tuple({outcome.case: outcome for outcome in (*self.main, *self.horizon)}.values())
 
     @property
-    def disturbed(self) -> bool:
-        """Whether anything happened to the robot."""
-        return self.settings.values("scenarios") != (NO_SCENARIO,)
+    def silent(self) -> list[str]:
+        """Dimensions that nobody asked for, and that are left out for it."""
+        return [one.name for one in DIMENSIONS if one.silent and self.settings.values(one.several) == (one.default,)]
 
     def rows(self) -> list[dict[str, object]]:
         """Every run as plain values; what could not be computed is None."""
         swept = any(self.settings.settings)
-        return [row(outcome, with_settings=swept, with_scenario=self.disturbed) for outcome in self.all]
+        return [row(outcome, self.silent, with_settings=swept) for outcome in self.all]
 
 
-def row(outcome: Outcome, *, with_settings: bool = False, with_scenario: bool = False) -> dict[str, object]:
+def row(outcome: Outcome, silent: Container[str], *, with_settings: bool = False) -> dict[str, object]:
     """One run as plain values.
 
     Parameters
     ----------
     outcome
         The run.
+    silent
+        Dimensions to leave out. Unless "scenario" is one of them, there are also the reason why the run ended before
+        its time, begin and end of the disturbance [s] and the figures of the recovery from it.
     with_settings
         Add the swept configuration values under "set".
-    with_scenario
-        Add the scenario's name, why the run ended before its time, begin and end of the disturbance [s] and the
-        figures of the recovery from it.
     """
     case, run = outcome.case, outcome.run
-    values = case.as_row(silent=False) | {"horizon": case.horizon} | metrics_row(outcome)
+    values = case.as_row(silent) | {"horizon": case.horizon} | metrics_row(outcome)
     if with_settings:
         values["set"] = dict(case.overrides)
-    if with_scenario:
-        values |= case.as_row() | {"ended": run.ended or None, "disturbance_s": run.disturbance} | asdict(run.recovery)
+    if "scenario" not in silent:
+        values |= {"ended": run.ended or None, "disturbance_s": run.disturbance} | asdict(run.recovery)
     row: dict[str, object] = plain(values)
     return row
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from diffdrive_mpc.bench.case import DIMENSIONS, Dimension
+from diffdrive_mpc.bench.case import DIMENSIONS
 from diffdrive_mpc.bench.outcomes import STATISTICS, run_cases
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.studies.comparison.plan import CasePlan, ComparisonSettings, plan_cases
@@ -45,14 +45,19 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         """The overview above the tables, the runs of the first seed one by one below."""
         from diffdrive_mpc.bench.studies.comparison.figures import drawings  # noqa: PLC0415 - matplotlib loads slowly
 
-        asked = [self._asked(one) for one in DIMENSIONS if one.place or one.name == "seed"]
+        shown = [one for one in DIMENSIONS if (one.place or one.name == "seed") and one.name not in results.silent]
+        asked = [
+            f"{one.name if one.place and len(values) == 1 else one.several} {', '.join(map(str, values))}"
+            for one in shown
+            if (values := labelled(self.settings, one.several))
+        ]
         chosen = chosen_configuration(self.settings)
         return Report(
             counted=f"{len(results.all)} runs",
             meta=describe(self.settings, results.cpu_share),
             content={"runs": results.rows()},
             facts=[
-                f"{len(results.all)} runs in {seconds} s; {', '.join(filter(None, asked))}.",
+                f"{len(results.all)} runs in {seconds} s; {', '.join(asked)}.",
                 *([f"Configuration: {chosen}."] if chosen else []),
             ],
             notes=[
@@ -63,10 +68,3 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
             figures=drawings(results),
             figures_first=1,
         )
-
-    def _asked(self, of: Dimension) -> str:
-        """A dimension with its values; empty where it is silent."""
-        values = labelled(self.settings, of.several)
-        if of.silent and values == [of.default]:
-            return ""
-        return f"{of.name if of.place and len(values) == 1 else of.several} {', '.join(map(str, values))}"

@@ -35,7 +35,7 @@ _TRACKING = {
 def report_tables(results: ComparisonResults) -> list[Table]:
     """Every table of a report, in order; those of horizons and scenarios only where there are any."""
     tables = [make(results.main) for make in (summary_table, error_table, path_table, time_table)]
-    if results.disturbed:
+    if "scenario" not in results.silent:
         tables.append(scenario_table(results.main))
     return tables + ([horizon_table(results.horizon)] if results.horizon else [])
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from diffdrive_mpc.bench.case import NO_MODEL, Case, Overrides, combinations
+from diffdrive_mpc.bench.case import DIMENSIONS, NO_MODEL, NO_SCENARIO, Case, Overrides, combinations
 from diffdrive_mpc.bench.controllers import check_cases
-from diffdrive_mpc.bench.studies.tracking.settings import PARTS, Names, TrackingSettings
+from diffdrive_mpc.bench.studies.tracking.settings import PARTS, TrackingSettings
 from diffdrive_mpc.bench.study import check_parts
+from diffdrive_mpc.models.checked_yaml import StrictModel
 
 BOUND = "clairvoyant"
 """Name of the controller that is the bound; it is no peer to choose on the command line."""
@@ -38,12 +39,12 @@ def plan_study(study: TrackingSettings, only: Sequence[str] = PARTS) -> Tracking
         If there is no such part.
     """
     check_parts(only, PARTS)
-    makers = {
+    makers: dict[str, Callable[[TrackingSettings], list[Case]]] = {
         "targets": _targets,
-        "ablation": _ablation,
+        "ablation": lambda s: _cases(s, s.ablation, overrides=variants(s)),
         "cross": _cross,
-        "surfaces": _surfaces,
-        "scenarios": _scenarios,
+        "surfaces": lambda s: _cases(s, s.surfaces),
+        "scenarios": lambda s: _cases(s, s.scenarios, scenario=s.scenarios.names),
         "bound": _bound,
     }
     return TrackingPlan({name: tuple(makers[name](study)) for name in PARTS if name in only})
@@ -64,39 +65,25 @@ def variants(study: TrackingSettings) -> dict[Overrides, str]:
     return {overrides_of(values): name for name, values in study.ablation.variants.items()}
 
 
-def _cases(models: Names, trajectories: Names, seeds: Sequence[int], **places: Iterable[object]) -> list[Case]:
-    """Every combination, trajectories and seeds varying fastest; a place that is not named is the default one."""
-    first = {name: places.pop(name) for name in ("scenario", "overrides") if name in places}
-    return combinations(**first, model=models, **places, trajectory=trajectories, seed=seeds)
+def _cases(study: TrackingSettings, part: StrictModel, **more: Iterable[object]) -> list[Case]:
+    """Every combination of the dimensions that a part names, with the study's models and trajectories by default."""
+    named = {one.name: getattr(part, one.several) for one in DIMENSIONS if hasattr(part, one.several)} | more
+    slow = {name: named.pop(name) for name in ("scenario", "overrides") if name in named}
+    fast = {"trajectory": named.pop("trajectory", study.trajectories), "seed": named.pop("seed")}
+    return combinations(**slow, **{"model": study.models, **named}, **fast)
 
 
 def _targets(study: TrackingSettings) -> list[Case]:
-    asked, every = study.targets, (study.models, study.trajectories, study.targets.seeds)
+    asked = study.targets
     return [
-        *_cases(*every, surface=("default", *asked.untuned_surfaces)),
-        *_cases(*every, sensors=(asked.late_sensors,)),
-        *_cases(*every, scenario=asked.scenarios),
+        *_cases(study, asked, scenario=[NO_SCENARIO], surface=("default", *asked.untuned_surfaces)),
+        *_cases(study, asked, scenario=[NO_SCENARIO], sensors=[asked.late_sensors]),
+        *_cases(study, asked),
     ]
 
 
-def _ablation(study: TrackingSettings) -> list[Case]:
-    part = study.ablation
-    return _cases(part.models, study.trajectories, part.seeds, overrides=variants(study), surface=part.surfaces)
-
-
 def _cross(study: TrackingSettings) -> list[Case]:
-    plants = [f"model:{name}" for name in study.cross.plants]
-    return _cases(study.models, study.trajectories, study.cross.seeds, plant=plants)
-
-
-def _surfaces(study: TrackingSettings) -> list[Case]:
-    part = study.surfaces
-    return _cases(study.models, study.trajectories, part.seeds, surface=part.surfaces, sensors=part.sensors)
-
-
-def _scenarios(study: TrackingSettings) -> list[Case]:
-    part = study.scenarios
-    return _cases(study.models, part.trajectories, part.seeds, scenario=part.names)
+    return _cases(study, study.cross, plant=[f"model:{name}" for name in study.cross.plants])
 
 
 def _bound(study: TrackingSettings) -> list[Case]:
