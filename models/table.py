@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self, TypeVar
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,31 @@ class Table:
         for row in self.rows:
             if len(row) != len(self.columns):
                 raise ValueError(f"table '{self.title}': {len(row)} cells for {len(self.columns)} columns")
+
+    @classmethod
+    def of(
+        cls,
+        title: str,
+        names: tuple[str, ...],
+        columns: Mapping[str, Callable[[T], str]],
+        entries: Iterable[tuple[tuple[str, ...], T]],
+        note: str = "",
+    ) -> Self:
+        """A table of `entries`, each the names on its left and what its cells are made of.
+
+        Parameters
+        ----------
+        title, note
+            Of the table.
+        names
+            Headings of the columns that hold names.
+        columns
+            By the heading of a column, what gives its cells.
+        entries
+            One for each row.
+        """
+        rows = tuple((*left, *(cell(right) for cell in columns.values())) for left, right in entries)
+        return cls(title, (*names, *columns), rows, len(names), note)
 
     def __str__(self) -> str:
         """Title, headings, rows and note."""

@@ -259,12 +259,16 @@ class Controller:
         moved = not on_time and bool(tick.lib.ddmpc_is_new_tick(self._c, t))
         given.reference_time = pursuit.advance(since_start) if moved else since_start
         given.on_time = on_time
+        entered = time.perf_counter()
         pending = self._step(self._c, t, given)
+        core_time = time.perf_counter() - entered
         message = ""
         if pending == _NEEDS_TARGET:
             if not moved:
                 given.reference_time = pursuit.advance(since_start)
+            entered = time.perf_counter()
             pending, message = self._choose_target(since_start, given.reference_time)
+            core_time += time.perf_counter() - entered
         elif on_time:
             c = self._c_result
             if not c.reasons & self._words.not_a_new_tick:
@@ -272,8 +276,12 @@ class Controller:
                 pursuit.passed(since_start, followed=pending == _NEEDS_BACKEND or c.solver.status != self._not_run)
         elif moved:
             self._blocked_for = 0.0
-        refused = pending == _NEEDS_BACKEND and self._ask_backend()
-        return self._build(hold, message, started, refused=refused)
+        refused = False
+        if pending == _NEEDS_BACKEND:
+            entered = time.perf_counter()
+            refused = self._ask_backend()
+            core_time += time.perf_counter() - entered
+        return self._build(hold, message, (started, core_time), refused=refused)
 
     def _apply_pending(self, prepared: _Prepared) -> None:
         self._config, self._backend, self._pending = prepared.config, prepared.backend, None
@@ -315,7 +323,7 @@ class Controller:
         tick.lib.ddmpc_answer(self._c, *at, ffi.new("ddmpc_report *", answer))
         return refused
 
-    def _build(self, hold: Hold | None, message: str, started: float, *, refused: bool) -> StepResult:
+    def _build(self, hold: Hold | None, message: str, times: tuple[float, float], *, refused: bool) -> StepResult:
         """The result in C as arrays and words."""
         c, pursuit = self._c_result, self._pursuit
         layout = self._tick.layout
@@ -341,7 +349,8 @@ class Controller:
             pursuit.delay,
             Estimate(layout, block, c.estimate.time) if c.has_estimate else None,
             self._blocked_for,
-            time.perf_counter() - started,
+            time.perf_counter() - times[0],
+            times[1],
             (layout, block) if c.has_plan else None,
         )
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.commands.out_folder import out_folder
+from diffdrive_mpc.bench.commands.options import out_folder
 
 EXAMPLE = "Example: diffdrive-mpc identify drive.csv --structure sm --out my_robot"
 _DEFAULT_OUT = "identified"

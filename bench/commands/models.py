@@ -43,8 +43,7 @@ def fit(
     ] = None,
 ) -> None:
     """Identify MBM and SM again, from the papers' experiments run on the simulated robot."""
-    from diffdrive_mpc.bench.console import output_console  # noqa: PLC0415
-    from diffdrive_mpc.bench.progress import ProgressBar  # noqa: PLC0415
+    from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from diffdrive_mpc.bench.studies.identification.model_fitting import fit_models  # noqa: PLC0415
     from diffdrive_mpc.models.load import PARAMETERS  # noqa: PLC0415
 
@@ -65,8 +64,7 @@ def calibrate(
 ) -> None:
     """Fit the simulated robot's firmware so that the published SSM predicts what it measures."""
     from diffdrive_mpc.bench.calibration_report import calibration_table  # noqa: PLC0415
-    from diffdrive_mpc.bench.console import output_console  # noqa: PLC0415
-    from diffdrive_mpc.bench.progress import ProgressBar  # noqa: PLC0415
+    from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.calibration import calibrate as fit_firmware  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.twin_parameters import FIRMWARE_FILE, load_firmware  # noqa: PLC0415
 
@@ -85,8 +83,7 @@ def truths(
     quick: Annotated[bool, typer.Option("--quick", help="Five models instead of all of the study.")] = False,
 ) -> None:
     """Identify random models whose truth is known, and count how often it lies in the stated intervals."""
-    from diffdrive_mpc.bench.console import output_console  # noqa: PLC0415
-    from diffdrive_mpc.bench.progress import ProgressBar  # noqa: PLC0415
+    from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from diffdrive_mpc.bench.studies.identification.known_truths import coverage_table, recover_all  # noqa: PLC0415
 
     with ProgressBar("known truths (a few seconds each)") as bar:

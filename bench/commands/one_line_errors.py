@@ -8,6 +8,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from diffdrive_mpc.bench.errors import StudyFailedError
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 
 BAD_INPUT = 2
@@ -42,6 +43,9 @@ class OneLineErrors(TyperGroup):
             code = super().main(*args, **kwargs)
         except typer.Abort:
             code = INTERRUPTED  # how older versions of typer pass on Ctrl-C; newer ones return the exit code
+        except StudyFailedError as error:
+            _complain(str(error))
+            sys.exit(FAILED)
         except ModuleNotFoundError as error:
             if error.name not in OPTIONAL_PACKAGES:
                 raise

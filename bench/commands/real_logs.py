@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.commands.out_folder import out_folder
+from diffdrive_mpc.bench.commands.options import out_folder
 
 EXAMPLE = "Example: diffdrive-mpc real-logs husky --data logs --out husky"
 

@@ -101,7 +101,7 @@ def _to_disk(path: Path) -> None:
 
 def _folders() -> Iterator[Path]:
     """Folders for libraries that nobody else can write to, best first: the user's, then private ones."""
-    for folder in (_user_folder, _shared_private_folder):
+    for folder in (user_folder, _shared_private_folder):
         try:
             path = folder()
             path.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -110,12 +110,12 @@ def _folders() -> Iterator[Path]:
             reason = getattr(error, "strerror", None) or str(error)
         if reason is None:
             yield path
-        elif folder is _user_folder:
+        elif folder is user_folder:
             _log.warning("no compiled library is kept in the cache folder (%s); see %s", reason, CACHE_VARIABLE)
     yield _process_folder()
 
 
-def _user_folder() -> Path:
+def user_folder() -> Path:
     """The folder that is named, or the user's cache. RuntimeError: there is no home folder."""
     named = os.environ.get(CACHE_VARIABLE)
     if named:

@@ -319,6 +319,10 @@ typedef struct {
     const real *guess; /* [2*N] */
     const real *multipliers; /* [4+K][N] near the solution */
     const int *pressing;     /* [4+K] kinds that pressed at the last tick, or that the minimiser without limits breaks */
+    const real *last_command; /* [2] */
+    const real *aim;          /* [N+1][4] */
+    const real *feed_forward; /* [N][2] */
+    const real *soft_value;   /* [K][N] of what has soft limits, if the plan were zero: bounds are less this */
 } ddmpc_program;
 ddmpc_program ddmpc_program_of(const ddmpc_controller *controller);
 /* The rows (N, 2 N) of one kind of soft limit, of kind 4 on. */

@@ -135,7 +135,8 @@ void ddmpc_soft_rows(const ddmpc_controller *c, int kind, real *rows)
 ddmpc_program ddmpc_program_of(const ddmpc_controller *c)
 {
     const ddmpc_problem *p = &c->problem;
-    const ddmpc_program program = {p->H, p->g, p->lower, p->upper, p->guess, p->multipliers, p->pressing};
+    const ddmpc_program program = {p->H, p->g, p->lower, p->upper, p->guess, p->multipliers, p->pressing,
+                                   p->last, p->aim, p->feed_forward, p->soft_value};
     return program;
 }
 

@@ -37,6 +37,9 @@ class Program:
         (2 N,) a plan near the solution.
     multipliers
         (kinds, N) of the limits near the solution: positive at upper bounds, negative at lower ones, else zero.
+    last_command, aim, feed_forward
+        (2,) the command that the first increment counts from; (N + 1, 4) poses to aim at and headings to hold; (N, 2)
+        commands from which deviations are penalised.
     kinds
         The kinds that pressed last, or that the minimiser without limits breaks.
     """
@@ -47,12 +50,19 @@ class Program:
         self.H, self.g = tick.view(c.H, (n, n)), tick.view(c.g, (n,))
         self.lower, self.upper = tick.view(c.lower, (kinds, steps)), tick.view(c.upper, (kinds, steps))
         self.guess, self.multipliers = tick.view(c.guess, (n,)), tick.view(c.multipliers, (kinds, steps))
-        self._pressing = c.pressing
+        self.last_command, self.aim = tick.view(c.last_command, (2,)), tick.view(c.aim, (steps + 1, 4))
+        self.feed_forward = tick.view(c.feed_forward, (steps, 2))
+        self._soft_value, self._pressing = tick.view(c.soft_value, (kinds - HARD, steps)), c.pressing
 
     @property
     def kinds(self) -> Kinds:
         """See the class."""
         return tuple(kind for kind in range(self._count) if self._pressing[kind])
+
+    @property
+    def soft_limits(self) -> FloatArray:
+        """(kinds - 4,) upper limits of the soft kinds at this tick, in their own units."""
+        return self.upper[HARD:, 0] + self._soft_value[:, 0]
 
     def rows(self, kind: int) -> FloatArray:
         """(N, 2 N) rows of one kind of soft limit."""

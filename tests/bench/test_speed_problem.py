@@ -9,8 +9,8 @@ from diffdrive_mpc.mpc.tick import Tick
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diffdrive_mpc.bench.speed.stage import stage_data, stage_problem
-from diffdrive_mpc.bench.speed.subjects.nlp_peer import NlpPeer
+from diffdrive_mpc.bench.studies.speed.stage import stage_data, stage_problem
+from diffdrive_mpc.bench.studies.speed.subjects.nlp_peer import NlpPeer
 from diffdrive_mpc.models import integrate_pose, load_model
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.estimation.slip import Slip

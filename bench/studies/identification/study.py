@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from diffdrive_mpc.bench.atomic import staged
-from diffdrive_mpc.bench.console import output_console
-from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.studies.identification.figures import FOLDER, draw_identification, figures_of
 from diffdrive_mpc.bench.table import rich_table
 from diffdrive_mpc.models.checked_yaml import ConfigError

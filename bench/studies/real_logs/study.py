@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from diffdrive_mpc.bench.atomic import staged
-from diffdrive_mpc.bench.console import output_console
-from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.studies.real_logs.closed_loop import TRAJECTORIES, drive, tracking_table
 from diffdrive_mpc.bench.studies.real_logs.protocol import Proof, prove
 from diffdrive_mpc.bench.studies.real_logs.robot_files import FILES, write_robot_files
