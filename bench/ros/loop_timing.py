@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.bench.ros.recorded_drive import command_times
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.logs.bag_topics import COMMANDS, ODOMETRY, opened, read_topic
+from diffdrive_mpc.models.logs.bags import COMMANDS, ODOMETRY, opened, read_topic
 
 # A command later than this share of the sample time after the one before leaves a sample of the robot without news.
 _MISSED = 1.5

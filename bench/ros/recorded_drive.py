@@ -9,7 +9,7 @@ import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.models.logs.bag_topics import COMMANDS, POSES, Reading, TopicRows, opened, read_topic
+from diffdrive_mpc.models.logs.bags import COMMANDS, POSES, Reading, TopicRows, opened, read_topic
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.run import TIME_TOLERANCE
 
