@@ -52,6 +52,7 @@ typedef struct {
     real *start;       /* (m) values at U0 */
     real *now;         /* (m) values at the plan, then by how much they exceed a limit */
     real *pivot;       /* (slots) inverses of the factor's diagonal */
+    real *side;        /* (slots) of the active rows */
     real *partial;     /* (slots) the right-hand side, half solved */
     real *wanted;      /* (slots) pressures at which the active rows are where they belong */
     real *pressure;    /* (slots) pressures that the dual method has reached */
@@ -83,7 +84,8 @@ static int set_up(work *w, const ddmpc_limited_problem *problem, const ddmpc_lim
     w->line = w->z + n;
     w->gradient = w->line + n;
     w->pivot = w->gradient + n;
-    w->partial = w->pivot + slots;
+    w->side = w->pivot + slots;
+    w->partial = w->side + slots;
     w->wanted = w->partial + slots;
     w->pressure = w->wanted + slots;
     w->step = w->pressure + slots;
@@ -134,6 +136,22 @@ static real dot(const real *restrict a, const real *restrict b, int count)
     return sum_of_lanes(sum);
 }
 
+/* row -= weight other, over LANES. */
+static inline void subtract(real *restrict row, real weight, const real *restrict other)
+{
+    /* Left as a loop it is vectorised as one. */
+#pragma GCC unroll 1
+    for (int lane = 0; lane < LANES; lane++)
+        row[lane] -= weight * other[lane];
+}
+
+static inline void scale(real *restrict row, real weight)
+{
+#pragma GCC unroll 1
+    for (int lane = 0; lane < LANES; lane++)
+        row[lane] *= weight;
+}
+
 /* sum = left' right for blocks of LANES columns. */
 static void cross(const real *restrict left, int left_stride, const real *restrict right, int right_stride, int rows,
                   real sum[LANES][LANES])
@@ -149,15 +167,27 @@ static void cross(const real *restrict left, int left_stride, const real *restri
     memcpy(sum, own, sizeof own);
 }
 
-/* x = R'^-1 x for one right-hand side that is zero before `first`. */
-static void substitute_one(const work *w, int first, real *restrict x)
+/* x = U'^-1 x for an upper triangular U of `count` rows, with the inverses of its diagonal. Before `zero` x is zero, and
+ * before `known`, whole lanes, it is solved already. */
+static void substitute(const real *restrict U, int stride, const real *restrict inverse, int count, int zero, int known,
+                       real *restrict x)
 {
-    const int n = w->n;
-    for (int k = first; k < n; k++) {
-        const real *restrict row = w->problem->factor + k * n;
-        const real now = x[k] *= w->inverse[k];
-        for (int i = k + 1; i < n; i++)
-            x[i] -= row[i] * now;
+    for (int i = known; i < count; i += LANES) {
+        const int width = count - i < LANES ? count - i : LANES;
+        real sum[2][LANES] = {{R(0.0)}};
+        /* Beyond a last block that is not whole this reads on into the next row; nobody looks at the result. */
+        for (int k = zero / LANES * LANES; k < i; k += 2)
+#pragma GCC unroll 2
+            for (int half = 0; half < 2; half++)
+#pragma GCC unroll 8
+                for (int lane = 0; lane < LANES; lane++)
+                    sum[half][lane] += x[k + half] * U[(k + half) * stride + i + lane];
+        for (int a = 0; a < width; a++) {
+            const real *row = U + (i + a) * stride + i;
+            const real now = x[i + a] = (x[i + a] - sum[0][a] - sum[1][a]) * inverse[i + a];
+            for (int c = a + 1; c < width; c++)
+                sum[0][c] += row[c] * now;
+        }
     }
 }
 
@@ -174,11 +204,26 @@ static void substitute_batch(const work *w, int first, real *x)
         for (int a = 0; a < width; a++) {
             real *own = x + (i + a) * LANES;
             const real *row = factor + (i + a) * n + i;
-            for (int b = 0; b < LANES; b++)
-                own[b] = (own[b] - sum[a][b]) * w->inverse[i + a];
+            subtract(own, R(1.0), sum[a]);
+            scale(own, w->inverse[i + a]);
             for (int c = a + 1; c < width; c++)
-                for (int b = 0; b < LANES; b++)
-                    sum[c][b] += row[c] * own[b];
+                subtract(sum[c], -row[c], own);
+        }
+    }
+}
+
+/* x = U^-1 x for the first `count` rows of an upper triangular U, with the inverses of its diagonal. */
+static void substitute_back(const real *U, int stride, const real *inverse, int count, real *x)
+{
+    /* In blocks: what depends on blocks that are known does not wait. */
+    for (int end = count; end > 0; end -= LANES) {
+        const int begin = end > LANES ? end - LANES : 0;
+        for (int k = begin; k < end; k++)
+            x[k] -= dot(U + k * stride + end, x + end, count - end);
+        for (int k = end - 1; k >= begin; k--) {
+            x[k] *= inverse[k];
+            for (int i = begin; i < k; i++)
+                x[i] -= U[i * stride + k] * x[k];
         }
     }
 }
@@ -187,23 +232,12 @@ static void substitute_batch(const work *w, int first, real *x)
 static void find_plan(work *w, real *plan)
 {
     const int n = w->n;
-    const real *factor = w->problem->factor;
     memset(w->spread, 0, (size_t)w->used * sizeof(real));
     for (int i = 0; i < w->active; i++)
         w->spread[w->order[i]] = w->state[w->row_in[w->order[i]]] > 0 ? w->pressure[i] : -w->pressure[i];
     for (int k = 0; k < n; k++)
         w->z[k] = dot(w->columns + k * w->slots, w->spread, w->used);
-    /* In blocks: what depends on blocks that are known does not wait. */
-    for (int end = n; end > 0; end -= LANES) {
-        const int begin = end > LANES ? end - LANES : 0;
-        for (int k = begin; k < end; k++)
-            w->z[k] -= dot(factor + k * n + end, w->z + end, n - end);
-        for (int k = end - 1; k >= begin; k--) {
-            w->z[k] *= w->inverse[k];
-            for (int i = begin; i < k; i++)
-                w->z[i] -= factor[i * n + k] * w->z[k];
-        }
-    }
+    substitute_back(w->problem->factor, n, w->inverse, n, w->z);
     for (int k = 0; k < n; k++)
         plan[k] = w->problem->minimiser[k] - w->z[k];
     w->problem->values(w->problem->context, plan, w->now);
@@ -239,7 +273,7 @@ static void bring_one(work *w, int slot)
     w->problem->row(w->problem->context, w->row_in[slot], w->line, &first, &last);
     memset(x, 0, (size_t)n * sizeof(real));
     memcpy(x + first, w->line + first, (size_t)(last - first) * sizeof(real));
-    substitute_one(w, first, x);
+    substitute(w->problem->factor, n, w->inverse, n, first, first / LANES * LANES, x);
     for (int k = 0; k < n; k++)
         w->columns[k * slots + slot] = x[k];
     for (int block = 0; block < w->used; block += LANES) {
@@ -286,6 +320,9 @@ static void bring_batch(work *w, const int *chosen, int count)
 static void enter(work *w, int count)
 {
     int chosen[LANES], waiting = 0;
+    for (int i = 0; i < count; i++)
+        if (w->state[w->entering[i]] == FREE)
+            w->state[w->entering[i]] = w->now[w->entering[i]] > R(0.0) ? KEPT : -KEPT;
     for (int i = 0; i < count; i++) {
         const int row = w->entering[i];
         if (w->slot_of[row] == 0) {
@@ -353,68 +390,92 @@ static real target(const work *w, int position)
     return is_exceeded(w, position) ? room - problem->price / problem->slope : room;
 }
 
-/* U'U = G of the active rows, with 1 / slope on the diagonal of exceeded ones, and U'^-1 of the right-hand side; from
- * the first row on for which they do not hold. Returns the first row that depends on those before it (the factor holds
- * up to it), else how many are active; or -1 where numbers are none. */
-static int factorise(work *w)
+/* U'U = S in one block; rows that depend on those before them, by the diagonal before, become zero if `skip`, else end
+ * it. Returns how many rows it got through; -1 where numbers are none. */
+static int factorise_block(real S[LANES][LANES], const real *before, int count, int skip, real *inverse)
 {
-    const int k = w->active, from = w->factored, slots = w->slots;
-    const real give = R(1.0) / w->problem->slope;
-    real *restrict U = w->factor, *restrict y = w->partial;
-    for (int i = 0; i < k; i++) {
-        const real *row = w->gram + w->order[i] * slots;
-        const int positive = *state_at(w, i) > 0;
-        for (int j = i > from ? i : from; j < k; j++)
-            U[i * slots + j] = positive == (*state_at(w, j) > 0) ? row[w->order[j]] : -row[w->order[j]];
-        if (i >= from) {
-            if (is_exceeded(w, i))
-                U[i * slots + i] += give;
-            /* Kept for the test of the pivot. */
-            w->step[i] = U[i * slots + i];
-            y[i] = -target(w, i);
-            if (!(w->step[i] < LARGEST && ddmpc_fabs(y[i]) < LARGEST))
-                return -1;
+    for (int p = 0; p < count; p++) {
+        if (!(S[p][p] < LARGEST))
+            return -1;
+        if (!(S[p][p] > DEPENDENT * before[p])) {
+            if (!skip)
+                return p;
+            inverse[p] = R(0.0);
+        } else {
+            inverse[p] = R(1.0) / ddmpc_sqrt(S[p][p]);
         }
+        scale(S[p], inverse[p]);
+        for (int i = p + 1; i < count; i++)
+            subtract(S[i], S[p][i], S[p]);
     }
-    for (int i = 0; i < k; i++) {
-        real *restrict own = U + i * slots;
-        int begin = from;
-        if (i >= from) {
-            if (!(own[i] > DEPENDENT * w->step[i])) {
-                w->factored = i;
-                return own[i] < LARGEST ? i : -1;
-            }
-            own[i] = ddmpc_sqrt(own[i]);
-            w->pivot[i] = R(1.0) / own[i];
-            y[i] *= w->pivot[i];
-            begin = i + 1;
-        }
-        for (int j = begin; j < k; j++)
-            own[j] *= w->pivot[i];
-        for (int r = i + 1; r < k; r++) {
-            real *restrict other = U + r * slots;
-            const real weight = own[r];
-            for (int j = r > from ? r : from; j < k; j++)
-                other[j] -= weight * own[j];
-        }
-        for (int r = begin; r < k; r++)
-            y[r] -= own[r] * y[i];
-    }
-    w->factored = k;
-    return k;
+    return count;
 }
 
-/* x = U^-1 x for the first `count` rows. */
-static void substitute_back(const work *w, int count, real *x)
+/* U'U = G of the active rows, with 1 / slope on the diagonal of exceeded ones, and U'^-1 of the right-hand side; from
+ * the first row on for which they do not hold. Rows that depend on those before them are left at zero if `skip`; else
+ * the first of them ends it: the factor holds up to it. Returns how many rows it got through; -1 where numbers are
+ * none. */
+static int factorise(work *w, int skip)
 {
-    for (int i = count - 1; i >= 0; i--)
-        x[i] = (x[i] - dot(w->factor + i * w->slots + i + 1, x + i + 1, count - 1 - i)) * w->pivot[i];
+    const int k = w->active, from = w->factored / LANES * LANES, slots = w->slots;
+    real *U = w->factor, *before = w->step;
+    for (int i = 0; i < k; i++) {
+        const int row = w->row_in[w->order[i]];
+        w->side[i] = w->state[row] > 0 ? R(1.0) : R(-1.0);
+        if (i < from)
+            continue;
+        before[i] = w->gram[w->order[i] * (slots + 1)] + (is_exceeded(w, i) ? R(1.0) / w->problem->slope : R(0.0));
+        w->partial[i] = -target(w, i);
+        if (!(before[i] < LARGEST && ddmpc_fabs(w->partial[i]) < LARGEST))
+            return -1;
+    }
+    for (int i = 0; i < k; i += LANES) {
+        const int rows = k - i < LANES ? k - i : LANES;
+        real corner[LANES][LANES];
+        int through = rows;
+        for (int a = 0; a < rows; a++)
+            memcpy(corner[a], U + (i + a) * slots + i, sizeof corner[a]);
+        for (int j = i > from ? i : from; j < k; j += LANES) {
+            const int columns = k - j < LANES ? k - j : LANES;
+            real sum[LANES][LANES];
+            cross(U + i, slots, U + j, slots, i, sum);
+            for (int a = 0; a < rows; a++) {
+                const real *gram = w->gram + w->order[i + a] * slots;
+                for (int b = 0; b < columns; b++)
+                    sum[a][b] = w->side[i + a] * w->side[j + b] * gram[w->order[j + b]] - sum[a][b];
+                for (int b = columns; b < LANES; b++)
+                    sum[a][b] = R(0.0);
+            }
+            if (i == j) {
+                for (int a = 0; a < rows; a++)
+                    sum[a][a] += before[i + a] - w->gram[w->order[i + a] * (slots + 1)];
+                through = factorise_block(sum, before + i, rows, skip, w->pivot + i);
+                memcpy(corner, sum, sizeof corner);
+            } else {
+                for (int a = 0; a < rows; a++) {
+                    for (int p = 0; p < a; p++)
+                        subtract(sum[a], corner[p][a], sum[p]);
+                    scale(sum[a], w->pivot[i + a]);
+                }
+            }
+            for (int a = 0; a < rows; a++)
+                memcpy(U + (i + a) * slots + j, sum[a], sizeof sum[a]);
+            if (through < rows) {
+                substitute(U, slots, w->pivot, i, 0, from, w->partial);
+                w->factored = i;
+                return through < 0 ? -1 : i + through;
+            }
+        }
+    }
+    substitute(U, slots, w->pivot, k, 0, from, w->partial);
+    w->factored = k;
+    return k;
 }
 
 static void find_wanted(work *w)
 {
     memcpy(w->wanted, w->partial, (size_t)w->active * sizeof(real));
-    substitute_back(w, w->active, w->wanted);
+    substitute_back(w->factor, w->slots, w->pivot, w->active, w->wanted);
 }
 
 /* Range of the pressure of a row on its piece. */
@@ -460,7 +521,7 @@ typedef enum { SETTLED, RAN_OUT, UNBOUNDED } outcome;
  * along what moves no plan, without end. Returns 0 if numbers ran out. */
 static int find_step(work *w, real *length, real *gain)
 {
-    const int k = w->active, dependent = factorise(w), slots = w->slots;
+    const int k = w->active, dependent = factorise(w, 0), slots = w->slots;
     real *step = w->step;
     if (dependent < 0)
         return 0;
@@ -474,7 +535,7 @@ static int find_step(work *w, real *length, real *gain)
     }
     for (int i = 0; i < dependent; i++)
         step[i] = -w->factor[i * slots + dependent];
-    substitute_back(w, dependent, step);
+    substitute_back(w->factor, w->slots, w->pivot, dependent, step);
     step[dependent] = R(1.0);
     memset(step + dependent + 1, 0, (size_t)(k - dependent - 1) * sizeof(real));
     real largest = R(1.0), rise = R(0.0);
@@ -575,14 +636,37 @@ static int is_met(work *w)
 static void refine(work *w)
 {
     real *step = w->step;
-    for (int i = 0; i < w->active; i++) {
-        step[i] *= w->pivot[i];
-        for (int r = i + 1; r < w->active; r++)
-            step[r] -= w->factor[i * w->slots + r] * step[i];
-    }
-    substitute_back(w, w->active, step);
+    substitute(w->factor, w->slots, w->pivot, w->active, 0, 0, step);
+    substitute_back(w->factor, w->slots, w->pivot, w->active, step);
     for (int i = 0; i < w->active; i++)
         w->pressure[i] = ddmpc_min(ddmpc_max(w->pressure[i] + step[i], least_pressure(w, i)), most_pressure(w, i));
+}
+
+/* Choose among the rows that are broken and do not press: of each run of rows side by side that are broken on the same
+ * side the worst, and of hard rows all unless `runs`. Returns how many rows are broken. */
+static int choose(work *w, int runs, int *entering)
+{
+    int broken = 0, worst = -1;
+    real before = R(0.0);
+    for (int row = 0; row <= w->m; row++) {
+        const real now = row < w->m && w->state[row] == FREE ? w->now[row] : R(0.0);
+        if (worst >= 0 && (now == R(0.0) || (now > R(0.0)) != (before > R(0.0)) || row == w->problem->hard)) {
+            if (w->active + *entering < w->most_active)
+                w->entering[(*entering)++] = worst;
+            worst = -1;
+        }
+        before = now;
+        if (now == R(0.0))
+            continue;
+        broken++;
+        if (runs || row >= w->problem->hard) {
+            if (worst < 0 || ddmpc_fabs(now) > ddmpc_fabs(w->now[worst]))
+                worst = row;
+        } else if (w->active + *entering < w->most_active) {
+            w->entering[(*entering)++] = row;
+        }
+    }
+    return broken;
 }
 
 /* Steps of the primal-dual active set method, from the rows that are active: what pulls leaves, what is broken comes,
@@ -591,14 +675,14 @@ static int change_many(work *w, real *plan)
 {
     int best = w->m + 1, patience = PATIENCE;
     for (int round = 0; round < MOST_ROUNDS && w->iterations < w->problem->most_iterations; round++) {
-        int dependent, met, wrong = 0, entering = 0;
+        int met, wrong = 0, entering = 0;
         w->iterations++;
-        while ((dependent = factorise(w)) < w->active) {
-            if (dependent < 0)
-                return 0;
-            leave(w, dependent);
-        }
+        if (factorise(w, 1) < 0)
+            return 0;
         find_wanted(w);
+        for (int i = w->active - 1; i >= 0; i--)
+            if (w->pivot[i] == R(0.0))
+                leave(w, i);
         memcpy(w->pressure, w->wanted, (size_t)w->active * sizeof(real));
         find_plan(w, plan);
         met = is_met(w);
@@ -609,19 +693,14 @@ static int change_many(work *w, real *plan)
             if (!pulls && w->pressure[i] >= least_pressure(w, i) && w->pressure[i] <= most_pressure(w, i))
                 continue;
             wrong++;
-            if (pulls) {
+            if (pulls || !is_soft(w, i)) {
                 leave(w, i);
             } else {
                 w->pressure[i] = w->problem->price;
                 switch_piece(w, i);
             }
         }
-        for (int row = 0; row < w->m; row++)
-            if (w->now[row] != R(0.0) && w->state[row] == FREE) {
-                wrong++;
-                if (w->active + entering < w->most_active)
-                    w->entering[entering++] = row;
-            }
+        wrong += choose(w, 0, &entering);
         if (wrong == 0)
             return met;
         if (wrong < best) {
@@ -630,8 +709,6 @@ static int change_many(work *w, real *plan)
         } else if (--patience == 0) {
             return 0;
         }
-        for (int i = 0; i < entering; i++)
-            w->state[w->entering[i]] = w->now[w->entering[i]] > R(0.0) ? KEPT : -KEPT;
         enter(w, entering);
     }
     return 0;
@@ -655,7 +732,7 @@ static ddmpc_limited_status climb(work *w, real *plan)
     real highest = -LARGEST;
     for (int stalls = 0; stalls < MOST_STALLS;) {
         const outcome end = settle(w);
-        int refinements = 0, worst = -1;
+        int refinements = 0, entering = 0;
         if (end != SETTLED)
             return end == UNBOUNDED ? DDMPC_INFEASIBLE : DDMPC_NOT_PROVEN;
         find_plan(w, plan);
@@ -667,20 +744,14 @@ static ddmpc_limited_status climb(work *w, real *plan)
         }
         if (!survey(w))
             return DDMPC_NOT_PROVEN;
-        for (int row = 0; row < w->m; row++)
-            if (w->now[row] != R(0.0) && w->state[row] == FREE &&
-                (worst < 0 || ddmpc_fabs(w->now[row]) > ddmpc_fabs(w->now[worst])))
-                worst = row;
-        if (worst < 0)
+        if (choose(w, 1, &entering) == 0)
             return DDMPC_PROVEN;
-        if (w->active == w->most_active)
+        if (entering == 0)
             return DDMPC_NOT_PROVEN;
         const real reached = height(w);
         stalls = reached > highest ? 0 : stalls + 1;
         highest = ddmpc_max(highest, reached);
-        w->state[worst] = w->now[worst] > R(0.0) ? KEPT : -KEPT;
-        w->entering[0] = worst;
-        enter(w, 1);
+        enter(w, entering);
     }
     return DDMPC_NOT_PROVEN;
 }
