@@ -54,8 +54,8 @@ typedef struct {
 
 #define DDMPC_LIMITED_SLOTS(most_active) (((most_active) + 7) / 8 * 8)
 #define DDMPC_LIMITED_REALS(n, m, most_active)                                                                         \
-    ((n) * (DDMPC_LIMITED_SLOTS(most_active) + 8 + 4) + 2 * (m) +                                                      \
-     DDMPC_LIMITED_SLOTS(most_active) * (2 * DDMPC_LIMITED_SLOTS(most_active) + 7) + 8 * 16)
+    ((n) * (DDMPC_LIMITED_SLOTS(most_active) + 11) + 2 * (m) +                                                         \
+     DDMPC_LIMITED_SLOTS(most_active) * (2 * DDMPC_LIMITED_SLOTS(most_active) + 6) + 40)
 #define DDMPC_LIMITED_INTS(n, m, most_active) (2 * (m) + 3 * DDMPC_LIMITED_SLOTS(most_active))
 
 /* How many reals and ints that is. */
