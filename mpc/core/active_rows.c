@@ -79,6 +79,19 @@ static real dot(const real *restrict a, const real *restrict b, int count)
     return sum_of_lanes(sum);
 }
 
+real ddmpc_long_dot(const real *restrict a, const real *restrict b, int count)
+{
+    real sum[LANES] = {R(0.0)};
+    int i = 0;
+    for (; i + LANES <= count; i += LANES)
+#pragma GCC unroll 8
+        for (int lane = 0; lane < LANES; lane++)
+            sum[lane] += a[i + lane] * b[i + lane];
+    for (int lane = 0; i < count; i++, lane++)
+        sum[lane] += a[i] * b[i];
+    return sum_of_lanes(sum);
+}
+
 /* row -= weight other, over LANES. */
 static inline void subtract(real *restrict row, real weight, const real *restrict other)
 {

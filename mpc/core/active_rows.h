@@ -69,6 +69,9 @@ void ddmpc_solve_step(ddmpc_rows *rows);
 /* The plan at the multipliers, and the values of all rows there, into `now`. */
 void ddmpc_plan_of_rows(ddmpc_rows *rows, real *plan);
 
+/* a'b in several sums side by side, which one order of adding would forbid. */
+real ddmpc_long_dot(const real *restrict a, const real *restrict b, int count);
+
 static inline int ddmpc_row_at(const ddmpc_rows *rows, int position)
 {
     return rows->row_in[rows->order[position]];

@@ -44,14 +44,16 @@ static real tolerance(const ddmpc_rows *rows, int row)
 }
 
 /* Replace the values in `now` by what is beyond a limit and its tolerance: positive above the upper one, negative below
- * the lower one, else zero. Returns whether all are numbers. */
-static int survey(ddmpc_rows *rows)
+ * the lower one, else zero. `broken` says whether there are such rows, hard ones and soft ones. Returns whether all are
+ * numbers. */
+static int survey(ddmpc_rows *rows, int broken[2])
 {
     const real *restrict upper = rows->problem->upper, *restrict lower = rows->problem->lower;
     const real *restrict start = rows->start;
     const real slack = rows->problem->slack + ROUNDING * rows->largest_input;
     real *restrict now = rows->now;
     int sound = 1;
+    broken[0] = broken[1] = 0;
     rows->primal = R(0.0);
     for (int i = 0; i < rows->problem->hard; i++)
         rows->primal = ddmpc_max(rows->primal, ddmpc_max(now[i] - upper[i], lower[i] - now[i]));
@@ -61,6 +63,10 @@ static int survey(ddmpc_rows *rows)
         sound &= ddmpc_fabs(now[i]) < DDMPC_LARGEST;
         now[i] = ddmpc_max(above, R(0.0)) - ddmpc_max(below, R(0.0));
     }
+    for (int i = 0; i < rows->problem->hard; i++)
+        broken[0] |= now[i] != R(0.0);
+    for (int i = rows->problem->hard; i < rows->m; i++)
+        broken[1] |= now[i] != R(0.0);
     return sound;
 }
 
@@ -115,7 +121,7 @@ static int change_many(ddmpc_rows *rows, int *iterations, real *plan)
 {
     int best = rows->m + 1, patience = PATIENCE, entered;
     for (int round = 0; round < MOST_ROUNDS && *iterations < rows->problem->most_iterations; round++) {
-        int wrong = 0;
+        int wrong = 0, broken[2];
         ++*iterations;
         if (ddmpc_factorise_rows(rows, 1) < 0)
             return 0;
@@ -126,17 +132,15 @@ static int change_many(ddmpc_rows *rows, int *iterations, real *plan)
                 ddmpc_leave_row(rows, i);
         ddmpc_plan_of_rows(rows, plan);
         const int met = is_met(rows);
-        if (!survey(rows))
+        if (!survey(rows, broken) || broken[1])
             return 0;
-        for (int row = rows->problem->hard; row < rows->m; row++)
-            if (rows->now[row] != R(0.0))
-                return 0;
         for (int i = rows->active - 1; i >= 0; i--)
             if (rows->multiplier[i] != within(piece_of(rows, i), rows->multiplier[i])) {
                 wrong++;
                 ddmpc_leave_row(rows, i);
             }
-        wrong += enter_broken(rows, 1, &entered);
+        if (broken[0])
+            wrong += enter_broken(rows, 1, &entered);
         if (wrong == 0)
             return met;
         if (wrong < best) {
@@ -267,7 +271,7 @@ static ddmpc_limited_status climb(ddmpc_rows *rows, int *iterations, real *plan)
     real highest = -DDMPC_LARGEST;
     for (int stalls = 0; stalls < MOST_STALLS;) {
         const outcome end = settle(rows, iterations);
-        int refinements = 0, entered;
+        int refinements = 0, entered, broken[2];
         if (end != SETTLED)
             return end == UNBOUNDED ? DDMPC_INFEASIBLE : DDMPC_NOT_PROVEN;
         ddmpc_plan_of_rows(rows, plan);
@@ -279,12 +283,12 @@ static ddmpc_limited_status climb(ddmpc_rows *rows, int *iterations, real *plan)
                 rows->multiplier[i] = within(piece_of(rows, i), rows->multiplier[i] + rows->step[i]);
             ddmpc_plan_of_rows(rows, plan);
         }
-        if (!survey(rows))
+        if (!survey(rows, broken))
             return DDMPC_NOT_PROVEN;
         const real reached = height(rows);
         stalls = reached > highest ? 0 : stalls + 1;
         highest = ddmpc_max(highest, reached);
-        if (enter_broken(rows, 0, &entered) == 0)
+        if (!(broken[0] || broken[1]) || enter_broken(rows, 0, &entered) == 0)
             return DDMPC_PROVEN;
         if (entered == 0)
             return DDMPC_NOT_PROVEN;
@@ -313,56 +317,70 @@ static void warm_start(ddmpc_rows *rows, const real *multipliers)
         rows->multiplier[i] = multipliers[ddmpc_row_at(rows, i)];
 }
 
+/* How large the numbers are whose sum is R'R (U - U0), largest entry. */
+static real size_of_gradient(const ddmpc_rows *rows, const real *plan)
+{
+    const ddmpc_limited_problem *problem = rows->problem;
+    real *restrict size = rows->z, largest = R(0.0);
+    memset(size, 0, (size_t)rows->n * sizeof(real));
+    for (int k = 0; k < rows->n; k++) {
+        const real *restrict row = problem->factor + k * rows->n;
+        real sum = R(0.0);
+        for (int i = k; i < rows->n; i++)
+            sum += ddmpc_fabs(row[i]) * (ddmpc_fabs(plan[i]) + ddmpc_fabs(problem->minimiser[i]));
+        for (int i = k; i < rows->n; i++)
+            size[i] += ddmpc_fabs(row[i]) * sum;
+    }
+    for (int k = 0; k < rows->n; k++)
+        largest = ddmpc_max(largest, size[k]);
+    return largest;
+}
+
 /* Fill residuals and multipliers from the plan; returns whether the cost is stationary, as far as rounding tells. */
 static int is_stationary(ddmpc_rows *rows, const real *plan, real *multipliers, ddmpc_limited_result *result)
 {
     const ddmpc_limited_problem *problem = rows->problem;
     const int n = rows->n;
-    real *restrict gradient = rows->batch, *restrict size = rows->batch + n;
-    real largest = R(0.0), allowed = R(0.0);
-    memset(gradient, 0, (size_t)(2 * n) * sizeof(real));
+    real *restrict gradient = rows->batch, *restrict moved = rows->batch + n;
+    real largest = R(0.0), allowed = R(0.0), dual = R(0.0);
+    for (int k = 0; k < n; k++) {
+        moved[k] = plan[k] - problem->minimiser[k];
+        gradient[k] = R(0.0);
+    }
     for (int k = 0; k < n; k++) {
         const real *restrict row = problem->factor + k * n;
-        real moved = R(0.0), bound = R(0.0);
-        for (int i = k; i < n; i++) {
-            moved += row[i] * (plan[i] - problem->minimiser[i]);
-            bound += ddmpc_fabs(row[i]) * (ddmpc_fabs(plan[i]) + ddmpc_fabs(problem->minimiser[i]));
-        }
-        for (int i = k; i < n; i++) {
-            gradient[i] += row[i] * moved;
-            size[i] += ddmpc_fabs(row[i]) * bound;
-        }
+        const real sum = ddmpc_long_dot(row + k, moved + k, n - k);
+        for (int i = k; i < n; i++)
+            gradient[i] += row[i] * sum;
     }
-    for (int k = 0; k < n; k++)
-        allowed = ddmpc_max(allowed, ROUNDING * size[k]);
     memset(multipliers, 0, (size_t)rows->m * sizeof(real));
     for (int i = 0; i < rows->active; i++) {
         const int row = ddmpc_row_at(rows, i), above = ddmpc_is_above(rows, i);
         int first = 0, last = n;
-        real multiplier = rows->multiplier[i], give = R(0.0);
-        problem->row(problem->context, row, rows->line, &first, &last);
+        real multiplier = rows->multiplier[i], give = R(0.0), *restrict line = rows->line;
+        problem->row(problem->context, row, line, &first, &last);
         multipliers[row] = multiplier;
         if (ddmpc_is_exceeded(rows, i)) {
             /* The price is that of the plan as it is. */
-            real value = R(0.0);
-            for (int k = first; k < last; k++)
-                value += rows->line[k] * plan[k];
+            const real value = ddmpc_long_dot(line + first, plan + first, last - first);
             multiplier = above ? problem->price + problem->slope * (value - problem->upper[row])
                                : -problem->price + problem->slope * (value - problem->lower[row]);
             give = problem->slope * tolerance(rows, row);
         }
         for (int k = first; k < last; k++) {
-            gradient[k] += multiplier * rows->line[k];
-            largest = ddmpc_max(largest, ddmpc_fabs(multiplier * rows->line[k]));
-            allowed = ddmpc_max(allowed, give * ddmpc_fabs(rows->line[k]));
+            gradient[k] += multiplier * line[k];
+            largest = ddmpc_max(largest, ddmpc_fabs(line[k]) * ddmpc_fabs(multiplier));
+            allowed = ddmpc_max(allowed, ddmpc_fabs(line[k]) * give);
         }
     }
-    int stationary = 1;
+    int sound = 1;
     for (int k = 0; k < n; k++) {
-        stationary &= ddmpc_fabs(gradient[k]) <= allowed + STATIONARY * largest;
-        result->dual = ddmpc_max(result->dual, ddmpc_fabs(gradient[k]));
+        sound &= ddmpc_fabs(gradient[k]) < DDMPC_LARGEST;
+        dual = ddmpc_max(dual, ddmpc_fabs(gradient[k]));
     }
-    return stationary;
+    result->dual = dual;
+    allowed += STATIONARY * largest;
+    return sound && (dual <= allowed || dual <= allowed + ROUNDING * size_of_gradient(rows, plan));
 }
 
 /* What the limits must be for there to be a problem. */
