@@ -4,6 +4,13 @@
 
 enum { LANES = DDMPC_LANES };
 
+/* From how many columns on it pays to find them side by side: never where a block does not fit into registers. */
+#if defined(__ARM_ARCH_PROFILE) && __ARM_ARCH_PROFILE == 'M'
+enum { SIDE_BY_SIDE = LANES + 1 };
+#else
+enum { SIDE_BY_SIDE = 3 };
+#endif
+
 #ifdef DDMPC_FLOAT
 /* A row is taken to depend on others where less than this part of its square is left. */
 #define DEPENDENT R(4e-6)
@@ -62,10 +69,15 @@ int ddmpc_begin_rows(ddmpc_rows *rows, const ddmpc_limited_problem *problem, con
     return sound;
 }
 
-static real sum_of_lanes(const real *sum)
+static real sum_of_lanes(const real sum[LANES])
 {
-    const real a = (sum[0] + sum[4]) + (sum[2] + sum[6]), b = (sum[1] + sum[5]) + (sum[3] + sum[7]);
-    return a + b;
+    real half[LANES / 2];
+    for (int lane = 0; lane < LANES / 2; lane++)
+        half[lane] = sum[lane] + sum[lane + LANES / 2];
+    for (int count = LANES / 4; count > 0; count /= 2)
+        for (int lane = 0; lane < count; lane++)
+            half[lane] += half[lane + count];
+    return half[0];
 }
 
 /* a'b for whole lanes of numbers, in several sums side by side, which one order of adding would forbid. */
@@ -276,6 +288,15 @@ static void bring_batch(ddmpc_rows *rows, const int *chosen, int count)
     }
 }
 
+static void bring_columns(ddmpc_rows *rows, const int *chosen, int count)
+{
+    if (count >= SIDE_BY_SIDE)
+        bring_batch(rows, chosen, count);
+    else
+        for (int i = 0; i < count; i++)
+            bring_one(rows, chosen[i]);
+}
+
 void ddmpc_enter_rows(ddmpc_rows *rows, int count)
 {
     int chosen[LANES], waiting = 0;
@@ -284,17 +305,14 @@ void ddmpc_enter_rows(ddmpc_rows *rows, int count)
         if (rows->slot_of[row] == 0) {
             chosen[waiting++] = take_slot(rows, row);
             if (waiting == LANES) {
-                bring_batch(rows, chosen, waiting);
+                bring_columns(rows, chosen, waiting);
                 waiting = 0;
             }
         }
         rows->multiplier[rows->active] = R(0.0);
         rows->order[rows->active++] = rows->slot_of[row] - 1;
     }
-    if (waiting == 1)
-        bring_one(rows, chosen[0]);
-    else if (waiting > 1)
-        bring_batch(rows, chosen, waiting);
+    bring_columns(rows, chosen, waiting);
 }
 
 static void touch(ddmpc_rows *rows, int position)

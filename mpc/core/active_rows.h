@@ -12,7 +12,7 @@
 #define DDMPC_ACTIVE_ROWS_H
 
 #include "active_set.h"
-#include "tile.h"
+
 
 /* How a row stands; the sign of its state is its side: above at the upper bound, below at the lower one. */
 enum { DDMPC_FREE = 0, DDMPC_KEPT = 1, DDMPC_EXCEEDED = 2 };
