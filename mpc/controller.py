@@ -138,6 +138,11 @@ class Controller:
         return self._model
 
     @property
+    def program(self) -> Program:
+        """The quadratic program of the last tick that came as far as one; it shares the core's memory."""
+        return self._program
+
+    @property
     def reference(self) -> Reference | None:
         """The reference being tracked."""
         return self._reference

@@ -107,6 +107,8 @@ def ask(backend: Backend, program: Program, path: str, slack: float) -> tuple[So
     while True:
         solved = backend.solve(program, kinds, guess, multipliers)
         iterations += solved.iterations
+        if not np.isfinite(solved.plan).all():
+            solved = solved._replace(status=SolverStatus.NOT_FINITE)
         missed = program.broken(solved.plan, slack) if solved.status.usable else ()
         if set(missed) <= set(kinds):
             break
