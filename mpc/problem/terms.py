@@ -1,7 +1,7 @@
 """Terms of the user: residuals that are squared and added to the cost, and values with soft limits.
 
-A term is one CasADi function of what the plan does at a sample. It is differentiated, generated as C and compiled like the
-shipped ones.
+A term is one CasADi function of what the plan does at a sample. It is differentiated, generated as C and compiled like
+the shipped ones.
 """
 
 from __future__ import annotations
@@ -159,8 +159,9 @@ def _run(path: Path) -> dict[str, object]:
     """What a Python file defines."""
     spec = importlib.util.spec_from_file_location(f"diffdrive_mpc_term_{path.stem}", path)
     if not path.is_file() or spec is None or spec.loader is None:
-        raise ConfigError(f"{path}: no such Python file; a term names the file of its function, seen from the "
-                          "configuration's folder")
+        raise ConfigError(
+            f"{path}: no such Python file; a term names the file of its function, seen from the configuration's folder"
+        )
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
