@@ -30,7 +30,7 @@ from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import Words
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, SLACK, Problem
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
-from diffdrive_mpc.mpc.problem.terms import Term, load_terms
+from diffdrive_mpc.mpc.problem.terms import Term, all_terms
 from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
 from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask
 from diffdrive_mpc.mpc.solver.backends import BACKENDS
@@ -82,7 +82,7 @@ class Controller:
     ) -> None:
         self._config, self._given = config, (model, tuple(terms))
         self._model = _model_of(config, model)
-        self._terms = (*load_terms(config.terms), *terms)
+        self._terms = all_terms(config.terms, terms)
         dt = config.sample_time
         self._sampled = _sampled(self._model, dt)
         self._feed_forward = FeedForward.of(self._model, dt)
@@ -119,11 +119,18 @@ class Controller:
 
     def __getstate__(self) -> dict[str, object]:
         """What a process pool needs to make it anew: configuration, model, terms, reference; no drive under way."""
-        return {"config": self._config, "given": self._given, "reference": self._reference, "t0": self._t0}
+        return {
+            "config": self._pending.config if self._pending else self._config,
+            "given": self._given,
+            "parameters": self._tick.parameters.copy(),
+            "reference": self._reference,
+            "t0": self._t0,
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Build it in another process, as it is after `start`."""
         Controller.__init__(self, state["config"], *state["given"])
+        self._tick.parameters[:] = state["parameters"]
         if state["reference"] is not None:
             self.start(state["reference"], state["t0"])
 
@@ -365,14 +372,19 @@ def _model_of(
         model = load_model(config.model).with_extra_dead_time([extra.v, extra.omega])
     else:
         model = load_model(given) if isinstance(given, str) else given
-    if isinstance(model, NonlinearModel) or config.compensation.dead_time:
+    if config.compensation.dead_time:
         return model
+    if isinstance(model, NonlinearModel):
+        raise ConfigError(
+            f"compensation.dead_time = false: model '{model.name}' has its dead time in its window; set it to true, or "
+            "give a model without"
+        )
     return replace(model, dead_time=np.zeros(2))
 
 
 def _sampled(model: VelocityModel | NonlinearModel, dt: float) -> DiscreteModel | NonlinearModel:
     if isinstance(model, VelocityModel):
         return model.discretise(dt)
-    if model.dt != dt:
+    if not math.isclose(model.dt, dt, rel_tol=1e-9):
         raise ConfigError(f"sample_time = {dt} s: model '{model.name}' is for {model.dt} s; set sample_time to that")
     return model
