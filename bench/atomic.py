@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.sim.whole_file import new_folder, reason, scratch_folder
+from diffdrive_mpc.models.whole_file import new_folder, reason, scratch_folder
 
 
 @contextmanager

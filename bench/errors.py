@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from diffdrive_mpc.models.errors import DiffdriveMpcError
 
-class StudyFailedError(RuntimeError):
+
+class StudyFailedError(DiffdriveMpcError, RuntimeError):
     """A study could not be finished."""
 
 

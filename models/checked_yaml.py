@@ -10,8 +10,10 @@ from typing import Any, TypeVar, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from diffdrive_mpc.models.errors import DiffdriveMpcError
 
-class ConfigError(ValueError):
+
+class ConfigError(DiffdriveMpcError, ValueError):
     """A parameter or configuration file cannot be used. The message is one line: place, mistake, remedy."""
 
 

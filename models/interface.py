@@ -89,7 +89,7 @@ class Reference(Protocol):
 
 
 class ControlStep(Protocol):
-    """What a controller returns for one tick; the closed loop reads these fields only."""
+    """What a controller returns for one tick; the closed loop reads these fields, and those of `EstimatingStep`."""
 
     @property
     def command(self) -> FloatArray:
@@ -108,7 +108,7 @@ class ControlStep(Protocol):
 
     @property
     def solver(self) -> Any:  # noqa: ANN401 - every solver has its own report
-        """Solver status, or None for a controller without one."""
+        """How the problem was solved, in its `status` and its `path`, or None for a controller without a solver."""
         ...
 
     @property
@@ -119,6 +119,40 @@ class ControlStep(Protocol):
     @property
     def step_time(self) -> float:
         """Duration of the whole step [s]."""
+        ...
+
+
+class MotionEstimate(Protocol):
+    """What a controller believes of the robot's motion at a tick, with standard deviations."""
+
+    @property
+    def pose(self) -> FloatArray:
+        """(3,) x [m], y [m], theta [rad, unwrapped]."""
+        ...
+
+    @property
+    def pose_deviation(self) -> FloatArray:
+        """(3,) of the pose."""
+        ...
+
+    @property
+    def twist(self) -> FloatArray:
+        """(2,) v [m/s], omega [rad/s] of the body."""
+        ...
+
+    @property
+    def twist_deviation(self) -> FloatArray:
+        """(2,) of the twist."""
+        ...
+
+
+@runtime_checkable
+class EstimatingStep(Protocol):
+    """The step of a controller that estimates: what it has beyond `ControlStep`."""
+
+    @property
+    def estimate(self) -> MotionEstimate | None:
+        """What the command is based on; None before there is one."""
         ...
 
 

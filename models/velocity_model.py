@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.discrete_model import DiscreteModel, zero_order_hold
+from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray
 
 CHANNELS = ("v", "omega")
@@ -20,7 +21,7 @@ _TIME_CONSTANT_RANGE = (1e-3, 20.0)
 _LONGEST_DEAD_TIME = 2.0
 
 
-class ModelError(ValueError):
+class ModelError(DiffdriveMpcError, ValueError):
     """A velocity model cannot be used. The message is one line: model, mistake, remedy."""
 
 

@@ -1,36 +1,19 @@
-"""Runs as CSV logs, one row per tick, units in the column names."""
+"""Runs as CSV logs: one row per tick, the columns those of `Run.columns`.
+
+`models.logs` reads them, with the shipped mapping `simulate`.
+"""
 
 from __future__ import annotations
 
 import csv
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim.run import Run
-from diffdrive_mpc.sim.whole_file import whole_file
-
-COLUMNS = (
-    "t_s",
-    "v_ref_m_s",
-    "omega_ref_rad_s",
-    "v_wheel_m_s",
-    "omega_wheel_rad_s",
-    "wheel_fl_rad_s",
-    "wheel_fr_rad_s",
-    "wheel_rl_rad_s",
-    "wheel_rr_rad_s",
-    "omega_gyro_rad_s",
-    "pose_t_s",
-    "pose_x_m",
-    "pose_y_m",
-    "pose_theta_rad",
-    "true_x_m",
-    "true_y_m",
-    "true_theta_rad",
-)
-"""Columns in their order. `v_ref`, `omega_ref`: the command sent; `pose_t`: the instant that the pose describes."""
 
 
 def write_log(run: Run, path: str | Path) -> None:
@@ -49,55 +32,14 @@ def write_log(run: Run, path: str | Path) -> None:
 
 def write_rows(run: Run, path: Path) -> None:
     """Write the header and the rows of `run` straight into `path`."""
-    table = np.column_stack(
-        [
-            run.time,
-            run.command,
-            run.wheel_twist,
-            run.wheel_speeds,
-            run.gyro,
-            run.measured_pose_time,
-            run.measured_pose,
-            run.true_pose,
-        ]
-    )
+    columns = run.columns
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        writer.writerows([["" if np.isnan(cell) else repr(float(cell)) for cell in row] for row in table])
+        writer.writerow(columns)
+        writer.writerows(zip(*(_cells(column) for column in columns.values()), strict=True))
 
 
-def read_log(path: str | Path) -> dict[str, FloatArray]:
-    """Read a log that `write_log` wrote.
-
-    Returns
-    -------
-    dict
-        One (n,) array per column of `COLUMNS`; NaN where the cell is empty.
-
-    Raises
-    ------
-    ValueError
-        If a column is missing, a row has too few or too many cells, or a cell is no number.
-    """
-    with Path(path).open(encoding="utf-8", newline="") as file:
-        rows = csv.reader(file)
-        header = next(rows, [])
-        missing = [name for name in COLUMNS if name not in header]
-        if missing:
-            raise ValueError(f"{path}: column '{missing[0]}' is missing; a log has {', '.join(COLUMNS)}")
-        cells = list(rows)
-    for number, row in enumerate(cells, start=2):
-        if len(row) != len(header):
-            raise ValueError(f"{path}, line {number}: {len(row)} cells, expected {len(header)}")
-    return {name: _column(path, name, [row[header.index(name)] for row in cells]) for name in COLUMNS}
-
-
-def _column(path: str | Path, name: str, cells: list[str]) -> FloatArray:
-    values = np.empty(len(cells))
-    for i, cell in enumerate(cells):
-        try:
-            values[i] = float(cell) if cell else np.nan
-        except ValueError:
-            raise ValueError(f"{path}, line {i + 2}, column '{name}': '{cell}' is no number") from None
-    return values
+def _cells(column: NDArray[Any]) -> list[str]:
+    if column.dtype == object:
+        return list(column)
+    return ["" if np.isnan(cell) else repr(cell) for cell in column.tolist()]

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
-from diffdrive_mpc.sim.disturbances.disturbed_plant import DisturbedPlant
-from diffdrive_mpc.sim.plant import Plant, RobotLostError
-from diffdrive_mpc.sim.run import TIME_TOLERANCE, Run
+from diffdrive_mpc.models.interface import (
+    ControlStep,
+    EstimatingStep,
+    FloatArray,
+    Measurement,
+    Reference,
+    TrackingController,
+)
+from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
+from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
+from diffdrive_mpc.sim.plants.plant import Plant, RobotLostError
+from diffdrive_mpc.sim.run import NO_SOLVER, Run
 
 
 def simulate(
@@ -53,7 +62,9 @@ def simulate(
     ticks = int(np.ceil((reference.duration + extra_time - TIME_TOLERANCE) / plant.sample_time)) + 1
     time = np.empty(ticks)
     true_pose, true_twist, command = np.empty((ticks, 3)), np.empty((ticks, 3)), np.empty((ticks, 2))
-    steps: list[ControlStep] = []
+    step_time = np.empty(ticks)
+    estimates, deviations = np.full((ticks, 5), np.nan), np.full((ticks, 5), np.nan)
+    said: list[_Said] = []
     measurements: list[Measurement] = []
     ended = ""
     for k in range(ticks):
@@ -61,7 +72,11 @@ def simulate(
         measurement = plant.measure()
         step = controller.step(plant.time, measurement)
         command[k] = _checked(step.command, plant.time)
-        steps.append(step)
+        step_time[k] = step.step_time
+        if isinstance(step, EstimatingStep) and step.estimate is not None:
+            estimates[k, :3], estimates[k, 3:] = step.estimate.pose, step.estimate.twist
+            deviations[k, :3], deviations[k, 3:] = step.estimate.pose_deviation, step.estimate.twist_deviation
+        said.append(_Said.by(step))
         measurements.append(measurement)
         try:
             plant.advance(command[k])
@@ -71,7 +86,7 @@ def simulate(
             on_tick(k + 1, ticks)
         if ended:
             break
-    driven = slice(len(steps))
+    driven = slice(len(said))
     time = time[driven]
     expected = reference.sample(time)
     return Run(
@@ -84,13 +99,34 @@ def simulate(
         reference_twist=expected.twist,
         reference_arc_length=expected.arc_length,
         command=command[driven],
-        step_time=np.array([step.step_time for step in steps]),
-        modes=tuple(str(step.mode) for step in steps),
-        messages=tuple(step.message for step in steps),
+        step_time=step_time[driven],
+        modes=tuple(words.mode for words in said),
+        messages=tuple(words.message for words in said),
         measurements=tuple(measurements),
+        solver_statuses=tuple(words.solver_status for words in said),
+        solver_paths=tuple(words.solver_path for words in said),
+        estimates=estimates[driven],
+        estimate_deviations=deviations[driven],
         disturbance=plant.disturbance if isinstance(plant, DisturbedPlant) else None,
         ended=ended,
     )
+
+
+class _Said(NamedTuple):
+    """What a step says of itself in words."""
+
+    mode: str
+    message: str
+    solver_status: str
+    solver_path: str
+
+    @classmethod
+    def by(cls, step: ControlStep) -> _Said:
+        """The words of `step`."""
+        solver = step.solver
+        if solver is None:
+            return cls(str(step.mode), step.message, "", NO_SOLVER)
+        return cls(str(step.mode), step.message, str(solver.status), str(solver.path))
 
 
 def _checked(command: FloatArray, t: float) -> FloatArray:

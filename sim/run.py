@@ -1,32 +1,37 @@
-"""The record of one closed-loop run."""
+"""What happened in one closed-loop run."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, ReferenceSample, Stamped
-from diffdrive_mpc.sim.metrics.metric_settings import metric_settings
-from diffdrive_mpc.sim.metrics.metrics import Metrics, compute_metrics
+from diffdrive_mpc.models.results import ReadOnlyArrays
+from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE, Metrics, compute_metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
-from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, tracking_errors
+from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings, tracking_errors
 
 if TYPE_CHECKING:
     from typing import Self
 
-TIME_TOLERANCE = 1e-9
-"""Two instants closer than this [s] are the same tick: sums of sample times do not meet the duration exactly."""
+    from pandas import DataFrame
 
 
-@dataclass(frozen=True)
-class Run:
+NO_SOLVER = "none"
+"""Path of a tick at which no solver ran, or of a controller without one."""
+
+
+@dataclass(frozen=True, repr=False)
+class Run(ReadOnlyArrays):
     """Everything that happened in one closed-loop run of n ticks.
 
-    Row k belongs to the instant of tick k, before the command of that tick acts.
+    Row k belongs to the instant of tick k, before the command of that tick acts. `print(run)` shows its statistics.
 
     Attributes
     ----------
@@ -50,11 +55,20 @@ class Run:
         Mode of the controller at each tick and its reason in words.
     measurements
         What the controller was given at each tick; enough to replay the run without the plant.
-    ended
-        Why the run ended before its time, in one line; empty where it did not.
     disturbance
         When the first disturbance of the plant began, and when the last one that ends was over [s], infinity where all
         of them last to the end of the run; None without one.
+    ended
+        Why the run ended before its time, in one line; empty where it did not.
+    solver_statuses
+        How the controller's solver ended at each tick, in words; empty texts for a controller without a solver.
+    solver_paths
+        Which way the solver took at each tick: "none", "unlimited", "active_set", "osqp" or "daqp".
+    estimates
+        (n, 5) x [m], y [m], theta [rad], v [m/s], omega [rad/s] that the command is based on; NaN where the controller
+        had no estimate, and for one that does not tell.
+    estimate_deviations
+        (n, 5) their standard deviations.
     """
 
     reference: Reference
@@ -72,6 +86,22 @@ class Run:
     measurements: tuple[Measurement, ...]
     disturbance: tuple[float, float] | None = None
     ended: str = ""
+    solver_statuses: tuple[str, ...] = ()
+    solver_paths: tuple[str, ...] = ()
+    estimates: FloatArray = field(default_factory=lambda: np.empty((0, 5)))
+    estimate_deviations: FloatArray = field(default_factory=lambda: np.empty((0, 5)))
+
+    def __post_init__(self) -> None:
+        """Fill in for a controller that tells nothing of solver and estimate."""
+        count = len(self.time)
+        nothing = {
+            "solver_statuses": ("",) * count,
+            "solver_paths": (NO_SOLVER,) * count,
+            "estimates": np.full((count, 5), np.nan),
+            "estimate_deviations": np.full((count, 5), np.nan),
+        }
+        vars(self).update({name: rows for name, rows in nothing.items() if not len(vars(self)[name])})
+        super().__post_init__()
 
     @property
     def counted(self) -> NDArray[np.bool_]:
@@ -121,7 +151,69 @@ class Run:
     @property
     def measured_pose_time(self) -> FloatArray:
         """(n,) instant that the arrived pose describes [s]; NaN at ticks without news."""
-        return np.array([np.nan if m.pose is None else m.pose.time for m in self.measurements])
+        times = [None if m.pose is None else replace(m.pose, value=m.pose.time) for m in self.measurements]
+        return self._measured(times, 1)[:, 0]
+
+    @property
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        """Everything over time by name, (n,) each: numbers with their unit in the name, NaN without news, and texts.
+
+        `v_ref`, `omega_ref`: the command sent; `pose_t`: the instant that the arrived pose describes; `sd`: standard
+        deviation of an estimate.
+        """
+        body, motion = ("x_m", "y_m", "theta_rad"), ("v_m_s", "omega_rad_s")
+        uncertain = ("x_sd_m", "y_sd_m", "theta_sd_rad", "v_sd_m_s", "omega_sd_rad_s")
+        wheels = tuple(f"wheel_{wheel}_rad_s" for wheel in ("fl", "fr", "rl", "rr"))
+        numbers = [
+            (("t_s",), self.time),
+            (("v_ref_m_s", "omega_ref_rad_s"), self.command),
+            (("v_wheel_m_s", "omega_wheel_rad_s"), self.wheel_twist),
+            (wheels, self.wheel_speeds),
+            (("omega_gyro_rad_s",), self.gyro),
+            (("pose_t_s",), self.measured_pose_time),
+            (_named("pose", body), self.measured_pose),
+            (_named("true", body), self.true_pose),
+            (_named("true", ("v_m_s", "lateral_m_s", "omega_rad_s")), self.true_twist),
+            (_named("reference", body), self.reference_pose),
+            (_named("reference", motion), self.reference_twist),
+            (_named("estimate", (*body, *motion)), self.estimates),
+            (_named("estimate", uncertain), self.estimate_deviations),
+            (("step_time_s",), self.step_time),
+        ]
+        columns = {
+            name: column for names, rows in numbers for name, column in zip(names, np.atleast_2d(rows.T), strict=True)
+        }
+        texts = {
+            "mode": self.modes,
+            "solver_status": self.solver_statuses,
+            "solver_path": self.solver_paths,
+            "message": self.messages,
+        }
+        return {**columns, **{name: np.array(values, dtype=object) for name, values in texts.items()}}
+
+    def to_dataframe(self) -> DataFrame:
+        """The run as a pandas table, one row per tick, with the names of `columns`.
+
+        Raises
+        ------
+        models.errors.MissingPackageError
+            If pandas is not installed.
+        """
+        try:
+            import pandas as pd  # noqa: PLC0415 - optional
+        except ImportError as error:
+            raise MissingPackageError("run.to_dataframe() needs pandas: pip install pandas") from error
+        return pd.DataFrame(dict(self.columns))
+
+    def __str__(self) -> str:
+        """Its statistics as a table."""
+        return f"{self!r}\n{self.metrics}"
+
+    def __repr__(self) -> str:
+        """What it is, in one line."""
+        return f"Run along '{self.reference.name}': {len(self.time)} ticks of {self.sample_time:g} s" + (
+            f", ended: {self.ended}" if self.ended else ""
+        )
 
     def with_step_time(self, step_time: ArrayLike) -> Self:
         """Exchange the step times (n,) [s] for those of a separate timing pass; raises ValueError on another length."""
@@ -132,8 +224,11 @@ class Run:
         vars(timed)["errors"] = self.errors  # the motion is the same: keep what was worked out
         return timed
 
-    @staticmethod
-    def _measured(values: list[Stamped | None], width: int) -> FloatArray:
+    def _measured(self, values: list[Stamped | None], width: int) -> FloatArray:
         empty = np.full(width, np.nan)
         rows = [empty if value is None else np.asarray(value.value, dtype=float).reshape(width) for value in values]
-        return np.array(rows).reshape(len(rows), width)
+        return np.array(rows or [empty] * len(self.time)).reshape(-1, width)
+
+
+def _named(what: str, parts: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"{what}_{part}" for part in parts)

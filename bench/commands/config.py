@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -33,14 +34,27 @@ def check(file: Annotated[str, typer.Argument(metavar="FILE", help="A configurat
     )
 
 
-@config_app.command(epilog="Example: diffdrive-mpc config schema --json > schema.json")
+@config_app.command(epilog="Example: diffdrive-mpc config schema --json --out controller.schema.json")
 def schema(
-    as_json: Annotated[bool, typer.Option("--json", help="The JSON schema instead of the table.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="The JSON schema, for editors.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the JSON schema here.", show_default="standard output")
+    ] = None,
 ) -> None:
-    """List every key with its default, unit, range and meaning."""
-    from diffdrive_mpc.bench.config_report import json_schema, print_schema  # noqa: PLC0415
+    """List every key with its default, unit, range and meaning.
 
-    if as_json:
+    With a first line `# yaml-language-server: $schema=FILE` in a configuration, editors complete and check its keys.
+    """
+    from diffdrive_mpc.bench.config_report import json_schema, print_schema  # noqa: PLC0415
+    from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
+    from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
+
+    if out is not None and not as_json:
+        raise ConfigError("--out is for the JSON schema; give --json too")
+    if out is not None:
+        with whole_file(out) as draft:
+            draft.write_text(json_schema() + "\n", encoding="utf-8")
+    elif as_json:
         typer.echo(json_schema())
     else:
         print_schema()

@@ -9,6 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 from diffdrive_mpc.bench.errors import StudyFailedError
+from diffdrive_mpc.models.errors import DiffdriveMpcError
 
 BAD_INPUT = 2
 """Exit code for input that cannot be used."""
@@ -31,7 +32,8 @@ class OneLineErrors(TyperGroup):
     """A group of commands whose bad input ends in `error: ...` and exit code 2, without a traceback.
 
     Bad input is what the packages raise as ValueError (ConfigError and ModelError are such), what the system refuses
-    (OSError), and what the parser of the command line rejects. Anything else is a fault and shows its traceback.
+    (OSError), and what the parser of the command line rejects. The project's other errors end likewise,
+    with exit code 1. Anything else is a fault and shows its traceback.
     """
 
     def main(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - the signature of the base class
@@ -52,6 +54,9 @@ class OneLineErrors(TyperGroup):
         except (ValueError, OSError) as error:
             _complain(str(error))
             sys.exit(BAD_INPUT)
+        except DiffdriveMpcError as error:
+            _complain(str(error))
+            sys.exit(FAILED)
         except Exception as error:
             # The parser's own errors have no public base class that all versions of typer share.
             if not hasattr(error, "format_message"):

@@ -19,9 +19,9 @@ from diffdrive_mpc.bench.peers.clairvoyant_program import (
     Present,
     load_clairvoyant_settings,
 )
+from diffdrive_mpc.bench.peers.command_limits import nearest_command
 from diffdrive_mpc.bench.peers.known_plant import KnownPlant
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
-from diffdrive_mpc.mpc.bounds import clip_command
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 
@@ -81,7 +81,7 @@ class ClairvoyantController:
         self._observe(pose)
         here = Present(pose, self._state, self._past, self._disturbance)
         plan = self._program.solve(here, sample, self._feed_forward(times))
-        command = clip_command(plan[0], self._config.limits, self._config.sample_time, last)
+        command = nearest_command(plan[0], self._config.limits, self._config.sample_time, last)
         finished = since_start >= self._reference.duration
         self._send(command)
         return PeerStep(command, "FINISHED" if finished else "TRACKING", "", time.perf_counter() - began)

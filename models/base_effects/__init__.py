@@ -4,13 +4,9 @@ On the way in, `TwistSlew` then `WheelCommand`; then the velocity model; on the 
 `PoseMount` is where the pose sensor sits. Each is optional, and `respond` puts them in a row.
 """
 
-from diffdrive_mpc.models.base_effects.parameters import BaseEffects
-from diffdrive_mpc.models.base_effects.pose_mount import PoseMount
-from diffdrive_mpc.models.base_effects.response import PARTS, Response, respond
-from diffdrive_mpc.models.base_effects.twist_slew import TwistSlew
-from diffdrive_mpc.models.base_effects.veer import Veer
-from diffdrive_mpc.models.base_effects.wheel_command import WheelCommand
-from diffdrive_mpc.models.base_effects.yaw_relaxation import YawRelaxation
+from diffdrive_mpc.models.base_effects.body import PoseMount, Veer, YawRelaxation
+from diffdrive_mpc.models.base_effects.commands import TwistSlew, WheelCommand
+from diffdrive_mpc.models.base_effects.response import PARTS, BaseEffects, Response, respond
 
 __all__ = [
     "PARTS",

@@ -1,4 +1,4 @@
-"""Free run of a velocity model with the effects of its base around it."""
+"""The group `base_effects` of a model file, and a free run of a velocity model with these effects around it."""
 
 from __future__ import annotations
 
@@ -6,10 +6,24 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
-from diffdrive_mpc.models.base_effects.parameters import BaseEffects
+from diffdrive_mpc.models.base_effects.body import PoseMount, Veer, YawRelaxation
+from diffdrive_mpc.models.base_effects.commands import TwistSlew, WheelCommand
+from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.velocity_model import VelocityModel
+
+
+class BaseEffects(StrictModel):
+    """What the base does around the linear model of the same file; an effect left out is not there."""
+
+    twist_slew: TwistSlew | None = Field(default=None, description="acceleration limits inside the base")
+    wheel_command: WheelCommand | None = Field(default=None, description="steps, coasting and top speed of the motors")
+    yaw_relaxation: YawRelaxation | None = Field(default=None, description="twist of the tyres at changes of direction")
+    veer: Veer | None = Field(default=None, description="yaw of the body while the wheels drive straight")
+    pose_mount: PoseMount | None = Field(default=None, description="where the pose sensor sits")
+
 
 PARTS = 4
 """Inside a sample the base ramps; its limited command is held over this fraction of a sample."""

@@ -21,7 +21,7 @@ def load_config(source: str | Path = "ssm", overrides: Mapping[str, object] | No
     ----------
     source
         "mbm", "sm" or "ssm" for the shipped configuration of that model, or the path of a YAML file. A relative
-        path of a model inside that file is taken from the folder of the file.
+        path of a model or of a term inside that file is taken from the folder of the file.
     overrides
         Values by dotted key, for instance ``{"horizon": 20, "weights.across": 200.0}``.
 
@@ -42,7 +42,8 @@ def load_config(source: str | Path = "ssm", overrides: Mapping[str, object] | No
     beside = path.parent / config.model
     if config.model not in MODEL_NAMES and not Path(config.model).is_absolute() and beside.is_file():
         config = config.model_copy(update={"model": str(beside)})
-    return config
+    terms = [term.model_copy(update={"file": str(path.parent / term.file)}) for term in config.terms]
+    return config.model_copy(update={"terms": terms}) if terms else config
 
 
 def replace_values(config: ControllerConfig, overrides: Mapping[str, object]) -> ControllerConfig:

@@ -11,6 +11,7 @@ from geometry_msgs.msg import Point, Pose, PoseStamped, PoseWithCovarianceStampe
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 
+from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray, Stamped
 
 NANOSECONDS = 1_000_000_000
@@ -20,7 +21,7 @@ _PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 _NORM_TOLERANCE = 1e-2
 
 
-class MessageError(ValueError):
+class MessageError(DiffdriveMpcError, ValueError):
     """A message cannot be used; says why, in few words."""
 
 

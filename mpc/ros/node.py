@@ -19,7 +19,6 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
-from diffdrive_mpc.mpc.reference_check import check_speeds
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, RefusedError
 from diffdrive_mpc.mpc.ros.diagnostics import diagnostics
 from diffdrive_mpc.mpc.ros.inbox import Inbox
@@ -28,8 +27,9 @@ from diffdrive_mpc.mpc.ros.parameters import declare, fields, read
 from diffdrive_mpc.mpc.ros.publishers import Publishers
 from diffdrive_mpc.mpc.ros.reference_input import path_reference, trajectory_reference
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
-from diffdrive_mpc.mpc.ros.transitions import logged
+from diffdrive_mpc.mpc.ros.transitions import logged, refuse_what_is_not_allowed
 from diffdrive_mpc.mpc.trajectories import Trajectory, load_trajectory
+from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
 
@@ -63,6 +63,7 @@ class TrackingNode(LifecycleNode):
         **options: Any,  # noqa: ANN401 - those of the base class
     ) -> None:
         super().__init__("diffdrive_mpc", **options)
+        refuse_what_is_not_allowed(self)
         defaults = defaults or NodeSettings()
         others = tuple(key for key, _ in fields(NodeSettings) if key != "config")
         declare(self, defaults, read_only=True, skip=others)

@@ -12,8 +12,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import StrictModel
-from diffdrive_mpc.models.robot import Positive
-from diffdrive_mpc.sim.plants.surface import NotNegative
+from diffdrive_mpc.models.robot import NotNegative, Positive
 
 Wheel = Literal["front_left", "front_right", "rear_left", "rear_right"]
 Fraction = Annotated[float, Field(ge=0, le=1)]

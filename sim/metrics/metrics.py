@@ -6,26 +6,40 @@ Guffanti et al. 2026 (PMC12845739). They cover t = 0 to the end of the reference
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.sim.metrics.metric_settings import metric_settings
-from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors
+from diffdrive_mpc.models.results import text_table
+from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings
 
+TIME_TOLERANCE = 1e-9
+"""Two instants closer than this [s] are the same tick: sums of sample times do not meet the duration exactly."""
 FALLBACK_MODES = frozenset({"REUSED_PLAN", "BRAKING", "STOPPED"})
 """Modes in which a controller did without a fresh plan."""
 GIVEN_UP_MODES = frozenset({"BRAKING", "STOPPED"})
 """Modes in which a controller no longer tracks."""
 
+# Two twists closer than this [m/s, rad/s] are the same: a ramp changes by a hundred times as much in a sample.
+_SAME_TWIST = 1e-6
+# Name and unit in the fields of `Metrics`, by what a cell is multiplied, and how the row is called.
+_SHOWN = (
+    ("position", "m", 1.0, "position [m]"),
+    ("heading", "rad", 1.0, "heading [rad]"),
+    ("course", "rad", 1.0, "course [rad]"),
+    ("lateral", "m", 1.0, "|lateral| [m]"),
+    ("step_time", "s", 1e3, "step time [ms]"),
+)
+
 
 @dataclass(frozen=True, slots=True)
 class Metrics:
-    """Statistics of one run; the field names are those of `bench.json`, units in their endings.
+    """Statistics of one run; the field names are those of `bench.json`, units in their endings. They print as a table.
 
     `heading_*` other than the RMSE are of the absolute error. A value that cannot be computed (the robot never moved,
     a pose was not finite) is NaN.
@@ -54,6 +68,20 @@ class Metrics:
     deadline_misses: int
     fallbacks: int
 
+    def __str__(self) -> str:
+        """A table: a row per error, a column per statistic, "-" where there is none."""
+        names, values = ("rmse", "mean", "std", "p50", "p95", "p99", "max"), asdict(self)
+        values["lateral_mean_m"] = self.lateral_mae_m
+        rows: list[tuple[str, ...]] = [("", *names)]
+        for quantity, unit, scale, shown in _SHOWN:
+            cells = [values.get(f"{quantity}_{name}_{unit}", math.nan) for name in names]
+            rows.append((shown, *(f"{scale * cell:.4g}" if math.isfinite(cell) else "-" for cell in cells)))
+        note = (
+            f"{self.steps} steps, {'completed' if self.completed else 'not completed'}; in the band "
+            f"{self.in_band_percent:.1f} %; deadlines missed {self.deadline_misses}, fall-backs {self.fallbacks}"
+        )
+        return text_table(rows, note=note)
+
 
 class ScoredRun(Protocol):
     """What the statistics need of a run of n ticks; shapes and units are those of `sim.run.Run`."""
@@ -81,6 +109,11 @@ class ScoredRun(Protocol):
     @property
     def true_twist(self) -> FloatArray:
         """(n, 3) forward speed [m/s], lateral speed [m/s], yaw rate [rad/s]."""
+        ...
+
+    @property
+    def reference_twist(self) -> FloatArray:
+        """(n, 2) v [m/s], omega [rad/s]."""
         ...
 
     @property
@@ -158,8 +191,36 @@ def _completed(run: ScoredRun) -> bool:
     last = int(np.flatnonzero(run.counted)[-1])
     return bool(
         not run.ended
-        and run.time[-1] >= run.reference.duration - 1e-9
+        and run.time[-1] >= run.reference.duration - TIME_TOLERANCE
         and all(np.isfinite(series).all() for series in (run.true_pose, run.true_twist, run.command))
         and run.modes[last] not in GIVEN_UP_MODES
         and run.errors.position[last] < metric_settings().end_error
     )
+
+
+def steady_arc_lateral(run: ScoredRun) -> FloatArray:
+    """Mean lateral error of every steady arc of the reference, signed: positive to the left of the path.
+
+    An arc is a stretch of constant twist with v and omega both other than zero. It is steady from `settled_arc` of
+    `metrics.yaml` after its beginning until its end; shorter ones do not count.
+
+    Returns
+    -------
+    FloatArray
+        (number of steady arcs,) [m], in order of time.
+    """
+    return np.array([np.mean(run.errors.lateral[ticks]) for ticks in steady_arcs(run)])
+
+
+def steady_arcs(run: ScoredRun) -> list[NDArray[np.intp]]:
+    """The ticks of every steady arc, as `steady_arc_lateral` defines it, in order of time."""
+    ticks = np.flatnonzero(run.counted)
+    twist, time = run.reference_twist[ticks], run.time[ticks]
+    changed = 1 + np.flatnonzero((np.abs(np.diff(twist, axis=0)) > _SAME_TWIST).any(axis=1))
+    arcs = []
+    for stretch in np.split(np.arange(len(ticks)), changed):
+        curved = bool((np.abs(twist[stretch[0]]) > _SAME_TWIST).all())
+        steady = stretch[time[stretch] >= time[stretch[0]] + metric_settings().settled_arc - TIME_TOLERANCE]
+        if curved and steady.size:
+            arcs.append(ticks[steady])
+    return arcs

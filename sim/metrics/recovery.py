@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.results import text_table
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +44,17 @@ class Recovery:
     lateral_max_m: float
     command_energy_v: float
     command_energy_omega: float
+
+    def __str__(self) -> str:
+        """A table: "-" where there is none, "inf" where the robot did not come back."""
+        rows = (
+            ("recovery time [s]", self.recovery_time_s),
+            ("overshoot [m]", self.overshoot_m),
+            ("largest |lateral| [m]", self.lateral_max_m),
+            ("energy of v_ref [m^2/s]", self.command_energy_v),
+            ("energy of omega_ref [rad^2/s]", self.command_energy_omega),
+        )
+        return text_table([(name, "-" if math.isnan(value) else f"{value:.4g}") for name, value in rows])
 
 
 def compute_recovery(

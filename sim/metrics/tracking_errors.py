@@ -1,19 +1,41 @@
-"""Tracking errors over time, all of the true pose against the reference."""
+"""Tracking errors over time, all of the true pose against the reference, and the thresholds of the metrics."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 
 import numpy as np
+from pydantic import Field
 
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.models.pose import wrap_angle
-from diffdrive_mpc.sim.metrics.metric_settings import metric_settings
+from diffdrive_mpc.models.results import ReadOnlyArrays
+from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.sim.metrics.path_projection import path_polyline
 
 
-@dataclass(frozen=True, slots=True)
-class TrackingErrors:
+class MetricSettings(StrictModel):
+    """Thresholds that turn error series into statistics."""
+
+    band: Positive = Field(description="lateral band [m]")
+    moving_speed: Positive = Field(description="least speed at which a course error is taken [m/s]")
+    end_error: Positive = Field(description="largest distance from the end of a completed run [m]")
+    path_window: Positive = Field(description="arc length searched on both sides of the reference [m]")
+    path_spacing: Positive = Field(description="spacing of the path's polyline [m]")
+    settled_arc: Positive = Field(description="time of constant twist after which an arc counts as steady [s]")
+
+
+@cache
+def metric_settings() -> MetricSettings:
+    """Read the shipped thresholds; raises ConfigError when the file has a mistake."""
+    return load_checked(MetricSettings, Path(__file__).parent / "metrics.yaml")
+
+
+@dataclass(frozen=True)
+class TrackingErrors(ReadOnlyArrays):
     """Error series over the n ticks of a run.
 
     Attributes

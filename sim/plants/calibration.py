@@ -17,16 +17,15 @@ import yaml
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.discrete_model import DiscreteModel
-from diffdrive_mpc.models.identification.fit import fit_percent
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.output_error.validation import fit_percent
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim.drives import random_drive
-from diffdrive_mpc.sim.log import Log, record
+from diffdrive_mpc.models.whole_file import whole_file
+from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.plants.twin_parameters import FIRMWARE_FILE, PARAMETERS, Firmware, load_firmware
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
-from diffdrive_mpc.sim.whole_file import whole_file
 
 _SIGNIFICANT_DIGITS = 4
 
@@ -90,8 +89,10 @@ def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | No
     fits = []
     for seed in seeds or parameters.held_out_seeds:
         for smooth in (True, False):
-            log = _drive(firmware, seed, smooth)
-            fit = [fit_percent(y, yhat) for y, yhat in zip(log.output.T, target.simulate(log.command).T, strict=True)]
+            drive = _drive(firmware, seed, smooth)
+            fit = [
+                fit_percent(y, yhat) for y, yhat in zip(drive.output.T, target.simulate(drive.command).T, strict=True)
+            ]
             fits.append(DriveFit(seed, smooth, *fit))
     return fits
 
@@ -149,7 +150,7 @@ def _calibrated(date: datetime.date, on_evaluation: Callable[[], None] | None) -
         "target": parameters.target,
         "method": "Nelder-Mead on the squared free-run error of the target, v of the encoders and omega of the gyro",
         "plant": "mujoco, surface default, sensors default",
-        "drives": "random_drive, smoothed, 30 s",
+        "drives": "random commands, smoothed, 30 s",
         "seeds": parameters.seeds,
         "date": date.isoformat(),
         "held_out_fit_percent": [
@@ -160,22 +161,22 @@ def _calibrated(date: datetime.date, on_evaluation: Callable[[], None] | None) -
     return _firmware(names, values, provenance)
 
 
-def _drive(firmware: Firmware, seed: int, smooth: bool) -> Log:
+def _drive(firmware: Firmware, seed: int, smooth: bool) -> Drive:
     from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
 
     friction = load_surface("default").friction
     if friction is None:
         raise ConfigError("surface 'default' has no friction: the calibration drives on it")
-    return record(
-        MujocoPlant(friction, load_sensor_set("default"), seed, firmware=firmware), random_drive(seed, smooth)
+    return drive_open_loop(
+        MujocoPlant(friction, load_sensor_set("default"), seed, firmware=firmware), random_commands(seed, smooth)
     )
 
 
-def _squared_error(log: Log, target: DiscreteModel) -> float:
+def _squared_error(drive: Drive, target: DiscreteModel) -> float:
     """Error energy of the target on one drive, each channel over that of its prediction, which no parameter changes."""
-    predicted = target.simulate(log.command)
+    predicted = target.simulate(drive.command)
     energy = np.sum((predicted - predicted.mean(axis=0)) ** 2, axis=0)
-    return float(np.sum(np.sum((log.output - predicted) ** 2, axis=0) / energy))
+    return float(np.sum(np.sum((drive.output - predicted) ** 2, axis=0) / energy))
 
 
 def _firmware(names: list[str], values: FloatArray, provenance: dict[str, object]) -> Firmware:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import Robot
 from diffdrive_mpc.sim.disturbances.disturbance_types import Payload, Slope
-from diffdrive_mpc.sim.plant import RobotLostError
+from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters
 
 _TIPPED = math.pi / 4
@@ -83,7 +83,7 @@ class Chassis:
 
         Raises
         ------
-        sim.plant.RobotLostError
+        sim.plants.plant.RobotLostError
             If the robot has tipped over, or a position or speed is not finite or beyond what MuJoCo computes with.
         """
         self._torque[:] = torques

@@ -21,7 +21,7 @@ from diffdrive_mpc.sim.sensing.sensors import Sensors
 
 
 class ModelPlant:
-    """A velocity model, extra dead time and slip behind the same sensors as the physics; see `sim.plant.Plant`.
+    """A velocity model, extra dead time and slip behind the same sensors as the physics; see `sim.plants.plant.Plant`.
 
     The model's v is that of the encoders, its omega that of the gyro on the surface it was identified on. Over a sample
     the twist is the mean of the outputs at both ends, and the pose moves along the exact arc of that mean. With effects

@@ -9,11 +9,10 @@ from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.robot import Robot, load_robot
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.disturbances.disturbance_types import Span
-from diffdrive_mpc.sim.disturbances.disturbances import Disturbances
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.chassis import Chassis
-from diffdrive_mpc.sim.plants.drivetrain import SpeedObserver, VelocityLoops
-from diffdrive_mpc.sim.plants.firmware import CommandShaper
+from diffdrive_mpc.sim.plants.disturbed_physics import DisturbedPhysics
+from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, SpeedObserver, VelocityLoops
 from diffdrive_mpc.sim.plants.link import DelayLine, clip_command
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
@@ -24,7 +23,7 @@ _ENCODER_PHASE_KEY = 1_000
 
 
 class MujocoPlant:
-    """The robot of the papers as a digital twin; see `sim.plant.Plant`.
+    """The robot of the papers as a digital twin; see `sim.plants.plant.Plant`.
 
     Parameters
     ----------
@@ -37,7 +36,7 @@ class MujocoPlant:
     robot, twin, firmware
         Other robots than the shipped one.
     scenario
-        What happens to chassis and motors; the rest of it is for `sim.disturbances.disturbed_plant.DisturbedPlant`.
+        What happens to chassis and motors; the rest of it is for `sim.plants.disturbed_plant.DisturbedPlant`.
     """
 
     def __init__(
@@ -63,10 +62,10 @@ class MujocoPlant:
         self._shaper = CommandShaper(firmware or load_firmware(), robot, step)
         self._observer = SpeedObserver(twin.driver.observer_bandwidth, pulse, step, phase)
         self._loops = VelocityLoops(twin.driver, twin.motor, pulse, step)
-        self._disturbances: Disturbances | None = None
+        self._disturbances: DisturbedPhysics | None = None
         if scenario is not None:
             base, torque = twin.chassis.wheel_base, twin.motor.stall_torque
-            self._disturbances = Disturbances(scenario, self._chassis, self._loops, friction, base, torque)
+            self._disturbances = DisturbedPhysics(scenario, self._chassis, self._loops, friction, base, torque)
         self._exact_speeds = sensors.encoders.speed_sd == 0.0
         kinematics = WheelKinematics(robot.wheel_radius, robot.track)
         self._sensors = Sensors(sensors, kinematics, robot.sample_time, seed=seed, noisy_encoders=False)
@@ -120,7 +119,7 @@ class MujocoPlant:
         return self._sensors.collect(self.time, self._sent)
 
     def advance(self, command: ArrayLike) -> None:
-        """Send `command` (2,) and let one sample pass; raises as `sim.plant.Plant` says."""
+        """Send `command` (2,) and let one sample pass; raises as `sim.plants.plant.Plant` says."""
         sent = clip_command(command, self._robot.limits)
         self._sent = (float(sent[0]), float(sent[1]))
         self._line.send(self.time, sent)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.named_file import named_file
-from diffdrive_mpc.models.robot import Positive
+from diffdrive_mpc.models.robot import NotNegative, Positive
 
 SURFACES = Path(__file__).parent / "surfaces"
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Slip(StrictModel):

@@ -9,14 +9,13 @@ from typing import Any
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
-from diffdrive_mpc.models.robot import Positive
-from diffdrive_mpc.sim.plants.surface import NotNegative
+from diffdrive_mpc.models.robot import NotNegative, Positive
 
 PARAMETERS = Path(__file__).parent / "parameters"
 FIRMWARE_FILE = PARAMETERS / "firmware.yaml"
 
 
-class Chassis(StrictModel):
+class ChassisParameters(StrictModel):
     """Rigid body and wheels, beyond what the robot file says."""
 
     wheel_base: Positive = Field(description="distance between front and rear axle [m]")
@@ -62,7 +61,7 @@ class TwinParameters(StrictModel):
     """Everything physical that the robot file does not hold."""
 
     substeps: int = Field(ge=1, description="physics steps per control sample")
-    chassis: Chassis
+    chassis: ChassisParameters
     tyre: Tyre
     motor: Motor
     driver: Driver

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
 Storage = Literal["mcap", "sqlite3"]
-Record = Callable[[str, Any, int], None]
+MessageRecorder = Callable[[str, Any, int], None]
 """Called with topic, message and time of receipt [ns]."""
 
 _BAG_VERSION: Literal[9] = 9
@@ -18,7 +18,7 @@ _BAG_VERSION: Literal[9] = 9
 
 
 @contextmanager
-def bag_recorder(folder: Path, storage: Storage = "mcap") -> Iterator[Record]:
+def bag_recorder(folder: Path, storage: Storage = "mcap") -> Iterator[MessageRecorder]:
     """Open a new bag; whatever ends the context, what was recorded until then can be read.
 
     Raises

@@ -16,12 +16,10 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.sim.plant import Plant
+from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.ros.bag_recorder import Storage, bag_recorder
 from diffdrive_mpc.sim.ros.base_settings import BaseSettings
-from diffdrive_mpc.sim.ros.lock_step import drive_in_lock_step
-from diffdrive_mpc.sim.ros.real_time import drive_in_real_time
-from diffdrive_mpc.sim.ros.robot_clock import SteppedClock, WallClock
+from diffdrive_mpc.sim.ros.pace import SteppedClock, WallClock, drive_in_lock_step, drive_in_real_time
 from diffdrive_mpc.sim.ros.simulated_base import SimulatedBase
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 
@@ -67,7 +65,7 @@ def run_robot(
     ------
     models.checked_yaml.ConfigError
         If the bag cannot be written, or the ROS arguments cannot be used.
-    sim.plant.RobotLostError
+    sim.plants.plant.RobotLostError
         If the robot tips over or its motion diverges.
     """
     with ExitStack() as stack:

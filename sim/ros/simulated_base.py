@@ -13,9 +13,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import Imu, JointState
 
-from diffdrive_mpc.sim.plant import Plant
+from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.ros import messages
-from diffdrive_mpc.sim.ros.bag_recorder import Record
+from diffdrive_mpc.sim.ros.bag_recorder import MessageRecorder
 from diffdrive_mpc.sim.ros.base_settings import BaseSettings
 from diffdrive_mpc.sim.ros.command_inbox import CommandInbox
 from diffdrive_mpc.sim.ros.odometry import Odometry
@@ -28,7 +28,7 @@ class SimulatedBase:
     """Publishes what the plant's sensors deliver, and drives it with the commands that arrive.
 
     Sensors are published best effort, commands are taken reliably, the newest only. Who holds the object says when a
-    sample passes: `sim.ros.lock_step` or `sim.ros.real_time`.
+    sample passes: `sim.ros.pace` or `sim.ros.pace`.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class SimulatedBase:
         *,
         pose_memory: int,
         clock: Callable[[], int],
-        record: Record | None = None,
+        record: MessageRecorder | None = None,
     ) -> None:
         self.node, self.plant = node, plant
         self._settings, self._clock, self._record = settings, clock, record
@@ -138,7 +138,7 @@ class SimulatedBase:
 
         Raises
         ------
-        sim.plant.RobotLostError
+        sim.plants.plant.RobotLostError
             If the robot does not come through it.
         """
         lapsed = self.inbox.lapsed(now)

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.named_file import named_file
-from diffdrive_mpc.sim.plants.surface import NotNegative
+from diffdrive_mpc.models.robot import NotNegative
 
 SENSOR_SETS = Path(__file__).parent / "sensor_sets"
 

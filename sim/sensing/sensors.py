@@ -13,7 +13,7 @@ from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 
 # Times are sums and multiples of decimals: an instant this close [s] counts as reached.
-TIME_TOLERANCE = 1e-9
+_TIME_TOLERANCE = 1e-9
 
 
 class Sensors:
@@ -61,7 +61,7 @@ class Sensors:
         self._gyro_bias = self._parameters.gyro.bias_sd * self._gyro_stream.standard_normal()
         self._on_the_way: deque[Stamped] = deque()
         # Back to the first pose that has arrived by time 0.
-        self._next_pose = -int(np.ceil((self._parameters.pose.latency - TIME_TOLERANCE) / self._period))
+        self._next_pose = -int(np.ceil((self._parameters.pose.latency - _TIME_TOLERANCE) / self._period))
         for time in self.poses_due(0.0):
             self.see_pose(time, pose)
         self.see_motion(0.0, wheel_speeds, 0.0)
@@ -69,7 +69,7 @@ class Sensors:
     def poses_due(self, until: float) -> list[float]:
         """The times up to `until` [s] at which the pose sensor looks; each has to be answered with `see_pose`."""
         due = []
-        while self._next_pose * self._period <= until + TIME_TOLERANCE:
+        while self._next_pose * self._period <= until + _TIME_TOLERANCE:
             due.append(self._next_pose * self._period)
             self._next_pose += 1
         return due
@@ -91,7 +91,7 @@ class Sensors:
     def collect(self, time: float, sent: tuple[float, float] | None) -> Measurement:
         """Everything delivered up to `time` [s] and not collected yet; of several poses the newest."""
         pose = None
-        while self._on_the_way and self._on_the_way[0].time + self._parameters.pose.latency <= time + TIME_TOLERANCE:
+        while self._on_the_way and self._on_the_way[0].time + self._parameters.pose.latency <= time + _TIME_TOLERANCE:
             pose = self._on_the_way.popleft()
         measurement = Measurement(
             pose=pose,

@@ -14,7 +14,7 @@ from diffdrive_mpc.bench.peers.known_plant import know_plant
 from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.mpc import load_config, load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
-from diffdrive_mpc.sim.metrics.steady_arcs import steady_arc_lateral
+from diffdrive_mpc.sim.metrics.metrics import steady_arc_lateral
 
 
 @pytest.fixture(scope="module")

@@ -120,3 +120,17 @@ def bag_topics(columns, command="geometry_msgs/msg/Twist", pose="geometry_msgs/m
         "/imu": ("sensor_msgs/msg/Imu", t + 0.007, t, rows("gyro")),
         "/pose": (pose, t[::5] + 0.05, t[::5], rows("x", "y", "theta")[::5]),
     }
+
+
+TEXTS = ("mode", "solver_status", "solver_path", "message")
+
+
+def read_columns(path):
+    """Columns of a log of `simulate` as they stand: numbers (NaN in empty cells), and lists of texts."""
+    with path.open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    columns = dict(zip(header, zip(*rows, strict=True), strict=True))
+    return {
+        name: list(cells) if name in TEXTS else np.array([float(cell or "nan") for cell in cells])
+        for name, cells in columns.items()
+    }

@@ -91,6 +91,30 @@ def test_the_states_of_the_lifecycle():
         assert state(s) == State.PRIMARY_STATE_FINALIZED
 
 
+@pytest.mark.parametrize(
+    ("asked", "named"),
+    [
+        (Transition(id=Transition.TRANSITION_CONFIGURE), "1"),
+        (Transition(id=Transition.TRANSITION_ACTIVATE), "3"),
+        (Transition(id=0), "0"),
+        (Transition(id=99), "99"),
+        (Transition(label="activate"), "'activate'"),
+    ],
+)
+def test_a_transition_that_is_not_allowed_is_refused_and_the_node_drives_on(asked, named, capfd):
+    with stack(drive=True) as s:
+        s.base.run(5)
+        capfd.readouterr()
+        assert not s.call(ChangeState, "/diffdrive_mpc/change_state", ChangeState.Request(transition=asked)).success
+        warnings = [line for line in capfd.readouterr().err.splitlines() if "[WARN]" in line]
+        assert len(warnings) == 1
+        refusal = f"transition {named} refused: the node is active; allowed: deactivate (4), shutdown (7)"
+        assert warnings[0].endswith(refusal)
+        assert state(s) == State.PRIMARY_STATE_ACTIVE
+        assert s.base.run(5)[-1, 0] > 0.0
+        assert change(s, Transition.TRANSITION_DEACTIVATE)
+
+
 def test_while_active_a_full_collection_of_garbage_has_little_to_walk():
     """Counted, not timed: what was built before is set aside, and comes back."""
     with stack(autostart=False) as s:

@@ -10,9 +10,9 @@ from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.base_effects import BaseEffects, PoseMount, respond
 from diffdrive_mpc.models.load import PARAMETERS, load_base_effects
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim.drives import random_drive
-from diffdrive_mpc.sim.make import make_plant
+from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
+from diffdrive_mpc.sim.plants.open_loop import random_commands
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
@@ -45,7 +45,7 @@ def driven(plant, commands):
 
 
 def test_plant_of_a_file_with_effects_is_the_free_run_of_that_file(path):
-    commands = random_drive(4, duration=6.0)
+    commands = random_commands(4, duration=6.0)
     seen, _ = driven(make_plant(f"model:{path}", surface="ideal", sensors="perfect"), commands)
     response = respond(load_model(path), load_base_effects(path), commands, DT)
     np.testing.assert_allclose(seen[:, 0], response.wheels[:, 0], atol=1e-12)
@@ -53,7 +53,7 @@ def test_plant_of_a_file_with_effects_is_the_free_run_of_that_file(path):
 
 
 def test_without_effects_and_with_a_pose_mount_alone_the_run_is_the_same_bit_for_bit():
-    commands = random_drive(4, duration=3.0)
+    commands = random_commands(4, duration=3.0)
     slip, sensors = load_surface("default").slip, load_sensor_set("slam")
     runs = [
         driven(ModelPlant(load_model("ssm"), slip, sensors, 3, effects=effects), commands)
@@ -75,7 +75,7 @@ def test_a_reversal_costs_heading_twice_the_angle_of_the_tyres():
 
 
 def test_same_seed_same_run_with_effects(path):
-    commands = random_drive(4, duration=2.0)
+    commands = random_commands(4, duration=2.0)
     first, second = (driven(make_plant(f"model:{path}", sensors="slam", seed=5), commands) for _ in range(2))
     np.testing.assert_array_equal(first[0], second[0])
     np.testing.assert_array_equal(first[1], second[1])

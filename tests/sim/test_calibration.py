@@ -8,9 +8,6 @@ import numpy as np
 import pytest
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.sim.drives import random_drive
-from diffdrive_mpc.sim.log import Log, record
-from diffdrive_mpc.sim.make import make_plant
 from diffdrive_mpc.sim.plants.calibration import (
     DriveFit,
     calibrate,
@@ -18,6 +15,8 @@ from diffdrive_mpc.sim.plants.calibration import (
     validate_calibration,
     write_firmware,
 )
+from diffdrive_mpc.sim.plants.make import make_plant
+from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, load_firmware
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
@@ -57,8 +56,8 @@ def test_calibrated_values_lie_inside_their_bounds() -> None:
 
 def test_stated_encoder_noise_is_that_of_the_counting_encoders() -> None:
     """The sensor set changes what is delivered and not the physics, so `perfect` shows the truth behind `default`."""
-    commands = random_drive(9, smooth=False)
-    estimated, true = (record(make_plant("mujoco", sensors=name), commands) for name in ("default", "perfect"))
+    commands = random_commands(9, smooth=False)
+    estimated, true = (drive_open_loop(make_plant("mujoco", sensors=name), commands) for name in ("default", "perfect"))
     np.testing.assert_array_equal(estimated.true_pose, true.true_pose)
     settled = np.ones(len(commands), dtype=bool)
     for change in np.flatnonzero(np.any(np.diff(commands, axis=0, prepend=0.0) != 0, axis=1)):
@@ -78,10 +77,10 @@ def drives(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Short drives of a velocity model in place of the physics; the seeds that were driven."""
     driven: list[int] = []
 
-    def drive(firmware: Firmware, seed: int, smooth: bool) -> Log:
+    def drive(firmware: Firmware, seed: int, smooth: bool) -> Drive:
         driven.append(seed)
         plant = make_plant(f"model:ssm+{firmware.lag_v}", surface="ideal", sensors="perfect")
-        return record(plant, random_drive(seed, smooth, duration=1.0))
+        return drive_open_loop(plant, random_commands(seed, smooth, duration=1.0))
 
     monkeypatch.setattr("diffdrive_mpc.sim.plants.calibration._drive", drive)
     return driven

@@ -32,7 +32,7 @@ for seed in (3, 4):
 
 def _digests(trajectory: Path, model: str, hash_seed: str) -> list[str]:
     """Seed, ticks, and the digests of commands, true and measured poses, of runs in a process of its own."""
-    environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": str(ROOT / "src")}
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT, str(trajectory), model],
         env=environment,

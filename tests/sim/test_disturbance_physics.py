@@ -11,13 +11,13 @@ import pytest
 from diffdrive_mpc.models.checked_yaml import check
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.disturbances.disturbance_types import Payload, Slope
-from diffdrive_mpc.sim.disturbances.disturbances import Disturbances
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
-from diffdrive_mpc.sim.log import record
-from diffdrive_mpc.sim.plant import RobotLostError
 from diffdrive_mpc.sim.plants.chassis import WHEELS, Chassis
+from diffdrive_mpc.sim.plants.disturbed_physics import Disturbances
 from diffdrive_mpc.sim.plants.drivetrain import VelocityLoops
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
+from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
+from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.plants.twin_parameters import load_twin_parameters
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
@@ -198,7 +198,7 @@ def test_on_a_patch_the_robot_slips_as_on_a_floor_of_that_kind() -> None:
         "slippery": _plant(SLIPPERY),
         "default": _plant(),
     }.items():
-        lateral[name] = record(plant, np.tile([0.5, 0.5], (250, 1))).true_twist[150:, 1].mean()
+        lateral[name] = drive_open_loop(plant, np.tile([0.5, 0.5], (250, 1))).true_twist[150:, 1].mean()
     assert lateral["patch"] == pytest.approx(lateral["slippery"], rel=0.02)
     assert lateral["patch"] < 2 * lateral["default"] < 0
 
@@ -207,7 +207,7 @@ def test_a_patch_begins_and_ends_where_it_lies() -> None:
     """The front wheels get onto it half a wheel base before the middle, the rear wheels leave it as much after."""
     half = TWIN.chassis.wheel_base / 2
     plant = _plant(patches=[{"start": 0.5, "length": 0.6, "friction": 0.5}, {"start": 50.0, "friction": 0.5}])
-    log = record(plant, np.tile([0.5, 0.0], (200, 1)))
+    log = drive_open_loop(plant, np.tile([0.5, 0.0], (200, 1)))
     ((on, off),) = plant.crossed
     assert np.isfinite(off)
     assert np.interp([on, off], log.time, log.true_pose[:, 0]) == pytest.approx([0.5 - half, 1.1 + half], abs=2e-3)
@@ -231,7 +231,7 @@ def test_one_side_on_ice_lets_that_side_slip_only() -> None:
 def test_a_blockade_holds_the_robot_and_lets_it_go() -> None:
     hold = {"height": 0.02, "stiffness": 5e3, "damping": 260.0, "yaw_stiffness": 500.0, "yaw_damping": 11.0}
     plant = _plant(blockades=[{"start": 1.0, "duration": 1.0, **hold}])
-    log = record(plant, np.tile([0.5, 0.3], (200, 1)))
+    log = drive_open_loop(plant, np.tile([0.5, 0.3], (200, 1)))
     held = (log.time > 1.0) & (log.time < 2.0)
     start = log.true_pose[np.flatnonzero(held)[0]]
     # All wheels skidding push no harder than friction, against the spring.
@@ -265,7 +265,7 @@ def test_a_robot_whose_motion_diverges_is_lost_and_not_back_at_its_start(
 @pytest.mark.parametrize("friction", [FLOOR, SLIPPERY])
 def test_a_patch_by_factor_is_a_share_of_the_floor_it_lies_on(friction: float) -> None:
     drives = [
-        record(_plant(friction, patches=[{"start": 0.0, **kind}]), np.tile([0.5, 0.5], (100, 1))).true_pose
+        drive_open_loop(_plant(friction, patches=[{"start": 0.0, **kind}]), np.tile([0.5, 0.5], (100, 1))).true_pose
         for kind in ({"factor": 0.25}, {"friction": 0.25 * friction})
     ]
     np.testing.assert_array_equal(*drives)

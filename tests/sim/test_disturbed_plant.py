@@ -13,10 +13,10 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim import make_plant, simulate
-from diffdrive_mpc.sim.disturbances.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.disturbances.scenario import SCENARIOS, Scenario, load_scenario
-from diffdrive_mpc.sim.drives import random_drive
-from diffdrive_mpc.sim.plant import Plant
+from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
+from diffdrive_mpc.sim.plants.open_loop import random_commands
+from diffdrive_mpc.sim.plants.plant import Plant
 
 PLANTS = ["mujoco", "model:ssm"]
 DT = load_robot().sample_time
@@ -34,7 +34,7 @@ def _disturbed(name: str, **parts: Any) -> DisturbedPlant:
 def _trace(plant: Plant, ticks: int) -> list[Any]:
     """Everything that a drive of some ticks lets one see, in comparable form."""
     trace: list[Any] = []
-    for command in random_drive(4, duration=(ticks + 1) * DT)[:ticks]:
+    for command in random_commands(4, duration=(ticks + 1) * DT)[:ticks]:
         seen = plant.measure()
         stamped = (seen.pose, seen.wheel_twist, seen.yaw_rate, seen.wheel_speeds)
         trace.append([None if one is None else (np.asarray(one.value).tolist(), one.time) for one in stamped])

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.sim import simulate
-from diffdrive_mpc.sim.plant import RobotLostError
+from diffdrive_mpc.sim.plants.plant import RobotLostError
 
 CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=3.0, start=(1.0, -2.0, 0.4))
 
@@ -102,7 +102,9 @@ def test_every_tick_is_announced() -> None:
 
 
 def test_sim_imports_without_mujoco() -> None:
-    code = "import sys; sys.modules['mujoco'] = None; from diffdrive_mpc import sim; sim.simulate; sim.Run; sim.make"
+    code = (
+        "import sys; sys.modules['mujoco'] = None; from diffdrive_mpc import sim; sim.simulate; sim.Run; sim.make_plant"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

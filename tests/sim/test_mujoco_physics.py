@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim.drives import random_drive
-from diffdrive_mpc.sim.log import Log, record
 from diffdrive_mpc.sim.plants.chassis import Chassis
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
+from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, measure_slip, random_commands
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.plants.twin_parameters import load_firmware, load_twin_parameters
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
-from diffdrive_mpc.sim.slip_measurement import measure_slip
 
 FRICTION = {name: load_surface(name).friction or 0.0 for name in ("slippery", "default", "grippy")}
 
@@ -22,22 +20,22 @@ def _plant(surface: str = "default") -> MujocoPlant:
     return MujocoPlant(FRICTION[surface], load_sensor_set("perfect"))
 
 
-def _hold(plant: MujocoPlant, v: float, omega: float, samples: int = 200) -> Log:
+def _hold(plant: MujocoPlant, v: float, omega: float, samples: int = 200) -> Drive:
     """Steady part of a held command."""
-    log = record(plant, np.tile([v, omega], (samples, 1)))
+    log = drive_open_loop(plant, np.tile([v, omega], (samples, 1)))
     half = samples // 2
-    return Log(*(getattr(log, name)[half:] for name in Log.__dataclass_fields__))
+    return Drive(*(getattr(log, name)[half:] for name in Drive.__dataclass_fields__))
 
 
 @pytest.fixture(scope="module")
-def steady() -> dict[str, Log]:
+def steady() -> dict[str, Drive]:
     """The same gentle curve on every surface."""
     return {surface: _hold(_plant(surface), 0.5, 0.5) for surface in FRICTION}
 
 
 def test_resting_robot_stays_where_it_is() -> None:
     plant = _plant()
-    log = record(plant, np.zeros((250, 2)), pose=[1.0, -2.0, 0.7])
+    log = drive_open_loop(plant, np.zeros((250, 2)), pose=[1.0, -2.0, 0.7])
     np.testing.assert_allclose(log.true_pose, np.tile([1.0, -2.0, 0.7], (250, 1)), atol=1e-4)
     np.testing.assert_allclose(log.wheel_speeds, 0.0, atol=1e-6)
     assert plant.chassis.wheels_on_floor == 4
@@ -63,12 +61,12 @@ def test_turning_on_the_spot_slips_as_coulomb_friction_says() -> None:
     assert gain == pytest.approx(track**2 / (track**2 + base**2), abs=0.01)
 
 
-def test_yaw_rate_is_below_that_of_the_wheels(steady: dict[str, Log]) -> None:
+def test_yaw_rate_is_below_that_of_the_wheels(steady: dict[str, Drive]) -> None:
     for log in steady.values():
         assert 0.7 < log.true_twist[:, 2].mean() / log.wheel_twist[:, 1].mean() < 0.95
 
 
-def test_side_slip_points_outward_and_grows_as_grip_falls(steady: dict[str, Log]) -> None:
+def test_side_slip_points_outward_and_grows_as_grip_falls(steady: dict[str, Drive]) -> None:
     lateral = {surface: log.true_twist[:, 1].mean() for surface, log in steady.items()}
     assert lateral["slippery"] < lateral["default"] < lateral["grippy"] < 0
 
@@ -80,7 +78,7 @@ def test_left_and_right_mirror_each_other_but_for_the_motors() -> None:
 
 def test_dead_time_is_that_of_the_link() -> None:
     """Nothing moves before the dead time; the sample in which it ends shows the first motion."""
-    log = record(_plant(), np.tile([0.6, 0.0], (10, 1)))
+    log = drive_open_loop(_plant(), np.tile([0.6, 0.0], (10, 1)))
     dead_time = load_twin_parameters().link.dead_time
     moving = np.abs(log.true_twist[:, 0]) > 1e-3
     assert not moving[log.time <= dead_time].any()
@@ -92,7 +90,7 @@ def test_weak_motors_limit_the_speed_and_obey_again_when_less_is_asked() -> None
     weak = twin.model_copy(update={"motor": twin.motor.model_copy(update={"no_load_speed": 15.0})})
     plant = MujocoPlant(FRICTION["default"], load_sensor_set("perfect"), twin=weak)
     reachable = 15.0 * load_robot().wheel_radius
-    log = record(plant, np.vstack([np.tile([1.5, 0.0], (150, 1)), np.tile([0.5, 0.0], (100, 1))]))
+    log = drive_open_loop(plant, np.vstack([np.tile([1.5, 0.0], (150, 1)), np.tile([0.5, 0.0], (100, 1))]))
     v = log.wheel_twist[:, 0]
     # Without rolling resistance the no-load speed is the asymptote: reached up to the solver's residual, not passed.
     assert v.max() == pytest.approx(reachable, rel=1e-6)
@@ -149,7 +147,7 @@ def test_push_accelerates_the_mass_and_the_turning_parts() -> None:
 
 def test_zero_command_stops_the_robot_and_keeps_it_there() -> None:
     plant = _plant()
-    record(plant, np.tile([1.0, 1.0], (100, 1)))
+    drive_open_loop(plant, np.tile([1.0, 1.0], (100, 1)))
     for _ in range(75):
         plant.advance([0.0, 0.0])
     stopped = plant.true_pose
@@ -161,7 +159,7 @@ def test_zero_command_stops_the_robot_and_keeps_it_there() -> None:
 
 def test_acceleration_stays_within_friction() -> None:
     """Pitching shifts load for an instant, but over a tenth of a second the floor carries the weight and no more."""
-    log = record(_plant("slippery"), np.tile([1.2, 0.0], (60, 1)))
+    log = drive_open_loop(_plant("slippery"), np.tile([1.2, 0.0], (60, 1)))
     samples = 5
     gained = log.true_twist[samples:, 0] - log.true_twist[:-samples, 0]
     acceleration = gained / (samples * load_robot().sample_time)
@@ -170,13 +168,13 @@ def test_acceleration_stays_within_friction() -> None:
 
 
 def test_yaw_turns_past_pi_without_a_jump() -> None:
-    log = record(_plant(), np.tile([0.0, 1.5], (250, 1)), pose=[0.0, 0.0, 3.0])
+    log = drive_open_loop(_plant(), np.tile([0.0, 1.5], (250, 1)), pose=[0.0, 0.0, 3.0])
     assert log.true_pose[-1, 2] > 3.0 + 2 * np.pi
     assert np.abs(np.diff(log.true_pose[:, 2])).max() < 0.1
 
 
 def test_pose_is_the_integral_of_the_twist() -> None:
-    log = record(_plant(), random_drive(5, duration=6.0))
+    log = drive_open_loop(_plant(), random_commands(5, duration=6.0))
     v, lateral, omega = (0.5 * (log.true_twist[1:] + log.true_twist[:-1])).T
     theta = 0.5 * (log.true_pose[1:, 2] + log.true_pose[:-1, 2])
     dt = load_robot().sample_time
@@ -188,8 +186,8 @@ def test_pose_is_the_integral_of_the_twist() -> None:
 
 
 def test_shipped_slip_of_the_surfaces_is_that_of_the_physics() -> None:
-    commands = random_drive(301)
-    logs = {surface: record(_plant(surface), commands) for surface in FRICTION}
+    commands = random_commands(301)
+    logs = {surface: drive_open_loop(_plant(surface), commands) for surface in FRICTION}
     for surface, log in logs.items():
         measured, shipped = measure_slip(log, logs["default"]), load_surface(surface).slip
         for name in type(shipped).model_fields:

@@ -17,11 +17,10 @@ from diffdrive_mpc.models.interface import Stamped
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.velocity_model import ModelError
-from diffdrive_mpc.sim.drives import random_drive
-from diffdrive_mpc.sim.log import Log, record
-from diffdrive_mpc.sim.make import make_plant
-from diffdrive_mpc.sim.plant import Plant
+from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
+from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, random_commands
+from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.plants.surface import Slip, load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
@@ -33,7 +32,7 @@ PERFECT = load_sensor_set("perfect")
 def _trace(plant: Plant, seed: int = 4) -> list[np.ndarray]:
     """Everything a short drive lets one see."""
     trace = []
-    for command in random_drive(seed, duration=3.0):
+    for command in random_commands(seed, duration=3.0):
         measurement = plant.measure()
         for name in ("pose", "wheel_twist", "yaw_rate", "wheel_speeds"):
             stamped: Stamped | None = getattr(measurement, name)
@@ -126,7 +125,11 @@ def test_surface_and_sensors_can_be_the_users_files(tmp_path: Path) -> None:
 
 def test_import_of_sim_does_not_load_mujoco() -> None:
     code = (
-        "import sys, sim.make, sim.plants.surface, sim.drives; sim.make('model:ssm'); sys.exit('mujoco' in sys.modules)"
+        "import sys\n"
+        "from diffdrive_mpc import make_plant\n"
+        "import diffdrive_mpc.sim.plants.surface, diffdrive_mpc.sim.plants.open_loop\n"
+        "make_plant('model:ssm')\n"
+        "sys.exit('mujoco' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
@@ -139,9 +142,9 @@ def _simulated(extra_dead_time: float, commands: np.ndarray) -> np.ndarray:
 @settings(max_examples=20)
 @given(seed=st.integers(0, 1000), extra_dead_time=st.floats(0.0, 0.1))
 def test_model_plant_without_slip_is_its_model(seed: int, extra_dead_time: float) -> None:
-    commands = random_drive(seed, duration=2.0)
+    commands = random_commands(seed, duration=2.0)
     slip = load_surface("ideal").slip
-    log = record(ModelPlant(load_model("ssm"), slip, PERFECT, extra_dead_time=extra_dead_time), commands)
+    log = drive_open_loop(ModelPlant(load_model("ssm"), slip, PERFECT, extra_dead_time=extra_dead_time), commands)
     expected = _simulated(extra_dead_time, commands)
     np.testing.assert_allclose(log.output, expected, atol=1e-12)
     np.testing.assert_allclose(log.wheel_twist, expected, atol=1e-12)
@@ -152,13 +155,13 @@ def test_model_plant_without_slip_is_its_model(seed: int, extra_dead_time: float
         np.testing.assert_allclose(log.true_pose[k + 1], pose, atol=1e-12)
 
 
-def _named(name: str, commands: np.ndarray, **options: float) -> Log:
-    return record(make_plant(name, surface="ideal", sensors="perfect", **options), commands)  # type: ignore[arg-type]
+def _named(name: str, commands: np.ndarray, **options: float) -> Drive:
+    return drive_open_loop(make_plant(name, surface="ideal", sensors="perfect", **options), commands)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("model", ["sm", "mbm", "ssm"])
 def test_dead_time_in_the_name_delays_the_outputs(model: str) -> None:
-    commands = random_drive(8, duration=3.0)
+    commands = random_commands(8, duration=3.0)
     plain, late = _named(f"model:{model}", commands), _named(f"model:{model}+{2 * DT}", commands)
     np.testing.assert_allclose(late.output[2:], plain.output[:-2], atol=1e-12)
     np.testing.assert_allclose(late.output[:2], 0.0, atol=1e-12)
@@ -175,7 +178,7 @@ def test_a_dead_time_beyond_any_robots_is_refused() -> None:
 
 
 def test_dead_times_of_name_and_argument_add_up() -> None:
-    commands = random_drive(8, duration=3.0)
+    commands = random_commands(8, duration=3.0)
     both = _named(f"model:sm+{DT}", commands, extra_dead_time=DT)
     np.testing.assert_allclose(both.output, _named(f"model:sm+{2 * DT}", commands).output, atol=1e-12)
 
@@ -183,16 +186,16 @@ def test_dead_times_of_name_and_argument_add_up() -> None:
 def test_a_model_file_may_have_a_plus_in_its_path(tmp_path: Path) -> None:
     path = tmp_path / "robot+0.04"
     path.write_text(model_path("sm").read_text(encoding="utf-8"), encoding="utf-8")
-    commands = random_drive(8, duration=3.0)
+    commands = random_commands(8, duration=3.0)
     plain = _named("model:sm", commands)
     np.testing.assert_array_equal(_named(f"model:{path}", commands).output, plain.output)
     late = _named(f"model:{path}+{DT}", commands)
     np.testing.assert_allclose(late.output[1:], plain.output[:-1], atol=1e-12)
 
 
-def _slipping(**changes: float) -> Log:
+def _slipping(**changes: float) -> Drive:
     slip = Slip(**{"yaw_gain": 1.0, "wheel_yaw_gain": 1.0, "longitudinal_gain": 1.0, "side_slip": 0.0} | changes)
-    return record(ModelPlant(load_model("ssm"), slip, PERFECT), random_drive(6, duration=4.0))
+    return drive_open_loop(ModelPlant(load_model("ssm"), slip, PERFECT), random_commands(6, duration=4.0))
 
 
 def test_slip_of_the_model_plant() -> None:
@@ -209,7 +212,7 @@ def test_slip_of_the_model_plant() -> None:
 def test_side_slip_moves_the_body_sideways() -> None:
     """On a steady circle a side-slip turns the direction of travel outward by atan(side slip * omega)."""
     slip = Slip(yaw_gain=1.0, wheel_yaw_gain=1.0, longitudinal_gain=1.0, side_slip=0.1)
-    log = record(ModelPlant(load_model("ssm"), slip, PERFECT), np.tile([0.5, 0.8], (300, 1)))
+    log = drive_open_loop(ModelPlant(load_model("ssm"), slip, PERFECT), np.tile([0.5, 0.8], (300, 1)))
     step = np.diff(log.true_pose[150:], axis=0)
     heading = 0.5 * (log.true_pose[150:-1, 2] + log.true_pose[151:, 2])
     course = np.unwrap(np.arctan2(step[:, 1], step[:, 0]) - heading)

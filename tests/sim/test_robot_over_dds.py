@@ -8,8 +8,8 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim import make_plant
-from diffdrive_mpc.sim.log import record
-from diffdrive_mpc.sim.plant import RobotLostError
+from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
+from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc.sim.ros.base_settings import BaseSettings, load_base_settings
 from diffdrive_mpc.sim.ros.run_robot import run_robot
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
@@ -54,7 +54,7 @@ def test_lock_step_repeats_the_run_without_ros_bit_for_bit(tmp_path):
     rows = commands()
     for name in ("one", "two"):
         driven(tmp_path / name, rows, seed=3)
-    log = record(make_plant("mujoco", seed=3), rows, (1.0, 2.0, 0.5))
+    log = drive_open_loop(make_plant("mujoco", seed=3), rows, (1.0, 2.0, 0.5))
     truth = recorded_truth(tmp_path / "one")
     assert np.array_equal(truth, recorded_truth(tmp_path / "two"))
     assert np.array_equal(truth[:, :2], log.true_pose[:, :2])
@@ -69,7 +69,7 @@ def test_a_recording_is_the_log_of_the_drive(tmp_path, stamped, storage):
     """Commands, encoders, gyro and poses as `read_log` gives them are those of the same drive without ROS."""
     rows = commands(200, seed=1)
     driven(tmp_path / "bag", rows, seed=2, base=settings(stamped=stamped), storage=storage)
-    log = record(make_plant("mujoco", seed=2), rows, (1.0, 2.0, 0.5))
+    log = drive_open_loop(make_plant("mujoco", seed=2), rows, (1.0, 2.0, 0.5))
     (drive,) = read_log(tmp_path / "bag", "simulated_robot").records
     assert drive.dt == pytest.approx(DT, abs=1e-12)
     assert np.array_equal(drive.command, log.command)

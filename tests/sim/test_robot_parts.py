@@ -13,7 +13,7 @@ from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.base_settings import load_base_settings
 from diffdrive_mpc.sim.ros.command_inbox import STOP, CommandInbox
 from diffdrive_mpc.sim.ros.odometry import Odometry
-from diffdrive_mpc.sim.ros.robot_clock import SteppedClock, WallClock
+from diffdrive_mpc.sim.ros.pace import SteppedClock, WallClock
 
 SECOND = 10**9
 DT = 0.02

@@ -26,7 +26,7 @@ from diffdrive_mpc.bench.outcomes import Outcome, by, by_driver, by_horizon, by_
 from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
 from diffdrive_mpc.bench.study import Draw
 from diffdrive_mpc.sim import Run
-from diffdrive_mpc.sim.metrics.metric_settings import metric_settings
+from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 
 def drawings(results: ComparisonResults) -> dict[str, Draw]:

@@ -11,7 +11,7 @@ from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.bench.outcomes import STATISTICS, Outcome, metrics_row, plain
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.studies.comparison.plan import ComparisonSettings
-from diffdrive_mpc.sim.metrics.metric_settings import metric_settings
+from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 TIMING = "serial replay of the recorded measurements, one core, one BLAS thread, garbage collection off, whole step"
 

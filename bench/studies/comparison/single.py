@@ -16,9 +16,9 @@ from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.studies.comparison.tables import error_table, path_table, scenario_table, summary_table
 from diffdrive_mpc.bench.sweep import single_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.log_csv import write_rows
-from diffdrive_mpc.sim.whole_file import whole_file
 
 _MESSAGES_SHOWN = 5
 

@@ -17,7 +17,7 @@ from diffdrive_mpc.bench.timing import quiet_core
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.load import MODEL_NAMES, load_model
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim.drives import random_drive
+from diffdrive_mpc.sim.plants.open_loop import random_commands
 
 _SEED = 0
 _BYTES_PER_MB = 1e6
@@ -57,7 +57,7 @@ def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -
         Called after each run.
     """
     dt = load_robot().sample_time
-    commands = random_drive(_SEED, duration=study.steps * dt)
+    commands = random_commands(_SEED, duration=study.steps * dt)
     models = {name: load_model(name).discretise(dt) for name in MODEL_NAMES}
 
     def run(model: DiscreteModel) -> None:

@@ -10,15 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.discrete_model import DiscreteModel, zero_order_hold
-from diffdrive_mpc.models.identification.output_error.linear_system import LinearSystem
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.linear_system import LinearSystem
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.trajectories import load_segments
 from diffdrive_mpc.sim import make_plant
-from diffdrive_mpc.sim.drives import random_drive, step_drives
-from diffdrive_mpc.sim.log import record
+from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands, step_commands
 
 StepKind = Literal["wheels", "v", "omega"]
 STEP_KINDS: tuple[StepKind, ...] = ("wheels", "v", "omega")
@@ -120,13 +119,13 @@ class RobotLogs:
         self._seeds: Iterator[int] = iter(range(_SEEDS_EACH * repetition, _SEEDS_EACH * (repetition + 1)))
 
     def steps(self, kind: StepKind) -> list[Record]:
-        """The steps of "wheels", "v" or "omega"; see `sim.drives.step_drives`."""
-        return self._driven(f"step of {kind}", step_drives(kind))
+        """The steps of "wheels", "v" or "omega"; see `sim.plants.open_loop.step_commands`."""
+        return self._driven(f"step of {kind}", step_commands(kind))
 
     def free(self, drives: int, duration: float) -> list[Record]:
         """Free drives of `duration` [s] each: smoothed random set-points."""
         return [
-            record_of(f"free drive, seed {seed}", seed, random_drive(seed, duration=duration))
+            record_of(f"free drive, seed {seed}", seed, random_commands(seed, duration=duration))
             for seed in (next(self._seeds) for _ in range(drives))
         ]
 
@@ -148,7 +147,7 @@ def trajectory_commands(name: str) -> FloatArray:
 
 def record_of(name: str, seed: int, commands: FloatArray) -> Record:
     """Drive the simulated robot on the default surface and record it."""
-    log = record(make_plant("mujoco", seed=seed), commands)
+    log = drive_open_loop(make_plant("mujoco", seed=seed), commands)
     return Record(
         name,
         0.0,

@@ -21,16 +21,14 @@ from diffdrive_mpc.bench.studies.reproduce.drives import (
 from diffdrive_mpc.bench.studies.reproduce.published import Finding, Published, each
 from diffdrive_mpc.bench.studies.reproduce.settings import MbmSmStudy
 from diffdrive_mpc.bench.table import Table, number
-from diffdrive_mpc.models.identification.fit import pooled_fit_percent
-from diffdrive_mpc.models.identification.identified import IdentifiedModel
-from diffdrive_mpc.models.identification.mbm import identify_mbm
-from diffdrive_mpc.models.identification.signals import wheel_stretches
-from diffdrive_mpc.models.identification.sm import identify_sm
-from diffdrive_mpc.models.identification.validation import validate
-from diffdrive_mpc.models.identification.validation.simulation import simulate_stretch
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.experiment import wheel_experiments
+from diffdrive_mpc.models.output_error.validation import pooled_fit_percent, simulate_experiment, validate
 from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.structures.identified import IdentifiedModel
+from diffdrive_mpc.models.structures.mbm import identify_mbm
+from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 MBM, MBM_TRACKS, SM = "MBM", "MBM, own tracks", "SM"
@@ -108,8 +106,8 @@ def compare_mbm_and_sm(study: MbmSmStudy, repetition: int) -> MbmSmResult:
 
 def motor_fit(mbm: IdentifiedModel, records: Sequence[Record]) -> tuple[float, ...]:
     """FIT of each motor's speed, simulated from the commands [%], pooled over records."""
-    stretches = wheel_stretches(records)
-    simulated = [simulate_stretch(mbm.fits[0].system, stretch) for stretch in stretches]
+    stretches = wheel_experiments(records)
+    simulated = [simulate_experiment(mbm.fits[0].system, stretch) for stretch in stretches]
     return tuple(
         pooled_fit_percent([stretch.outputs[:, motor] for stretch in stretches], [y[:, motor] for y in simulated])
         for motor in range(stretches[0].outputs.shape[1])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
-from diffdrive_mpc.models.structures import ChannelFit
+from diffdrive_mpc.models.structures.model_file import ChannelFit
 
 Four = tuple[float, float, float, float]
 """RMSE, mean, standard deviation and maximum."""

@@ -19,13 +19,14 @@ from diffdrive_mpc.bench.studies.reproduce.drives import (
 from diffdrive_mpc.bench.studies.reproduce.published import Finding, Published, each
 from diffdrive_mpc.bench.studies.reproduce.settings import SsmStudy
 from diffdrive_mpc.bench.table import Table, number
-from diffdrive_mpc.models.identification.identified import IdentifiedModel
-from diffdrive_mpc.models.identification.order import OrderRow, choose_order
-from diffdrive_mpc.models.identification.output_error.linear_system import LinearSystem
-from diffdrive_mpc.models.identification.validation import validate
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.output_error.validation import validate
+from diffdrive_mpc.models.structures.identified import IdentifiedModel
+from diffdrive_mpc.models.structures.orders import OrderRow
+from diffdrive_mpc.models.structures.ssm import choose_order
 from diffdrive_mpc.models.velocity_model import VelocityModel
 
 PAPERS_ORDER = 2

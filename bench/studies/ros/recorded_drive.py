@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.models.logs.bags.bag_messages import COMMANDS, ODOMETRY, POSES, Reading
-from diffdrive_mpc.models.logs.bags.bag_topics import TopicRows, opened, read_topic
+from diffdrive_mpc.models.logs.bag_topics import COMMANDS, ODOMETRY, POSES, Reading, TopicRows, opened, read_topic
 from diffdrive_mpc.sim import Run
-from diffdrive_mpc.sim.run import TIME_TOLERANCE
+from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
 
 # A command later than this share of the sample time after the one before leaves a sample of the robot without news.
 _MISSED = 1.5

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.models.errors import DiffdriveMpcError
 
 _COMMAND = (sys.executable, "-c", "from diffdrive_mpc.bench.cli import main; main()")
 # More ROS domains than this need ports that systems give to others.
@@ -27,7 +28,7 @@ _WORDS_SHOWN = 1000
 _PATIENCE = 20.0
 
 
-class DriveFailedError(RuntimeError):
+class DriveFailedError(DiffdriveMpcError, RuntimeError):
     """One of the two processes failed or took too long; says which, with its last words."""
 
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
+
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.feed_forward import FeedForward
-from diffdrive_mpc.mpc.slip import Slip
+from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
+from diffdrive_mpc.mpc.problem.formulas import formulas
 
 
 def closed_loop_cost(
@@ -58,17 +61,26 @@ def closed_loop_cost(
         )
     if not all(np.isfinite(values).all() for values in (pose, twist, command)):
         raise ValueError("pose, twist and command must be finite: a drive that failed has no cost")
-    feed_forward = FeedForward(model, config.sample_time, n)
-    sample = reference.sample(config.sample_time * np.arange(feed_forward.samples))
+    ahead = FeedForward.of(model, config.sample_time)
+    sample = reference.sample(config.sample_time * np.arange(n + int(ahead.whole.max()) + 1))
     w = config.weights
     in_path = _in_path(pose, sample.pose[:n])
-    deviation = command - feed_forward.commands(sample.twist, Slip())
+    deviation = command - _fed_forward(ahead, sample.twist, n)
     increment = np.diff(command, axis=0, prepend=np.zeros((1, 2)))
     squares = in_path**2 @ [w.along, w.across, w.heading]
     squares += deviation**2 @ [w.v, w.omega] + increment**2 @ [w.v_increment, w.omega_increment]
     excess = np.maximum(_soft_values(twist, in_path[:, 1], config) - _soft_limits(config), 0.0)
     penalty = w.soft * excess.sum(axis=1) + w.soft_quadratic * (excess**2).sum(axis=1) / 2
     return float(np.mean(squares / 2 + penalty))
+
+
+def _fed_forward(ahead: FeedForward, twist: FloatArray, n: int) -> FloatArray:
+    """(n, 2) commands that would keep the reference's twist, without slip."""
+    rows = np.arange(n)[:, None] + ahead.whole
+    now, after = twist[rows, [0, 1]], twist[rows + 1, [0, 1]]
+    (command,) = (function for function in formulas() if function.name() == "ddmpc_f_feed_forward")
+    wanted = (now + ahead.rest * (after - now)).T
+    return np.asarray(command.map(n)(wanted, list(astuple(Slip())), ahead.inverse_gain)).T
 
 
 def _in_path(pose: FloatArray, reference: FloatArray) -> FloatArray:

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from diffdrive_mpc.bench.peers.command_limits import nearest_command
 from diffdrive_mpc.bench.studies.speed.process.subject import Subject, TimedStep
 from diffdrive_mpc.bench.studies.speed.settings import SpeedSettings
 from diffdrive_mpc.bench.studies.speed.stage import stage_data
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.velocity_model import VelocityModel
-from diffdrive_mpc.mpc import load_trajectory
-from diffdrive_mpc.mpc.bounds import clip_command
+from diffdrive_mpc.mpc import Controller, load_trajectory
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.estimator import StateEstimator
-from diffdrive_mpc.mpc.planner import Planner
-from diffdrive_mpc.mpc.problem import TrackingProblem
 from diffdrive_mpc.sim import make_plant
 
 
@@ -25,27 +22,29 @@ class PeerInput:
     """What peers are told: estimate, reference and feed-forward of our own controller, none of it on their clock."""
 
     def __init__(self, config: ControllerConfig, model: VelocityModel, reference: Reference) -> None:
-        sampled = model.discretise(config.sample_time)
         self._config, self._reference = config, reference
-        self._estimator = StateEstimator(sampled, config.estimator, config.compensation, config.wheels)
-        self._planner = Planner(config, model)
-        self._problem = TrackingProblem(config, sampled)
+        self._controller = Controller(config)
+        memory = model.discretise(config.sample_time).memory
+        self._past = np.zeros((memory, 2))
+        self._started = False
 
     def data(self, t: float, measurement: Measurement) -> tuple[FloatArray, FloatArray]:
         """State of the first stage and parameters of all, see `bench.studies.speed.stage`, at `t` [s]."""
-        estimator = self._estimator
-        estimator.correct_sent(measurement.sent)
-        estimator.advance(t)
-        estimator.update(t, measurement)
-        past, estimate = estimator.commands.recent, estimator.estimate
-        tick = self._planner.tick(estimate, past, past[-1], self._reference, t)
-        return stage_data(self._problem, tick, estimate.state, estimate.slip.offset, past)
+        if not self._started:
+            self._controller.start(self._reference, t)
+        # What the subject commanded, not what this controller would have.
+        sent = (float(self._past[-1, 0]), float(self._past[-1, 1]))
+        told = replace(measurement, sent=sent) if self._started else measurement
+        self._started = True
+        estimate = self._controller.step(t, told).estimate
+        if estimate is None:
+            raise RuntimeError("the drive begins without a pose: peers cannot be told where the robot is")
+        return stage_data(self._controller.program, estimate, self._past)
 
     def sent(self, command: FloatArray) -> FloatArray:
         """What is sent for a peer's `command` (2,): as with ours, the nearest inside range and slew."""
-        limits, dt = self._config.limits, self._config.sample_time
-        sent = clip_command(command, limits, dt, self._estimator.commands.last)
-        self._estimator.commands.append(sent)
+        sent = nearest_command(command, self._config.limits, self._config.sample_time, self._past[-1])
+        self._past = np.concatenate([self._past[1:], sent[None]])
         return sent
 
 

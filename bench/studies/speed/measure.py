@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.bench.controllers import controller_config
+from diffdrive_mpc.bench.peers.command_limits import slew_step
 from diffdrive_mpc.bench.studies.speed.closed_loop_cost import closed_loop_cost
 from diffdrive_mpc.bench.studies.speed.drive import Drive
 from diffdrive_mpc.bench.studies.speed.process.environment import PeerEnvironment
@@ -21,7 +22,6 @@ from diffdrive_mpc.bench.studies.speed.stage import StageProblem, stage_problem
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import Controller
-from diffdrive_mpc.mpc.bounds import slew_step
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
@@ -56,6 +56,7 @@ def load_problem(settings: SpeedSettings, model: str, horizon: int) -> SpeedProb
     """The problem for a model by name; raises ConfigError if its configuration cannot be used."""
     config = controller_config(model, None, (*settings.config.items(), ("horizon", horizon)))
     loaded = Controller(config).model
+    assert isinstance(loaded, VelocityModel)
     return SpeedProblem(model, horizon, config, loaded, stage_problem(config, loaded.discretise(config.sample_time)))
 
 

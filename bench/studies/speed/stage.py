@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from diffdrive_mpc.bench.peers.command_limits import slew_step
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import arc_function
-from diffdrive_mpc.mpc.bounds import slew_step
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.problem import TrackingProblem
-from diffdrive_mpc.mpc.tick import Tick
+from diffdrive_mpc.mpc.estimation.estimate import Estimate
+from diffdrive_mpc.mpc.solver.backend import Program
 
 ROWS = (
     *("x", "y", "theta", "heading"),
@@ -105,36 +105,32 @@ def stage_problem(config: ControllerConfig, model: DiscreteModel) -> StageProble
     )
 
 
-def stage_data(
-    problem: TrackingProblem, tick: Tick, state: FloatArray, offset: FloatArray, past: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def stage_data(program: Program, estimate: Estimate, past: FloatArray) -> tuple[FloatArray, FloatArray]:
     """State of the first stage (z,) and parameters of all stages (N + 1, p) for one tick.
 
     Parameters
     ----------
-    problem, tick
-        What is to be solved.
-    state, offset, past
-        What the tick's free twist was made of: (n,) states of the model, (2,) offset of its twist, (memory, 2) commands
-        on their way.
+    program, estimate
+        The tick's problem in the core's memory, and the estimate that it was made from.
+    past
+        (memory, 2) commands on their way at the tick, oldest first.
 
     Raises
     ------
     ValueError
         If the last command of the tick is not the newest of `past`: a stage knows only one of them.
     """
-    if not np.array_equal(tick.last_command, past[-1]):
+    if not np.array_equal(program.last_command, past[-1]):
         raise ValueError("the last command and the newest one on its way differ: peers cannot state that")
-    N = problem.steps
+    N, slip = len(program.feed_forward), estimate.slip
     parameters = np.zeros((N + 1, len(ROWS)))
-    parameters[:, :3] = tick.reference
-    parameters[:, 3] = tick.heading
-    parameters[:N, 4:6] = tick.feed_forward
-    parameters[:, 6:8] = tick.gains
-    parameters[:, 8:10] = offset
-    parameters[:, 10] = tick.side_slip
-    parameters[:, 11:] = problem.soft_limits(tick)
-    return np.concatenate([state, tick.pose, past.ravel()]), parameters
+    parameters[:, :4] = program.aim
+    parameters[:N, 4:6] = program.feed_forward
+    parameters[:, 6:8] = slip.gains
+    parameters[:, 8:10] = slip.offset
+    parameters[:, 10] = slip.side_slip
+    parameters[:, 11:] = program.soft_limits
+    return np.concatenate([estimate.state, estimate.pose, past.ravel()]), parameters
 
 
 def _serialised(name: str, arguments: list[ca.SX], result: ca.SX) -> str:

@@ -18,8 +18,8 @@ from diffdrive_mpc.bench.studies.tracking.settings import TrackingSettings, load
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim import Metrics, Run, make_plant, simulate
+from diffdrive_mpc.sim.metrics.metrics import steady_arc_lateral, steady_arcs
 from diffdrive_mpc.sim.metrics.recovery import Recovery
-from diffdrive_mpc.sim.metrics.steady_arcs import steady_arc_lateral, steady_arcs
 
 _DIGITS = 6
 """Of every number in `tracking.json`."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from diffdrive_mpc.bench.studies.speed.process.subject import SubjectError
-from diffdrive_mpc.mpc.compiled.compiler import cache_folder
+from diffdrive_mpc.mpc.core.cache import user_folder
 
 REQUIREMENTS = Path(__file__).parents[1] / "subjects" / "requirements.txt"
 _READY = ".ready"
@@ -34,7 +34,7 @@ def peer_environment(folder: Path | None = None) -> PeerEnvironment:
         If it cannot be made: no package index within reach, or no wheel for this system.
     """
     digest = hashlib.sha256(REQUIREMENTS.read_bytes() + sys.version.encode()).hexdigest()[:16]
-    folder = (folder or cache_folder() / "peers" / digest).resolve()
+    folder = (folder or user_folder() / "peers" / digest).resolve()
     if not (folder / _READY).is_file():
         _make(folder)
     package = next(folder.glob("lib/python*/site-packages/acados"))

@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import diffdrive_mpc
+from diffdrive_mpc.models.errors import DiffdriveMpcError
 
 if TYPE_CHECKING:
     from typing import Self
@@ -21,7 +22,7 @@ _PACKAGES = Path(diffdrive_mpc.__file__).parents[1]
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
-class SubjectError(RuntimeError):
+class SubjectError(DiffdriveMpcError, RuntimeError):
     """A subject cannot be run; the message is why, in one line."""
 
 

@@ -1,0 +1,108 @@
+"""A plant to which a scenario happens: what every plant can suffer, and when it began and ended."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from diffdrive_mpc.models.interface import FloatArray, Measurement
+from diffdrive_mpc.models.robot import TwistBounds
+from diffdrive_mpc.sim.disturbances.disturbance_types import Span
+from diffdrive_mpc.sim.disturbances.scenario import Scenario
+from diffdrive_mpc.sim.plants.link import clip_command
+from diffdrive_mpc.sim.plants.plant import Plant
+
+_FIELDS = {"pose": ("pose",), "wheels": ("wheel_twist", "wheel_speeds"), "gyro": ("yaw_rate",)}
+"""Fields of a measurement by the sensor that fills them."""
+
+
+class DisturbedPlant:
+    """Start offset, sensor drop-outs and false commands around any plant; see `sim.plants.plant.Plant`.
+
+    Parameters
+    ----------
+    plant
+        The plant, which brings about all other disturbances of the scenario itself.
+    scenario
+        What happens when.
+    limits
+        Commands are clipped to these, and `sent` says so.
+    crossed
+        Gives the spans of the patches that the plant has met so far.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        scenario: Scenario,
+        limits: TwistBounds,
+        crossed: Callable[[], Sequence[Span]] = tuple,
+    ) -> None:
+        self._plant, self._scenario, self._limits, self._crossed = plant, scenario, limits, crossed
+        self.reset(np.zeros(3))
+
+    @property
+    def sample_time(self) -> float:
+        """Time between two control ticks [s]."""
+        return self._plant.sample_time
+
+    @property
+    def time(self) -> float:
+        """Time since the last reset [s]."""
+        return self._plant.time
+
+    @property
+    def true_pose(self) -> FloatArray:
+        """(3,) x [m], y [m], theta [rad, unwrapped] midway between the wheels."""
+        return self._plant.true_pose
+
+    @property
+    def true_twist(self) -> FloatArray:
+        """(3,) forward and lateral speed [m/s] and yaw rate [rad/s], body frame."""
+        return self._plant.true_twist
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario with the values of this run."""
+        return self._scenario
+
+    @property
+    def disturbance(self) -> Span | None:
+        """When the first disturbance so far began, and when the last so far was over [s]; None where none has begun.
+
+        One that lasts to the end of the run is never over: where all of them do, the second number is infinite.
+        """
+        begun = [span for span in (*self._scenario.spans, *self._crossed()) if span[0] <= self.time]
+        if not begun:
+            return None
+        ends = [end for _, end in begun if math.isfinite(end)]
+        return min(start for start, _ in begun), min(self.time, max(ends)) if ends else math.inf
+
+    def reset(self, pose: ArrayLike) -> None:
+        """Put the robot at rest beside `pose` (3,) by the start offset, at time 0, and restart the noise."""
+        start = np.array(pose, dtype=float)
+        offset = self._scenario.start_offset
+        if offset is not None:
+            c, s = np.cos(start[2]), np.sin(start[2])
+            start += [c * offset.along - s * offset.across, s * offset.along + c * offset.across, offset.heading]
+        self._sent: tuple[float, float] | None = None
+        self._plant.reset(start)
+
+    def measure(self) -> Measurement:
+        """Everything that the sensors delivered since the last call, without what dropped out."""
+        measurement = self._plant.measure()
+        lost = [item.sensor for item in self._scenario.drop_outs if item.holds(self.time)]
+        changes: dict[str, Any] = {field: None for sensor in lost for field in _FIELDS[sensor]}
+        return replace(measurement, sent=self._sent, **changes)
+
+    def advance(self, command: ArrayLike) -> None:
+        """Send `command` (2,), or a false one in its place, and let one sample pass; raises ValueError as any plant."""
+        sent = clip_command(command, self._limits)
+        false = [item for item in self._scenario.false_commands if item.holds(self.time)]
+        self._plant.advance([false[-1].v, false[-1].omega] if false else sent)
+        self._sent = (float(sent[0]), float(sent[1]))

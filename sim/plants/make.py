@@ -1,0 +1,116 @@
+"""Plants by name."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.sim.disturbances.scenario import load_scenario
+from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
+from diffdrive_mpc.sim.plants.plant import Plant
+from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+
+_MODEL_PREFIX = "model:"
+
+
+def make_plant(
+    name: str,
+    surface: str | Path = "default",
+    sensors: str | Path = "default",
+    seed: int = 0,
+    *,
+    extra_dead_time: float = 0.0,
+    scenario: str | Path = "none",
+) -> Plant:
+    """Build a plant.
+
+    Parameters
+    ----------
+    name
+        "mujoco" for the physics, or "model:NAME" for a velocity model with the base effects of its file, NAME as
+        `models.load_model` takes it.
+        "model:NAME+SECONDS" puts that dead time on top of the model's own, as `extra_dead_time` does: "model:sm+0.04".
+        Where a file has the whole of NAME+SECONDS for a path, it is that file.
+    surface
+        Name of a shipped surface or path of a surface file.
+    sensors
+        Name of a shipped sensor set or path of a sensor file.
+    seed
+        Seed of all noise, not negative: the same seed gives the same run, bit for bit.
+    extra_dead_time
+        For "model:" plants: dead time on top of the model's own and of that in `name` [s]. The physics has its own in
+        its parameter file.
+    scenario
+        Name of a shipped scenario or path of a scenario file: what happens to the robot during a run. Its random values
+        are drawn from `seed`, in a stream of their own. "model:" plants take those without mass, wheels and motors.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If a name is unknown, a file has a mistake, or the arguments do not go together.
+    models.velocity_model.ModelError
+        If a model cannot be a robot's, its dead time included.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise ConfigError(f"seed {seed!r}: give an integer that is not negative")
+    floor, sensor_set = load_surface(surface), load_sensor_set(sensors)
+    happening = load_scenario(scenario).draw(seed)
+    if name == "mujoco":
+        if floor.friction is None:
+            raise ConfigError(f"surface '{surface}' has no friction: it is for 'model:' plants; wheels need it to push")
+        if extra_dead_time:
+            raise ConfigError(
+                "extra_dead_time is for 'model:' plants; 'mujoco' has link.dead_time in its parameter file"
+            )
+        from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
+
+        if not happening.kinds:
+            return MujocoPlant(floor.friction, sensor_set, seed)
+        robot = MujocoPlant(floor.friction, sensor_set, seed, scenario=happening if happening.physical else None)
+        return DisturbedPlant(robot, happening, load_robot().limits, lambda: robot.crossed)
+    if name.startswith(_MODEL_PREFIX):
+        from diffdrive_mpc.models.load import load_base_effects, load_model  # noqa: PLC0415 - only this plant needs it
+        from diffdrive_mpc.sim.plants.model_plant import ModelPlant  # noqa: PLC0415
+
+        if not extra_dead_time >= 0:
+            raise ConfigError(f"extra_dead_time {extra_dead_time} s: it must not be negative")
+        model, named_dead_time = _split(name.removeprefix(_MODEL_PREFIX))
+        extra_dead_time += named_dead_time
+        if happening.physical:
+            raise ConfigError(
+                f"scenario '{scenario}' needs a plant with mass, wheels and motors ({', '.join(happening.physical)}): "
+                f"'{name}' has none; use 'mujoco'"
+            )
+        plant = ModelPlant(
+            load_model(model),
+            floor.slip,
+            sensor_set,
+            seed,
+            extra_dead_time=extra_dead_time,
+            effects=load_base_effects(model),
+        )
+        return DisturbedPlant(plant, happening, load_robot().limits) if happening.kinds else plant
+    raise ConfigError(
+        f"unknown plant '{name}': give 'mujoco' or 'model:NAME' (mbm, sm, ssm or the path of a model file), with more "
+        "dead time 'model:NAME+SECONDS'"
+    )
+
+
+def _split(text: str) -> tuple[str, float]:
+    """Model and extra dead time [s] of NAME or NAME+SECONDS; an existing file may have a plus in its path."""
+    model, plus, seconds = text.rpartition("+")
+    if not plus or Path(text).is_file():
+        return text, 0.0
+    try:
+        dead_time = float(seconds)
+    except ValueError:
+        dead_time = math.nan
+    if not (math.isfinite(dead_time) and dead_time >= 0):
+        raise ConfigError(
+            f"plant 'model:{text}': '{seconds}' is no dead time; write model:NAME+SECONDS, such as model:sm+0.04, or "
+            "the path of a model file that exists"
+        )
+    return model, dead_time

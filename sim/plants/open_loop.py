@@ -1,0 +1,190 @@
+"""Driving a plant open loop: rows of commands (the papers' steps, random set-points), the drive, how it slipped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.results import ReadOnlyArrays
+from diffdrive_mpc.models.robot import NotNegative, Positive, Robot, load_robot
+from diffdrive_mpc.sim.plants.plant import Plant
+from diffdrive_mpc.sim.plants.surface import Slip
+from diffdrive_mpc.sim.plants.twin_parameters import PARAMETERS
+
+
+class StepCommands(StrictModel):
+    """Steps from rest to a level and back."""
+
+    wheel_levels: list[float]
+    v_levels: list[float]
+    omega_levels: list[float]
+    rest_before: NotNegative
+    hold: Positive
+    rest_after: NotNegative
+
+
+class RandomCommands(StrictModel):
+    """Random set-points, each held for a random time."""
+
+    v_range: tuple[float, float]
+    omega_range: tuple[float, float]
+    hold_range: tuple[Positive, Positive]
+    smoothing: Positive
+    duration: Positive
+
+
+class CommandParameters(StrictModel):
+    """All experiments."""
+
+    steps: StepCommands
+    random: RandomCommands
+
+
+@cache
+def load_command_parameters() -> CommandParameters:
+    """Read the experiments' parameter file; raises ConfigError on a mistake in it."""
+    return load_checked(CommandParameters, PARAMETERS / "commands.yaml")
+
+
+def step_commands(kind: Literal["wheels", "v", "omega"], robot: Robot | None = None) -> list[FloatArray]:
+    """One command row (K, 2) per step level: rest, step, rest.
+
+    Parameters
+    ----------
+    kind
+        "wheels": straight on at the pulse rates from which the papers identify MBM; "v" and "omega": the steps of SM.
+    robot
+        Wheel radius, encoder and sample time; by default the robot of the papers.
+    """
+    robot, steps = robot or load_robot(), load_command_parameters().steps
+    metres_per_pulse = 2 * np.pi * robot.wheel_radius / robot.encoder_pulses
+    twists = {
+        "wheels": [(pulses * metres_per_pulse, 0.0) for pulses in steps.wheel_levels],
+        "v": [(v, 0.0) for v in steps.v_levels],
+        "omega": [(0.0, omega) for omega in steps.omega_levels],
+    }[kind]
+    before, hold, after = (round(t / robot.sample_time) for t in (steps.rest_before, steps.hold, steps.rest_after))
+    return [np.vstack([np.zeros((before, 2)), np.tile(twist, (hold, 1)), np.zeros((after, 2))]) for twist in twists]
+
+
+def random_commands(
+    seed: int, smooth: bool = True, duration: float | None = None, sample_time: float | None = None
+) -> FloatArray:
+    """(K, 2) random set-points, each held for a random time; the robot comes from rest.
+
+    Parameters
+    ----------
+    seed
+        Seed of set-points and holding times.
+    smooth
+        Average over the last half second; otherwise set-points change in steps.
+    duration, sample_time
+        [s]; by default those of the parameter file and of the robot.
+    """
+    parameters = load_command_parameters().random
+    dt = sample_time or load_robot().sample_time
+    count = round((duration or parameters.duration) / dt)
+    stream = np.random.default_rng(seed)
+    low, high = np.transpose([parameters.v_range, parameters.omega_range])
+    rows: list[FloatArray] = []
+    while sum(map(len, rows)) < count:
+        hold = max(1, round(stream.uniform(*parameters.hold_range) / dt))
+        rows.append(np.tile(stream.uniform(low, high), (hold, 1)))
+    commands = np.vstack(rows)[:count]
+    if not smooth:
+        return commands
+    window = max(1, round(parameters.smoothing / dt))
+    total = np.cumsum(np.vstack([np.zeros((window, 2)), commands]), axis=0)
+    return np.asarray((total[window:] - total[:-window]) / window)
+
+
+@dataclass(frozen=True)
+class Drive(ReadOnlyArrays):
+    """An open-loop drive, K samples. Row k was measured at `time[k]`, just before `command[k]` was sent.
+
+    Attributes
+    ----------
+    time
+        (K,) [s].
+    command
+        (K, 2) v_ref [m/s], omega_ref [rad/s].
+    wheel_speeds
+        (K, 4) front left, front right, rear left, rear right [rad/s], as the drivers report them.
+    wheel_twist
+        (K, 2) v [m/s], omega [rad/s] from these speeds and the geometric track.
+    yaw_rate
+        (K,) of the gyro [rad/s].
+    true_pose
+        (K, 3) x [m], y [m], theta [rad, unwrapped].
+    true_twist
+        (K, 3) forward and lateral speed [m/s], yaw rate [rad/s].
+    """
+
+    time: FloatArray
+    command: FloatArray
+    wheel_speeds: FloatArray
+    wheel_twist: FloatArray
+    yaw_rate: FloatArray
+    true_pose: FloatArray
+    true_twist: FloatArray
+
+    @property
+    def output(self) -> FloatArray:
+        """(K, 2) what a velocity model predicts: v [m/s] of the encoders, omega [rad/s] of the gyro."""
+        return np.column_stack([self.wheel_twist[:, 0], self.yaw_rate])
+
+
+def drive_open_loop(plant: Plant, commands: ArrayLike, pose: ArrayLike = (0.0, 0.0, 0.0)) -> Drive:
+    """Reset `plant` to `pose` (3,) and drive it with `commands` (K, 2), one per sample.
+
+    Raises
+    ------
+    ValueError
+        If the commands are not rows of two finite numbers, or the plant does not report encoders and gyro every sample.
+    """
+    rows = np.asarray(commands, dtype=float)
+    if rows.ndim != 2 or rows.shape[1] != 2 or not np.isfinite(rows).all():
+        raise ValueError(f"commands of shape {rows.shape}: give (K, 2) finite numbers, v [m/s] and omega [rad/s]")
+    plant.reset(pose)
+    count = len(rows)
+    time, yaw_rate = np.empty(count), np.empty(count)
+    wheel_speeds, wheel_twist = np.empty((count, 4)), np.empty((count, 2))
+    true_pose, true_twist = np.empty((count, 3)), np.empty((count, 3))
+    for k, command in enumerate(rows):
+        measurement = plant.measure()
+        if measurement.wheel_speeds is None or measurement.wheel_twist is None or measurement.yaw_rate is None:
+            raise ValueError(f"no encoders or gyro at {plant.time:.3f} s: a drive needs them every sample")
+        time[k], true_pose[k], true_twist[k] = plant.time, plant.true_pose, plant.true_twist
+        wheel_speeds[k], wheel_twist[k] = measurement.wheel_speeds.value, measurement.wheel_twist.value
+        yaw_rate[k] = measurement.yaw_rate.value
+        plant.advance(command)
+    return Drive(time, rows.copy(), wheel_speeds, wheel_twist, yaw_rate, true_pose, true_twist)
+
+
+def measure_slip(drive: Drive, on_default: Drive) -> Slip:
+    """Slip of a drive, each coefficient by least squares through the origin.
+
+    Parameters
+    ----------
+    drive
+        On the surface in question, with exact wheel speeds.
+    on_default
+        The same commands on the default surface, on which velocity models are identified.
+    """
+    v, lateral, yaw_rate = drive.true_twist.T
+    return Slip(
+        yaw_gain=_slope(on_default.true_twist[:, 2], yaw_rate),
+        wheel_yaw_gain=_slope(drive.wheel_twist[:, 1], yaw_rate),
+        longitudinal_gain=_slope(drive.wheel_twist[:, 0], v),
+        side_slip=max(0.0, -_slope(v * yaw_rate, lateral)),
+    )
+
+
+def _slope(x: FloatArray, y: FloatArray) -> float:
+    return float(np.dot(x, y) / np.dot(x, x))

@@ -1,0 +1,64 @@
+"""What every plant offers to the closed loop."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from numpy.typing import ArrayLike
+
+from diffdrive_mpc.models.errors import DiffdriveMpcError
+from diffdrive_mpc.models.interface import FloatArray, Measurement
+
+
+class RobotLostError(DiffdriveMpcError, ValueError):
+    """The robot tipped over or its motion diverged: it cannot be simulated further. One line: when, why, remedy."""
+
+
+class Plant(Protocol):
+    """A robot stand-in that is advanced one control sample at a time.
+
+    Two plants made with the same arguments and driven with the same commands agree bit for bit.
+    """
+
+    @property
+    def sample_time(self) -> float:
+        """Time between two control ticks [s]."""
+        ...
+
+    @property
+    def time(self) -> float:
+        """Time since the last reset [s]."""
+        ...
+
+    @property
+    def true_pose(self) -> FloatArray:
+        """(3,) x [m], y [m], theta [rad, unwrapped] of the point midway between the wheels, without error or delay."""
+        ...
+
+    @property
+    def true_twist(self) -> FloatArray:
+        """(3,) forward speed [m/s], lateral speed [m/s] and yaw rate [rad/s] in the body frame."""
+        ...
+
+    def reset(self, pose: ArrayLike) -> None:
+        """Put the robot at rest at `pose` (3,) at time 0, and restart the noise from the seed.
+
+        The robot counts as having rested there before time 0: the first measurement already carries a (late) pose.
+        """
+        ...
+
+    def measure(self) -> Measurement:
+        """Everything that the sensors delivered since the last call, at the current time."""
+        ...
+
+    def advance(self, command: ArrayLike) -> None:
+        """Send `command` (2,) v [m/s], omega [rad/s] and let one sample pass.
+
+        Raises
+        ------
+        ValueError
+            If the command is not two finite numbers.
+        RobotLostError
+            If the robot does not come through the sample.
+        """
+        ...

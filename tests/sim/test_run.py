@@ -1,0 +1,147 @@
+"""What a run holds beyond its statistics: words of the controller, columns, tables, arrays that stay as they are."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import sys
+from dataclasses import dataclass, fields
+
+import numpy as np
+import pandas as pd
+import pytest
+from loop_parts import ConstantTwist, FeedForward, KinematicPlant, run_along
+
+from diffdrive_mpc import DiffdriveMpcError, MissingPackageError
+from diffdrive_mpc.models.interface import FloatArray, Measurement
+from diffdrive_mpc.sim import Run, simulate
+
+CIRCLE = ConstantTwist(v=0.5, omega=0.5, duration=1.0, name="circle")
+
+
+@dataclass(frozen=True)
+class Belief:
+    pose: FloatArray
+    twist: FloatArray
+    pose_deviation: FloatArray
+    twist_deviation: FloatArray
+
+
+@dataclass(frozen=True)
+class Solver:
+    status: str = "solved"
+    path: str = "unlimited"
+
+
+@dataclass(frozen=True)
+class TellingStep:
+    command: FloatArray
+    estimate: Belief | None
+    solver: Solver | None
+    mode: str = "TRACKING"
+    message: str = ""
+    plan: None = None
+    step_time: float = 1e-3
+
+
+class Telling(FeedForward):
+    """Tells what it believes from the second tick on, and has a solver at every second one."""
+
+    def step(self, t: float, measurement: Measurement) -> TellingStep:  # type: ignore[override]
+        command = super().step(t, measurement).command
+        k = self._tick - 1
+        belief = Belief(*(k + np.array(x) for x in ([0.1, 0.2, 0.3], [0.4, 0.5], [0.6, 0.7, 0.8], [0.9, 1.0])))
+        return TellingStep(command, belief if k else None, Solver() if k % 2 else None)
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    return simulate(Telling(), KinematicPlant(), CIRCLE)
+
+
+def test_the_loop_gathers_what_a_controller_believes_and_how_it_solves(run: Run) -> None:
+    assert np.isnan(run.estimates[0]).all() and np.isnan(run.estimate_deviations[0]).all()
+    np.testing.assert_array_equal(run.estimates[3], 3 + np.array([0.1, 0.2, 0.3, 0.4, 0.5]))
+    np.testing.assert_array_equal(run.estimate_deviations[3], 3 + np.array([0.6, 0.7, 0.8, 0.9, 1.0]))
+    assert run.solver_paths[:3] == ("none", "unlimited", "none")
+    assert run.solver_statuses[:3] == ("", "solved", "")
+    assert len(run.solver_paths) == len(run.solver_statuses) == len(run.time)
+
+
+def test_a_controller_that_tells_nothing_has_empty_rows() -> None:
+    for quiet in (simulate(FeedForward(), KinematicPlant(), CIRCLE), run_along(CIRCLE, [0, 0, 0], [0, 0, 0], [0, 1])):
+        n = len(quiet.time)
+        assert quiet.estimates.shape == quiet.estimate_deviations.shape == (n, 5)
+        assert np.isnan(quiet.estimates).all()
+        assert quiet.solver_paths == ("none",) * n
+        assert quiet.solver_statuses == ("",) * n
+        assert {len(column) for column in quiet.columns.values()} == {n}
+
+
+def arrays(run: Run) -> dict[str, FloatArray]:
+    held = {field.name: getattr(run, field.name) for field in fields(run)}
+    held |= {f"errors.{field.name}": getattr(run.errors, field.name) for field in fields(run.errors)}
+    return {name: value for name, value in held.items() if isinstance(value, np.ndarray)}
+
+
+def test_arrays_of_a_run_cannot_be_written_to_nor_after_a_trip_to_another_process(run: Run) -> None:
+    for held in (run, pickle.loads(pickle.dumps(run)), copy.copy(run), run.with_step_time(run.step_time)):
+        assert len(arrays(held)) == 14
+        for name, array in arrays(held).items():
+            with pytest.raises(ValueError, match="read-only"):
+                array[0] = 0.0
+            np.testing.assert_array_equal(array, arrays(run)[name])
+
+
+def test_the_arrays_that_a_run_was_made_of_stay_the_callers() -> None:
+    times = np.array([0.0, 0.1])
+    run_along(CIRCLE, [0, 0, 0], [0, 0, 0], times)
+    times[0] = -1.0
+
+
+def test_a_run_becomes_a_dataframe(run: Run) -> None:
+    table = run.to_dataframe()
+    assert isinstance(table, pd.DataFrame)
+    assert list(table.columns) == list(run.columns)
+    assert len(table) == len(run.time)
+    np.testing.assert_array_equal(table["estimate_y_sd_m"], run.estimate_deviations[:, 1])
+    np.testing.assert_array_equal(table[["v_ref_m_s", "omega_ref_rad_s"]], run.command)
+    assert table["solver_path"].value_counts().to_dict() == {"none": 26, "unlimited": 25}
+    assert table["t_s"].dtype == float
+
+
+def test_without_pandas_one_line_says_how_to_get_it(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(MissingPackageError, match=r"^run\.to_dataframe\(\) needs pandas: pip install pandas$") as found:
+        run.to_dataframe()
+    assert isinstance(found.value, DiffdriveMpcError) and isinstance(found.value, ImportError)
+
+
+def test_a_run_prints_as_a_table() -> None:
+    offset = np.column_stack([np.arange(4.0), np.full(4, 0.05), np.full(4, -0.01)])
+    twist = np.tile([1.0, 0.0, 0.0], (4, 1))
+    run = run_along(ConstantTwist(1.0, 0.0, 3.0, name="line"), offset, twist, np.arange(4.0))
+    assert str(run).splitlines() == [
+        "Run along 'line': 4 ticks of 1 s",
+        "                rmse  mean  std  p50   p95  p99   max",
+        "position [m]    0.05  0.05    0    -     -    -  0.05",
+        "heading [rad]   0.01  0.01    0    -     -    -  0.01",
+        "course [rad]    0.01     -    -    -     -    -     -",
+        "|lateral| [m]   0.05  0.05    -    -  0.05    -  0.05",
+        "step time [ms]     -     -    -    1     1    1     1",
+        "4 steps, completed; in the band 100.0 %; deadlines missed 0, fall-backs 0",
+    ]
+    assert str(run.metrics) == "\n".join(str(run).splitlines()[1:])
+    assert repr(run) == "Run along 'line': 4 ticks of 1 s"
+
+
+def test_a_recovery_prints_as_a_table() -> None:
+    reference = ConstantTwist(1.0, 0.0, 3.0)
+    run = run_along(reference, reference.sample(np.arange(4.0)).pose, [1.0, 0.0, 0.0], np.arange(4.0))
+    assert str(run.recovery).splitlines() == [
+        "recovery time [s]              -",
+        "overshoot [m]                  -",
+        "largest |lateral| [m]          0",
+        "energy of v_ref [m^2/s]        4",
+        "energy of omega_ref [rad^2/s]  0",
+    ]
