@@ -84,7 +84,7 @@ class Dimension:
     silent
         Whether rows and introduction leave it out where nothing but the default was asked for.
     name
-        The field of `Case`: word in tables, key of a run in JSON, and `--NAME` the option.
+        The field of `Case`: word in tables, key of a run in JSON.
     """
 
     several: str
@@ -97,6 +97,11 @@ class Dimension:
     read: Callable[[str, str], tuple[Any, ...]] = split_names
     silent: bool = False
     name: str = ""
+
+    @property
+    def option(self) -> str:
+        """The option that takes one value."""
+        return f"--{self.name.replace('_', '-')}"
 
     @property
     def place(self) -> bool:
@@ -179,7 +184,7 @@ DIMENSIONS: tuple[Dimension, ...] = tuple(
         one,
         name=of.name,
         compared=one.compared or (one.default,),
-        list_option=one.list_option or f"--{of.name}",
+        list_option=one.list_option or replace(one, name=of.name).option,
         list_help=one.list_help or one.help,
     )
     for of in fields(Case)

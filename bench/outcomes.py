@@ -150,13 +150,13 @@ def by_driver(outcomes: Sequence[S]) -> dict[str, list[S]]:
 
     The names of a dimension that does not vary are left out, and so is "mpc" beside the name of its model.
     """
-    varying = [one.name for one in DIMENSIONS if one.place and len(by(one.name, outcomes)) > 1]
+    varying = [one for one in DIMENSIONS if one.place and len(by(one.name, outcomes)) > 1]
     several = len({outcome.case.overrides for outcome in outcomes if outcome.case.controller == "mpc"}) > 1
 
     def driver(outcome: S) -> str:
         labels = outcome.case.labels
         parts = [model_name(labels["model"]) if labels["controller"] == "mpc" else labels["controller"]]
-        parts += [labels[name] for name in varying]
+        parts += [labels[one.name] if one.kind is str else f"{one.name}={labels[one.name]}" for one in varying]
         parts += [f"{key}={value}" for key, value in outcome.case.overrides] if several else []
         return ", ".join(parts)
 

@@ -51,7 +51,8 @@ def run_tasks(tasks: Sequence[Callable[[], T]], jobs: int, on_done: OnDone) -> l
         raise WorkerDiedError(f"one of {jobs} processes was ended from outside; try a smaller --jobs") from error
     finally:
         # Workers that idle would disturb what is timed afterwards; those of a study that failed are not waited for.
-        get_reusable_executor().shutdown(wait=True, kill_workers=not finished)
+        pool = get_reusable_executor(reuse=True, kill_workers=not finished)
+        pool.shutdown(wait=True, kill_workers=not finished)
 
 
 def _call(task: Callable[[], T]) -> T:

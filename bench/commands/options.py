@@ -82,7 +82,7 @@ def _single_option(of: Dimension) -> inspect.Parameter:
     if of.name == "model":
         return inspect.Parameter("model", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Model)
     kind, least = type(of.default), 0 if isinstance(of.default, int) else None
-    annotation = Annotated[kind, typer.Option(f"--{of.name}", help=of.help, min=least)]  # type: ignore[valid-type]
+    annotation = Annotated[kind, typer.Option(of.option, help=of.help, min=least)]  # type: ignore[valid-type]
     return inspect.Parameter(of.name, inspect.Parameter.KEYWORD_ONLY, default=of.default, annotation=annotation)
 
 
