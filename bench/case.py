@@ -1,68 +1,177 @@
-"""One case of an experiment: which controller drives which plant along which trajectory."""
+"""What a run consists of: one value of each dimension.
+
+The fields of `Case` are the only place where a dimension is declared. Options, plan, names in tables, figures and JSON,
+and the introduction of a report follow from them; docs/recipes/dimension.md shows how to add one.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import itertools
+from collections.abc import Callable, Container, Iterable
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from typing import Annotated, Any
 
-from diffdrive_mpc.bench.controllers import PEERS, controller_config, make_controller
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.interface import Reference, TrackingController
-from diffdrive_mpc.mpc import load_trajectory
-from diffdrive_mpc.sim import Plant, Run, make_plant, simulate
+from annotated_types import Ge
+
+from diffdrive_mpc.bench.peers import PEERS
 
 Overrides = tuple[tuple[str, object], ...]
 """Configuration values by dotted key."""
 
-NO_SCENARIO = "none"
-"""The scenario in which nothing happens."""
+NO_SCENARIO, NO_MODEL = "none", "none"
+"""The scenario in which nothing happens; the model of a peer without one."""
+MOST_SEEDS = 10_000
+"""More runs of one case than this take days, and their list alone could fill the memory."""
+HORIZONS = (5, 10, 15, 20, 30, 50)
+"""Horizons that `bench` sweeps without options, for each model over all trajectories with the first seed [steps]."""
+
+
+def split_names(text: str, option: str) -> tuple[str, ...]:
+    """Split `a,b,c`; raises ValueError when a name is empty or given twice."""
+    names = tuple(name.strip() for name in text.split(","))
+    if not all(names):
+        raise ValueError(f"{option} '{text}': give one name, or several with commas between them")
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise ValueError(f"{option} '{text}': '{twice[0]}' is given twice")
+    return names
+
+
+def split_numbers(text: str, option: str, *, least: int) -> tuple[int, ...]:
+    """Split `1,2,3` into whole numbers of at least `least`; raises ValueError on anything else."""
+    try:
+        numbers = tuple(int(number) for number in split_names(text.rstrip(","), option))
+    except ValueError as error:
+        raise ValueError(f"{option} '{text}': give whole numbers with commas between them, each once") from error
+    if min(numbers) < least:
+        raise ValueError(f"{option} '{text}': each number must be at least {least}")
+    return numbers
+
+
+def parse_seeds(text: str, option: str = "--seeds") -> tuple[int, ...]:
+    """`5` means the seeds 0 to 4, a list with commas (`7,` or `3,4`) those seeds; raises ValueError otherwise."""
+    numbers = split_numbers(text, option, least=0)
+    if "," in text:
+        return numbers
+    if numbers[0] == 0:
+        raise ValueError(f"{option} 0: give the number of seeds (at least 1), or a list such as 0,1,2")
+    if numbers[0] > MOST_SEEDS:
+        raise ValueError(f"{option} {text}: give at most {MOST_SEEDS} seeds; for the one seed {text} write {text},")
+    return tuple(range(numbers[0]))
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """One dimension of a comparison.
+
+    Attributes
+    ----------
+    several
+        Its name in the plural: the key of what was asked for, in settings and in the `meta` part of a report.
+    default
+        Its value where nothing is asked for.
+    help
+        Of its option.
+    compared
+        Values that `bench` compares without options, by default the default alone.
+    list_option, list_help
+        Option that takes several values, and its help; by default those of the option that takes a single value.
+    kind
+        Type of a value, with its range.
+    read
+        Reads the values of the list option; raises ValueError.
+    silent
+        Whether rows and introduction leave it out where nothing but the default was asked for.
+    name
+        The field of `Case`: word in tables, key of a run in JSON.
+    """
+
+    several: str
+    default: Any
+    help: str
+    compared: tuple[Any, ...] = ()
+    list_option: str = ""
+    list_help: str = ""
+    kind: Any = str
+    read: Callable[[str, str], tuple[Any, ...]] = split_names
+    silent: bool = False
+    name: str = ""
+
+    @property
+    def option(self) -> str:
+        """The option that takes one value."""
+        return f"--{self.name.replace('_', '-')}"
+
+    @property
+    def place(self) -> bool:
+        """Whether it says where a run takes place; it is part of a controller's name in tables where it varies."""
+        return self.name not in ("controller", "model", "trajectory", "seed")
+
+
+def _dimension(several: str, default: object, text: str, **more: Any) -> Any:  # noqa: ANN401 - a field of any type
+    return field(default=default, metadata={"dimension": Dimension(several, default, text, **more)})
 
 
 @dataclass(frozen=True)
 class Case:
     """Everything that fixes one run bit for bit.
 
-    Attributes
-    ----------
-    controller
-        "mpc" or the name of a peer.
-    model
-        Velocity model of the controller: a name or a path; "none" for a peer without one.
-    trajectory, plant, surface, sensors
-        Names or paths, as `load_trajectory` and `make_plant` take them.
-    seed
-        Seed of the plant's noise.
-    config
-        Controller configuration file; None for the shipped one of the model.
-    overrides
-        Values that replace those of the configuration.
-    scenario
-        What happens to the robot: a name or path, as `make_plant` takes it.
+    Beside the dimensions it has `config`, the controller's configuration file, None for the shipped one of the model,
+    and `overrides`, values that replace those of the configuration.
     """
 
-    controller: str
-    model: str
-    trajectory: str
-    plant: str
-    surface: str
-    sensors: str
-    seed: int
+    controller: str = _dimension("controllers", "mpc", f"mpc, or a peer: {', '.join(PEERS)}.")
+    model: str = _dimension(
+        "models",
+        "ssm",
+        "Velocity model: mbm, sm, ssm, or the path of a file.",
+        compared=("mbm", "sm", "ssm"),
+        list_option="--models",
+    )
+    trajectory: str = _dimension(
+        "trajectories",
+        "circle",
+        "circle, square, s, cane, or the path of a file.",
+        compared=("circle", "square", "s", "cane"),
+        list_option="--trajectories",
+    )
+    plant: str = _dimension("plants", "mujoco", "mujoco, model:NAME, or model:NAME+DEAD_TIME.")
+    surface: str = _dimension("surfaces", "default", "Floor of the mujoco plant, slip of a model: plant.")
+    sensors: str = _dimension("sensors", "default", "Sensor set.")
+    scenario: str = _dimension(
+        "scenarios", NO_SCENARIO, "What happens: none, push, ..., or the path of a file.", silent=True
+    )
+    seed: int = _dimension(
+        "seeds",
+        0,
+        "Seed of the noise; the same seed gives the same run.",
+        compared=(0, 1, 2, 3, 4),
+        list_option="--seeds",
+        list_help="How many seeds, or a list of them.",
+        kind=Annotated[int, Ge(0)],
+        read=parse_seeds,
+    )
     config: str | None = None
     overrides: Overrides = ()
-    scenario: str = NO_SCENARIO
 
     @property
     def horizon(self) -> int | None:
         """Steps that the controller looks ahead; None for one that does not."""
-        if self.controller in PEERS:
-            return None
-        return controller_config(self.model, self.config, self.overrides).horizon
+        from diffdrive_mpc.bench.controllers import controller_config  # noqa: PLC0415 - --help does without it
+
+        ours = self.controller not in PEERS
+        return controller_config(self.model, self.config, self.overrides).horizon if ours else None
 
     @property
     def labels(self) -> dict[str, str]:
-        """Names for tables and files; of a path only the stem, which says nothing of the machine."""
-        names = ("controller", "model", "trajectory", "plant", "surface", "sensors", "scenario")
-        return {name: label(getattr(self, name)) for name in names}
+        """Value of each dimension for tables and files; of a path only the stem, which says nothing of the machine."""
+        return {one.name: label(getattr(self, one.name)) for one in DIMENSIONS}
+
+    def as_row(self, leave_out: Container[str] = ()) -> dict[str, object]:
+        """Value of each dimension for JSON, but of those whose names are in `leave_out`."""
+        values = {one.name: getattr(self, one.name) for one in DIMENSIONS if one.name not in leave_out}
+        return {name: label(value) if isinstance(value, str) else value for name, value in values.items()}
 
     def with_override(self, key: str, value: object) -> Case:
         """The same case with one configuration value replaced."""
@@ -70,35 +179,30 @@ class Case:
         return replace(self, overrides=(*kept, (key, value)))
 
 
-def label(name: str) -> str:
-    """A name as it is, a path without folders and ending; "model:PATH+SECONDS" keeps what stands around the path."""
-    kind, separator, rest = name.rpartition(":")
+DIMENSIONS: tuple[Dimension, ...] = tuple(
+    replace(
+        one,
+        name=of.name,
+        compared=one.compared or (one.default,),
+        list_option=one.list_option or replace(one, name=of.name).option,
+        list_help=one.list_help or one.help,
+    )
+    for of in fields(Case)
+    if (one := of.metadata.get("dimension"))
+)
+"""Every dimension, in order."""
+
+
+def combinations(**values: Iterable[object]) -> list[Case]:
+    """A case for each combination of values of some fields, the last varying fastest; others have their defaults."""
+    fixed = [dict(zip(values, chosen, strict=True)) for chosen in itertools.product(*values.values())]
+    return [Case(**one) for one in fixed]  # type: ignore[arg-type]
+
+
+def label(value: object) -> str:
+    """A value as it is, a path without folders and ending; "model:PATH+SECONDS" keeps what stands around the path."""
+    kind, separator, rest = str(value).rpartition(":")
     base = Path(rest).name
     for ending in (".yaml", ".yml", ".csv"):
         base = base.replace(ending, "")
     return kind + separator + base
-
-
-def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
-    """Make the controller, plant and reference of a case.
-
-    Raises
-    ------
-    models.checked_yaml.ConfigError, ValueError
-        If a name is unknown, a file has a mistake, or controller and plant have different sample times.
-    """
-    controller = make_controller(case.controller, case.model, case.config, case.overrides)
-    plant = make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario)
-    if case.controller not in PEERS:
-        asked = controller_config(case.model, case.config, case.overrides).sample_time
-        if asked != plant.sample_time:
-            raise ConfigError(
-                f"sample_time {asked} s: the plant '{case.plant}' takes a command every {plant.sample_time} s; "
-                f"set sample_time to that"
-            )
-    return controller, plant, load_trajectory(case.trajectory)
-
-
-def run_case(case: Case) -> Run:
-    """Run one closed loop; raises as `build` does."""
-    return simulate(*build(case))

@@ -6,22 +6,11 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.commands import (
-    bench,
-    export,
-    identify,
-    node,
-    real_logs,
-    reproduce,
-    robot,
-    simulate,
-    speed,
-    tracking,
-)
+from diffdrive_mpc.bench.commands import export, identify, real_logs, ros, studies
 from diffdrive_mpc.bench.commands.config import config_app
 from diffdrive_mpc.bench.commands.models import models_app
 from diffdrive_mpc.bench.commands.one_line_errors import OneLineErrors
-from diffdrive_mpc.bench.commands.ros_arguments import PASSED_ON
+from diffdrive_mpc.bench.commands.options import PASSED_ON
 
 app = typer.Typer(
     cls=OneLineErrors,
@@ -30,16 +19,16 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Model-predictive trajectory tracking for skid-steer and differential-drive robots.",
 )
-app.command("simulate", epilog=simulate.EXAMPLE)(simulate.simulate)
-app.command("bench", epilog=bench.EXAMPLE)(bench.bench)
+app.command("simulate", epilog=studies.EXAMPLES["simulate"])(studies.simulate)
+app.command("bench", epilog=studies.EXAMPLES["bench"])(studies.bench)
 app.command("identify", epilog=identify.EXAMPLE)(identify.identify)
-app.command("tracking", epilog=tracking.EXAMPLE)(tracking.tracking)
+app.command("tracking", epilog=studies.EXAMPLES["tracking"])(studies.tracking)
 app.command("real-logs", epilog=real_logs.EXAMPLE)(real_logs.real_logs)
-app.command("reproduce", epilog=reproduce.EXAMPLE)(reproduce.reproduce)
-app.command("speed", epilog=speed.EXAMPLE)(speed.speed)
+app.command("reproduce", epilog=studies.EXAMPLES["reproduce"])(studies.reproduce)
+app.command("speed", epilog=studies.EXAMPLES["speed"])(studies.speed)
 app.command("export", epilog=export.EXAMPLE)(export.export)
-app.command("node", epilog=node.EXAMPLE, context_settings=PASSED_ON)(node.node)
-app.command("robot", epilog=robot.EXAMPLE, context_settings=PASSED_ON)(robot.robot)
+app.command("node", epilog=ros.EXAMPLES["node"], context_settings=PASSED_ON)(ros.node)
+app.command("robot", epilog=ros.EXAMPLES["robot"], context_settings=PASSED_ON)(ros.robot)
 app.add_typer(config_app, name="config")
 app.add_typer(models_app, name="models")
 

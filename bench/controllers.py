@@ -1,46 +1,74 @@
-"""Build controllers by name: the predictive one and its peers."""
+"""Make what a case names: controller, plant and reference."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from diffdrive_mpc.bench.peers.kanayama import KanayamaController
+from diffdrive_mpc.bench.case import Case, Overrides
+from diffdrive_mpc.bench.peers import PEERS, make_peer
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.interface import TrackingController
+from diffdrive_mpc.models.interface import Reference, TrackingController
 from diffdrive_mpc.models.load import MODEL_NAMES, load_model
-from diffdrive_mpc.mpc import Controller, ControllerConfig, load_config
-
-PEERS: dict[str, Callable[[], TrackingController]] = {"kanayama": KanayamaController}
-"""Controllers without a velocity model, by name."""
+from diffdrive_mpc.mpc import Controller, ControllerConfig, load_config, load_trajectory
+from diffdrive_mpc.sim import Plant, Run, make_plant, simulate
 
 CONTROLLERS = ("mpc", *PEERS)
-DEFAULT_MODEL = "ssm"
-NO_MODEL = "none"
 
 
-def make_controller(
-    controller: str, model: str, config: str | None = None, overrides: tuple[tuple[str, object], ...] = ()
-) -> TrackingController:
-    """A fresh controller; the arguments are those of `bench.case.Case`.
+def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
+    """Make the controller, plant and reference of a case.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError, ValueError
+        If a name is unknown, a file has a mistake, or controller and plant have different sample times.
+    """
+    controller = make_controller(case)
+    plant = make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario)
+    if case.controller not in PEERS:
+        asked = controller_config(case.model, case.config, case.overrides).sample_time
+        if asked != plant.sample_time:
+            raise ConfigError(
+                f"sample_time {asked} s: the plant '{case.plant}' takes a command every {plant.sample_time} s; "
+                f"set sample_time to that"
+            )
+    return controller, plant, load_trajectory(case.trajectory)
+
+
+def run_case(case: Case) -> Run:
+    """Run one closed loop; raises as `build` does."""
+    return simulate(*build(case))
+
+
+def check_cases(cases: Iterable[Case]) -> None:
+    """Build what differs in more than trajectory and seed once, and load every trajectory; raises as `build` does."""
+    every = list(cases)
+    for trajectory in dict.fromkeys(case.trajectory for case in every):
+        load_trajectory(trajectory)
+    for case in {replace(case, trajectory="", seed=0): case for case in every}.values():
+        build(case)
+
+
+def make_controller(case: Case) -> TrackingController:
+    """A fresh controller for a case.
 
     Raises
     ------
     models.checked_yaml.ConfigError
         If the controller is unknown, or its model or configuration cannot be used.
     """
-    if controller in PEERS:
-        return PEERS[controller]()
-    if controller != "mpc":
-        raise ConfigError(f"unknown controller '{controller}'; known: {', '.join(CONTROLLERS)}")
-    return Controller(controller_config(model, config, overrides))
+    if case.controller in PEERS:
+        return make_peer(case.controller)
+    if case.controller != "mpc":
+        raise ConfigError(f"unknown controller '{case.controller}'; known: {', '.join(CONTROLLERS)}")
+    return Controller(controller_config(case.model, case.config, case.overrides))
 
 
 @lru_cache(maxsize=256)
-def controller_config(
-    model: str, config: str | None = None, overrides: tuple[tuple[str, object], ...] = ()
-) -> ControllerConfig:
+def controller_config(model: str, config: str | None = None, overrides: Overrides = ()) -> ControllerConfig:
     """The configuration of the predictive controller.
 
     Without a file it is the shipped one of `model`. A model file of the user's own has none: it takes that of the
@@ -59,9 +87,19 @@ def controller_config(
     return load_config("ssm", {"model": _model_reference(model), "extra_dead_time": {}, **dict(overrides)})
 
 
-def default_model(config: Path | None) -> str:
-    """The model that a configuration file names, or the default one without a file; raises ConfigError."""
-    return load_config(config).model if config is not None else DEFAULT_MODEL
+def chosen_model(model: str | None, config: Path | None) -> str:
+    """The model that was asked for, or else the one that a configuration file names, or else the default one.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the name is empty or the file cannot be used.
+    """
+    if model is None:
+        return Case().model if config is None else load_config(config).model
+    if not model.strip():
+        raise ConfigError("--model: it is empty; give mbm, sm, ssm or the path of a model file")
+    return model
 
 
 def _model_reference(model: str) -> str:

@@ -7,6 +7,7 @@ import subprocess
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 from diffdrive_mpc.bench.runner import available_cores
 
@@ -14,7 +15,7 @@ PACKAGES = ("numpy", "scipy", "casadi", "osqp", "daqp", "mujoco", "control", "jo
 """Packages whose version can change a figure."""
 
 
-def describe_run(wall_time: float) -> dict[str, object]:
+def describe_run(wall_time: float) -> dict[str, Any]:
     """What every result says of the run behind it: version, revision, day, machine, duration `wall_time` [s]."""
     return {
         "project": "diffdrive-mpc",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from diffdrive_mpc.bench.console import output_console
+from diffdrive_mpc.bench.progress import output_console
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.load import MODEL_NAMES, load_model
 from diffdrive_mpc.models.velocity_model import VelocityModel

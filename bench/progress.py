@@ -1,4 +1,4 @@
-"""A progress bar that does not disturb what it watches."""
+"""The terminal: a progress bar that does not disturb what it watches, and the console for results."""
 
 from __future__ import annotations
 
@@ -66,3 +66,9 @@ class ProgressBar:
         if now - self._drawn >= _REFRESH_PERIOD:
             self._drawn = now
             self._progress.refresh()
+
+
+def output_console(width_elsewhere: int = 140) -> Console:
+    """Console on stdout; where that is no terminal (a file, a pipe, a build log) it is wide enough for the tables."""
+    console = Console()
+    return console if console.is_terminal else Console(width=width_elsewhere)

@@ -1,29 +1,20 @@
-"""Run the cases of an experiment: in parallel for the motion, then serially for the step times."""
+"""The one process pool of all studies."""
 
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import TypeVar
 
 from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky import get_reusable_executor
+from joblib.externals.loky.process_executor import BrokenProcessPool
 from threadpoolctl import threadpool_limits
 
-from diffdrive_mpc.bench.case import Case, run_case
-from diffdrive_mpc.bench.timing import quiet_core, time_steps
-from diffdrive_mpc.sim import Run
+from diffdrive_mpc.bench.errors import WorkerDiedError
 
-Progress = Callable[[], None]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """A case and how it went."""
-
-    case: Case
-    run: Run
+T = TypeVar("T")
+OnDone = Callable[[], None]
 
 
 def available_cores() -> int:
@@ -31,59 +22,43 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run_cases(cases: Sequence[Case], jobs: int, on_done: Progress) -> list[Outcome]:
-    """Run cases in `jobs` processes, one BLAS thread each; `on_done` is called after each.
+def run_tasks(tasks: Sequence[Callable[[], T]], jobs: int, on_done: OnDone) -> list[T]:
+    """Call every task, in `jobs` processes with one BLAS thread each; `on_done` is called after each.
+
+    What a task raises is raised here, and ends the others.
 
     Returns
     -------
-    list of Outcome
-        In the order of `cases`; the result does not depend on `jobs`.
-    """
-    if jobs == 1:
-        with threadpool_limits(limits=1):
-            return [_announced(Outcome(case, _recorded(case)), on_done) for case in cases]
-    try:
-        with parallel_config(backend="loky", n_jobs=jobs, inner_max_num_threads=1):
-            runs = Parallel(return_as="generator")(delayed(_recorded)(case) for case in cases)
-            return [_announced(Outcome(case, run), on_done) for case, run in zip(cases, runs, strict=True)]
-    finally:
-        # Workers that idle would still disturb the timing pass that follows.
-        get_reusable_executor().shutdown(wait=True)
-
-
-def time_outcomes(outcomes: Sequence[Outcome], on_done: Progress) -> tuple[list[Outcome], float]:
-    """Replace the step times by those of a serial pass on one quiet core.
-
-    Returns
-    -------
-    outcomes
-        With the new step times.
-    share
-        Processor time over elapsed time of the pass; well below 1, other programs had the core at times, and the
-        upper percentiles are theirs.
+    list
+        In the order of `tasks`; the result does not depend on `jobs`.
 
     Raises
     ------
-    bench.errors.NotReproducibleError
-        If a replay commanded something else than the run.
+    bench.errors.WorkerDiedError
+        If a process was ended from outside, for instance because the memory was full.
     """
-    timed = []
-    with quiet_core():
-        elapsed, used = time.perf_counter(), time.thread_time()
-        for outcome in outcomes:
-            run = outcome.run.with_step_time(time_steps(outcome.case, outcome.run))
-            timed.append(_announced(Outcome(outcome.case, run), on_done))
-        share = (time.thread_time() - used) / (time.perf_counter() - elapsed)
-    return timed, share
+    if jobs == 1 or len(tasks) < 2:
+        with threadpool_limits(limits=1):
+            return [_announced(task(), on_done) for task in tasks]
+    finished = False
+    try:
+        with parallel_config(backend="loky", n_jobs=jobs, inner_max_num_threads=1):
+            results = Parallel(return_as="generator")(delayed(_call)(task) for task in tasks)
+            done = [_announced(result, on_done) for result in results]
+        finished = True
+        return done
+    except BrokenProcessPool as error:
+        raise WorkerDiedError(f"one of {jobs} processes was ended from outside; try a smaller --jobs") from error
+    finally:
+        # Workers that idle would disturb what is timed afterwards; those of a study that failed are not waited for.
+        pool = get_reusable_executor(reuse=True, kill_workers=not finished)
+        pool.shutdown(wait=True, kill_workers=not finished)
 
 
-def _recorded(case: Case) -> Run:
-    """Run a case and work out its errors where there are several processes to do it."""
-    run = run_case(case)
-    _ = run.errors
-    return run
+def _call(task: Callable[[], T]) -> T:
+    return task()
 
 
-def _announced(outcome: Outcome, on_done: Progress) -> Outcome:
+def _announced(result: T, on_done: OnDone) -> T:
     on_done()
-    return outcome
+    return result

@@ -9,7 +9,7 @@ from __future__ import annotations
 import gc
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -18,6 +18,8 @@ from threadpoolctl import threadpool_limits
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import make_controller
 from diffdrive_mpc.bench.errors import NotReproducibleError
+from diffdrive_mpc.bench.outcomes import Outcome
+from diffdrive_mpc.bench.runner import OnDone
 from diffdrive_mpc.models.interface import FloatArray, TrackingController
 from diffdrive_mpc.sim import Run
 
@@ -45,6 +47,33 @@ def quiet_core() -> Iterator[None]:
                 os.sched_setaffinity(0, cores)
 
 
+def time_outcomes(outcomes: Sequence[Outcome], on_done: OnDone) -> tuple[list[Outcome], float]:
+    """Replace the step times by those of a serial pass on one quiet core.
+
+    Returns
+    -------
+    outcomes
+        With the new step times.
+    share
+        Processor time over elapsed time of the pass; well below 1, other programs had the core at times, and the
+        upper percentiles are theirs.
+
+    Raises
+    ------
+    bench.errors.NotReproducibleError
+        If a replay commanded something else than the run.
+    """
+    timed = []
+    with quiet_core():
+        elapsed, used = time.perf_counter(), time.thread_time()
+        for outcome in outcomes:
+            run = outcome.run.with_step_time(time_steps(outcome.case, outcome.run))
+            timed.append(Outcome(outcome.case, run))
+            on_done()
+        share = (time.thread_time() - used) / (time.perf_counter() - elapsed)
+    return timed, share
+
+
 def time_steps(case: Case, run: Run) -> FloatArray:
     """Step times (n,) [s] of a fresh controller for `case` that gets the measurements of `run`.
 
@@ -56,10 +85,9 @@ def time_steps(case: Case, run: Run) -> FloatArray:
     bench.errors.NotReproducibleError
         If a command differs from the recorded one in any bit.
     """
-    key = (case.controller, case.model, case.config, case.overrides)
-    replay(make_controller(*key), run, min(_WARM_UP_TICKS, len(run.time)))
+    replay(make_controller(case), run, min(_WARM_UP_TICKS, len(run.time)))
     gc.collect()
-    return replay(make_controller(*key), run, len(run.time))
+    return replay(make_controller(case), run, len(run.time))
 
 
 def replay(controller: TrackingController, run: Run, ticks: int) -> FloatArray:

@@ -49,6 +49,11 @@ class DiscreteModel:
         return int(self.delay.max()) + 1
 
     @property
+    def drive(self) -> FloatArray:
+        """(n, 2) what a command held for ever adds to the states in one sample."""
+        return self.B0 + self.B1
+
+    @property
     def dc_gain(self) -> FloatArray:
         """(2, 2) steady-state gain; that of the continuous model."""
         return np.asarray(self.C @ np.linalg.solve(np.eye(self.order) - self.A, self.B0 + self.B1))

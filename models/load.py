@@ -6,14 +6,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from diffdrive_mpc.models.base_effects.parameters import BaseEffects
+from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.named_file import named_file
-from diffdrive_mpc.models.structures import STRUCTURES, ModelFile
+from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
+from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 
 PARAMETERS = Path(__file__).parent / "parameters"
-MODEL_NAMES = ("mbm", "sm", "ssm")
+MODEL_NAMES = tuple(name for name in STRUCTURES if (PARAMETERS / f"{name}.yaml").is_file())
+"""Shipped models: one of each structure that ships one."""
 
 
 def load_model(name: str | Path) -> VelocityModel:
@@ -51,21 +53,8 @@ def model_path(name: str | Path) -> Path:
 def read_model_file(path: str | Path) -> ModelFile:
     """Read and check a model parameter file without building the model."""
     data: Any = read_yaml(path)
-    structure = data.get("structure") if isinstance(data, Mapping) else None
-    if structure not in STRUCTURES:
-        raise ConfigError(f"{path}: structure: expected one of {', '.join(STRUCTURES)}, found {structure!r}")
-    return check(STRUCTURES[structure], data, str(path))
-
-
-def build_model(data: ModelFile) -> VelocityModel:
-    """The model that the content of a parameter file describes; raises ModelError as `load_model`."""
-    A, B, C = data.matrices()
-    return VelocityModel(
-        name=data.name,
-        structure=getattr(data, "structure", ""),
-        A=A,
-        B=B,
-        C=C,
-        dead_time=[data.dead_time.v, data.dead_time.omega],  # type: ignore[arg-type]  # converted on construction
-        provenance=data.provenance.model_dump(),
-    )
+    name = data.get("structure") if isinstance(data, Mapping) else None
+    structure = STRUCTURES.get(name) if isinstance(name, str) else None
+    if structure is None:
+        raise ConfigError(f"{path}: structure: expected one of {', '.join(STRUCTURES)}, found {name!r}")
+    return check(structure.file, data, str(path))

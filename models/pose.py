@@ -8,7 +8,9 @@ speed in proportion to v omega.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cache
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -16,13 +18,67 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray
 
-# sin(x)/x is replaced by its series below this |x|: the first term left out is below 1e-17 relative there.
-_SERIES_LIMIT = 1e-2
+# sin(x)/x is replaced by its series below this |x|: the first term left out is below 1e-18 there, and the derivative
+# of sin(x)/x beyond it has lost no more than one digit, in single precision too.
+_SERIES_LIMIT, _SERIES_TERMS = 0.2, 6
+# The same for the shorter series of `linearised_arc`.
+_SHORT_SERIES_LIMIT = 1e-2
 
 
-def _sinc(x: FloatArray) -> FloatArray:
-    """sin(x) / x, smooth through zero."""
-    return np.asarray(np.sinc(x / np.pi))
+class _Functions(NamedTuple):
+    """What the text of the arc needs of NumPy or CasADi beside their operators."""
+
+    sin: Callable[[Any], Any]
+    cos: Callable[[Any], Any]
+    sinc: Callable[[Any], Any]
+
+
+def _numeric_sinc(x: Any) -> Any:  # noqa: ANN401 - numbers or arrays
+    return np.sinc(x / np.pi)
+
+
+def _symbolic_sinc(x: ca.SX) -> ca.SX:
+    """sin(x) / x for CasADi, which has none; its derivatives are smooth through zero too."""
+    square = x * x
+    small = ca.fabs(x) < _SERIES_LIMIT
+    series = ca.SX(0)
+    for k in reversed(range(_SERIES_TERMS)):
+        series = 1 / math.factorial(2 * k + 1) - square * series
+    # The unused branch is evaluated too: keep it finite, or its derivative poisons the result with NaN.
+    safe = ca.if_else(small, 1.0, x)
+    return ca.SX(ca.if_else(small, series, ca.sin(safe) / safe))
+
+
+_NUMERIC = _Functions(np.sin, np.cos, _numeric_sinc)
+_SYMBOLIC = _Functions(ca.sin, ca.cos, _symbolic_sinc)
+
+
+def _displacement(  # numbers, arrays or symbols
+    functions: _Functions,
+    theta: Any,  # noqa: ANN401
+    v: Any,  # noqa: ANN401
+    omega: Any,  # noqa: ANN401
+    dt: Any,  # noqa: ANN401
+    side_slip: Any,  # noqa: ANN401
+) -> tuple[Any, Any, Any]:
+    """Displacement (dx, dy, dtheta) of the exact arc: the one text of it, for numbers and for symbols.
+
+    The body moves by the chord v dt sinc(omega dt / 2) along its mean heading theta + omega dt / 2, and by
+    -side_slip omega times the chord to the left of that.
+    """
+    half = 0.5 * omega * dt
+    chord = v * dt * functions.sinc(half)
+    crab = side_slip * omega
+    c, s = functions.cos(theta + half), functions.sin(theta + half)
+    return chord * (c + crab * s), chord * (s - crab * c), omega * dt
+
+
+def arc_displacement(theta: ca.SX, v: ca.SX, omega: ca.SX, dt: ca.SX, side_slip: ca.SX) -> ca.SX:
+    """CasADi expression (3) of the displacement dx, dy [m], dtheta [rad] over one arc from heading `theta`.
+
+    Differentiable through omega = 0; the symbols are scalars in the units of `integrate_pose`.
+    """
+    return ca.SX(ca.vertcat(*_displacement(_SYMBOLIC, theta, v, omega, dt, side_slip)))
 
 
 def integrate_pose(
@@ -47,18 +103,9 @@ def integrate_pose(
         (..., 3) the pose after `dt`. theta is not wrapped.
     """
     pose = np.asarray(pose, dtype=float)
-    v, omega = np.asarray(v, dtype=float), np.asarray(omega, dtype=float)
-    half = 0.5 * omega * dt
-    chord = v * dt * _sinc(half)
-    crab = np.asarray(side_slip, dtype=float) * omega
-    theta = pose[..., 2]
-    c, s = np.cos(theta + half), np.sin(theta + half)
-    return np.stack(
-        np.broadcast_arrays(
-            pose[..., 0] + chord * (c + crab * s), pose[..., 1] + chord * (s - crab * c), theta + omega * dt
-        ),
-        axis=-1,
-    )
+    v, omega, side_slip = (np.asarray(given, dtype=float) for given in (v, omega, side_slip))
+    dx, dy, dtheta = _displacement(_NUMERIC, pose[..., 2], v, omega, dt, side_slip)
+    return np.stack(np.broadcast_arrays(pose[..., 0] + dx, pose[..., 1] + dy, pose[..., 2] + dtheta), axis=-1)
 
 
 def linearised_arc(
@@ -74,7 +121,7 @@ def linearised_arc(
     """
     x, y, theta = pose
     half = 0.5 * omega * dt
-    if abs(half) < _SERIES_LIMIT:
+    if abs(half) < _SHORT_SERIES_LIMIT:
         square = half * half
         sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
         slope = -half / 3 * (1 - square / 10 * (1 - square / 28))
@@ -105,15 +152,7 @@ def arc_function() -> ca.Function:
     """
     pose, v, omega, dt = ca.SX.sym("pose", 3), ca.SX.sym("v"), ca.SX.sym("omega"), ca.SX.sym("dt")
     side_slip = ca.SX.sym("side_slip")
-    half = omega * dt / 2
-    square = half * half
-    small = ca.fabs(half) < _SERIES_LIMIT
-    series = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
-    # The unused branch is evaluated too: keep it finite, or its derivative poisons the result with NaN.
-    safe = ca.if_else(small, 1.0, half)
-    chord = v * dt * ca.if_else(small, series, ca.sin(safe) / safe)
-    c, s, crab = ca.cos(pose[2] + half), ca.sin(pose[2] + half), side_slip * omega
-    after = ca.vertcat(pose[0] + chord * (c + crab * s), pose[1] + chord * (s - crab * c), pose[2] + omega * dt)
+    after = pose + arc_displacement(pose[2], v, omega, dt, side_slip)
     names = ["pose", "v", "omega", "dt", "side_slip"]
     return ca.Function("arc", [pose, v, omega, dt, side_slip], [after], names, ["pose_next"])
 

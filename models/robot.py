@@ -12,6 +12,8 @@ from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+SampleTime = Annotated[float, Field(ge=0.001, le=0.5)]
+"""Time between two ticks of a controller [s]."""
 
 
 class TwistBounds(StrictModel):

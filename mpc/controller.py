@@ -1,47 +1,56 @@
-"""The controller: one tick straight down from measurement to command, and what happens when a part of it fails."""
+"""The controller: measurements go into the compiled tick, and its result becomes words and arrays.
+
+What one tick does stands in `mpc/core/tick.c`. Here is what Python is better at: configuration, sampling of models,
+re-entry, the backends that the tick may ask for, and sentences.
+"""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
-from diffdrive_mpc.mpc.bounds import clip_command, inside_limits
-from diffdrive_mpc.mpc.compiled.estimator import CompiledEstimator
-from diffdrive_mpc.mpc.compiled.library import compiled_or_not
-from diffdrive_mpc.mpc.compiled.reference import compile_reference
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.estimate import Estimate
-from diffdrive_mpc.mpc.estimator import StateEstimator
-from diffdrive_mpc.mpc.finish import FinishWatch
+from diffdrive_mpc.mpc.core.functions import compile_functions
+from diffdrive_mpc.mpc.core.tick import Tick
+from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.mpc.planner import Plan, Planner
-from diffdrive_mpc.mpc.reentry import Pursuit, Target, TooFar
-from diffdrive_mpc.mpc.reference_check import check_speeds
-from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
-from diffdrive_mpc.mpc.step_result import Mode, StepResult
-from diffdrive_mpc.mpc.tick_clock import TickClock, TickKind
+from diffdrive_mpc.mpc.messages import Words
+from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, SLACK, Problem
+from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
+from diffdrive_mpc.mpc.problem.terms import Term, all_terms
+from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
+from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask
+from diffdrive_mpc.mpc.solver.backends import BACKENDS
+from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
+from diffdrive_mpc.mpc.step_result import StepResult
+from diffdrive_mpc.mpc.trajectories.native import NativeReference
+from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 
-_NOT_RUN = SolverReport(SolverStatus.NOT_RUN)
 _CHANGEABLE = ("weights", "limits")
+# Of ddmpc_pending.
+_NEEDS_TARGET, _NEEDS_BACKEND = 1, 2
 
 
-class _Outcome(NamedTuple):
-    """What one tick decided."""
+@dataclass
+class _Prepared:
+    """A configuration, and what was built from it beside the loop."""
 
-    command: FloatArray
-    mode: Mode
-    solver: SolverReport = _NOT_RUN
-    plan: Plan | None = None
-    blocked_for: float = 0.0
+    config: ControllerConfig
+    constants: tuple[Any, list[FloatArray]]
+    backend: Backend
 
 
 class Controller:
@@ -50,40 +59,80 @@ class Controller:
     Parameters
     ----------
     config
-        The configuration, see `mpc.load_config`.
+        The configuration, see `load_config`.
     model
         A velocity model or the name of one, instead of the configuration's. The extra dead time belongs to the
         configuration's model, so another one is taken as it is.
+    terms
+        Terms of cost and soft limits beside those that the configuration names, see `mpc.problem.terms`.
 
     Raises
     ------
-    models.checked_yaml.ConfigError, models.velocity_model.ModelError, ValueError
+    ConfigError, ModelError, ValueError
         If the model cannot be loaded or used, or the horizon is too short for the dead time.
+    NotCompiledError
+        If there is no compiled core, and no compiler to make one.
     """
 
-    def __init__(self, config: ControllerConfig, model: VelocityModel | str | None = None) -> None:
-        extra = config.extra_dead_time
-        if model is None:
-            self._model = load_model(config.model).with_extra_dead_time([extra.v, extra.omega])
-        else:
-            self._model = model if isinstance(model, VelocityModel) else load_model(model)
-        if not config.compensation.dead_time:
-            self._model = replace(self._model, dead_time=np.zeros(2))
-        self._config = config
-        self._pending: ControllerConfig | None = None
-        sampled = self._model.discretise(config.sample_time)
-        parts = (sampled, config.estimator, config.compensation, config.wheels)
-        self._estimator = compiled_or_not(
-            config.solver.compiled, lambda: CompiledEstimator(*parts), lambda: StateEstimator(*parts)
-        )
-        self._planner = Planner(config, self._model)
-        self._pursuit = Pursuit(config)
-        self._finish = FinishWatch()
-        self._clock = TickClock(config.sample_time, self._estimator.longest_pause)
+    def __init__(
+        self,
+        config: ControllerConfig,
+        model: VelocityModel | NonlinearModel | str | None = None,
+        terms: Sequence[Term] = (),
+    ) -> None:
+        self._config, self._given = config, (model, tuple(terms))
+        self._model = _model_of(config, model)
+        self._terms = all_terms(config.terms, terms)
+        dt = config.sample_time
+        self._sampled = _sampled(self._model, dt)
+        self._feed_forward = FeedForward.of(self._model, dt)
+        problem = self._problem(config)
+        sizes = problem.sizes
+        functions, term_functions = compile_functions(self._model, self._terms)
+        self._tick = Tick(sizes, problem.constants(), functions, term_functions)
+        self._kinds = HARD_KINDS + sizes["soft"]
+        self._backend = self._make_backend(config)
+        self._program = Program(self._tick, config.horizon, self._kinds)
+        self._words = Words(self._tick, config)
+        self._ahead: FloatArray = np.asarray(np.arange(self._tick.samples) * dt)
+        self._pursuit = Pursuit(config, self._tick)
+        self._pending: _Prepared | None = None
         self._reference: Reference | None = None
-        self._tracked: Reference | None = None
         self._t0 = 0.0
-        self.reset()
+        self._result: StepResult | None = None
+        self._blocked_for = 0.0
+        self._set_defaults()
+        # Looked up once: each look into a library costs as much as a small sum.
+        self._step, self._c, self._c_result = self._tick.lib.ddmpc_step, self._tick.c, self._tick.result
+        self._input = self._tick.input.struct
+        self._not_run: int = self._tick.lib.DDMPC_QP_NOT_RUN
+
+    def _problem(self, config: ControllerConfig) -> Problem:
+        return Problem(config, self._sampled, self._feed_forward, self._terms)
+
+    def _make_backend(self, config: ControllerConfig) -> Backend:
+        return BACKENDS[config.solver.backend](config.horizon, self._kinds, config.solver, config.weights)
+
+    def _set_defaults(self) -> None:
+        defaults = [value for term in self._terms for value in term.defaults]
+        self._tick.parameters[:] = np.array(defaults, dtype=float)
+
+    def __getstate__(self) -> dict[str, object]:
+        """What a process pool needs to make it anew: configuration, model, terms, reference; no drive under way."""
+        return {
+            "config": self._pending.config if self._pending else self._config,
+            "given": self._given,
+            "parameters": self._tick.parameters.copy(),
+            "reference": self._reference,
+            "t0": self._t0,
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Build it in another process, as it is after `start`."""
+        Controller.__init__(self, state["config"], *state["given"])
+        self._tick.parameters[:] = state["parameters"]
+        if state["reference"] is not None:
+            self.start(state["reference"], state["t0"])
 
     @property
     def config(self) -> ControllerConfig:
@@ -91,14 +140,14 @@ class Controller:
         return self._config
 
     @property
-    def model(self) -> VelocityModel:
+    def model(self) -> VelocityModel | NonlinearModel:
         """The velocity model, extra dead time included."""
         return self._model
 
     @property
-    def compiled(self) -> bool:
-        """Whether it runs as compiled C: it does where there is a compiler, unless `solver.compiled` is never."""
-        return isinstance(self._estimator, CompiledEstimator) and self._planner.compiled
+    def program(self) -> Program:
+        """The quadratic program of the last tick that came as far as one; it shares the core's memory."""
+        return self._program
 
     @property
     def reference(self) -> Reference | None:
@@ -119,37 +168,26 @@ class Controller:
         if not math.isfinite(t0):
             raise ValueError(f"t0 = {t0}: the start time must be finite")
         check_speeds(reference, self._config.limits, self._config.sample_time)
-        self._forget()
-        self._reference, self._t0 = reference, t0
-        self._tracked = compiled_or_not(
-            self._config.solver.compiled, lambda: compile_reference(reference), lambda: reference
-        )
-        self._pursuit.start(self._tracked)
+        native = NativeReference(reference)
+        self._tick.lib.ddmpc_start(self._c, native.struct, t0)
+        # C reads it from now on.
+        self._tick.reference, self._reference, self._t0 = native, reference, t0
+        self._pursuit.start(reference, native=native.complete)
+        self._result = None
 
     def reset(self) -> None:
         """Be as new, for a robot that stands still: forget estimate, plan and commands. The reference stays."""
-        self._forget()
-        self._estimator.commands.clear()
-        self._last = np.zeros(2)
-
-    def _forget(self) -> None:
-        self._estimator.forget()
-        self._planner.reset()
+        self._tick.lib.ddmpc_reset(self._c)
         self._pursuit.restart()
-        self._clock.restart()
-        self._plan: Plan | None = None
-        self._plan_age = 0
-        self._result: StepResult | None = None
-        self._has_driven = False
-        self._latched = False
-        self._finish.restart()
+        self._result = None
 
     def update(
         self, weights: Mapping[str, float] | None = None, limits: Mapping[str, float] | None = None
     ) -> ControllerConfig:
         """Change weights and limits while driving; they take effect at the start of the next step.
 
-        A limit that is tightened below the present command is reached at the slew limit.
+        What follows from them is built here, beside the loop; the step only takes it over. A limit that is tightened
+        below the present command is reached at the slew limit.
 
         Returns
         -------
@@ -158,7 +196,7 @@ class Controller:
 
         Raises
         ------
-        models.checked_yaml.ConfigError
+        ConfigError
             If a key is unknown or a value out of range; then nothing changes.
         """
         changes = {
@@ -166,8 +204,42 @@ class Controller:
             for group, values in zip(_CHANGEABLE, (weights, limits), strict=True)
             for key, value in (values or {}).items()
         }
-        self._pending = replace_values(self._pending or self._config, changes)
-        return self._pending
+        config = replace_values(self._pending.config if self._pending else self._config, changes)
+        constants = self._tick.prepare(self._problem(config).constants())
+        self._pending = _Prepared(config, constants, self._make_backend(config))
+        return config
+
+    def set_parameters(self, **values: ArrayLike) -> None:
+        """Set the stage parameters of terms by their name, from the next step on.
+
+        Parameters
+        ----------
+        values
+            (p,) the same at all samples, or (N + 1, p) one row for each of the samples 0 to N from the tick on.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such term, or the shape is not one of these, or a value is not finite.
+        """
+        table, first = self._tick.parameters, 0
+        places = {}
+        for term in self._terms:
+            places[term.name] = slice(first, first + term.parameters)
+            first += term.parameters
+        checked = {}
+        for name, value in values.items():
+            if name not in places:
+                raise ConfigError(f"term '{name}': there is none; there are: {', '.join(places) or 'no terms'}")
+            rows = np.asarray(value, dtype=float)
+            p = places[name].stop - places[name].start
+            if rows.shape not in ((p,), (len(table), p)) or not np.isfinite(rows).all():
+                raise ConfigError(
+                    f"term '{name}': give {p} finite parameters, or {len(table)} rows of them (found {rows.shape})"
+                )
+            checked[name] = rows
+        for name, rows in checked.items():
+            table[:, places[name]] = rows
 
     def step(self, t: float, measurement: Measurement, hold: Hold | None = None) -> StepResult:
         """Decide the command for the tick at `t` [s] from what arrived since the last one.
@@ -182,129 +254,137 @@ class Controller:
             If `start` was not called.
         """
         started = time.perf_counter()
-        if self._tracked is None:
+        if self._reference is None:
             raise RuntimeError("no reference: call start(reference, t0) before step")
-        self._apply_pending()
-        notes: list[str] = []
-        kind, fault = self._clock.judge(t)
-        if fault:
-            notes.append(fault)
-        if kind is TickKind.REPEATED and self._result is not None:
-            notes.extend(self._estimator.update(t, measurement))
-            return replace(self._result, message="; ".join(notes), step_time=time.perf_counter() - started)
-        if kind is TickKind.NEW:
-            outcome = self._tick(t, measurement, self._tracked, notes, hold)
-            self._estimator.commands.append(outcome.command)
-        else:
-            outcome = self._lost_time(kind, notes)
-            # No interval of the model begins here: the command in force since the last tick has changed.
-            self._estimator.commands.correct_last(outcome.command)
-        self._last = outcome.command
-        self._has_driven = self._has_driven or outcome.mode is Mode.TRACKING
-        self._result = StepResult(
-            command=outcome.command.copy(),
-            mode=outcome.mode,
-            message="; ".join(notes),
-            solver=outcome.solver,
-            plan=None if outcome.plan is None else outcome.plan.poses,
-            planned_commands=None if outcome.plan is None else outcome.plan.commands,
-            reference=None if outcome.plan is None else outcome.plan.reference,
-            progress=self._pursuit.progress,
-            reference_delay=self._pursuit.delay,
-            estimate=self._estimator.estimate if self._estimator.ready else None,
-            blocked_for=outcome.blocked_for,
-            step_time=time.perf_counter() - started,
-        )
-        return self._result
+        if self._pending is not None:
+            self._apply_pending(self._pending)
+        tick, pursuit, given = self._tick, self._pursuit, self._input
+        tick.input.fill(measurement)
+        given.request = 0 if hold is None else 2 if hold.failure else 1
+        since_start = t - self._t0
+        on_time = pursuit.on_time and since_start >= 0.0
+        moved = not on_time and bool(tick.lib.ddmpc_is_new_tick(self._c, t))
+        given.reference_time = pursuit.advance(since_start) if moved else since_start
+        given.on_time = on_time
+        entered = time.perf_counter()
+        pending = self._step(self._c, t, given)
+        core_time = time.perf_counter() - entered
+        message = ""
+        if pending == _NEEDS_TARGET:
+            if not moved:
+                given.reference_time = pursuit.advance(since_start)
+            entered = time.perf_counter()
+            pending, message = self._choose_target(since_start, given.reference_time)
+            core_time += time.perf_counter() - entered
+        elif on_time:
+            c = self._c_result
+            if not c.reasons & self._words.not_a_new_tick:
+                self._blocked_for = 0.0
+                pursuit.passed(since_start, followed=pending == _NEEDS_BACKEND or c.solver.status != self._not_run)
+        elif moved:
+            self._blocked_for = 0.0
+        refused = False
+        if pending == _NEEDS_BACKEND:
+            entered = time.perf_counter()
+            refused = self._ask_backend()
+            core_time += time.perf_counter() - entered
+        return self._build(hold, message, (started, core_time), refused=refused)
 
-    def _apply_pending(self) -> None:
-        if self._pending is None:
-            return
-        self._config, self._pending = self._pending, None
-        self._planner = Planner(self._config, self._model)
-        self._pursuit.configure(self._config)
+    def _apply_pending(self, prepared: _Prepared) -> None:
+        self._config, self._backend, self._pending = prepared.config, prepared.backend, None
+        self._tick.configure(prepared.constants)
+        self._words.configure(prepared.config)
+        self._pursuit.configure(prepared.config)
 
-    def _lost_time(self, kind: TickKind, notes: list[str]) -> _Outcome:
-        """Brake: this tick tells nothing. Where the clock leapt, stand: a base without commands has stopped itself."""
-        outcome = self._brake(notes)
-        if kind is TickKind.PAUSED:
-            self._estimator.forget()
-            self._estimator.commands.clear()
-        return outcome if kind is TickKind.FAULTY else _Outcome(np.zeros(2), Mode.STOPPED)
-
-    def _tick(
-        self, t: float, measurement: Measurement, reference: Reference, notes: list[str], hold: Hold | None
-    ) -> _Outcome:
-        estimator, failure = self._estimator, self._config.failure
-        reference_time = self._pursuit.advance(t - self._t0)
-        notes.extend(estimator.correct_sent(measurement.sent))
-        if measurement.sent is not None:
-            self._last = self._slew_base()
-        estimator.advance(t)
-        notes.extend(estimator.update(t, measurement))
-        if hold is not None:
-            return self._brake(notes, hold.reason, failure=hold.failure)
-        if not estimator.ready:
-            return self._brake(notes, "no pose has arrived yet")
-        if estimator.moved and not self._restart():
-            return self._brake(notes, "poses agree that the robot is somewhere else")
-        estimate = estimator.estimate
-        if not math.isfinite(sum(estimate.pose.tolist())):
-            estimator.forget()
-            return self._brake(notes, "the estimate is not finite; it starts anew")
-        if estimate.pose_age > failure.max_pose_age:
-            return self._brake(notes, f"no pose was accepted for {estimate.pose_age:.2f} s")
-        if self._latched:
-            return self._brake(notes, "stopped after a failure; call start or reset to drive on")
-        if self._finish.look(estimate, reference_time, reference, self._config.finish, notes):
-            return _Outcome(self._ramp(), Mode.FINISHED)
-        target = self._pursuit.target(t - self._t0, reference_time, estimate, self._planner.ahead)
+    def _choose_target(self, since_start: float, reference_time: float) -> tuple[int, str]:
+        """Go on where the robot is off its path or its time: what it is to track now, in C and in words."""
+        tick = self._tick
+        estimate = Estimate(tick.layout, tick.layout.copy(), self._c_result.estimate.time)
+        target = self._pursuit.target(since_start, reference_time, estimate, self._ahead)
+        self._blocked_for = 0.0
         if isinstance(target, TooFar):
-            return self._brake(
-                notes, f"{target.distance:.2f} m from the reference; the limit is {failure.max_position_error} m"
-            )
-        if target.message:
-            notes.append(target.message)
-        return self._track(estimate, target, notes)
+            return tick.lib.ddmpc_too_far(self._c, target.distance), ""
+        self._blocked_for = target.blocked_for
+        sample = target.sample or target.reference.sample(target.time + self._ahead)
+        # A base that is held must not be asked for more and more: let go, it would leap.
+        share = self._config.reentry.blocked_share if target.blocked_for else 1.0
+        return tick.track(sample.pose, sample.twist, share), target.message
 
-    def _track(self, estimate: Estimate, target: Target, notes: list[str]) -> _Outcome:
-        plan, report = self._planner.plan(
-            estimate, self._estimator.commands.recent, self._last, target.reference, target.time, target.sample
+    def _ask_backend(self) -> bool:
+        """Solve with the backend, and give the core its answer; returns whether it refused the numbers."""
+        tick, solver = self._tick, self._config.solver
+        solved, report = ask(self._backend, self._program, solver.backend, SLACK * solver.tolerance)
+        ffi = tick.ffi
+        plan, multipliers = np.ascontiguousarray(solved.plan), np.ascontiguousarray(solved.multipliers)
+        refused = report.status is SolverStatus.REFUSED
+        status = SolverStatus.NOT_RUN if refused else report.status
+        answer = {
+            "status": getattr(tick.lib, f"DDMPC_QP_{status.name}"),
+            "path": tick.lib.DDMPC_BACKEND,
+            "iterations": report.iterations,
+            "soft_limits": report.soft_limits,
+            "primal_residual": report.primal_residual,
+            "dual_residual": report.dual_residual,
+        }
+        at = ffi.cast("const real *", plan.ctypes.data), ffi.cast("const real *", multipliers.ctypes.data)
+        tick.lib.ddmpc_answer(self._c, *at, ffi.new("ddmpc_report *", answer))
+        return refused
+
+    def _build(self, hold: Hold | None, message: str, times: tuple[float, float], *, refused: bool) -> StepResult:
+        """The result in C as arrays and words."""
+        c, pursuit = self._c_result, self._pursuit
+        layout = self._tick.layout
+        block = layout.copy()
+        c_report = c.solver
+        status = SolverStatus.REFUSED if refused else self._words.statuses[c_report.status]
+        report = SolverReport(
+            status,
+            self._words.path(c_report.path),
+            c_report.iterations,
+            c_report.primal_residual,
+            c_report.dual_residual,
+            bool(c_report.soft_limits),
         )
-        if plan is not None:
-            self._plan, self._plan_age = plan, 0
-            # A base that is held must not be asked for more and more: let go, it would leap.
-            share = self._config.reentry.blocked_share if target.blocked_for else 1.0
-            return _Outcome(self._inside(plan.commands[0], share), Mode.TRACKING, report, plan, target.blocked_for)
-        notes.append(f"solve failed: {report.status}")
-        self._plan_age += 1
-        usable = min(self._config.failure.max_reused_ticks, self._config.horizon - 1)
-        if self._plan is not None and self._plan_age <= usable:
-            command = self._inside(self._plan.commands[self._plan_age])
-            return _Outcome(command, Mode.REUSED_PLAN, report, self._plan)
-        return self._brake(notes)._replace(solver=report)
+        if c.reasons or c.notes or message:
+            message = self._words.sentence(hold, status, message)
+        return StepResult(
+            layout.take(block, "command"),
+            self._words.modes[c.mode],
+            message,
+            report,
+            pursuit.progress,
+            pursuit.delay,
+            Estimate(layout, block, c.estimate.time) if c.has_estimate else None,
+            self._blocked_for,
+            time.perf_counter() - times[0],
+            times[1],
+            (layout, block) if c.has_plan else None,
+        )
 
-    def _brake(self, notes: list[str], *reasons: str, failure: bool = True) -> _Outcome:
-        notes.extend(reasons)
-        self._plan = None
-        self._planner.reset()
-        # Waiting for the first pose is no failure to be latched.
-        self._latched = self._latched or (failure and self._has_driven and not self._config.failure.resume)
-        command = self._ramp()
-        return _Outcome(command, Mode.BRAKING if command.any() else Mode.STOPPED)
 
-    def _ramp(self) -> FloatArray:
-        return self._inside(np.zeros(2))
+def _model_of(
+    config: ControllerConfig, given: VelocityModel | NonlinearModel | str | None
+) -> VelocityModel | NonlinearModel:
+    """The model to predict with, extra dead time included where it is the configuration's."""
+    extra = config.extra_dead_time
+    model: VelocityModel | NonlinearModel
+    if given is None:
+        model = load_model(config.model).with_extra_dead_time([extra.v, extra.omega])
+    else:
+        model = load_model(given) if isinstance(given, str) else given
+    if config.compensation.dead_time:
+        return model
+    if isinstance(model, NonlinearModel):
+        raise ConfigError(
+            f"compensation.dead_time = false: model '{model.name}' has its dead time in its window; set it to true, or "
+            "give a model without"
+        )
+    return replace(model, dead_time=np.zeros(2))
 
-    def _inside(self, command: FloatArray, share: float = 1.0) -> FloatArray:
-        return clip_command(command, self._config.limits, self._config.sample_time, self._last, share)
 
-    def _slew_base(self) -> FloatArray:
-        """What the robot really got, as far as it lies inside the limits: from outside them there is no slew back."""
-        return inside_limits(self._estimator.commands.last, self._config.limits, self._last)
-
-    def _restart(self) -> bool:
-        """Take the robot to be where its rejected poses agree it is, once it has been told to stand."""
-        if self._estimator.commands.recent.any() or not self._config.failure.resume:
-            return False
-        return self._estimator.restart_elsewhere()
+def _sampled(model: VelocityModel | NonlinearModel, dt: float) -> DiscreteModel | NonlinearModel:
+    if isinstance(model, VelocityModel):
+        return model.discretise(dt)
+    if not math.isclose(model.dt, dt, rel_tol=1e-9):
+        raise ConfigError(f"sample_time = {dt} s: model '{model.name}' is for {model.dt} s; set sample_time to that")
+    return model

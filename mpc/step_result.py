@@ -6,28 +6,29 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.estimate import Estimate
-from diffdrive_mpc.mpc.solver_report import SolverReport
+from diffdrive_mpc.mpc.core.tick import ResultLayout
+from diffdrive_mpc.mpc.estimation.estimate import Estimate
+from diffdrive_mpc.mpc.solver.report import SolverReport
 
 
 class Mode(StrEnum):
-    """What the controller is doing."""
+    """What the controller is doing. The names are those of `ddmpc_mode` in core.h."""
 
     TRACKING = "TRACKING"
     """The problem was solved; the command is the first of a fresh plan."""
     REUSED_PLAN = "REUSED_PLAN"
     """The solve failed; the command comes from the rest of the last good plan."""
     BRAKING = "BRAKING"
-    """The command ramps to zero at the slew limit."""
+    """The command ramps to zero at the braking limits."""
     STOPPED = "STOPPED"
     """The command is zero."""
     FINISHED = "FINISHED"
     """The end of the reference is reached; the command ramps to zero and stays there."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class StepResult:
-    """Command, mode and everything that explains them.
+    """Command, mode and everything that explains them. Arrays are read-only.
 
     Attributes
     ----------
@@ -38,13 +39,7 @@ class StepResult:
     message
         Why, in words; empty when tracking on time and nothing was rejected.
     solver
-        Status, residuals and iterations of the solve; its status says so if none was run.
-    plan
-        (N + 1, 3) predicted poses of the plan that the command comes from; None while braking or stopped.
-    planned_commands
-        (N, 2) the commands of that plan.
-    reference
-        (N + 1, 3) the poses that this plan tracks: the reference, or the way back to it.
+        Status, way, residuals and iterations of the solve; its status says so if none was run.
     progress
         Rate of the reference's clock now: 1 on time, 0 while it waits [-].
     reference_delay
@@ -55,17 +50,53 @@ class StepResult:
         How long the robot has not moved although it is asked to [s]; 0 when it does.
     step_time
         Duration of the whole step [s].
+    core_time
+        How much of it was spent in the compiled core and in the backend [s].
     """
 
     command: FloatArray
     mode: Mode
     message: str
     solver: SolverReport
-    plan: FloatArray | None
-    planned_commands: FloatArray | None
-    reference: FloatArray | None
     progress: float
     reference_delay: float
     estimate: Estimate | None
     blocked_for: float
     step_time: float
+    core_time: float = 0.0
+    _planned: tuple[ResultLayout, FloatArray] | None = None
+
+    @property
+    def plan(self) -> FloatArray | None:
+        """(N + 1, 3) predicted poses of the plan that the command comes from; None while braking or stopped."""
+        return self._take("planned_poses")
+
+    @property
+    def planned_commands(self) -> FloatArray | None:
+        """(N, 2) the commands of that plan."""
+        return self._take("planned_commands")
+
+    @property
+    def reference(self) -> FloatArray | None:
+        """(N + 1, 3) the poses that this plan tracks: the reference, or the way back to it."""
+        aim = self._take("aim")
+        return None if aim is None else aim[:, :3]
+
+    def _take(self, name: str) -> FloatArray | None:
+        if self._planned is None:
+            return None
+        layout, block = self._planned
+        return layout.take(block, name)
+
+    def __str__(self) -> str:
+        """A few lines for people."""
+        v, omega = self.command.tolist()
+        lines = [
+            f"command   {v:+.3f} m/s {omega:+.3f} rad/s",
+            f"mode      {self.mode}",
+            f"solver    {self.solver.status} ({self.solver.path}, {self.solver.iterations} iterations)",
+        ]
+        if self.estimate is not None:
+            x, y, theta = self.estimate.pose.tolist()
+            lines.append(f"estimate  {x:.3f} m {y:.3f} m {theta:.3f} rad")
+        return "\n".join(lines if not self.message else [*lines, f"message   {self.message}"])

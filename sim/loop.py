@@ -126,8 +126,7 @@ class _Said(NamedTuple):
         solver = step.solver
         if solver is None:
             return cls(str(step.mode), step.message, "", NO_SOLVER)
-        # The solver reports of `mpc` have no path yet.
-        return cls(str(step.mode), step.message, str(solver.status), str(getattr(solver, "path", NO_SOLVER)))
+        return cls(str(step.mode), step.message, str(solver.status), str(solver.path))
 
 
 def _checked(command: FloatArray, t: float) -> FloatArray:

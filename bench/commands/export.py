@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.commands.options import ConfigFile
-from diffdrive_mpc.bench.commands.out_folder import out_folder
+from diffdrive_mpc.bench.commands.options import ConfigFile, Model, Settings, out_option
 
 EXAMPLE = (
     "Example: diffdrive-mpc export --model ssm --set horizon=15 --set solver.max_iterations=100 --precision float "
@@ -18,16 +17,10 @@ EXAMPLE = (
 
 def export(
     *,
-    out: Annotated[Path, typer.Option(parser=out_folder, metavar="PATH", help="Folder for the library.")],
-    model: Annotated[
-        str | None,
-        typer.Option(help="Velocity model: mbm, sm, ssm, or the path of a file.", show_default="ssm, or --config's"),
-    ] = None,
+    out: Annotated[Path, out_option("the library")],
+    model: Model = None,
     config: ConfigFile = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Replace a configuration value; repeatable."),
-    ] = None,
+    settings: Settings = None,
     trajectory: Annotated[
         str, typer.Option(help="What the table holds: circle, square, s, cane, or the path of a file.")
     ] = "circle",

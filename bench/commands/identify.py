@@ -7,15 +7,21 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.commands.out_folder import out_folder
+from diffdrive_mpc.bench.commands.options import out_folder
 
-EXAMPLE = "Example: diffdrive-mpc identify drive.csv --model sm --out my_robot"
+EXAMPLE = "Example: diffdrive-mpc identify drive.csv --structure sm --out my_robot"
+_DEFAULT_OUT = "identified"
+_DEFAULT_STRUCTURE = "sm"
 
 
 def identify(
     *,
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="CSV files or ROS 2 bags.")],
-    model: Annotated[str, typer.Option(help="Structure of the model: mbm, sm or ssm.")] = "sm",
+    structure: Annotated[
+        str | None,
+        typer.Option(help="Structure of the model, such as mbm, sm or ssm.", show_default=_DEFAULT_STRUCTURE),
+    ] = None,
+    model: Annotated[str | None, typer.Option(hidden=True, help="The old name of --structure.")] = None,
     mapping: Annotated[
         str | None,
         typer.Option(
@@ -25,8 +31,14 @@ def identify(
         ),
     ] = None,
     out: Annotated[
-        Path, typer.Option(parser=out_folder, metavar="PATH", help="Folder for model, configuration and report.")
-    ] = Path("identified"),
+        Path | None,
+        typer.Option(
+            parser=out_folder,
+            metavar="PATH",
+            help="Folder for model, configuration and report.",
+            show_default=_DEFAULT_OUT,
+        ),
+    ] = None,
     validate: Annotated[
         list[Path] | None,
         typer.Option(metavar="LOG", help="Log to try the model on; repeatable.", show_default="a share of each log"),
@@ -42,16 +54,28 @@ def identify(
     name: Annotated[str | None, typer.Option(help="Name of the model.", show_default="from the logs")] = None,
 ) -> None:
     """Identify a velocity model from logs; write it with a configuration, a report and figures."""
-    from diffdrive_mpc.bench.identification.command import identify as run  # noqa: PLC0415 - --help and other commands do without it
+    from diffdrive_mpc.bench.studies.identification.study import identify_into  # noqa: PLC0415 - --help does without it
 
-    run(
+    identify_into(
         logs,
-        model,
-        validate=validate or [],
+        out or Path(_DEFAULT_OUT),
+        structure=_structure(structure, model),
         mapping=mapping,
+        validate=validate or [],
         fit_share=fit_share,
         order=order,
         effects=effects,
         name=name,
-        out=out,
     )
+
+
+def _structure(structure: str | None, model: str | None) -> str:
+    """The option, or its old name, with a warning; raises ValueError where both are given."""
+    if model is None:
+        return _DEFAULT_STRUCTURE if structure is None else structure
+    if structure is not None:
+        raise ValueError("--model is the old name of --structure; give the new one alone")
+    typer.echo(
+        f"warning: --model is now --structure, and goes with the next release; write --structure {model}", err=True
+    )
+    return model

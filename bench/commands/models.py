@@ -43,9 +43,8 @@ def fit(
     ] = None,
 ) -> None:
     """Identify MBM and SM again, from the papers' experiments run on the simulated robot."""
-    from diffdrive_mpc.bench.console import output_console  # noqa: PLC0415
-    from diffdrive_mpc.bench.model_fitting import fit_models  # noqa: PLC0415
-    from diffdrive_mpc.bench.progress import ProgressBar  # noqa: PLC0415
+    from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
+    from diffdrive_mpc.bench.studies.identification.model_fitting import fit_models  # noqa: PLC0415
     from diffdrive_mpc.models.load import PARAMETERS  # noqa: PLC0415
 
     with ProgressBar("experiments and identification (about a minute)") as bar:
@@ -65,8 +64,7 @@ def calibrate(
 ) -> None:
     """Fit the simulated robot's firmware so that the published SSM predicts what it measures."""
     from diffdrive_mpc.bench.calibration_report import calibration_table  # noqa: PLC0415
-    from diffdrive_mpc.bench.console import output_console  # noqa: PLC0415
-    from diffdrive_mpc.bench.progress import ProgressBar  # noqa: PLC0415
+    from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.calibration import calibrate as fit_firmware  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.twin_parameters import FIRMWARE_FILE, load_firmware  # noqa: PLC0415
 
@@ -85,10 +83,9 @@ def truths(
     quick: Annotated[bool, typer.Option("--quick", help="Five models instead of all of the study.")] = False,
 ) -> None:
     """Identify random models whose truth is known, and count how often it lies in the stated intervals."""
-    from diffdrive_mpc.bench.console import output_console  # noqa: PLC0415
-    from diffdrive_mpc.bench.identification_study import coverage_table, run_study  # noqa: PLC0415
-    from diffdrive_mpc.bench.progress import ProgressBar  # noqa: PLC0415
+    from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
+    from diffdrive_mpc.bench.studies.identification.known_truths import coverage_table, recover_all  # noqa: PLC0415
 
     with ProgressBar("known truths (a few seconds each)") as bar:
-        recoveries = run_study(5 if quick else None, on_progress=bar.at)
+        recoveries = recover_all(5 if quick else None, on_progress=bar.at)
     output_console().print(coverage_table(recoveries).rich())

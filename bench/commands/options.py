@@ -1,54 +1,102 @@
-"""Options that several commands share."""
+"""Options, each declared once."""
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
 import typer
 
-ConfigFile = Annotated[
-    Path | None,
-    typer.Option("--config", help="Controller configuration (YAML) in place of the shipped one.", show_default=False),
+from diffdrive_mpc.bench.case import DIMENSIONS, Dimension
+
+Command = TypeVar("Command", bound=Callable[..., None])
+
+PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True}
+"""Settings of a command that passes what follows `--ros-args` on to ROS."""
+
+
+def out_folder(text: str) -> Path:
+    """Read the folder of `--out`; raises typer.BadParameter when it is empty, which would be the current folder."""
+    if not text.strip():
+        raise typer.BadParameter("it is empty; give a folder, '.' for the current one")
+    return Path(text)
+
+
+def out_option(what: str) -> Any:  # noqa: ANN401 - typer's own type
+    """The option that names a folder for `what`."""
+    return typer.Option("--out", parser=out_folder, metavar="PATH", help=f"Folder for {what}.", show_default=False)
+
+
+def parts_option(parts: str) -> Any:  # noqa: ANN401 - typer's own type
+    """The option that chooses some parts of a study."""
+    return typer.Option("--only", metavar="PARTS", help=f"{parts}.", show_default="all of them")
+
+
+def file_option(what: str, name: str) -> Any:  # noqa: ANN401 - typer's own type
+    """The option that takes a YAML file in place of a shipped one."""
+    return typer.Option(name, help=f"{what} (YAML) in place of the shipped one.", show_default=False)
+
+
+ConfigFile = Annotated[Path | None, file_option("Controller configuration with its model", "--config")]
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace a configuration value; repeatable.")
 ]
-"""A controller configuration file."""
+Sweep = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=V1,V2,...", help="Sweep a configuration value; repeatable.")
+]
+Model = Annotated[
+    str | None,
+    typer.Option(help="Velocity model: mbm, sm, ssm, or the path of a file.", show_default="ssm, or --config's"),
+]
+Jobs = Annotated[int | None, typer.Option("--jobs", min=1, help="Processes.", show_default="one for each core")]
 
 
-def split_names(text: str, option: str) -> tuple[str, ...]:
-    """Split `a,b,c`; raises ValueError when a name is empty or given twice."""
-    names = tuple(name.strip() for name in text.split(","))
-    if not all(names):
-        raise ValueError(f"{option} '{text}': give one name, or several with commas between them")
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise ValueError(f"{option} '{text}': '{twice[0]}' is given twice")
-    return names
+def with_dimensions(*names: str, several: bool = False) -> Callable[[Command], Command]:
+    """Give a command, which takes them as `**values`, an option for each dimension of a case.
+
+    Parameters
+    ----------
+    names
+        Which dimensions; by default all of them.
+    several
+        Whether the options take lists: `values` are texts by the plural, None where one is not given. Otherwise they
+        are values by the dimension's name.
+    """
+    make = _list_option if several else _single_option
+    added = [make(one) for one in DIMENSIONS if not names or one.name in names]
+
+    def extended(command: Command) -> Command:
+        signature = inspect.signature(command, eval_str=True)
+        own = [one for one in signature.parameters.values() if one.kind is not inspect.Parameter.VAR_KEYWORD]
+        first = [one for one in own if one.kind is not inspect.Parameter.KEYWORD_ONLY]
+        rest = own[len(first) :]
+        command.__signature__ = signature.replace(parameters=[*first, *added, *rest])  # type: ignore[attr-defined]
+        return command
+
+    return extended
 
 
-def split_numbers(text: str, option: str, *, least: int) -> tuple[int, ...]:
-    """Split `1,2,3` into whole numbers of at least `least`; raises ValueError on anything else."""
-    try:
-        numbers = tuple(int(number) for number in split_names(text.rstrip(","), option))
-    except ValueError as error:
-        raise ValueError(f"{option} '{text}': give whole numbers with commas between them, each once") from error
-    if min(numbers) < least:
-        raise ValueError(f"{option} '{text}': each number must be at least {least}")
-    return numbers
+def _single_option(of: Dimension) -> inspect.Parameter:
+    if of.name == "model":
+        return inspect.Parameter("model", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Model)
+    kind, least = type(of.default), 0 if isinstance(of.default, int) else None
+    annotation = Annotated[kind, typer.Option(of.option, help=of.help, min=least)]  # type: ignore[valid-type]
+    return inspect.Parameter(of.name, inspect.Parameter.KEYWORD_ONLY, default=of.default, annotation=annotation)
 
 
-MOST_SEEDS = 10_000
-"""More runs of one case than this take days, and their list alone could fill the memory."""
+def _list_option(of: Dimension) -> inspect.Parameter:
+    default = ",".join(map(str, of.compared))
+    option = typer.Option(of.list_option, metavar="LIST", help=of.list_help, show_default=default)
+    annotation = Annotated[str | None, option]
+    return inspect.Parameter(of.several, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
 
 
-def parse_seeds(text: str) -> tuple[int, ...]:
-    """`5` means the seeds 0 to 4, a list with commas (`7,` or `3,4`) those seeds; raises ValueError otherwise."""
-    numbers = split_numbers(text, "--seeds", least=0)
-    if "," in text:
-        return numbers
-    if numbers[0] == 0:
-        raise ValueError("--seeds 0: give the number of seeds (at least 1), or a list such as 0,1,2")
-    if numbers[0] > MOST_SEEDS:
-        raise ValueError(
-            f"--seeds {text}: give at most {MOST_SEEDS} seeds; for the one seed {text} write --seeds {text},"
-        )
-    return tuple(range(numbers[0]))
+def ros_arguments(context: typer.Context) -> list[str]:
+    """What follows `--ros-args`, with it; raises ValueError for words before it that no option takes."""
+    words = list(context.args)
+    ours = words[: words.index("--ros-args")] if "--ros-args" in words else words
+    if ours:
+        raise ValueError(f"unknown argument '{ours[0]}'; see --help; arguments for ROS follow --ros-args")
+    return words

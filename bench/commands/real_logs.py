@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.commands.out_folder import out_folder
+from diffdrive_mpc.bench.commands.options import out_folder
 
 EXAMPLE = "Example: diffdrive-mpc real-logs husky --data logs --out husky"
 
@@ -25,6 +25,6 @@ def real_logs(
     seeds: Annotated[int, typer.Option(min=0, help="Closed-loop runs of each kind; 0 for none.")] = 3,
 ) -> None:
     """Identify a real robot with the effects of its base, score it on held-out rows, and drive its stand-in."""
-    from diffdrive_mpc.bench.real_logs.command import prove_log  # noqa: PLC0415 - --help and other commands do without it
+    from diffdrive_mpc.bench.studies.real_logs.study import prove_log  # noqa: PLC0415 - --help and other commands do without it
 
     prove_log(log, data, out, seeds)

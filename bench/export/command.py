@@ -10,13 +10,12 @@ from tempfile import TemporaryDirectory
 
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.case import label
-from diffdrive_mpc.bench.console import output_console
-from diffdrive_mpc.bench.controllers import controller_config, default_model
+from diffdrive_mpc.bench.controllers import chosen_model, controller_config
 from diffdrive_mpc.bench.export.emulation import emulate
 from diffdrive_mpc.bench.export.readme import readme
 from diffdrive_mpc.bench.export.sizes import TARGETS, Size, link_stm32f4, measure_sizes
 from diffdrive_mpc.bench.machine import describe_run
-from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.sweep import single_settings
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -48,9 +47,7 @@ def export_library(
     began = time.perf_counter()
     if precision not in list(Precision):
         raise ConfigError(f"--precision '{precision}': give double or float")
-    if model is not None and not model.strip():
-        raise ConfigError("--model: it is empty; give mbm, sm, ssm or the path of a model file")
-    name = default_model(config) if model is None else model
+    name = chosen_model(model, config)
     values = controller_config(name, None if config is None else str(config), single_settings(settings))
     reference = load_trajectory(trajectory)
     with staged(out, files=(*FILES, README, REPORT), folders=FOLDERS) as folder, ProgressBar("exporting") as bar:

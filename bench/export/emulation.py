@@ -82,17 +82,17 @@ def emulate(
         raise ConfigError(f"--emulate: sample_time {config.sample_time} s; the robot takes {plant.sample_time} s")
     with EmulatedController(image) as controller:
         run = simulate(controller, plant, reference, on_tick=on_tick)
-        answers = controller.answers
+        replies = controller.replies
     beside = Controller(replace_values(config, {"reentry.enabled": False, **_EXACT}))
     beside.start(reference, 0.0)
     commands = [
         beside.step(float(t), measurement).command for t, measurement in zip(run.time, run.measurements, strict=True)
     ]
     return Emulation(
-        steps=len(answers),
-        instructions=np.array([answer.cycles for answer in answers]),
-        iterations=np.array([answer.iterations for answer in answers]),
-        modes=dict(Counter(str(answer.mode) for answer in answers)),
+        steps=len(replies),
+        instructions=np.array([reply.cycles for reply in replies]),
+        iterations=np.array([reply.iterations for reply in replies]),
+        modes=dict(Counter(str(reply.mode) for reply in replies)),
         position_rmse=float(run.metrics.position_rmse_m),
         difference=float(np.abs(np.array(commands) - run.command).max()),
     )

@@ -9,30 +9,66 @@ from __future__ import annotations
 import shutil
 import subprocess
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import NamedTuple
 
-from diffdrive_mpc.bench.export.frames import ANSWER_BYTES, Answer, read_answer, request_bytes
+import numpy as np
+from numpy.typing import ArrayLike
+
+from diffdrive_mpc.bench.peers import PeerStep
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, Stamped
+from diffdrive_mpc.mpc import Mode
+from diffdrive_mpc.mpc.hold import Hold
 
 MACHINE = "netduinoplus2"
 """QEMU's name of a board with an STM32F405, a Cortex-M4F."""
 _EMULATOR = "qemu-system-arm"
 _OPTIONS = f"-M {MACHINE} -nographic -monitor none -serial stdio -icount shift=0,sleep=off".split()
+MODES = (Mode.TRACKING, Mode.REUSED_PLAN, Mode.BRAKING, Mode.STOPPED, Mode.FINISHED)
+"""In the order of `ddmpc_mode`."""
+REPLY_BYTES = 8 * 8
 
 
-@dataclass(frozen=True, slots=True)
-class EmulatedStep:
-    """What one tick gave; satisfies `models.interface.ControlStep`."""
+class Reply(NamedTuple):
+    """What comes back of one tick; `cycles` counts those of its step, where the other end counts."""
 
     command: FloatArray
-    mode: str
-    message: str
-    step_time: float
-    solver: None = None
-    plan: None = None
+    mode: Mode
+    reasons: int
+    status: int
+    iterations: int
+    soft_limits: int
+    cycles: float
+
+
+def request_bytes(t: float, measurement: Measurement, hold: Hold | None = None, *, anew: bool = False) -> bytes:
+    """The tick at `t` [s]; `anew` starts the reference there."""
+    numbers = [t, float(anew), 0.0 if hold is None else 1.0 + hold.failure]
+    numbers += [0.0, 0.0, 0.0] if measurement.sent is None else [1.0, *measurement.sent]
+    numbers += _stamped(measurement.pose, 3)
+    numbers += _stamped(measurement.wheel_twist, 2)
+    numbers += _stamped(measurement.yaw_rate, 1)
+    return np.array(numbers, dtype="<f8").tobytes()
+
+
+def read_reply(data: bytes) -> Reply:
+    """Undo what the other end did."""
+    v, omega, mode, reasons, status, iterations, soft, cycles = np.frombuffer(data, dtype="<f8").tolist()
+    return Reply(np.array([v, omega]), MODES[int(mode)], int(reasons), int(status), int(iterations), int(soft), cycles)
+
+
+def _stamped(stamped: Stamped | None, size: int) -> list[float]:
+    if stamped is None:
+        return [0.0] * (3 + size + size * size)
+    known = stamped.covariance is not None
+    covariance = stamped.covariance if known else np.zeros(size * size)
+    return [1.0, stamped.time, *_flat(stamped.value), float(known), *_flat(covariance)]
+
+
+def _flat(values: ArrayLike | None) -> list[float]:
+    return np.ravel(np.asarray(values, dtype=float)).tolist()
 
 
 class EmulatedController:
@@ -46,7 +82,7 @@ class EmulatedController:
     Raises
     ------
     models.checked_yaml.ConfigError
-        If QEMU is not installed, or the program does not answer.
+        If QEMU is not installed, or the program does not reply.
     """
 
     def __init__(self, image: Path) -> None:
@@ -58,7 +94,7 @@ class EmulatedController:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
         )
-        self.answers: list[Answer] = []
+        self.replies: list[Reply] = []
         """Of every tick since the last start; `cycles` are instructions."""
         self._anew = True
         greeting = self._read(8)
@@ -76,18 +112,18 @@ class EmulatedController:
     def start(self, reference: Reference, t0: float) -> None:
         """Start anew at the next tick, whose time is that of the start."""
         del reference, t0
-        self._anew, self.answers = True, []
+        self._anew, self.replies = True, []
 
-    def step(self, t: float, measurement: Measurement) -> EmulatedStep:
-        """Decide the command for the tick at `t` [s]; raises ConfigError if the program does not answer."""
+    def step(self, t: float, measurement: Measurement) -> PeerStep:
+        """Decide the command for the tick at `t` [s]; raises ConfigError if the program does not reply."""
         began = time.perf_counter()
         assert self._process.stdin is not None
         self._process.stdin.write(request_bytes(t, measurement, anew=self._anew))
         self._process.stdin.flush()
         self._anew = False
-        answer = read_answer(self._read(ANSWER_BYTES))
-        self.answers.append(answer._replace(cycles=answer.cycles * self._per_tick))
-        return EmulatedStep(answer.command, answer.mode, "", time.perf_counter() - began)
+        reply = read_reply(self._read(REPLY_BYTES))
+        self.replies.append(reply._replace(cycles=reply.cycles * self._per_tick))
+        return PeerStep(reply.command, reply.mode, "", time.perf_counter() - began)
 
     def _read(self, count: int) -> bytes:
         assert self._process.stdout is not None

@@ -9,28 +9,20 @@ they are not reached on references within the limits.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 
 import numpy as np
 
-from diffdrive_mpc.bench.peers.clairvoyant_program import ClairvoyantProgram, Present
-from diffdrive_mpc.bench.peers.clairvoyant_settings import ClairvoyantSettings, load_clairvoyant_settings
+from diffdrive_mpc.bench.peers import PeerStep
+from diffdrive_mpc.bench.peers.clairvoyant_program import (
+    ClairvoyantProgram,
+    ClairvoyantSettings,
+    Present,
+    load_clairvoyant_settings,
+)
+from diffdrive_mpc.bench.peers.command_limits import nearest_command
 from diffdrive_mpc.bench.peers.known_plant import KnownPlant
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
-from diffdrive_mpc.mpc.bounds import clip_command
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-
-
-@dataclass(frozen=True, slots=True)
-class ClairvoyantStep:
-    """What was decided at one tick; satisfies `models.interface.ControlStep`."""
-
-    command: FloatArray
-    mode: str
-    message: str
-    step_time: float
-    solver: None = None
-    plan: FloatArray | None = None
 
 
 class ClairvoyantController:
@@ -65,7 +57,7 @@ class ClairvoyantController:
         self._mean, self._disturbance = np.zeros(2), np.zeros(2)
         self._program.reset()
 
-    def step(self, t: float, measurement: Measurement) -> ClairvoyantStep:
+    def step(self, t: float, measurement: Measurement) -> PeerStep:
         """Decide the command for the tick at time `t` [s].
 
         Raises
@@ -89,10 +81,10 @@ class ClairvoyantController:
         self._observe(pose)
         here = Present(pose, self._state, self._past, self._disturbance)
         plan = self._program.solve(here, sample, self._feed_forward(times))
-        command = clip_command(plan[0], self._config.limits, self._config.sample_time, last)
+        command = nearest_command(plan[0], self._config.limits, self._config.sample_time, last)
         finished = since_start >= self._reference.duration
         self._send(command)
-        return ClairvoyantStep(command, "FINISHED" if finished else "TRACKING", "", time.perf_counter() - began)
+        return PeerStep(command, "FINISHED" if finished else "TRACKING", "", time.perf_counter() - began)
 
     def _feed_forward(self, times: FloatArray) -> FloatArray:
         """(N, 2) commands that keep the reference's twist in the steady state, one lag ahead, disturbance taken off."""

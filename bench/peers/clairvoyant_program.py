@@ -3,17 +3,35 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
+from pydantic import Field
 
-from diffdrive_mpc.bench.peers.clairvoyant_settings import ClairvoyantSettings
+from diffdrive_mpc.bench.peers.command_limits import slew_step
 from diffdrive_mpc.bench.peers.known_plant import KnownPlant
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
-from diffdrive_mpc.mpc.bounds import slew_step
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
+
+
+class ClairvoyantSettings(StrictModel):
+    """How far it looks and how exactly it solves."""
+
+    horizon: Annotated[int, Field(ge=1)]
+    disturbance_memory: Annotated[float, Field(ge=0, lt=1)]
+    tolerance: Annotated[float, Field(gt=0)]
+    max_iterations: Annotated[int, Field(ge=1)]
+
+
+@cache
+def load_clairvoyant_settings(path: Path | None = None) -> ClairvoyantSettings:
+    """Read a file of settings, by default the shipped one; raises ConfigError when it has a mistake."""
+    return load_checked(ClairvoyantSettings, path or Path(__file__).parent / "clairvoyant.yaml")
 
 
 @dataclass(frozen=True)

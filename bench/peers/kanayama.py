@@ -7,12 +7,12 @@ robot", ICRA 1990. Gains in `kanayama.yaml`.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
+from diffdrive_mpc.bench.peers import PeerStep
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.pose import wrap_angle
@@ -31,18 +31,6 @@ class KanayamaGains(StrictModel):
 def load_gains(path: Path | None = None) -> KanayamaGains:
     """Read a file of gains, by default the shipped one; raises ConfigError when it has a mistake."""
     return load_checked(KanayamaGains, path or Path(__file__).parent / "kanayama.yaml")
-
-
-@dataclass(frozen=True, slots=True)
-class KanayamaStep:
-    """What the law decided at one tick; satisfies `models.interface.ControlStep`."""
-
-    command: FloatArray
-    mode: str
-    message: str
-    step_time: float
-    solver: None = None
-    plan: None = None
 
 
 class KanayamaController:
@@ -70,7 +58,7 @@ class KanayamaController:
 
     _last_time: float | None
 
-    def step(self, t: float, measurement: Measurement) -> KanayamaStep:
+    def step(self, t: float, measurement: Measurement) -> PeerStep:
         """Decide the command for the tick at time `t` [s]; without a usable pose the last error is kept.
 
         Raises
@@ -87,7 +75,7 @@ class KanayamaController:
         wish = np.zeros(2) if finished else self._law(feed_forward)
         command = self._limited(wish, t)
         mode = "FINISHED" if finished else "TRACKING"
-        return KanayamaStep(command, mode, message, time.perf_counter() - began)
+        return PeerStep(command, mode, message, time.perf_counter() - began)
 
     def _take_error(self, reference: Reference, measurement: Measurement) -> str:
         """Error in the robot's frame at the pose's stamp: ahead [m], to the left [m], turned left [rad]."""

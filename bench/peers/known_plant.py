@@ -7,10 +7,10 @@ from functools import cache
 
 import numpy as np
 
-from diffdrive_mpc.models.identification import Experiment, identify_two_poles
-from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import load_model
-from diffdrive_mpc.models.structures import TwoPoles
+from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.structures.two_poles import TwoPoles, identify_channel, side_by_side
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim.plants.make import make_plant
@@ -19,6 +19,8 @@ from diffdrive_mpc.sim.plants.surface import load_surface
 
 _PERFECT = "perfect"
 _MODEL_PREFIX = "model:"
+_REST = 1.0
+"""Time at rest before each drive [s]: longer than any response."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +63,14 @@ def know_plant(plant: str, surface: str, trajectories: tuple[str, ...]) -> Known
     if plant.startswith(_MODEL_PREFIX):
         return _exact(load_model(plant.removeprefix(_MODEL_PREFIX)), surface)
     logs = [_drive(plant, surface, trajectory) for trajectory in trajectories]
-    fits = [identify_two_poles(_experiments(logs, channel, output)) for channel, output in ((0, 0), (1, 2))]
-    A, B, C = _side_by_side([fit.transfer for fit in fits])
-    model = VelocityModel(f"{plant} on {surface}", "sm", A, B, C, np.array([fit.dead_time for fit in fits]))
+    # The truth has no outliers, and no reference is beyond a limit of the robot.
+    fits = [
+        identify_channel(_experiments(logs, channel, output), name, limit=False, robust=False).parameters
+        for name, channel, output in (("v", 0, 0), ("omega", 1, 2))
+    ]
+    A, B, C = side_by_side([_transfer(fit) for fit in fits])
+    dead_time = np.array([fit.value("dead_time") for fit in fits])
+    model = VelocityModel(f"{plant} on {surface}", "sm", A, B, C, dead_time)
     side_slip, load_shift = _slip(logs)
     return KnownPlant(model, side_slip, load_shift)
 
@@ -81,11 +88,19 @@ def _drive(plant: str, surface: str, trajectory: str) -> Drive:
 
 
 def _experiments(logs: list[Drive], channel: int, output: int) -> list[Experiment]:
-    return [
-        Experiment("reference", float(log.time[1] - log.time[0]), log.command[:, channel], log.true_twist[:, output])
-        for log in logs
-        if np.ptp(log.command[:, channel]) > 0
-    ]
+    """Each drive after a while at rest, so that the initial state, which is free, is known too."""
+    experiments = []
+    for log in logs:
+        if np.ptp(log.command[:, channel]) > 0:
+            dt = float(log.time[1] - log.time[0])
+            before = ((round(_REST / dt), 0), (0, 0))
+            command, moved = (np.pad(rows, before) for rows in (log.command[:, [channel]], log.true_twist[:, [output]]))
+            experiments.append(Experiment("reference", dt, command, moved, np.ones(moved.shape, dtype=bool)))
+    return experiments
+
+
+def _transfer(found: ParameterEstimate) -> TwoPoles:
+    return TwoPoles(**{name: found.value(name) for name in TwoPoles.model_fields})
 
 
 def _slip(logs: list[Drive]) -> tuple[float, float]:
@@ -97,12 +112,3 @@ def _slip(logs: list[Drive]) -> tuple[float, float]:
         lateral.append(sideways)
     side_slip, load_shift = np.linalg.lstsq(np.vstack(regressors), np.concatenate(lateral), rcond=None)[0]
     return float(side_slip), float(load_shift)
-
-
-def _side_by_side(channels: list[TwoPoles]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    A, B, C = np.zeros((4, 4)), np.zeros((4, 2)), np.zeros((2, 4))
-    for i, channel in enumerate(channels):
-        own = slice(2 * i, 2 * i + 2)
-        a, b, c = channel.matrices()
-        A[own, own], B[own, i : i + 1], C[i : i + 1, own] = a, b, c
-    return A, B, C

@@ -8,19 +8,200 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from diffdrive_mpc.models.identification.doubts import badly_known
-from diffdrive_mpc.models.identification.estimate import Estimate
-from diffdrive_mpc.models.identification.output_error.covariance import sandwich
-from diffdrive_mpc.models.identification.output_error.robust import residual_scale, spike_weights
-from diffdrive_mpc.models.identification.pose_windows import pose_windows
-from diffdrive_mpc.models.identification.slip_laws import SlipLaw
+from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.doubts import badly_known
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.output_error.statistics import residual_scale, sandwich, spike_weights
 from diffdrive_mpc.models.pose import wrap_angle
+
+
+class SlipLaw(Protocol):
+    """From wheel rates to body twist."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each coefficient."""
+        ...
+
+    @property
+    def start(self) -> FloatArray:
+        """(q,) coefficients of a robot that does not slip."""
+        ...
+
+    @property
+    def holds_lever_arm(self) -> bool:
+        """Whether the coefficients already describe any point fixed to the body, so that it cannot be told apart."""
+        ...
+
+    def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
+        """(..., 3) v, lateral speed to the left [m/s], yaw rate [rad/s] of wheels (..., 2) left, right [rad/s]."""
+        ...
+
+
+@dataclass(frozen=True)
+class ConstantTrack:
+    """v and omega as on a differential drive, with a wider track, and side-slip lateral = -side_slip v omega.
+
+    Coefficients: wheel_radius [m], track [m], side_slip [s].
+
+    Attributes
+    ----------
+    wheel_radius, track
+        Of the catalogue, to start from [m].
+    """
+
+    wheel_radius: float
+    track: float
+    names: tuple[str, ...] = ("wheel_radius", "track", "side_slip")
+    holds_lever_arm: bool = False
+
+    @property
+    def start(self) -> FloatArray:
+        """(3,)."""
+        return np.array([self.wheel_radius, self.track, 0.0])
+
+    def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
+        """(..., 3); see `SlipLaw`."""
+        radius, track, side_slip = coefficients
+        v = 0.5 * radius * (wheels[..., 0] + wheels[..., 1])
+        omega = radius * (wheels[..., 1] - wheels[..., 0]) / track
+        return np.stack([v, -side_slip * v * omega, omega], axis=-1)
+
+
+@dataclass(frozen=True)
+class VirtualTrack:
+    """The track grows with the yaw rate, i = p1 |yaw rate| + p0, and side-slip as in `ConstantTrack`.
+
+    Source: Botta et al., Appl. Sci. 2021, 11(4), 1594. yaw rate = difference / i is quadratic in the yaw rate; its
+    solution that stays finite for p1 = 0 is used. Coefficients: wheel_radius [m], p0 [m], p1 [m s], side_slip [s].
+
+    Attributes
+    ----------
+    wheel_radius, track
+        Of the catalogue, to start from [m].
+    """
+
+    wheel_radius: float
+    track: float
+    names: tuple[str, ...] = ("wheel_radius", "p0", "p1", "side_slip")
+    holds_lever_arm: bool = False
+
+    @property
+    def start(self) -> FloatArray:
+        """(4,)."""
+        return np.array([self.wheel_radius, self.track, 0.0, 0.0])
+
+    def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
+        """(..., 3); see `SlipLaw`."""
+        radius, p0, p1, side_slip = coefficients
+        v = 0.5 * radius * (wheels[..., 0] + wheels[..., 1])
+        difference = radius * (wheels[..., 1] - wheels[..., 0])
+        # Below the root's range the law has no solution; its edge keeps the search finite.
+        root = np.sqrt(np.maximum(p0**2 + 4 * p1 * np.abs(difference), 0.0))
+        omega = 2 * difference / (p0 + root)
+        return np.stack([v, -side_slip * v * omega, omega], axis=-1)
+
+
+@dataclass(frozen=True)
+class SlipPolynomial:
+    """v, lateral speed and yaw rate each with terms in v_c, w_c and v_c w_c added to the wheels' (v_c, w_c).
+
+    Source: Ordonez et al. 2017: v = v_c + a11 v_c + a12 w_c + a13 v_c w_c, lateral = a21 v_c + a22 w_c + a23 v_c w_c,
+    omega = w_c + a31 v_c + a32 w_c + a33 v_c w_c. Here lateral is to the left and w_c counter-clockwise. A pose point
+    away from the rotation centre adds to a12 and a22, so the polynomial is that of the pose point.
+
+    Attributes
+    ----------
+    wheel_radius, track
+        By which (v_c, w_c) are computed [m]; the coefficients belong to them.
+    """
+
+    wheel_radius: float
+    track: float
+    names: tuple[str, ...] = tuple(f"a{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3))
+    holds_lever_arm: bool = True
+
+    @property
+    def start(self) -> FloatArray:
+        """(9,)."""
+        return np.zeros(9)
+
+    def twist(self, coefficients: FloatArray, wheels: FloatArray) -> FloatArray:
+        """(..., 3); see `SlipLaw`."""
+        v = 0.5 * self.wheel_radius * (wheels[..., 0] + wheels[..., 1])
+        omega = self.wheel_radius * (wheels[..., 1] - wheels[..., 0]) / self.track
+        terms = np.stack([v, omega, v * omega], axis=-1)
+        return np.asarray(np.stack([v, np.zeros_like(v), omega], axis=-1) + terms @ coefficients.reshape(3, 3).T)
+
+
+_FEWEST_WINDOWS = 20
+
+
+class PoseWindows(NamedTuple):
+    """n windows of one record, W steps each."""
+
+    dt: float
+    """Sample time [s]."""
+    signal: FloatArray
+    """(n, W, c) mean of the signal over each step."""
+    displacement: FloatArray
+    """(n, 3) motion of the pose point seen from the window's first pose: ahead [m], to the left [m], turned [rad]."""
+
+
+def pose_windows(
+    records: Sequence[Record], signal: Literal["wheels", "yaw_rate"], pose_lag: float = 0.0
+) -> list[PoseWindows]:
+    """Windows of the settings' length, none overlapping, in which the signal is known throughout.
+
+    Parameters
+    ----------
+    records
+        Records with a pose.
+    signal
+        What to cut out beside the poses.
+    pose_lag
+        By how much poses describe the robot earlier than their stamp says, against the signal [s].
+
+    Raises
+    ------
+    ValueError
+        If a record has no pose or no such signal, or there are too few windows in all.
+    """
+    found = [_of_record(record, signal, pose_lag) for record in records]
+    count = sum(len(windows.displacement) for windows in found)
+    if count < _FEWEST_WINDOWS:
+        raise ValueError(f"{count} windows with a pose at both ends; a calibration needs {_FEWEST_WINDOWS}: longer log")
+    return [windows for windows in found if len(windows.displacement)]
+
+
+def _of_record(record: Record, name: Literal["wheels", "yaw_rate"], pose_lag: float) -> PoseWindows:
+    value, pose, fresh = getattr(record, name), record.pose, record.fresh_pose
+    if value is None or pose is None or fresh is None:
+        raise ValueError(f"record '{record.name}': a calibration from poses needs pose and {name}")
+    signal = np.asarray(value).reshape(len(value), -1)
+    mean = 0.5 * (signal[1:] + signal[:-1])
+    steps, lag = round(identification_settings().pose_window / record.dt), round(pose_lag / record.dt)
+    starts, k = [], max(lag, 0)
+    while k + steps < len(pose) and k + steps - lag < len(signal):
+        if fresh[k] and fresh[k + steps] and np.isfinite(mean[k - lag : k - lag + steps]).all():
+            starts.append(k)
+            k += steps
+        else:
+            k += 1
+    rows = np.array(starts, dtype=np.int64)
+    cut = mean[rows[:, None] - lag + np.arange(steps)]
+    first, last = pose[rows], pose[rows + steps]
+    c, s = np.cos(first[:, 2]), np.sin(first[:, 2])
+    x, y, turned = (last - first).T
+    return PoseWindows(record.dt, cut, np.column_stack([c * x + s * y, c * y - s * x, wrap_angle(turned)]))
+
 
 _ROUNDS = 6
 
@@ -42,7 +223,7 @@ class PoseCalibration:
         What not to trust.
     """
 
-    parameters: Estimate
+    parameters: ParameterEstimate
     rmse: FloatArray
     windows: int
     warnings: tuple[str, ...]
@@ -143,7 +324,7 @@ def _solve(errors: Callable[[FloatArray], FloatArray], start: FloatArray, names:
         result = least_squares(_weighted(errors, weight), parameters, jac="3-point", x_scale="jac")
         parameters, found = result.x, errors(result.x)
     rows = result.jac.reshape(*found.shape, len(start))
-    estimate = Estimate(names, parameters, sandwich([rows], [weight * found]).covariance)
+    estimate = ParameterEstimate(names, parameters, sandwich([rows], [weight * found]).covariance)
     warnings = badly_known(estimate.part(_sizes(names)))
     return PoseCalibration(estimate, np.sqrt(np.mean(found**2, axis=0)), len(found), tuple(warnings))
 

@@ -1,60 +1,42 @@
-"""Where the estimator looks, and when it warns: read from `settings.yaml`."""
+"""How logs are divided and models judged: read from `settings.yaml`."""
 
 from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import Annotated
 
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.robot import Positive
 
-Range = tuple[Positive, Positive]
 
+class JudgementSettings(StrictModel):
+    """When a model is said not to be trusted."""
 
-class SaturationSettings(StrictModel):
-    """How a limit of the base is looked for."""
-
-    lowest: Positive = Field(lt=1, description="lowest level tried, part of the largest command [-]")
-    levels: int = Field(ge=2, description="number of levels tried")
-    share: Positive = Field(lt=1, description="least share of samples commanded beyond the level [-]")
-    evidence: Positive = Field(description="least fall of the information criterion [-]")
-
-
-class WarningSettings(StrictModel):
-    """When a parameter is said to be badly known."""
-
-    relative_deviation: Positive = Field(description="standard deviation over value [-]")
-    condition: Positive = Field(description="condition number of the scaled information matrix [-]")
-
-
-class ValidationSettings(StrictModel):
-    """How a model is tried on records that it was not identified from."""
-
-    horizons: tuple[Positive, ...] = Field(description="horizons of the open-loop pose error [s]")
-    start_every: Positive = Field(description="time between two starts [s]")
-    lag: Positive = Field(description="longest lag of the residuals' correlations [s]")
+    low_fit: float = Field(description="[%]")
+    fit_drop: Positive = Field(description="[percentage points]")
+    unexplained: Positive = Field(description="[-]")
+    lever_arm: Positive = Field(description="[m]")
 
 
 class IdentificationSettings(StrictModel):
-    """Bounds, first guesses and thresholds of the identification."""
+    """Sizes and thresholds of the way from logs to a model."""
 
-    longest_dead_time: Positive = Field(description="[s]")
-    lag: Range = Field(description="sum of both time constants [s]")
-    short: Range = Field(description="product of both time constants over their sum [s]")
-    gain: Range = Field(description="[-]")
-    track: Range = Field(description="[m]")
-    start_dead_times: tuple[float, ...] = Field(description="grid of first guesses [s]")
-    start_frequencies: tuple[Positive, ...] = Field(description="grid of first guesses [rad/s]")
-    impulse_response: Positive = Field(description="length of the impulse response an SSM starts from [s]")
+    fit_share: Positive = Field(description="of each log to identify from [-]")
+    shares: tuple[Positive, Positive] = Field(description="least and largest share to identify from [-]")
+    fewest_readings: int = Field(gt=0, description="[-]")
     pose_window: Positive = Field(description="[s]")
-    saturation: SaturationSettings
-    warn: WarningSettings
-    validation: ValidationSettings
+    horizons: tuple[Positive, ...] = Field(description="horizons of the open-loop pose error [s]")
+    start_every: Positive = Field(description="time between two starts [s]")
+    limit_margin: float = Field(ge=1, description="[-]")
+    certain: Positive = Field(description="[standard deviations]")
+    least_slew: Annotated[float, Field(gt=0, le=1)] = Field(description="part of the slew found [-]")
+    warn: JudgementSettings
 
 
 @cache
-def load_settings() -> IdentificationSettings:
+def identification_settings() -> IdentificationSettings:
     """Read `settings.yaml`; raises ConfigError on a mistake in it."""
-    return load_checked(IdentificationSettings, Path(__file__).parent / "settings.yaml")
+    return load_checked(IdentificationSettings, Path(__file__).with_name("settings.yaml"))

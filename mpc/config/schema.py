@@ -6,11 +6,11 @@ each description.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.robot import SampleTime, load_robot
 from diffdrive_mpc.mpc.config.group import Group, NotNegative, Positive
 from diffdrive_mpc.mpc.config.solver import Solver
 
@@ -48,8 +48,22 @@ class Limits(Group):
 
     v: Positive = Field(_ROBOT.limits.v, description="hard: |v_ref| [m/s]")
     omega: Positive = Field(_ROBOT.limits.omega, description="hard: |omega_ref| [rad/s]")
-    v_slew: Positive = Field(_ROBOT.command_slew.v, description="hard: rate of change of v_ref [m/s^2]")
-    omega_slew: Positive = Field(_ROBOT.command_slew.omega, description="hard: rate of change of omega_ref [rad/s^2]")
+    v_slew: Positive = Field(
+        _ROBOT.command_slew.v, description="hard: rate of change of v_ref while driving; braking has its own [m/s^2]"
+    )
+    omega_slew: Positive = Field(
+        _ROBOT.command_slew.omega,
+        description="hard: rate of change of omega_ref while driving; braking has its own [rad/s^2]",
+    )
+    v_braking: Annotated[float, Field(ge=0.2)] = Field(
+        _ROBOT.command_slew.v,
+        description="hard: rate at which v_ref goes to zero in BRAKING and FINISHED, whatever v_slew says [m/s^2]",
+    )
+    omega_braking: Annotated[float, Field(ge=0.5)] = Field(
+        _ROBOT.command_slew.omega,
+        description="hard: rate at which omega_ref goes to zero in BRAKING and FINISHED, whatever omega_slew says "
+        "[rad/s^2]",
+    )
     predicted_v: Positive = Field(1.6, description="soft: predicted |v| [m/s]")
     predicted_omega: Positive = Field(2.2, description="soft: predicted |omega| [rad/s]")
     wheel_speed: Positive = Field(
@@ -197,13 +211,29 @@ class Finish(Group):
     )
 
 
+class TermConfig(Group):
+    """A function of the user: a residual of the cost, or something with soft limits; see docs/tuning.md."""
+
+    file: str = Field(min_length=1, description="Python file that defines it, from the folder of the configuration [-]")
+    function: str = Field(min_length=1, description="name of a casadi.Function in that file [-]")
+    name: str = Field("", description="what the term is called; empty: as its function [-]")
+    kind: Literal["residual", "soft"] = Field(
+        "residual", description="residual: half its square is added to the cost; soft: its value is limited [-]"
+    )
+    upper: list[float | None] | None = Field(
+        None, description="soft: upper limits of its value, row by row; null: no limit [its own]"
+    )
+    lower: list[float | None] | None = Field(
+        None, description="soft: lower limits of its value, row by row; null: no limit [its own]"
+    )
+    parameters: list[float] = Field([], description="stage parameters until others are set [its own]")
+
+
 class ControllerConfig(Group):
     """Everything that one controller needs beside the reference."""
 
     model: str = Field("ssm", min_length=1, description="velocity model: mbm, sm, ssm or the path of a model file [-]")
-    sample_time: Annotated[float, Field(ge=0.001, le=0.5)] = Field(
-        _ROBOT.sample_time, description="time between two ticks [s]"
-    )
+    sample_time: SampleTime = Field(_ROBOT.sample_time, description="time between two ticks [s]")
     horizon: Annotated[int, Field(ge=1, le=200)] = Field(30, description="steps that the controller looks ahead [-]")
     extra_dead_time: ExtraDeadTime = ExtraDeadTime()
     weights: Weights = Weights()
@@ -215,3 +245,4 @@ class ControllerConfig(Group):
     failure: Failure = Failure()
     reentry: Reentry = Reentry()
     finish: Finish = Finish()
+    terms: list[TermConfig] = Field([], description="functions of the user in cost and soft limits [-]")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from diffdrive_mpc.mpc.config.group import Group
 
@@ -12,23 +12,19 @@ from diffdrive_mpc.mpc.config.group import Group
 class Solver(Group):
     """How the problem is solved."""
 
-    compiled: Literal["auto", "never", "always"] = Field(
+    strategy: Literal["auto", "backend"] = Field(
         "auto",
-        description="run estimator and problem in C, compiled at first use: auto falls back to Python where there is "
-        "no C compiler, always refuses to start without one [-]",
-    )
-    formulation: Literal["condensed", "sparse"] = Field(
-        "condensed",
-        description="condensed: a small dense problem in the commands alone; sparse: states and poses are variables "
-        "too. Both have the same solution [-]",
+        description="auto: the minimiser without limits where it keeps them, then the active set, and the backend "
+        "where that is not proven; backend: the backend at every tick, to measure it under its own name [-]",
     )
     backend: Literal["osqp", "daqp"] = Field(
-        "osqp",
-        description="osqp: operator splitting, for either formulation; daqp: dual active set, exact and fast, for the "
-        "condensed one [-]",
+        "osqp", description="osqp: operator splitting; daqp: dual active set, exact [-]"
+    )
+    active_set_iterations: Annotated[int, Field(ge=0, le=5000)] = Field(
+        500, description="systems that the active set may solve before the backend is asked; 0: ask it at once [-]"
     )
     max_iterations: Annotated[int, Field(ge=10, le=100_000)] = Field(
-        2000, description="limit of the iterations of one solve [-]"
+        2000, description="limit of the iterations of one solve of the backend [-]"
     )
     tolerance: Annotated[float, Field(ge=1e-9, le=1e-2)] = Field(
         1e-5,
@@ -42,12 +38,3 @@ class Solver(Group):
         None,
         description="limit of the time of one solve, for robots; it breaks determinism in simulation [s]",
     )
-
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        if self.formulation == "sparse" and self.backend != "osqp":
-            raise ValueError(
-                f"backend {self.backend} solves the condensed formulation only; set backend: osqp or "
-                "formulation: condensed"
-            )
-        return self

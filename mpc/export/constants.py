@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-
 from diffdrive_mpc.mpc.compiled.constants import (
     estimation_constants,
     estimator_sizes,
@@ -12,6 +11,7 @@ from diffdrive_mpc.mpc.compiled.constants import (
     tracking_constants,
     tracking_sizes,
 )
+
 from diffdrive_mpc.mpc.export.osqp_workspaces import QpShape, slack_scale
 from diffdrive_mpc.mpc.export.parts import Parts
 

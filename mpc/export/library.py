@@ -14,7 +14,7 @@ from diffdrive_mpc.mpc.export.constants import constants_text, sizes_text
 from diffdrive_mpc.mpc.export.osqp_workspaces import QpShape, write_osqp
 from diffdrive_mpc.mpc.export.parts import build_parts
 from diffdrive_mpc.mpc.export.reference_table import table_text
-from diffdrive_mpc.mpc.reference_check import check_speeds
+from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 
 _NATIVE = Path(__file__).parents[1] / "native"
 # Of the sources that Python compiles for itself, those that a controller needs.

@@ -5,19 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from diffdrive_mpc.mpc.condensed import Condenser
+from diffdrive_mpc.mpc.estimator import build_filter, history_ticks
+from diffdrive_mpc.mpc.feed_forward import FeedForward
+from diffdrive_mpc.mpc.kalman import SlipFilter
+from diffdrive_mpc.mpc.tick import Tick
 
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.velocity_model import VelocityModel
-from diffdrive_mpc.mpc.condensed import Condenser
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
-from diffdrive_mpc.mpc.estimator import build_filter, history_ticks
-from diffdrive_mpc.mpc.feed_forward import FeedForward
-from diffdrive_mpc.mpc.kalman import SlipFilter
+from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.problem import TrackingProblem
-from diffdrive_mpc.mpc.slip import Slip
-from diffdrive_mpc.mpc.tick import Tick
 
 # Share of the speed limit at which the typical tick drives straight ahead.
 _TYPICAL_SPEED = 0.5

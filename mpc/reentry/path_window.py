@@ -8,11 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.mpc.config.thresholds import STANDING
 
-# The reference stands where it is slower than this [m/s]: its direction of travel is then that of the motion to come.
-STANDING = 0.02
-# ... and turns on the spot where it is then faster than this [rad/s].
-TURNING = 0.05
 # Paths meet themselves, so a place further along the path counts as further away: by this share of the path between,
 # and by this for the time between [m/s].
 _PATH_AS_DISTANCE = 0.5

@@ -3,40 +3,29 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.estimate import Estimate
+from diffdrive_mpc.mpc.config.thresholds import AHEAD, BEHIND, STANDING, TURNING
+from diffdrive_mpc.mpc.core.tick import Tick
+from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.reentry.blocked import BlockedWatch
 from diffdrive_mpc.mpc.reentry.options import Course
-from diffdrive_mpc.mpc.reentry.path_window import STANDING, TURNING, PathWindow, in_path
+from diffdrive_mpc.mpc.reentry.path_window import PathWindow
 from diffdrive_mpc.mpc.reentry.reference_clock import ReferenceClock
 from diffdrive_mpc.mpc.reentry.rejoin import Rejoin
 from diffdrive_mpc.mpc.reentry.target import Target, TooFar
 from diffdrive_mpc.mpc.reentry.way_back import rejoin
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 
-# The reference leaves the robot behind by no more than twice `wait`, and the robot never gets far ahead of it: beyond
-# these multiples of `wait` it was moved.
-_BEHIND, _AHEAD = 3.0, 1.5
 # Steps of the window in samples of the controller.
 _WINDOW_STEP = 2.5
 _MOST_SAMPLES = 5000
 _NOW = np.zeros(1)
-
-
-class _Deviation(NamedTuple):
-    """Of the robot from the pose that it follows, whose twist is `v` [m/s], `omega` [rad/s]."""
-
-    along: float
-    across: float
-    heading: float
-    v: float
-    omega: float
 
 
 class Pursuit:
@@ -46,12 +35,16 @@ class Pursuit:
     ----------
     config
         Limits, and the groups `reentry` and `failure`.
+    tick
+        The core, which says how the robot lies to a pose.
     """
 
-    def __init__(self, config: ControllerConfig) -> None:
+    def __init__(self, config: ControllerConfig, tick: Tick) -> None:
+        self._tick = tick
         self._clock = ReferenceClock(config.reentry.max_progress, config.reentry.progress_ramp)
         self._blocked = BlockedWatch(config.reentry.blocked_after)
         self._reference: Reference | None = None
+        self._native = False
         self._top = (0.0, 0.0)
         self.configure(config)
         self.restart()
@@ -61,9 +54,9 @@ class Pursuit:
         self._config, self._settings = config, config.reentry
         self._fastest = self._fastest_rate()
 
-    def start(self, reference: Reference) -> None:
-        """Follow `reference` from now on."""
-        self._reference = reference
+    def start(self, reference: Reference, *, native: bool) -> None:
+        """Follow `reference` from now on; `native` says whether the core can sample it by itself."""
+        self._reference, self._native = reference, native
         samples = min(int(reference.duration / self._config.sample_time) + 2, _MOST_SAMPLES)
         twist = reference.sample(np.linspace(0.0, reference.duration, samples)).twist
         v, omega = np.abs(twist).max(axis=0).tolist()
@@ -79,6 +72,21 @@ class Pursuit:
         self._reason = ""
         self._driving, self._resumes = True, False
         self._time = -math.inf
+
+    @property
+    def on_time(self) -> bool:
+        """Whether the robot may follow the reference as it stands, unless it has left its path since."""
+        if not self._settings.enabled:
+            return self._native
+        return self._native and self._driving and self._way_back is None and self._clock.on_time
+
+    def passed(self, since_start: float, *, followed: bool) -> None:
+        """A tick at `since_start` [s] went by on time; `followed` says whether the robot was driving."""
+        if self._settings.enabled:
+            self._clock.pass_by(since_start)
+            self._time, self._resumes = since_start, False
+            self._blocked.restart()
+        self._driving = followed
 
     @property
     def progress(self) -> float:
@@ -121,8 +129,8 @@ class Pursuit:
             self._way_back = None
         followed: Reference = self._way_back or reference
         sample = followed.sample(time + ahead)
-        off = _deviation(sample, estimate)
-        if self._outside(off):
+        off, v = self._stray(sample)
+        if off.outside:
             found = self._return(reference, time, since_start, estimate)
             if isinstance(found, TooFar):
                 return found
@@ -131,11 +139,11 @@ class Pursuit:
                 time = found.begins
                 self._clock.set(since_start - time, 1.0)
                 sample = followed.sample(time + ahead)
-                off = _deviation(sample, estimate)
-        elif self._resumes and abs(off.v) > STANDING:
-            self._clock.set(self._clock.delay, min(1.0, max(0.0, float(estimate.twist[0]) / off.v)))
+                off, v = self._stray(sample)
+        elif self._resumes and abs(v) > STANDING:
+            self._clock.set(self._clock.delay, min(1.0, max(0.0, float(estimate.twist[0]) / v)))
         self._driving = True
-        late = self._lateness(off)
+        late = float(off.late)
         self._clock.plan(self._fastest * min(1.0, max(0.0, 2.0 - late)), catch_up=self._way_back is None)
         if late <= 1.0 and self._way_back is None:
             self._blocked.restart()
@@ -151,17 +159,16 @@ class Pursuit:
         self._driving = distance <= self._config.failure.max_position_error
         return Target(reference, time) if self._driving else TooFar(distance)
 
-    def _outside(self, off: _Deviation) -> bool:
-        settings = self._settings
-        return (
-            abs(off.across) > settings.band
-            or abs(off.heading) > settings.heading_band
-            or self._displaced(math.copysign(off.along, off.along * off.v))
-        )
+    def _stray(self, sample: ReferenceSample) -> tuple[Any, float]:
+        """How the robot lies to the first pose of `sample` (`ddmpc_stray` of core.h), and its forward speed [m/s]."""
+        tick, cast = self._tick, self._tick.ffi.cast
+        pose, twist = np.ascontiguousarray(sample.pose[0]), np.ascontiguousarray(sample.twist[0])
+        at = cast("const real *", pose.ctypes.data), cast("const real *", twist.ctypes.data)
+        return tick.lib.ddmpc_stray_from(tick.c, *at), float(twist[0])
 
     def _displaced(self, ahead: float) -> bool:
         """Whether `ahead` [m] along the path, negative behind, is more than the reference's waiting explains."""
-        return not -_BEHIND * self._settings.wait <= ahead <= _AHEAD * self._settings.wait
+        return not -BEHIND * self._settings.wait <= ahead <= AHEAD * self._settings.wait
 
     def _return(
         self, reference: Reference, time: float, since_start: float, estimate: Estimate
@@ -196,15 +203,6 @@ class Pursuit:
         self._reason = f"{reason}: rejoining {found.ahead:.2f} m ahead"
         return found
 
-    def _lateness(self, off: _Deviation) -> float:
-        """Lag behind the followed pose, in units of the lag from which it waits."""
-        settings = self._settings
-        if abs(off.v) > STANDING:
-            return math.copysign(off.along, -off.along * off.v) / settings.wait
-        # It stands, or turns on the spot: then the robot has to arrive first.
-        turning = -math.copysign(1.0, off.omega) * off.heading if abs(off.omega) > TURNING else 0.0
-        return max(math.hypot(off.along, off.across) / settings.wait, turning / settings.heading_wait)
-
     def _fastest_rate(self) -> float:
         """Progress rate at which the reference stays inside the limits of the command."""
         limits, (v, omega) = self._config.limits, self._top
@@ -234,12 +232,3 @@ class Pursuit:
                 "the reference is late and catches up" if delay > 0.0 else "the reference is early and slows down"
             )
         return "; ".join(words)
-
-
-def _deviation(sample: ReferenceSample, estimate: Estimate) -> _Deviation:
-    """From the first pose of `sample`."""
-    x, y, theta = sample.pose[0].tolist()
-    at_x, at_y, at_theta = estimate.pose.tolist()
-    v, omega = sample.twist[0].tolist()
-    along, across = in_path(at_x - x, at_y - y, theta)
-    return _Deviation(along, across, math.remainder(at_theta - theta, math.tau), v, omega)

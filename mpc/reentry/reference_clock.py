@@ -129,6 +129,10 @@ class ReferenceClock:
             self.rate = float(self._profile.rate(passed))
         return since_start - self.delay
 
+    def pass_by(self, since_start: float) -> None:
+        """Go on to the controller's time `since_start` [s], on time as before."""
+        self._last = since_start
+
     def set(self, delay: float, rate: float) -> None:
         """Continue with this delay [s] and progress rate [-]."""
         self.delay, self.rate = delay, rate

@@ -77,7 +77,7 @@ def _values(loop: ControlLoop) -> dict[str, str]:
 def _result(result: StepResult) -> dict[str, str]:
     values = {
         "mode": str(result.mode),
-        "solver": f"{result.solver.status}, {result.solver.iterations} iterations",
+        "solver": f"{result.solver.status}, by {result.solver.path}, {result.solver.iterations} iterations",
         "reference progress": f"{result.progress:.2f}",
         "reference delay [s]": f"{result.reference_delay:.2f}",
     }

@@ -19,7 +19,6 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
-from diffdrive_mpc.mpc.reference_check import check_speeds
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, RefusedError
 from diffdrive_mpc.mpc.ros.diagnostics import diagnostics
 from diffdrive_mpc.mpc.ros.inbox import Inbox
@@ -30,6 +29,7 @@ from diffdrive_mpc.mpc.ros.reference_input import path_reference, trajectory_ref
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.ros.transitions import logged, refuse_what_is_not_allowed
 from diffdrive_mpc.mpc.trajectories import Trajectory, load_trajectory
+from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
 

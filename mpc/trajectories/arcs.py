@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -11,11 +12,9 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
 from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory
 from diffdrive_mpc.mpc.trajectories.timing import Phase
 from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
-
-# sin(h) / h is exactly 1 at this h; it stands in for h = 0.
-_TINY = 1e-200
 
 
 class Stretch(NamedTuple):
@@ -62,26 +61,15 @@ class ArcTrajectory(Trajectory):
         table = np.ascontiguousarray(np.transpose(columns))
         return cls(name, time, table[0].copy(), table)
 
+    @cached_property
+    def native(self) -> NativeTrajectory:
+        """The table in the compiled core."""
+        return NativeTrajectory(self.breaks, self.table, self.duration)
+
     def sample(self, times: ArrayLike) -> ReferenceSample:
         """Evaluate at `times` (n,) [s]; see `Trajectory.sample`."""
-        t = np.minimum(np.maximum(np.atleast_1d(np.asarray(times, dtype=float)), 0.0), self.duration)
-        phase = self.breaks.searchsorted(t, side="right") - 1
-        begin, x, y, theta, arc_length, forward, turn, offset, rate, half_acceleration = self.table.take(phase, axis=1)
-        tau = t - begin
-        gain = half_acceleration * tau
-        progress = offset + (rate + gain) * tau
-        speed = rate + 2.0 * gain
+        return self.native.sample(times)
 
-        travelled = forward * progress
-        half = 0.5 * turn * progress
-        direction = theta + half
-        safe = np.where(half == 0.0, _TINY, half)
-        chord = travelled * (np.sin(safe) / safe)
-        pose = np.empty((t.size, 3))
-        pose[:, 0] = x + chord * np.cos(direction)
-        pose[:, 1] = y + chord * np.sin(direction)
-        pose[:, 2] = direction + half
-        twist = np.empty((t.size, 2))
-        twist[:, 0] = forward * speed
-        twist[:, 1] = turn * speed
-        return ReferenceSample(pose, twist, arc_length + np.abs(travelled))
+    def __getstate__(self) -> dict[str, object]:
+        """Without the memory of C."""
+        return {name: value for name, value in self.__dict__.items() if name != "native"}

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
+from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +36,18 @@ class MovedReference:
     def duration(self) -> float:
         """Duration of the original [s]."""
         return self.original.duration
+
+    @cached_property
+    def native(self) -> NativeTrajectory | None:
+        """The same in the compiled core, where that can sample the original."""
+        found = getattr(self.original, "native", None)
+        if not isinstance(found, NativeTrajectory) or any(found.struct.motion):
+            return None
+        return found.moved(self.motion)
+
+    def __getstate__(self) -> dict[str, object]:
+        """Without the memory of C."""
+        return {name: value for name, value in self.__dict__.items() if name != "native"}
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
         """Evaluate at `times` (n,) [s]; twist and arc length are the original's."""

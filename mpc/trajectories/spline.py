@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline
 
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
+from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory
 from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
@@ -46,21 +48,18 @@ class SplineTrajectory(Trajectory):
         table = np.ascontiguousarray(coefficients.transpose(0, 2, 1).reshape(16, -1))
         return cls(name, float(times[-1]), times, table)
 
+    @cached_property
+    def native(self) -> NativeTrajectory:
+        """The table in the compiled core."""
+        return NativeTrajectory(self.breaks, self.table, self.duration)
+
     def sample(self, times: ArrayLike) -> ReferenceSample:
         """Evaluate at `times` (n,) [s]; see `Trajectory.sample`."""
-        times = np.atleast_1d(np.asarray(times, dtype=float))
-        t = np.minimum(np.maximum(times, 0.0), self.duration)
-        piece = self.breaks[1:-1].searchsorted(t, side="right")
-        tau = t - self.breaks[piece]
-        cubic, square, linear, constant = self.table.take(piece, axis=1).reshape(4, 4, -1)
-        value = ((cubic * tau + square) * tau + linear) * tau + constant
-        rate = (3.0 * cubic * tau + 2.0 * square) * tau + linear
-        pose = value[:3].T.copy()
-        twist = np.empty((t.size, 2))
-        twist[:, 0] = rate[0] * np.cos(value[2]) + rate[1] * np.sin(value[2])
-        twist[:, 1] = rate[2]
-        twist[times != t] = 0.0
-        return ReferenceSample(pose, twist, value[3])
+        return self.native.sample(times)
+
+    def __getstate__(self) -> dict[str, object]:
+        """Without the memory of C."""
+        return {name: value for name, value in self.__dict__.items() if name != "native"}
 
 
 def _speed(poses: FloatArray, rates: FloatArray) -> FloatArray:

@@ -17,9 +17,9 @@ import yaml
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.discrete_model import DiscreteModel
-from diffdrive_mpc.models.identification.fit import fit_percent
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.output_error.validation import fit_percent
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, random_commands

@@ -12,14 +12,17 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from diffdrive_mpc.models.checked_yaml import ConfigError
     from diffdrive_mpc.models.errors import DiffdriveMpcError, MissingPackageError
+    from diffdrive_mpc.models.identification.from_logs import identify
     from diffdrive_mpc.models.interface import Measurement, Stamped
     from diffdrive_mpc.models.load import load_model
+    from diffdrive_mpc.models.nonlinear_model import NonlinearModel
     from diffdrive_mpc.models.pose import integrate_pose
     from diffdrive_mpc.models.velocity_model import ModelError
-    from diffdrive_mpc.mpc.compiled.compiler import NotCompiledError
     from diffdrive_mpc.mpc.config.config_file import load_config
     from diffdrive_mpc.mpc.config.schema import ControllerConfig
     from diffdrive_mpc.mpc.controller import Controller
+    from diffdrive_mpc.mpc.core.compiler import NotCompiledError
+    from diffdrive_mpc.mpc.problem.terms import Term
     from diffdrive_mpc.mpc.trajectories.load import load_trajectory
     from diffdrive_mpc.sim.loop import simulate
     from diffdrive_mpc.sim.plants.make import make_plant
@@ -33,9 +36,12 @@ _HOMES = {
     "Measurement": "models.interface",
     "MissingPackageError": "models.errors",
     "ModelError": "models.velocity_model",
-    "NotCompiledError": "mpc.compiled.compiler",
+    "NonlinearModel": "models.nonlinear_model",
+    "NotCompiledError": "mpc.core.compiler",
     "RobotLostError": "sim.plants.plant",
     "Stamped": "models.interface",
+    "Term": "mpc.problem.terms",
+    "identify": "models.identification.from_logs",
     "integrate_pose": "models.pose",
     "load_config": "mpc.config.config_file",
     "load_model": "models.load",
@@ -52,9 +58,12 @@ __all__ = [
     "Measurement",
     "MissingPackageError",
     "ModelError",
+    "NonlinearModel",
     "NotCompiledError",
     "RobotLostError",
     "Stamped",
+    "Term",
+    "identify",
     "integrate_pose",
     "load_config",
     "load_model",

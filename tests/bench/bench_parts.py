@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.bench.case import Case, run_case
-from diffdrive_mpc.bench.runner import Outcome
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.controllers import run_case
+from diffdrive_mpc.bench.outcomes import Outcome
 from diffdrive_mpc.models.interface import FloatArray, Measurement, ReferenceSample, Stamped
 from diffdrive_mpc.models.pose import integrate_pose
 

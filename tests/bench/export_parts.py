@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive_mpc.bench.export.frames import ANSWER_BYTES, Answer, read_answer, request_bytes
+from diffdrive_mpc.bench.export.emulator import REPLY_BYTES, Reply, read_reply, request_bytes
 from diffdrive_mpc.models import Measurement
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.export import Precision, export_controller
@@ -63,14 +63,14 @@ class ExportedController:
     def start(self, reference, t0: float) -> None:
         self._anew = True
 
-    def step(self, t: float, measurement: Measurement, hold: Hold | None = None) -> Answer:
+    def step(self, t: float, measurement: Measurement, hold: Hold | None = None) -> Reply:
         frame = struct.pack("<d", self.spoiled_from) + request_bytes(t, measurement, hold, anew=self._anew)
         self._anew = False
         self._process.stdin.write(frame)
         self._process.stdin.flush()
-        data = self._process.stdout.read(ANSWER_BYTES)
-        assert len(data) == ANSWER_BYTES, self._process.communicate()[1].decode()
-        return read_answer(data)
+        data = self._process.stdout.read(REPLY_BYTES)
+        assert len(data) == REPLY_BYTES, self._process.communicate()[1].decode()
+        return read_reply(data)
 
     def close(self) -> None:
         """End the process; it must have nothing to complain of."""

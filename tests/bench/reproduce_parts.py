@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
-from diffdrive_mpc.bench.reproduce.experiments.cost import Cost
-from diffdrive_mpc.bench.reproduce.experiments.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, SM, MbmSmResult
-from diffdrive_mpc.bench.reproduce.experiments.odometry import PoseError, Spread
-from diffdrive_mpc.bench.reproduce.experiments.state_space import (
+from diffdrive_mpc.bench.studies.reproduce.cost import Cost
+from diffdrive_mpc.bench.studies.reproduce.drives import PoseError, Spread
+from diffdrive_mpc.bench.studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, SM, MbmSmResult
+from diffdrive_mpc.bench.studies.reproduce.published import load_published
+from diffdrive_mpc.bench.studies.reproduce.settings import load_study
+from diffdrive_mpc.bench.studies.reproduce.state_space import (
     IDENTIFIED,
     PRINTED,
     FreeDrive,
@@ -15,10 +19,9 @@ from diffdrive_mpc.bench.reproduce.experiments.state_space import (
     SsmResult,
     VelocityFit,
 )
-from diffdrive_mpc.bench.reproduce.experiments.virtual_track import check_virtual_track
-from diffdrive_mpc.bench.reproduce.published import load_published
-from diffdrive_mpc.bench.reproduce.results import Reproduction
-from diffdrive_mpc.bench.reproduce.study import load_study
+from diffdrive_mpc.bench.studies.reproduce.study import ReproduceResults, ReproduceStudy
+from diffdrive_mpc.bench.studies.reproduce.virtual_track import check_virtual_track
+from diffdrive_mpc.bench.study import Report, write_report
 
 NAMES = ("circle", "square", "s", "cane")
 META = {
@@ -27,7 +30,6 @@ META = {
     "version": "1",
     "date": "2026-01-01",
     "wall_time_s": 1.0,
-    "parts": ["mbm_sm", "ssm", "cost", "virtual_track"],
 }
 
 
@@ -73,12 +75,19 @@ def cost(mbm: float = 4e-6, sm: float = 3e-6, one: float = 2e-7) -> dict[str, Co
     return {name: Cost(order, (time, 1e-7), (0.01 * order, 0.0)) for name, (order, time) in times.items()}
 
 
-def made_up(repetitions: int = 2) -> Reproduction:
-    return Reproduction(
-        load_study(quick=True),
-        META,
+def made_up(repetitions: int = 2) -> ReproduceResults:
+    return ReproduceResults(
         mbm_sm=tuple(mbm_sm(k) for k in range(1, repetitions + 1)),
         ssm=tuple(ssm(k) for k in range(1, repetitions + 1)),
         cost=cost(),
         virtual_track=check_virtual_track(load_published().virtual_track),
     )
+
+
+def report_of(results: ReproduceResults) -> Report:
+    return ReproduceStudy(load_study(quick=True)).report(results, 1.0)
+
+
+def write_made_up(results: ReproduceResults, folder: Path) -> None:
+    report = report_of(results)
+    write_report(ReproduceStudy(load_study(quick=True)), report, META | report.meta, folder)

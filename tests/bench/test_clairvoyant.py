@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diffdrive_mpc.bench.controllers import PEERS, make_controller
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.controllers import make_controller
+from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.peers.clairvoyant import ClairvoyantController
-from diffdrive_mpc.bench.peers.clairvoyant_settings import load_clairvoyant_settings
+from diffdrive_mpc.bench.peers.clairvoyant_program import load_clairvoyant_settings
 from diffdrive_mpc.bench.peers.known_plant import know_plant
 from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.mpc import load_config, load_trajectory
@@ -61,7 +63,7 @@ def test_it_holds_the_heading_error_that_side_slip_asks_for():
 
 def test_on_the_physics_it_is_better_than_ours():
     bound = drive("mujoco", "slippery", "cane")
-    ours = simulate(make_controller("mpc", "ssm"), make_plant("mujoco", "slippery", "perfect"), load_trajectory("cane"))
+    ours = simulate(make_controller(Case()), make_plant("mujoco", "slippery", "perfect"), load_trajectory("cane"))
     assert bound.metrics.completed
     assert bound.metrics.position_rmse_m <= ours.metrics.position_rmse_m
     assert bound.metrics.lateral_rmse_m <= ours.metrics.lateral_rmse_m

@@ -157,7 +157,7 @@ def test_a_run_that_did_not_complete_is_exit_code_1_after_the_report(
         run = simulate(*parts, **options)  # type: ignore[arg-type]
         return replace(run, true_pose=run.true_pose + 1.0)
 
-    monkeypatch.setattr("diffdrive_mpc.bench.case.simulate", displaced)
+    monkeypatch.setattr("diffdrive_mpc.bench.controllers.simulate", displaced)
     arguments = "--models ssm --trajectories cane --seeds 1 --horizons none --jobs 1 --plant model:ssm"
     result = runner.invoke(app, ["bench", "--out", str(tmp_path / "out"), *arguments.split()])
     assert result.exit_code == 1

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diffdrive_mpc.bench.speed.closed_loop_cost import closed_loop_cost
+from diffdrive_mpc.bench.studies.speed.closed_loop_cost import closed_loop_cost
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.interface import ReferenceSample
 from diffdrive_mpc.mpc import load_config

@@ -111,7 +111,7 @@ def test_the_configuration_drives_the_plant(mine, logs):
     assert found["position_rmse_m"] < 1.2 * shipped["position_rmse_m"]
 
 
-@pytest.mark.parametrize("options", [["--model", "sm"], ["--model", "ssm", "--order", "2"]], ids=["sm", "ssm"])
+@pytest.mark.parametrize("options", [["--structure", "sm"], ["--structure", "ssm", "--order", "2"]], ids=["sm", "ssm"])
 def test_the_same_logs_give_the_same_files(tmp_path, options):
     write_mapping(tmp_path / "map.yaml")
     log = write_csv(tmp_path / "drive.csv", drive(seconds=10.0))
@@ -132,7 +132,7 @@ def test_orders_are_compared_and_one_can_be_asked_for(tmp_path):
     """The drive's robot has one lag on each channel: order 2 holds it, order 1 cannot."""
     write_mapping(tmp_path / "map.yaml")
     log = write_csv(tmp_path / "drive.csv", drive(seconds=20.0))
-    words = ["identify", log, "--mapping", tmp_path / "map.yaml", "--model", "ssm", "--out", tmp_path / "out"]
+    words = ["identify", log, "--mapping", tmp_path / "map.yaml", "--structure", "ssm", "--out", tmp_path / "out"]
     screen = run(*words, "--order", "3")
     assert load_model(tmp_path / "out" / "model.yaml").order == 3
     assert "order 3: as asked for" in screen
@@ -145,7 +145,7 @@ def test_orders_are_compared_and_one_can_be_asked_for(tmp_path):
 
 def test_motors_are_identified_with_both_tracks(logs):
     out = logs / "motors"
-    run("identify", logs / "square", "--model", "mbm", "--out", out)
+    run("identify", logs / "square", "--structure", "mbm", "--out", out)
     content = read_model_file(out / "model.yaml")
     assert content.wheel_radius == pytest.approx(0.0675, rel=1e-6)
     assert load_config(out / "config.yaml").wheels.track == pytest.approx(content.firmware_track, rel=0.05)

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from log_parts import drive, write_csv, write_mapping
 
-from diffdrive_mpc.bench.identification.data import divide, read_data
-from diffdrive_mpc.bench.identification.geometry import firmware_track, wheel_geometry
+from diffdrive_mpc.models.identification.log_data import divide, read_data
 from diffdrive_mpc.models.logs import Record
+from diffdrive_mpc.models.logs.geometry import firmware_track, wheel_geometry
 from diffdrive_mpc.models.wheels import WheelKinematics
 
 

@@ -28,6 +28,7 @@ def folder(tmp_path_factory):
         "missing": {name: column for name, column in COLUMNS.items() if name != "gyro"},
         "degrees": COLUMNS | {"gyro": np.degrees(COLUMNS["gyro"])},
         "constant": COLUMNS | {"v_ref": np.full(600, 0.5), "omega_ref": np.full(600, 0.2)},
+        "short": {name: column[:30] for name, column in COLUMNS.items()},
         "ten": {name: column[:10] for name, column in COLUMNS.items()},
         "nan": COLUMNS | {"v_ref": np.full(600, np.nan)},
         "stamped": COLUMNS | {"stamp": COLUMNS["t"] + 1.7e9},
@@ -65,12 +66,12 @@ def folder(tmp_path_factory):
         ("good.csv --mapping nope", "unknown mapping 'nope'"),
         ("good.csv --mapping evil.yaml", "evil.yaml"),
         ("evil.csv", "evil.csv"),
-        ("good.csv --mapping map.yaml --model smm", "--model 'smm': give one of mbm, sm, ssm"),
-        ("good.csv --mapping map.yaml --model mbm", "wheels"),
-        ("good.csv --mapping no_gyro.yaml --model mbm", "wheels"),
-        ("good.csv --mapping map.yaml --model ssm --order 7", "--order '7': give auto, or 1 to 5"),
+        ("good.csv --mapping map.yaml --structure smm", "--structure 'smm': give one of mbm, sm, ssm"),
+        ("good.csv --mapping map.yaml --structure mbm", "wheels"),
+        ("good.csv --mapping no_gyro.yaml --structure mbm", "wheels"),
+        ("good.csv --mapping map.yaml --structure ssm --order 7", "--order '7': give auto, or 1 to 5"),
         ("good.csv --mapping map.yaml --order 2", "--order 2: only ssm has a choice of order"),
-        ("good.csv --mapping map.yaml --model ssm --effects", "--effects: they stand around an sm"),
+        ("good.csv --mapping map.yaml --structure ssm --effects", "--effects: they stand around an sm"),
         ("good.csv --mapping no_gyro.yaml --effects", "--effects: they are told apart by a gyro"),
         ("good.csv --mapping map.yaml --fit-share 1", "--fit-share 1: give 0.1 to 0.9"),
         ("good.csv --mapping map.yaml --fit-share nan", "--fit-share nan: give 0.1 to 0.9"),
@@ -78,6 +79,8 @@ def folder(tmp_path_factory):
         ("good.csv --mapping map.yaml --validate good.csv", "good.csv: this log is given twice"),
         ("good.csv --mapping map.yaml --validate ten.csv", "ten.csv: 10 samples"),
         ("good.csv --mapping map.yaml --name ''", "--name: it is empty"),
+        ("good.csv --mapping map.yaml --model sm --structure sm", "--model is the old name of --structure"),
+        ("short.csv --mapping map.yaml", "nothing to identify from: short.csv"),
         ("", "LOG"),
     ],
 )
@@ -127,3 +130,33 @@ def test_rows_without_numbers_are_left_out_and_said(folder, tmp_path):
     assert f"warning: {line}" in result.stdout
     assert line in (tmp_path / "out" / "report.md").read_text()
     assert line in (tmp_path / "out" / "report.json").read_text()
+
+
+def test_the_old_name_of_the_structure_works_and_warns_in_one_line(folder, tmp_path):
+    words = [
+        "identify",
+        str(folder / "good.csv"),
+        "--mapping",
+        str(folder / "map.yaml"),
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    result = runner.invoke(app, [*words, "--model", "sm"])
+    assert result.exit_code == 0, result.stderr
+    assert (
+        result.stderr == "warning: --model is now --structure, and goes with the next release; write --structure sm\n"
+    )
+    assert runner.invoke(app, [*words, "--structure", "sm"]).stderr == ""
+
+
+def test_without_out_the_results_go_to_a_folder_of_that_name(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = runner.invoke(app, ["identify", str(folder / "good.csv"), "--mapping", str(folder / "map.yaml")])
+    assert result.exit_code == 0, result.stderr
+    assert sorted(path.name for path in (tmp_path / "identified").iterdir()) == [
+        "config.yaml",
+        "figures",
+        "model.yaml",
+        "report.json",
+        "report.md",
+    ]

@@ -9,17 +9,15 @@ import pytest
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.model_fitting import IDENTIFICATIONS, PaperExperiments, fit_models
+from diffdrive_mpc.bench.studies.identification.model_fitting import IDENTIFICATIONS, PaperExperiments, fit_models
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models import load_model
-from diffdrive_mpc.models.identification import Experiment, TwoPolesFit
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.structures import TwoPoles
 from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop
 
-TRANSFER = TwoPoles(gain=1.0, natural_frequency=10.0, damping=1.0)
 runner = CliRunner()
+FITTING = "diffdrive_mpc.bench.studies.identification.model_fitting"
 
 
 def _step(v: float, omega: float) -> Drive:
@@ -29,18 +27,16 @@ def _step(v: float, omega: float) -> Drive:
 
 @pytest.fixture
 def quick_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Short experiments on a velocity model, and no search."""
-
-    def identify(experiments: list[Experiment], dead_time: float | None = None) -> TwoPolesFit:
-        return TwoPolesFit(TRANSFER, 0.05 if dead_time is None else dead_time, 90.0)
+    """Short experiments on a velocity model."""
 
     straight, turn = [_step(0.5, 0.0)], [_step(0.0, 1.0)]
     monkeypatch.setattr(
-        "diffdrive_mpc.bench.model_fitting.run_experiments", lambda: PaperExperiments(straight, straight, turn)
+        f"{FITTING}.run_experiments",
+        lambda: PaperExperiments(straight, straight, turn),
     )
-    monkeypatch.setattr("diffdrive_mpc.bench.model_fitting.identify_two_poles", identify)
     monkeypatch.setattr(
-        "diffdrive_mpc.bench.model_fitting.validation_table", lambda folder: Table("FIT", ("model",), (("sm",),))
+        f"{FITTING}.validation_table",
+        lambda folder: Table("FIT", ("model",), (("sm",),)),
     )
 
 
@@ -49,7 +45,7 @@ def no_long_work(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object, **__: object) -> None:
         raise AssertionError("the long work began")
 
-    monkeypatch.setattr("diffdrive_mpc.bench.model_fitting.run_experiments", fails)
+    monkeypatch.setattr(f"{FITTING}.run_experiments", fails)
     monkeypatch.setattr("diffdrive_mpc.sim.plants.calibration._drive", fails)
 
 

@@ -12,18 +12,18 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import qos_profile_sensor_data
 
-from diffdrive_mpc.bench.case import Case, build
-from diffdrive_mpc.bench.ros.compare import COMPARED, compare, comparison_table, timing_table
-from diffdrive_mpc.bench.ros.two_processes import DriveFailedError, drive_over_dds, own_domain, running
-from diffdrive_mpc.models.logs.bags.bag_messages import COMMANDS
-from diffdrive_mpc.models.logs.bags.bag_topics import opened, read_topic
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.controllers import build
+from diffdrive_mpc.bench.studies.ros.compare import COMPARED, compare, comparison_table, timing_table
+from diffdrive_mpc.bench.studies.ros.two_processes import DriveFailedError, drive_over_dds, own_domain, running
+from diffdrive_mpc.models.logs.bags import COMMANDS, opened, read_topic
 from diffdrive_mpc.sim import simulate
 
 BOUND = 120.0
 
 
 def case(trajectory):
-    return Case("mpc", "ssm", trajectory, "mujoco", "default", "default", 0)
+    return Case(trajectory=trajectory)
 
 
 @pytest.fixture(scope="module", params=["circle", "s"])
@@ -57,7 +57,7 @@ def test_commands_are_those_in_one_process_but_for_what_messages_leave_out(compa
 
 
 def test_a_process_that_fails_is_named_with_its_words(tmp_path):
-    bad = Case("mpc", "ssm", "circle", "mujoco", "ice", "default", 0)
+    bad = Case(surface="ice")
     with pytest.raises(DriveFailedError, match="robot: ended with code 2; it said: error: unknown surface 'ice'"):
         drive_over_dds(bad, 1.0, tmp_path / "bag", lock_step=True, timeout=BOUND)
 

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from diffdrive_mpc.bench.speed.closed_loop_cost import closed_loop_cost
+from diffdrive_mpc.bench.studies.speed.closed_loop_cost import closed_loop_cost
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.problem import TrackingProblem

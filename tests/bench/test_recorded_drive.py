@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import TwistStamped
 
-from diffdrive_mpc.bench.case import Case, build
-from diffdrive_mpc.bench.ros.loop_timing import loop_timing
-from diffdrive_mpc.bench.ros.recorded_drive import read_drive
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.controllers import build
+from diffdrive_mpc.bench.studies.ros.recorded_drive import loop_timing, read_drive
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Stamped
 from diffdrive_mpc.sim import simulate
@@ -18,7 +18,7 @@ from diffdrive_mpc.sim.ros.bag_recorder import bag_recorder
 DT = 0.0202
 START = 10_100_000_000
 REST = 10
-CONTROLLER, PLANT, REFERENCE = build(Case("mpc", "ssm", "cane", "model:ssm", "default", "default", 0))
+CONTROLLER, PLANT, REFERENCE = build(Case(trajectory="cane", plant="model:ssm"))
 RUN = simulate(CONTROLLER, PLANT, REFERENCE, extra_time=0.5)
 TICKS = len(RUN.time)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,16 +13,22 @@ import pytest
 from bench_parts import quick_outcome
 
 from diffdrive_mpc.bench.atomic import staged
-from diffdrive_mpc.bench.compare import incomplete
-from diffdrive_mpc.bench.experiment import default_experiment
-from diffdrive_mpc.bench.figures.case import draw_case
-from diffdrive_mpc.bench.figures.draw import count_figures, draw_all, file_name, free_name
-from diffdrive_mpc.bench.groups import groups
-from diffdrive_mpc.bench.report import markdown, write_report
-from diffdrive_mpc.bench.results import Results, describe, row
-from diffdrive_mpc.bench.runner import Outcome
+from diffdrive_mpc.bench.figure_style import file_name, free_name
+from diffdrive_mpc.bench.machine import describe_run
+from diffdrive_mpc.bench.outcomes import Outcome, by_driver
+from diffdrive_mpc.bench.studies.comparison.figures import draw_case, drawings
+from diffdrive_mpc.bench.studies.comparison.plan import default_settings
+from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults, describe, incomplete, row
+from diffdrive_mpc.bench.studies.comparison.study import ComparisonStudy
+from diffdrive_mpc.bench.studies.comparison.tables import (
+    error_table,
+    horizon_table,
+    report_tables,
+    scenario_table,
+    summary_table,
+)
+from diffdrive_mpc.bench.study import markdown, write_report
 from diffdrive_mpc.bench.table import Table
-from diffdrive_mpc.bench.tables import error_table, horizon_table, report_tables, scenario_table, summary_table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_config
 
@@ -65,15 +72,29 @@ def outcome() -> Outcome:
 
 
 @pytest.fixture(scope="module")
-def results(outcome: Outcome) -> Results:
+def results(outcome: Outcome) -> ComparisonResults:
     peer = quick_outcome(trajectory="cane", controller="kanayama", model="none")
     short = quick_outcome(trajectory="cane", overrides=(("horizon", 15),))
-    experiment = default_experiment().model_copy(update={"seeds": (0,), "horizons": (15, 30)})
-    return Results(experiment, (outcome, peer), (short, outcome), describe(experiment, 12.3, 0.99))
+    settings = default_settings().model_copy(update={"seeds": (0,), "horizons": (15, 30)})
+    return ComparisonResults(settings, (outcome, peer), (short, outcome), 0.99)
+
+
+def written(results: ComparisonResults, folder: Path, done: Callable[[], None] = lambda: None) -> dict[str, object]:
+    """Write the report into `folder`; its `meta` part."""
+    study = ComparisonStudy(results.settings)
+    report = study.report(results, 12.3)
+    meta = describe_run(12.3) | report.meta
+    write_report(study, report, meta, folder, done)
+    return meta
+
+
+def text_of(results: ComparisonResults) -> str:
+    report = ComparisonStudy(results.settings).report(results, 12.3)
+    return markdown("Bench", replace(report, figures={}), describe_run(12.3) | report.meta)
 
 
 def test_a_row_has_exactly_the_published_fields(outcome: Outcome) -> None:
-    values = row(outcome)
+    values = row(outcome, ["scenario"])
     assert list(values) == list(FIELDS)
     for name, kind in FIELDS.items():
         assert type(values[name]) is kind, name
@@ -83,18 +104,18 @@ def test_a_row_has_exactly_the_published_fields(outcome: Outcome) -> None:
 
 def test_a_swept_value_is_added_to_its_row(outcome: Outcome) -> None:
     case = outcome.case.with_override("weights.across", 200.0)
-    assert row(Outcome(case, outcome.run), with_settings=True)["set"] == {"weights.across": 200.0}
+    assert row(Outcome(case, outcome.run), ["scenario"], with_settings=True)["set"] == {"weights.across": 200.0}
 
 
 def test_a_scenario_is_added_to_its_row_only_where_scenarios_were_asked_for(outcome: Outcome) -> None:
-    added = [name for name in row(outcome, with_scenario=True) if name not in FIELDS]
+    added = [name for name in row(outcome, silent=()) if name not in FIELDS]
     recovery = ["recovery_time_s", "overshoot_m", "command_energy_v", "command_energy_omega"]
     assert added == ["scenario", "ended", "disturbance_s", *recovery]
 
 
 def test_what_lasts_has_no_end_and_no_recovery_in_its_row(outcome: Outcome) -> None:
     lasting = replace(outcome.run, disturbance=(0.0, math.inf))
-    values = row(Outcome(outcome.case, lasting), with_scenario=True)
+    values = row(Outcome(outcome.case, lasting), silent=())
     assert values["disturbance_s"] == [0.0, None]
     assert (values["recovery_time_s"], values["ended"]) == (None, None)
     assert values["overshoot_m"] == 0.0
@@ -108,7 +129,7 @@ def test_scenarios_stand_in_table_and_groups_and_a_run_that_never_recovers_has_n
     lost = replace(outcome.run, true_pose=away, disturbance=(1.0, 2.0))
     held = replace(outcome.run, disturbance=(1.0, 2.0))
     runs = [Outcome(replace(outcome.case, scenario="mine.yaml", seed=i), run) for i, run in enumerate((lost, held))]
-    assert list(groups([outcome, *runs])) == ["SSM, none", "SSM, mine"]
+    assert list(by_driver([outcome, *runs])) == ["SSM, none", "SSM, mine"]
     plain, mine = scenario_table([outcome, *runs]).rows
     assert plain[:5] == ("none", "SSM", "-", "-", "-")
     assert plain[-2:] == ("-", "1/1")
@@ -119,14 +140,14 @@ def test_scenarios_stand_in_table_and_groups_and_a_run_that_never_recovers_has_n
 def test_what_cannot_be_computed_is_null(outcome: Outcome) -> None:
     broken = outcome.run.true_pose.copy()
     broken[5] = np.nan
-    values = row(Outcome(outcome.case, replace(outcome.run, true_pose=broken)))
+    values = row(Outcome(outcome.case, replace(outcome.run, true_pose=broken)), ["scenario"])
     assert values["position_rmse_m"] is None
     assert values["completed"] is False
 
 
-def test_a_report_is_complete_and_valid(results: Results, tmp_path: Path) -> None:
+def test_a_report_is_complete_and_valid(results: ComparisonResults, tmp_path: Path) -> None:
     done: list[int] = []
-    write_report(results, tmp_path, lambda: done.append(1))
+    written(results, tmp_path, lambda: done.append(1))
     data = json.loads((tmp_path / "bench.json").read_text())
     assert set(data) == {"meta", "runs"}
     assert [set(run) for run in data["runs"]] == [set(FIELDS)] * 3
@@ -135,7 +156,7 @@ def test_a_report_is_complete_and_valid(results: Results, tmp_path: Path) -> Non
     pictures = sorted(path.name for path in (tmp_path / "figures").iterdir())
     expected = ["horizon.png", "kanayama-cane.png", "overview.png", "ssm-cane.png", "step-time.png"]
     assert pictures == expected
-    assert len(done) == count_figures(results) == len(expected)
+    assert len(done) == len(drawings(results)) == len(expected)
     text = (tmp_path / "bench.md").read_text()
     assert all(f"(figures/{name})" in text for name in expected)
     assert all(f"## {table.title}" in text for table in report_tables(results))
@@ -160,11 +181,11 @@ def test_tables_show_means_over_runs_and_worst_cases(outcome: Outcome) -> None:
     assert cells[-1] == "2/2"
 
 
-def test_the_horizon_table_is_sorted_by_horizon(results: Results) -> None:
+def test_the_horizon_table_is_sorted_by_horizon(results: ComparisonResults) -> None:
     assert [cells[:2] for cells in horizon_table(results.horizon).rows] == [("SSM", "15"), ("SSM", "30")]
 
 
-def test_the_horizon_table_says_where_it_was_measured(results: Results) -> None:
+def test_the_horizon_table_says_where_it_was_measured(results: ComparisonResults) -> None:
     place = "plant model:ssm, surface ideal, sensors perfect, seed 0"
     assert place in horizon_table(results.horizon).note
     runs = [Outcome(o.case.with_override("weights.across", 80), o.run) for o in results.horizon]
@@ -176,13 +197,13 @@ def test_a_trajectory_called_mean_keeps_its_row(outcome: Outcome) -> None:
     assert [cells[1] for cells in error_table([outcome, mean]).rows] == ["cane", "mean", "mean"]
 
 
-def test_a_report_says_which_configuration_it_is_of(results: Results, tmp_path: Path) -> None:
+def test_a_report_says_which_configuration_it_is_of(results: ComparisonResults, tmp_path: Path) -> None:
     path = tmp_path / "tuned.yaml"
     path.write_text("model: ssm\nhorizon: 12\n")
-    settings = tuple((("weights.across", value), ("estimator.history", 0.4)) for value in (60, 120))
-    changes = {"config": str(path), "models": ("ssm",), "settings": settings}
-    experiment = results.experiment.model_copy(update=changes)
-    meta = describe(experiment, 1.0, 1.0)
+    swept = tuple((("weights.across", value), ("estimator.history", 0.4)) for value in (60, 120))
+    changes = {"config": str(path), "models": ("ssm",), "settings": swept}
+    settings = results.settings.model_copy(update=changes)
+    meta = describe(settings, 1.0)
     used = json.loads(json.dumps(meta["configuration"]))
     assert used["file"] == "tuned"
     assert used["set"] == {"weights.across": [60, 120], "estimator.history": [0.4]}
@@ -191,28 +212,28 @@ def test_a_report_says_which_configuration_it_is_of(results: Results, tmp_path: 
         assert combination["model"] == "ssm"
         assert combination["set"] == {"weights.across": across, "estimator.history": 0.4}
         assert combination["values"] == expected.model_dump(mode="json")
-    head = markdown(replace(results, experiment=experiment, meta=meta), []).split("## ")[0]
+    head = text_of(replace(results, settings=settings)).split("## ")[0]
     assert "* Configuration: file tuned; weights.across=60,120; estimator.history=0.4.\n" in head
     assert str(tmp_path) not in head + json.dumps(meta)
-    assert "Configuration:" not in markdown(results, [])
-    assert [c["model"] for c in results.meta["configuration"]["controllers"]] == ["mbm", "sm", "ssm"]
+    assert "Configuration:" not in text_of(results)
+    assert [c["model"] for c in describe(results.settings, 1.0)["configuration"]["controllers"]] == ["mbm", "sm", "ssm"]
 
 
 def test_the_path_of_a_model_file_is_not_in_the_report(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text((Path(__file__).parents[2] / "models" / "parameters" / "ssm.yaml").read_text())
-    meta = describe(default_experiment().model_copy(update={"models": (str(path),)}), 1.0, 1.0)
+    meta = describe(default_settings().model_copy(update={"models": (str(path),)}), 1.0)
     assert meta["configuration"]["controllers"][0]["values"]["model"] == "mine"
     assert str(tmp_path) not in json.dumps(meta)
 
 
 def test_a_report_of_peers_alone_names_no_model() -> None:
-    meta = describe(default_experiment().model_copy(update={"controllers": ("kanayama",)}), 1.0, 1.0)
+    meta = describe(default_settings().model_copy(update={"controllers": ("kanayama",)}), 1.0)
     assert meta["configuration"]["controllers"] == []
     assert meta["experiment"]["models"] == []
 
 
-def test_runs_of_ours_that_did_not_complete_are_complained_about(results: Results) -> None:
+def test_runs_of_ours_that_did_not_complete_are_complained_about(results: ComparisonResults) -> None:
     assert incomplete(results) is None
     ours, peer = results.main
     stopped = replace(ours.run, true_pose=ours.run.true_pose + 1.0)
@@ -226,9 +247,9 @@ def test_runs_of_ours_that_did_not_complete_are_complained_about(results: Result
 def test_groups_name_only_what_varies(outcome: Outcome) -> None:
     slippery = Outcome(replace(outcome.case, surface="slippery"), outcome.run)
     swept = [Outcome(outcome.case.with_override("horizon", steps), outcome.run) for steps in (5, 10)]
-    assert list(groups([outcome])) == ["SSM"]
-    assert list(groups([outcome, slippery])) == ["SSM, ideal", "SSM, slippery"]
-    assert list(groups(swept)) == ["SSM, horizon=5", "SSM, horizon=10"]
+    assert list(by_driver([outcome])) == ["SSM"]
+    assert list(by_driver([outcome, slippery])) == ["SSM, ideal", "SSM, slippery"]
+    assert list(by_driver(swept)) == ["SSM, horizon=5", "SSM, horizon=10"]
 
 
 def test_results_replace_old_ones_and_leave_other_files(tmp_path: Path) -> None:
@@ -349,10 +370,11 @@ def test_no_figure_takes_the_name_of_another(outcome: Outcome, tmp_path: Path) -
     assert free_name("a b", ["a-b.png", "a-b-2.png"]) == "a-b-3.png"
     names = ("a_b.yaml", "a-b.yaml", "a b.yaml")
     main = tuple(Outcome(replace(outcome.case, trajectory=name), outcome.run) for name in names)
-    experiment = default_experiment().model_copy(update={"seeds": (0,), "horizons": ()})
-    results = Results(experiment, main, (), {})
-    drawn = draw_all(results, tmp_path, lambda: None)
+    settings = default_settings().model_copy(update={"seeds": (0,), "horizons": ()})
+    drawn = drawings(ComparisonResults(settings, main, ()))
+    for file, draw in drawn.items():
+        draw(tmp_path / file)
     expected = ["overview.png", "step-time.png", "ssm-a-b.png", "ssm-a-b-2.png", "ssm-a-b-3.png"]
-    assert drawn == expected
-    assert count_figures(results) == len(expected)
+    assert list(drawn) == expected
+    assert len(drawn) == len(expected)
     assert {path.name for path in tmp_path.iterdir()} == set(expected)

@@ -10,16 +10,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from diffdrive_mpc.bench.reproduce.experiments.cost import measure_cost
-from diffdrive_mpc.bench.reproduce.experiments.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, compare_mbm_and_sm
-from diffdrive_mpc.bench.reproduce.experiments.odometry import Spread, dead_reckon, pose_error
-from diffdrive_mpc.bench.reproduce.experiments.robot_logs import RobotLogs, trajectory_commands
-from diffdrive_mpc.bench.reproduce.experiments.state_space import IDENTIFIED, PRINTED, compare_orders
-from diffdrive_mpc.bench.reproduce.experiments.virtual_track import check_virtual_track, fit_line
-from diffdrive_mpc.bench.reproduce.published import load_published
-from diffdrive_mpc.bench.reproduce.results import plain
-from diffdrive_mpc.bench.reproduce.runner import count_steps, run_parts
-from diffdrive_mpc.bench.reproduce.study import CostStudy, MbmSmStudy, SsmStudy, load_study
+from diffdrive_mpc.bench.outcomes import plain
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.studies.reproduce.cost import measure_cost
+from diffdrive_mpc.bench.studies.reproduce.drives import (
+    RobotLogs,
+    Spread,
+    dead_reckon,
+    pose_error,
+    trajectory_commands,
+)
+from diffdrive_mpc.bench.studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, compare_mbm_and_sm
+from diffdrive_mpc.bench.studies.reproduce.published import load_published
+from diffdrive_mpc.bench.studies.reproduce.settings import CostStudy, MbmSmStudy, SsmStudy, load_study
+from diffdrive_mpc.bench.studies.reproduce.state_space import IDENTIFIED, PRINTED, compare_orders
+from diffdrive_mpc.bench.studies.reproduce.study import ReproduceStudy
+from diffdrive_mpc.bench.studies.reproduce.virtual_track import check_virtual_track, fit_line
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc import load_trajectory
@@ -116,14 +122,27 @@ def test_a_larger_model_holds_more():
     assert all(one.time_per_step[0] > 0 for one in found.values())
 
 
+class CountingBar(ProgressBar):
+    def __init__(self):
+        super().__init__("test")
+        self.done, self.total = 0, None
+
+    def begin(self, text, total):
+        self.total = total
+
+    def advance(self):
+        self.done += 1
+
+
 SMALL = SsmStudy(train_duration=8.0, largest_order=2, test_drives=1, free_drives=1, free_duration=6.0)
 
 
 def test_results_depend_on_the_repetition_and_not_on_the_processes():
     study = load_study(quick=True).model_copy(update={"ssm": SMALL, "repetitions": (31, 32)})
-    done = []
-    results = run_parts(study, ["ssm"], 2, lambda: done.append(1))["ssm"]
-    assert len(done) == count_steps(study, ["ssm"]) == 2
+    whole = ReproduceStudy(study, ["ssm"])
+    bar = CountingBar()
+    results = whole.run(whole.plan(), 2, bar).ssm
+    assert bar.done == bar.total == 2
     assert plain(results[0]) == plain(compare_orders(SMALL, 31))
     assert results[0].orders[1].test != results[1].orders[1].test
     for result in results:

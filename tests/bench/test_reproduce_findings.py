@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 from reproduce_parts import cost, made_up, mbm_sm, ssm
 
-from diffdrive_mpc.bench.reproduce.experiments.virtual_track import VirtualTrackResult, fit_line
-from diffdrive_mpc.bench.reproduce.findings import find
+from diffdrive_mpc.bench.studies.reproduce.study import find
+from diffdrive_mpc.bench.studies.reproduce.virtual_track import VirtualTrackResult, fit_line
 
 
 def verdicts(results):

@@ -7,13 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from reproduce_parts import made_up
+from reproduce_parts import made_up, report_of, write_made_up
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.documents import REPRODUCE, study_sections
-from diffdrive_mpc.bench.reproduce.report import write_report
-from diffdrive_mpc.bench.reproduce.tables import report_tables
+from diffdrive_mpc.bench.documents import REPRODUCE, sections
 
 runner = CliRunner()
 FIGURES = ("odometry.png", "orders.png", "virtual-track.png")
@@ -22,12 +20,12 @@ FIGURES = ("odometry.png", "orders.png", "virtual-track.png")
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report")
-    write_report(made_up(), folder)
+    write_made_up(made_up(), folder)
     return folder
 
 
 def test_every_table_is_filled_and_published_numbers_stand_beside_ours():
-    tables = {table.title: table for table in report_tables(made_up())}
+    tables = {table.title: table for table in report_of(made_up()).tables}
     assert list(tables) == [
         "Findings",
         "FIT of motors and of SM",
@@ -51,7 +49,7 @@ def test_every_table_is_filled_and_published_numbers_stand_beside_ours():
 
 
 def test_averages_of_the_free_drives_are_the_paper_s():
-    tables = {table.title: table for table in report_tables(made_up())}
+    tables = {table.title: table for table in report_of(made_up()).tables}
     averages = [cells for cells in tables["SSM odometry on free drives"].rows if cells[1] == "average"]
     assert averages[0][2:6] == ("0.85", "0.67", "0.53", "1.65")
 
@@ -69,20 +67,20 @@ def test_the_report_has_every_figure_and_the_verdicts(report: Path):
 
 
 def test_the_same_results_give_the_same_files(report: Path, tmp_path: Path):
-    write_report(made_up(), tmp_path)
+    write_made_up(made_up(), tmp_path)
     for name in ("reproduce.json", "reproduce.md", *(f"figures/{name}" for name in FIGURES)):
         assert (tmp_path / name).read_bytes() == (report / name).read_bytes()
 
 
 def test_every_table_and_figure_has_its_place_on_the_page(report: Path):
-    parts = study_sections(REPRODUCE, (report / "reproduce.md").read_text())
+    parts = sections(REPRODUCE, (report / "reproduce.md").read_text())
     page = (Path(__file__).parents[2] / "docs" / "reproduce.md").read_text(encoding="utf-8")
     for name in parts:
         assert f"<!-- {name}:begin -->" in page
 
 
 def test_parts_that_were_not_run_leave_nothing(tmp_path: Path):
-    write_report(replace(made_up(), mbm_sm=(), ssm=(), cost=None), tmp_path)
+    write_made_up(replace(made_up(), mbm_sm=(), ssm=(), cost=None), tmp_path)
     assert [path.name for path in (tmp_path / "figures").iterdir()] == ["virtual-track.png"]
     text = (tmp_path / "reproduce.md").read_text()
     assert [line for line in text.splitlines() if line.startswith("## ")] == ["## Findings", "## Virtual track"]

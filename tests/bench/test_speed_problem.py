@@ -5,16 +5,16 @@ from dataclasses import asdict
 import casadi as ca
 import numpy as np
 import pytest
+from diffdrive_mpc.mpc.tick import Tick
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diffdrive_mpc.bench.speed.stage import stage_data, stage_problem
-from diffdrive_mpc.bench.speed.subjects.nlp_peer import NlpPeer
+from diffdrive_mpc.bench.studies.speed.stage import stage_data, stage_problem
+from diffdrive_mpc.bench.studies.speed.subjects.nlp_peer import NlpPeer
 from diffdrive_mpc.models import integrate_pose, load_model
 from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.problem import TrackingProblem
-from diffdrive_mpc.mpc.slip import Slip
-from diffdrive_mpc.mpc.tick import Tick
 
 DT = 0.0202
 SLIP = Slip(v_offset=0.02, omega_gain=1.04, longitudinal_gain=0.97, yaw_gain=0.85, side_slip=0.08)

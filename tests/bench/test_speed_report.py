@@ -8,10 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc.bench.speed.outcome.record import Measured, Missing, Record, growth_exponent, time_statistics
-from diffdrive_mpc.bench.speed.outcome.report import write_report
-from diffdrive_mpc.bench.speed.outcome.results import SpeedResults
-from diffdrive_mpc.bench.speed.outcome.tables import speed_tables
+from diffdrive_mpc.bench.studies.speed.results import (
+    Measured,
+    Missing,
+    SpeedRecord,
+    SpeedResults,
+    growth_exponent,
+    time_statistics,
+)
+from diffdrive_mpc.bench.studies.speed.settings import load_speed_settings
+from diffdrive_mpc.bench.studies.speed.study import SpeedStudy
+from diffdrive_mpc.bench.studies.speed.tables import speed_tables
+from diffdrive_mpc.bench.study import write_report
 
 META = {
     "version": "1",
@@ -19,16 +27,12 @@ META = {
     "date": "2026-01-01",
     "wall_time_s": 1.0,
     "machine": {"cpu": "cpu", "cores": 1, "os": "os", "python": "3", "packages": {"numpy": "2"}},
-    "load": {"before": 0.0, "after": 1.0},
-    "core": 0,
-    "peers": ["casadi 3"],
-    "settings": {"ticks": 4, "trajectory": "circle", "repetitions": 2, "block": 2},
 }
 
 
 def measured(solver, horizon, whole, inside=1e-4, model="ssm"):
     times = np.full((2, 4), whole)
-    record = Record(
+    record = SpeedRecord(
         solver=solver,
         model=model,
         horizon=horizon,
@@ -55,7 +59,7 @@ def results():
     records = [measured("ours", n, 1e-5 * n) for n in (20, 50, 100)]
     records += [measured("acados", n, 4e-5 * n, inside=2e-5 * n) for n in (20, 50, 100)]
     missing = (Missing("do-mpc", "ssm", 20, "no network"), Missing("do-mpc", "ssm", 50, "no network"))
-    return SpeedResults(tuple(records), missing, META)
+    return SpeedResults(tuple(records), missing, 0, (0.0, 1.0))
 
 
 @given(st.floats(0.2, 3.0), st.floats(1e-6, 1.0))
@@ -88,7 +92,7 @@ def test_ratios_refer_to_acados_at_the_same_horizon():
 
 def test_models_and_tails_are_held_against_their_own_median():
     records = [measured("ours", 30, 1e-3), measured("ours", 30, 1.2e-3, model="mbm")]
-    tables = {table.title: table for table in speed_tables(SpeedResults(tuple(records), (), META))}
+    tables = {table.title: table for table in speed_tables(SpeedResults(tuple(records), ()))}
     assert tables["Against SSM"].rows == (("MBM", "ours", "1.20"),)
     assert tables["Tail by horizon MBM"].rows == (("ours", "1.0 (1.0)"),)
 
@@ -99,12 +103,14 @@ def test_a_missing_peer_is_named_with_its_reason():
 
 
 def test_without_acados_there_are_no_ratios():
-    alone = SpeedResults((measured("ours", 10, 1e-3),), (), META)
+    alone = SpeedResults((measured("ours", 10, 1e-3),), ())
     assert not [table.title for table in speed_tables(alone) if "acados" in table.title]
 
 
 def test_the_files_hold_every_record_and_say_what_is_unknown(tmp_path):
-    write_report(results(), tmp_path)
+    study = SpeedStudy(load_speed_settings(quick=True))
+    report = study.report(results(), 1.0)
+    write_report(study, report, META | report.meta, tmp_path)
     content = json.loads((tmp_path / "speed.json").read_text())
     assert len(content["records"]) == 6
     wanted = {"solver", "model", "horizon", "step_p50_s", "step_p95_s", "step_p99_s", "step_max_s", "solver_p50_s"}

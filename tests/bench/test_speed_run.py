@@ -6,9 +6,10 @@ import pytest
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.speed.command import run_speed
-from diffdrive_mpc.bench.speed.process.subject import Subject, SubjectError
-from diffdrive_mpc.bench.speed.settings import SubjectSettings, chosen, load_speed_settings
+from diffdrive_mpc.bench.studies.speed.process.subject import Subject, SubjectError
+from diffdrive_mpc.bench.studies.speed.settings import SubjectSettings, chosen, load_speed_settings
+from diffdrive_mpc.bench.studies.speed.study import SpeedStudy
+from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
 
@@ -22,7 +23,7 @@ def small():
 def report(small, tmp_path_factory):
     out = tmp_path_factory.mktemp("speed")
     broken = SubjectSettings(kind="nlpsol", settings={"plugin": "nobody", "options": {}})
-    run_speed(small.model_copy(update={"subjects": {**small.subjects, "broken": broken}}), out)
+    carry_out(SpeedStudy(small.model_copy(update={"subjects": {**small.subjects, "broken": broken}})), out)
     return json.loads((out / "speed.json").read_text())
 
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc.bench.commands.options import parse_seeds, split_names, split_numbers
+from diffdrive_mpc.bench.case import parse_seeds, split_names, split_numbers
 from diffdrive_mpc.bench.sweep import parse_setting, single_settings, sweep_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError
 

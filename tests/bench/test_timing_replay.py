@@ -12,9 +12,10 @@ import pytest
 from bench_parts import Arc, DisplacedUnicycle, quick_outcome
 
 from diffdrive_mpc.bench.errors import NotReproducibleError
-from diffdrive_mpc.bench.peers.kanayama import KanayamaController, KanayamaStep
-from diffdrive_mpc.bench.runner import run_cases, time_outcomes
-from diffdrive_mpc.bench.timing import quiet_core, replay
+from diffdrive_mpc.bench.outcomes import run_cases
+from diffdrive_mpc.bench.peers import PeerStep
+from diffdrive_mpc.bench.peers.kanayama import KanayamaController
+from diffdrive_mpc.bench.timing import quiet_core, replay, time_outcomes
 from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.sim import simulate
 
@@ -24,7 +25,7 @@ class Moody(KanayamaController):
 
     calls = 0
 
-    def step(self, t: float, measurement: Measurement) -> KanayamaStep:
+    def step(self, t: float, measurement: Measurement) -> PeerStep:
         Moody.calls += 1
         step = super().step(t, measurement)
         return replace(step, command=step.command + 1e-15 * Moody.calls)
@@ -33,7 +34,7 @@ class Moody(KanayamaController):
 class Dawdling(KanayamaController):
     """Takes 2 ms longer than it says: time outside its own clock."""
 
-    def step(self, t: float, measurement: Measurement) -> KanayamaStep:
+    def step(self, t: float, measurement: Measurement) -> PeerStep:
         step = super().step(t, measurement)
         time.sleep(2e-3)
         return step
@@ -59,7 +60,7 @@ def test_every_outcome_gets_the_times_of_its_own_replay(monkeypatch: pytest.Monk
     outcomes = [quick_outcome(controller="kanayama", model="none", trajectory=name) for name in ("circle", "s")]
     expected = [np.linspace(1.0, 2.0, len(outcome.run.time)) + k for k, outcome in enumerate(outcomes)]
     measured = iter(expected)
-    monkeypatch.setattr("diffdrive_mpc.bench.runner.time_steps", lambda case, run: next(measured))
+    monkeypatch.setattr("diffdrive_mpc.bench.timing.time_steps", lambda case, run: next(measured))
     timed, _ = time_outcomes(outcomes, lambda: None)
     for outcome, times in zip(timed, expected, strict=True):
         assert np.array_equal(outcome.run.step_time, times)

@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 from tracking_parts import TINY
 
-from diffdrive_mpc.bench.tracking.plan import BOUND, check_plan, plan_study
-from diffdrive_mpc.bench.tracking.study import PARTS, load_study
-from diffdrive_mpc.bench.tracking.variants import variants
+from diffdrive_mpc.bench.studies.tracking.plan import BOUND, check_plan, plan_study, variants
+from diffdrive_mpc.bench.studies.tracking.settings import PARTS, load_study
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
 TUNING_SEEDS = {100, 101}

@@ -7,15 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tracking_parts import made_up, row, tiny_study
+from tracking_parts import made_up, row, tiny_study, write_made_up
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.documents import TRACKING, copy_study, study_sections, with_study
-from diffdrive_mpc.bench.tracking.plan import plan_study
-from diffdrive_mpc.bench.tracking.report import write_report
-from diffdrive_mpc.bench.tracking.results import collect
-from diffdrive_mpc.bench.tracking.tables import study_tables
+from diffdrive_mpc.bench.documents import TRACKING, copy_report, sections, with_report
+from diffdrive_mpc.bench.studies.tracking.outcome import collect
+from diffdrive_mpc.bench.studies.tracking.plan import plan_study
+from diffdrive_mpc.bench.studies.tracking.tables import study_tables
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
 runner = CliRunner()
@@ -24,7 +23,7 @@ runner = CliRunner()
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report")
-    write_report(made_up(), folder)
+    write_made_up(made_up(), folder)
     return folder
 
 
@@ -78,8 +77,8 @@ def test_a_variant_is_told_by_its_values():
     own = {name: 0.010 + 0.001 * k for k, name in enumerate(results.study.ablation.variants)}
     by_values = {tuple(values.items()): name for name, values in results.study.ablation.variants.items()}
     plan = plan_study(results.study, ["ablation"])
-    rows = {case: row(case, position_rmse_m=own[by_values[case.overrides]]) for case in plan.all}
-    table, _ = study_tables(collect(results.study, plan, rows, results.meta))["ablation"]
+    rows = [row(case, position_rmse_m=own[by_values[case.overrides]]) for case in plan.all]
+    table, _ = study_tables(collect(results.study, plan, rows))["ablation"]
     assert {cells[1]: float(cells[3]) for cells in table.rows} == pytest.approx({n: 1e3 * e for n, e in own.items()})
 
 
@@ -94,7 +93,7 @@ def test_the_report_has_figures_and_every_run_once(report: Path):
 
 
 def test_figures_are_the_same_for_the_same_rows(report: Path, tmp_path: Path):
-    write_report(made_up(), tmp_path)
+    write_made_up(made_up(), tmp_path)
     for name in ("ablation.png", "error-sources.png"):
         assert (tmp_path / "figures" / name).read_bytes() == (report / "figures" / name).read_bytes()
 
@@ -113,14 +112,14 @@ after
 
 
 def test_the_page_shows_every_part_of_the_report_between_its_markers(report: Path, tmp_path: Path):
-    copy_study(TRACKING, report, tmp_path / "tracking")
+    copy_report(TRACKING, report, tmp_path / "tracking")
     text = (tmp_path / "tracking" / "tracking.md").read_text()
-    page = with_study(TRACKING, PAGE, text)
+    page = with_report(TRACKING, PAGE, text)
     assert "![ablation](tracking/ablation.png)" in page
     assert "| SM | 8.0* | 8.0 |" in page
     assert "old" not in page
     assert "\nbetween\n" in page and page.endswith("\nafter\n")
-    assert with_study(TRACKING, page, text) == page
+    assert with_report(TRACKING, page, text) == page
     assert {path.name for path in (tmp_path / "tracking").iterdir()} == {
         "tracking.md",
         "ablation.png",
@@ -129,22 +128,22 @@ def test_the_page_shows_every_part_of_the_report_between_its_markers(report: Pat
 
 
 def test_parts_that_were_not_run_say_so_and_their_figures_go(report: Path, tmp_path: Path):
-    copy_study(TRACKING, report, tmp_path / "tracking")
+    copy_report(TRACKING, report, tmp_path / "tracking")
     results = made_up()
     part = replace(results, parts={"bound": results.parts["bound"]})
     (tmp_path / "out").mkdir()
-    write_report(part, tmp_path / "out")
-    copy_study(TRACKING, tmp_path / "out", tmp_path / "tracking")
+    write_made_up(part, tmp_path / "out")
+    copy_report(TRACKING, tmp_path / "out", tmp_path / "tracking")
     text = (tmp_path / "tracking" / "tracking.md").read_text()
-    assert set(study_sections(TRACKING, text)) == {"tracking-runs", "tracking-bound"}
-    page = with_study(TRACKING, PAGE, text)
+    assert set(sections(TRACKING, text)) == {"tracking-runs", "tracking-bound"}
+    page = with_report(TRACKING, PAGE, text)
     assert page.count("This part was not run.") == 2
     assert [path.name for path in (tmp_path / "tracking").iterdir()] == ["tracking.md"]
 
 
 def test_without_a_report_nothing_is_copied(tmp_path: Path):
     with pytest.raises(ConfigError, match="run `make tracking` first"):
-        copy_study(TRACKING, tmp_path, tmp_path / "docs")
+        copy_report(TRACKING, tmp_path, tmp_path / "docs")
 
 
 def test_the_command_drives_a_small_study_and_writes_its_report(tmp_path: Path):

@@ -11,11 +11,10 @@ import pytest
 from bench_parts import Arc, DisplacedUnicycle
 from hypothesis import given
 from hypothesis import strategies as st
-from tracking_parts import case, row
+from tracking_parts import case, recovery, row
 
 from diffdrive_mpc.bench.peers.kanayama import KanayamaController
-from diffdrive_mpc.bench.tracking.decomposition import decompose
-from diffdrive_mpc.bench.tracking.row import Recovered, reduce_run
+from diffdrive_mpc.bench.studies.tracking.outcome import decompose, reduce_run
 from diffdrive_mpc.sim import simulate
 
 
@@ -42,7 +41,7 @@ def test_a_row_keeps_the_statistics_the_arcs_and_the_lateral_error_after_the_sta
 
 
 def test_a_row_is_plain_json_without_series_and_step_times():
-    values = row(case(overrides=(("horizon", 12),)), recovered=Recovered(), arcs=(0.0012345678,)).as_json()
+    values = row(case(overrides=(("horizon", 12),)), recovered=recovery(), arcs=(0.0012345678,)).as_json()
     assert json.loads(json.dumps(values, allow_nan=False)) == values
     assert values["recovery_time_s"] is None
     assert values["steady_arcs_m"] == [0.00123457]

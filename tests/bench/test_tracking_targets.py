@@ -6,14 +6,12 @@ import math
 from dataclasses import replace
 
 import pytest
-from tracking_parts import row
+from tracking_parts import recovery, row
 
-from diffdrive_mpc.bench.tracking.plan import plan_study
-from diffdrive_mpc.bench.tracking.row import Recovered
-from diffdrive_mpc.bench.tracking.study import load_study
-from diffdrive_mpc.bench.tracking.tables import target_table
-from diffdrive_mpc.bench.tracking.targets import load_targets
-from diffdrive_mpc.bench.tracking.verdicts import judge, worst_arc
+from diffdrive_mpc.bench.studies.tracking.plan import plan_study
+from diffdrive_mpc.bench.studies.tracking.settings import load_study, load_targets
+from diffdrive_mpc.bench.studies.tracking.tables import target_table
+from diffdrive_mpc.bench.studies.tracking.verdicts import judge, worst_arc
 
 STUDY = load_study(quick=True)
 CASES = plan_study(STUDY, ["targets"]).all
@@ -57,19 +55,19 @@ PLAIN = {"scenario": "none", "sensors": "default"}
         ({"sensors": "slam", "trajectory": "s"}, {"fallbacks": 1}, "fallbacks", "slam sensors"),
         (
             {"scenario": "start_offset", "trajectory": "s"},
-            {"recovered": Recovered(3.1, 0.01, 1.0, 1.0)},
+            {"recovered": recovery(3.1, 0.01, 1.0, 1.0)},
             "longest recovery [s]",
             "start_offset",
         ),
         (
             {"scenario": "false_command", "trajectory": "s"},
-            {"recovered": Recovered(1.0, 0.051, 1.0, 1.0)},
+            {"recovered": recovery(1.0, 0.051, 1.0, 1.0)},
             "largest overshoot [m]",
             "false_command",
         ),
         (
             {"scenario": "false_command", "trajectory": "s"},
-            {"recovered": Recovered(math.inf, math.nan, 1.0, 1.0)},
+            {"recovered": recovery(math.inf, math.nan, 1.0, 1.0)},
             "longest recovery [s]",
             "false_command",
         ),
@@ -98,7 +96,7 @@ def test_a_value_at_the_limit_is_inside_it():
 
 
 def test_what_could_not_be_computed_reaches_nothing():
-    found = verdicts(lambda case: {"recovered": Recovered(), "course_rmse_rad": math.nan})
+    found = verdicts(lambda case: {"recovered": recovery(), "course_rmse_rad": math.nan})
     assert not found["longest recovery [s]", "start_offset"].met
     assert not found["course RMSE [rad]", "default"].met
 

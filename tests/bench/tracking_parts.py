@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.tracking.plan import BOUND, plan_study
-from diffdrive_mpc.bench.tracking.results import StudyResults, collect
-from diffdrive_mpc.bench.tracking.row import Recovered, Row
-from diffdrive_mpc.bench.tracking.study import PARTS, Study, load_study
+from diffdrive_mpc.bench.studies.tracking.outcome import ReducedOutcome, TrackingResults, collect
+from diffdrive_mpc.bench.studies.tracking.plan import BOUND, plan_study
+from diffdrive_mpc.bench.studies.tracking.settings import PARTS, load_study
+from diffdrive_mpc.bench.studies.tracking.study import TrackingStudy
+from diffdrive_mpc.bench.study import write_report
 from diffdrive_mpc.sim import Metrics
+from diffdrive_mpc.sim.metrics.recovery import Recovery
 
 TINY = """
 models: [ssm]
@@ -57,23 +60,29 @@ def metrics(**changes: float) -> Metrics:
     return Metrics(**{**values, **changes})  # type: ignore[arg-type]
 
 
+def recovery(
+    time: float = math.nan, overshoot: float = math.nan, energy_v: float = math.nan, energy_omega: float = math.nan
+) -> Recovery:
+    return Recovery(time, overshoot, 0.001, energy_v, energy_omega)
+
+
 def row(
     of: Case,
     *,
     arcs: tuple[float, ...] = (0.001,),
     late_lateral_m: float = 0.01,
-    recovered: Recovered | None = None,
+    recovered: Recovery | None = None,
     across: np.ndarray | None = None,
     **changes: float,
-) -> Row:
+) -> ReducedOutcome:
     """A row of 100 ticks, of which the second half is a steady arc; 1 mm to the left by default."""
     n = 100
-    return Row(
+    return ReducedOutcome(
         case=of,
         metrics=metrics(**changes),
         arcs=arcs,
         late_lateral_m=late_lateral_m,
-        recovered=recovered or Recovered(1.0, 0.01, 3.0, 2.0),
+        recovery=recovered or recovery(1.0, 0.01, 3.0, 2.0),
         time=0.02 * np.arange(n),
         along=np.zeros(n),
         across=np.full(n, 0.001) if across is None else across,
@@ -81,17 +90,24 @@ def row(
     )
 
 
-def made_up(study: Study | None = None) -> StudyResults:
+META: dict[str, object] = {
+    "machine": {"cpu": "c", "cores": 2, "os": "o", "python": "3", "packages": {"numpy": "2"}},
+    "revision": "abc",
+    "version": "1",
+    "date": "2026-01-01",
+    "wall_time_s": 1.0,
+}
+
+
+def made_up() -> TrackingResults:
     """A whole study of rows that were never driven: 8 mm for the bound's peers, 2 mm for the bound."""
-    study = study or load_study(quick=True)
+    study = load_study(quick=True)
     plan = plan_study(study, PARTS)
-    rows = {one: row(one, position_rmse_m=0.002 if one.controller == BOUND else 0.008) for one in plan.all}
-    meta: dict[str, object] = {
-        "machine": {"cpu": "c", "cores": 2, "os": "o", "python": "3", "packages": {"numpy": "2"}},
-        "revision": "abc",
-        "version": "1",
-        "date": "2026-01-01",
-        "wall_time_s": 1.0,
-        "statistics": "s",
-    }
-    return collect(study, plan, rows, meta)
+    rows = [row(one, position_rmse_m=0.002 if one.controller == BOUND else 0.008) for one in plan.all]
+    return collect(study, plan, rows)
+
+
+def write_made_up(results: TrackingResults, folder: Path) -> None:
+    study = TrackingStudy(results.study)
+    report = study.report(results, 1.0)
+    write_report(study, report, META | report.meta, folder)

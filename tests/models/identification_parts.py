@@ -3,9 +3,9 @@
 import numpy as np
 
 from diffdrive_mpc.models import VelocityModel, load_model
-from diffdrive_mpc.models.identification.output_error.linear_system import LinearSystem
-from diffdrive_mpc.models.identification.output_error.stretch import Stretch
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.linear_system import LinearSystem
 
 DT = 0.02
 
@@ -47,5 +47,5 @@ def two_channels(v, omega, dead_time=(0.05, 0.03)):
     return VelocityModel("truth", "sm", A, B, C, np.array(dead_time))
 
 
-def single(stretch_inputs, outputs):
-    return Stretch("one", DT, stretch_inputs, outputs, np.ones(outputs.shape, dtype=bool))
+def single(inputs, outputs):
+    return Experiment("one", DT, inputs, outputs, np.ones(outputs.shape, dtype=bool))

@@ -10,13 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diffdrive_mpc.models.base_effects import BaseEffects, PoseMount, TwistSlew, WheelCommand, YawRelaxation, respond
-from diffdrive_mpc.models.identification.base_effects import identify_with_effects
-from diffdrive_mpc.models.identification.base_effects.free_run import free_run, smoothed, two_lags
-from diffdrive_mpc.models.identification.base_effects.held_out import blocks
-from diffdrive_mpc.models.identification.base_effects.pose_sensor import pose_sensor
-from diffdrive_mpc.models.identification.base_effects.sensed import sensed
-from diffdrive_mpc.models.identification.output_error.stretch import Stretch
+from diffdrive_mpc.models.identification.effects import identify_with_effects
+from diffdrive_mpc.models.identification.effects.free_run import free_run, sensed, smoothed, two_lags
+from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
+from diffdrive_mpc.models.identification.effects.selection import blocks
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.experiment import Experiment
 from diffdrive_mpc.models.pose import integrate_pose
 
 TRUE = BaseEffects.model_validate(
@@ -51,7 +50,7 @@ POINT = {
 
 def at_rest(commands):
     readings = np.zeros((len(commands), 3))
-    return Stretch("at rest", DT, commands, readings, np.ones(readings.shape, dtype=bool))
+    return Experiment("at rest", DT, commands, readings, np.ones(readings.shape, dtype=bool))
 
 
 def test_the_free_run_is_that_of_the_model_file():
@@ -105,10 +104,10 @@ def test_smoothed_steps_stay_within_a_step_of_the_true_ones(v, omega):
 
 
 def test_each_sample_is_held_out_once():
-    stretches = [at_rest(np.zeros((count, 2))) for count in (300, 500, 200)]
-    folds = blocks(stretches)
+    experiments = [at_rest(np.zeros((count, 2))) for count in (300, 500, 200)]
+    folds = blocks(experiments)
     held = [(i, k) for _, block in folds for i, first, stop in block for k in range(first, stop)]
-    assert sorted(held) == [(i, k) for i, stretch in enumerate(stretches) for k in range(stretch.samples)]
+    assert sorted(held) == [(i, k) for i, experiment in enumerate(experiments) for k in range(experiment.samples)]
     for rest, block in folds:
         assert not {(i, k) for i, a, b in rest for k in range(a, b)} & {
             (i, k) for i, a, b in block for k in range(a, b)

@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diffdrive_mpc.models.identification.base_effects.fitting import fit_effects, weighted
-from diffdrive_mpc.models.identification.base_effects.free_run import base_track
-from diffdrive_mpc.models.identification.base_effects.selection import EFFECTS, LINEAR
-from diffdrive_mpc.models.identification.base_effects.sensed import sensed
-from diffdrive_mpc.models.identification.base_effects.settings import effect_settings
+from diffdrive_mpc.models.identification.effects.fitting import fit_effects, weighted
+from diffdrive_mpc.models.identification.effects.free_run import base_track, sensed
+from diffdrive_mpc.models.identification.effects.selection import EFFECTS, LINEAR
+from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.logs import read_log
 
 # The data are not part of this project, so a checkout without them has no tests of them. CI always has them.

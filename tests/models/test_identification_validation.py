@@ -5,9 +5,9 @@ import pytest
 from identification_parts import DT, noisy_drive, published_ssm, record, set_points, system
 
 from diffdrive_mpc.models import integrate_pose
-from diffdrive_mpc.models.identification import fit_percent
-from diffdrive_mpc.models.identification.output_error.linear_system import LinearSystem
-from diffdrive_mpc.models.identification.validation import pose_drift, simulate_records, validate
+from diffdrive_mpc.models.identification.poses import pose_drift
+from diffdrive_mpc.models.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.output_error.validation import fit_percent, simulate_records, validate
 
 MODEL = published_ssm()
 

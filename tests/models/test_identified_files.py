@@ -9,12 +9,12 @@ from identification_parts import noisy_drive, published_ssm
 
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.identification.mbm import identify_mbm
-from diffdrive_mpc.models.identification.model_file import model_file, write_model_file
-from diffdrive_mpc.models.identification.sm import identify_sm
-from diffdrive_mpc.models.identification.ssm import identify_ssm
 from diffdrive_mpc.models.load import read_model_file
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.structures.identified import model_file, write_model_file
+from diffdrive_mpc.models.structures.mbm import identify_mbm
+from diffdrive_mpc.models.structures.sm import identify_sm
+from diffdrive_mpc.models.structures.ssm import identify_ssm
 
 DRIVE = noisy_drive(published_ssm(), 21, count=1500, limit=0.9)
 WHEELS = DRIVE.twist @ np.array([[1.0, 1.0], [-0.2, 0.2]]) / 0.07

@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 from identification_parts import DT, noisy_drive, published_ssm, record, set_points, two_channels
 
-from diffdrive_mpc.models.identification.channel import identify_channel
-from diffdrive_mpc.models.identification.mbm import identify_mbm
-from diffdrive_mpc.models.identification.order import choose_order
-from diffdrive_mpc.models.identification.output_error.covariance import effective_samples, long_run_covariance
-from diffdrive_mpc.models.identification.signals import twist_stretches
-from diffdrive_mpc.models.identification.sm import identify_sm
-from diffdrive_mpc.models.identification.ssm import identify_ssm
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.experiment import twist_experiments
+from diffdrive_mpc.models.output_error.statistics import effective_samples, long_run_covariance
+from diffdrive_mpc.models.structures.mbm import identify_mbm
+from diffdrive_mpc.models.structures.sm import identify_sm
+from diffdrive_mpc.models.structures.ssm import choose_order, identify_ssm
+from diffdrive_mpc.models.structures.two_poles import identify_channel
 
 SM = two_channels((0.95, 10.0, 1.3), (0.7, 7.0, 0.7), dead_time=(0.053, 0.031))
 SM_TRUTH = {
@@ -112,8 +111,8 @@ def test_a_limit_of_the_base_is_found_where_there_is_one():
 
 def test_a_pole_too_fast_to_see_is_said():
     lag = two_channels((1.0, 80.0, 5.5), (1.0, 7.0, 0.7))
-    stretches = [s.channel(0, 0) for s in twist_stretches([noisy_drive(lag, 8, count=1500)])]
-    assert any("natural_frequency" in warning for warning in identify_channel(stretches, "v", limit=False).warnings)
+    experiments = [s.channel(0, 0) for s in twist_experiments([noisy_drive(lag, 8, count=1500)])]
+    assert any("natural_frequency" in warning for warning in identify_channel(experiments, "v", limit=False).warnings)
 
 
 def test_two_poles_that_meet_are_said():

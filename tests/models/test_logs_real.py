@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from diffdrive_mpc.models.logs import read_log
-from diffdrive_mpc.models.logs.column_mapping import MAPPINGS, load_mapping
+from diffdrive_mpc.models.logs.mapping import MAPPINGS, load_mapping
 
 
 @pytest.mark.parametrize("name", [path.stem for path in sorted(MAPPINGS.glob("*.yaml"))])

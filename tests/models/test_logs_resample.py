@@ -7,10 +7,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc.models.logs.checks.settings import check_settings
+from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.logs.resample import hold, pieces, resample, sample
-from diffdrive_mpc.models.logs.signals import Signal, Stretch, increasing, usual_step
+from diffdrive_mpc.models.logs.sampling import (
+    RawStretch,
+    Signal,
+    hold,
+    increasing,
+    pieces,
+    resample,
+    sample,
+    usual_step,
+)
 
 values = st.floats(-1e3, 1e3)
 
@@ -67,7 +75,7 @@ def test_there_are_never_more_fresh_samples_than_readings_and_each_is_near_one(s
 @given(signals(fewest=2), st.floats(0.02, 0.3))
 def test_no_record_reaches_across_a_gap(signal, longest):
     """Every sample of every record lies between two rows that are close together."""
-    stretch = Stretch(signal.time, Signal(signal.time, np.hstack([signal.value] * 2)), {"yaw_rate": signal})
+    stretch = RawStretch(signal.time, Signal(signal.time, np.hstack([signal.value] * 2)), {"yaw_rate": signal})
     dt = 0.01
     for first, last in pieces(stretch, longest):
         record = resample("log", stretch, first, last, dt, check_settings())
@@ -81,7 +89,7 @@ def test_no_record_reaches_across_a_gap(signal, longest):
 
 @given(signals(fewest=2))
 def test_pieces_hold_all_rows_once(signal):
-    stretch = Stretch(signal.time, signal, {})
+    stretch = RawStretch(signal.time, signal, {})
     ends = list(pieces(stretch, 0.2))
     counted = [np.count_nonzero((signal.time >= first) & (signal.time <= last)) for first, last in ends]
     assert sum(counted) == len(signal.time)

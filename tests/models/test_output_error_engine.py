@@ -7,19 +7,19 @@ from hypothesis import strategies as st
 from identification_parts import DT, published_ssm, set_points, single, system, two_channels
 
 from diffdrive_mpc.models import load_model
-from diffdrive_mpc.models.identification.output_error.layout import Layout
-from diffdrive_mpc.models.identification.output_error.linear_system import delayed, sample, settled_start
-from diffdrive_mpc.models.identification.output_error.motors import MotorsStructure
-from diffdrive_mpc.models.identification.output_error.problem import OutputErrorProblem
-from diffdrive_mpc.models.identification.output_error.realisation import (
+from diffdrive_mpc.models.output_error.layout import Layout
+from diffdrive_mpc.models.output_error.linear_system import StateResponse, delayed, sample, settled_start
+from diffdrive_mpc.models.output_error.problem import OutputErrorProblem
+from diffdrive_mpc.models.output_error.state_space import (
+    LocalStateSpace,
     balanced,
     from_impulse_response,
     impulse_response,
 )
-from diffdrive_mpc.models.identification.output_error.response import StateResponse
-from diffdrive_mpc.models.identification.output_error.robust import spike_weights
-from diffdrive_mpc.models.identification.output_error.structures import LocalStateSpace, TwoPolesStructure
-from diffdrive_mpc.models.identification.validation.simulation import simulate_stretch
+from diffdrive_mpc.models.output_error.statistics import spike_weights
+from diffdrive_mpc.models.output_error.validation import simulate_experiment
+from diffdrive_mpc.models.structures.mbm import MotorsParametrisation
+from diffdrive_mpc.models.structures.two_poles import TwoPolesParametrisation
 
 
 @given(seed=st.integers(0, 10_000), n=st.integers(1, 5))
@@ -58,7 +58,7 @@ def test_sampling_is_that_of_control(name, dead_time):
 
 STRUCTURES = {
     "two poles": (
-        Layout(TwoPolesStructure(), 1, 1, offset=(True,), limited=(True,)),
+        Layout(TwoPolesParametrisation(), 1, 1, offset=(True,), limited=(True,)),
         [np.log(0.9), np.log(0.2), np.log(0.05), 0.043, 0.1, 0.7],
     ),
     "state space": (
@@ -66,7 +66,7 @@ STRUCTURES = {
         [*(0.1 * np.cos(np.arange(8.0))), 0.043, 0.09, 0.1],
     ),
     "motors": (
-        Layout(MotorsStructure((-1, 1), 0.07), 2, 2, shared_dead_time=True),
+        Layout(MotorsParametrisation((-1, 1), 0.07), 2, 2, shared_dead_time=True),
         [*np.log([0.9, 0.2, 0.05, 1.1, 0.15, 0.06, 0.4]), 0.055],
     ),
 }
@@ -78,8 +78,8 @@ def test_the_gradient_is_that_of_finite_differences(name):
     parameters = np.array(parameters)
     stream = np.random.default_rng(0)
     inputs = set_points(1, 300, np.ones(layout.inputs), hold=30)
-    stretch = single(inputs, stream.normal(size=(300, layout.outputs)))
-    problem = OutputErrorProblem(layout, [stretch, stretch], [stream.uniform(size=(300, layout.outputs))] * 2)
+    experiment = single(inputs, stream.normal(size=(300, layout.outputs)))
+    problem = OutputErrorProblem(layout, [experiment, experiment], [stream.uniform(size=(300, layout.outputs))] * 2)
     gradient = problem.jacobian(parameters).T @ problem.residuals(parameters)
     for i, slope in enumerate(gradient):
         step = 1e-6 * np.eye(len(parameters))[i]
@@ -88,7 +88,7 @@ def test_the_gradient_is_that_of_finite_differences(name):
 
 
 def test_an_initial_state_costs_nothing():
-    """Two stretches that begin in motion are explained exactly by the model that made them."""
+    """Two experiments that begin in motion are explained exactly by the model that made them."""
     model = published_ssm((0.04, 0.02))
     layout = Layout(LocalStateSpace(model.A, model.B, model.C), 2, 2)
     commands = set_points(2, 400, (0.5, 1.0))
@@ -148,9 +148,9 @@ def test_a_simulation_starts_at_the_first_reading():
     model = two_channels((0.9, 10.0, 1.2), (0.6, 6.0, 0.7))
     outputs = np.tile([0.3, -0.2], (50, 1))
     held = outputs[:1] / np.diag(model.dc_gain)
-    stretch = single(np.tile(held, (50, 1)), outputs)
+    experiment = single(np.tile(held, (50, 1)), outputs)
     assert settled_start(system(model), outputs[0])[0] @ model.C.T == pytest.approx(outputs[0])
-    assert simulate_stretch(system(model), stretch) == pytest.approx(outputs, abs=1e-12)
+    assert simulate_experiment(system(model), experiment) == pytest.approx(outputs, abs=1e-12)
 
 
 def test_a_spike_is_held_back_and_a_lasting_error_is_not():

@@ -7,7 +7,7 @@ import numpy as np
 from diffdrive_mpc.models import DiscreteModel, Measurement, Stamped, integrate_pose
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Wheels
-from diffdrive_mpc.mpc.slip import Slip
+from diffdrive_mpc.mpc.estimation.slip import Slip
 
 # What encoders and geometric track make of the yaw rate that the firmware was asked for.
 WHEEL_YAW_RATIO = Wheels().track / Wheels().encoder_track

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from diffdrive_mpc.mpc.bounds import clip_command, command_box
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_config
-from diffdrive_mpc.mpc.bounds import clip_command, command_box
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
 
 

@@ -7,8 +7,8 @@ from ideal_robot import IdealRobot, drive
 from diffdrive_mpc.models import ModelError, load_model
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import Controller, Mode, load_config, load_trajectory
-from diffdrive_mpc.mpc.slip import Slip
-from diffdrive_mpc.mpc.solver_report import SolverStatus
+from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.solver.report import SolverStatus
 
 DT = 0.0202
 MODEL = load_model("ssm")

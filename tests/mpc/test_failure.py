@@ -4,16 +4,15 @@ import math
 
 import numpy as np
 import pytest
+from failing_solver import BACKENDS, FailingSolver, SpoiltReference
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ideal_robot import IdealRobot, drive
 
 from diffdrive_mpc.models import Measurement, Stamped, load_model
 from diffdrive_mpc.mpc import Controller, Mode, load_config, load_trajectory
-from diffdrive_mpc.mpc.qp.solution import Solution
-from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
-from diffdrive_mpc.mpc.sparse.solver import SparseSolver
-from diffdrive_mpc.mpc.ways import CondensedWay
+from diffdrive_mpc.mpc.hold import Hold
+from diffdrive_mpc.mpc.solver.report import SolverStatus
 
 DT = 0.0202
 REFERENCE = load_trajectory("circle")
@@ -224,93 +223,120 @@ def test_carried_away_without_leave_to_resume_it_stays():
     assert modes(results) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED]
 
 
-def test_a_plan_is_not_reused_beyond_its_horizon(monkeypatch):
-    break_solver(monkeypatch, set(range(60, 80)))
-    results, _, _ = drive(controller(horizon=3, **{"failure.max_reused_ticks": 50}), robot(), REFERENCE, 1.6)
+def test_a_plan_is_not_reused_beyond_its_horizon():
+    reference = SpoiltReference(REFERENCE)
+
+    def spoil(k, m):
+        reference.spoilt = k >= 60
+        return m
+
+    results, _, _ = drive(
+        controller(horizon=3, **{"failure.max_reused_ticks": 50}), robot(), reference, 1.6, change=spoil
+    )
     assert sum(r.mode is Mode.REUSED_PLAN for r in results) == 2
 
 
-WAYS = {
-    "condensed/osqp": {},
-    "condensed/daqp": {"solver.backend": "daqp"},
-    "sparse/osqp": {"solver.formulation": "sparse"},
-}
-every_way = pytest.mark.parametrize("way", WAYS)
+every_backend = pytest.mark.parametrize("backend", BACKENDS)
 
 
-def break_solver(monkeypatch, failing, status=SolverStatus.MAX_ITERATIONS, garbage=2.1e9):
-    """Let the solver fail at the given solves, with finite nonsense as its plan."""
-    count = iter(range(10**9))
-
-    def failing_solve(solve):
-        def wrapped(self, tick, guess):
-            solution = solve(self, tick, guess)
-            if next(count) in failing:
-                return Solution(np.full_like(solution.plan, garbage), SolverReport(status))
-            return solution
-
-        return wrapped
-
-    for way in (CondensedWay, SparseSolver):
-        monkeypatch.setattr(way, "solve", failing_solve(way.solve))
-
-
-@every_way
-def test_a_failed_solve_uses_the_rest_of_the_last_plan(monkeypatch, way):
-    break_solver(monkeypatch, {100, 101})
-    results, poses, times = drive(controller(**WAYS[way]), robot(), REFERENCE, 4.0)
+@every_backend
+def test_a_failed_solve_uses_the_rest_of_the_last_plan(monkeypatch, backend):
+    solver = FailingSolver(monkeypatch)
+    results, _, _ = drive(controller(**BACKENDS[backend]), robot(), REFERENCE, 4.0, change=solver.during({100, 101}))
     assert modes(results) == [Mode.TRACKING, Mode.REUSED_PLAN, Mode.TRACKING]
     assert results[100].command == pytest.approx(results[99].planned_commands[1], abs=1e-6)
     assert results[101].command == pytest.approx(results[99].planned_commands[2], abs=1e-6)
     assert "iteration limit" in results[100].message
-    assert np.abs((poses - REFERENCE.sample(times).pose)[:, :2]).max() < 0.01
+    assert results[100].solver.status is SolverStatus.MAX_ITERATIONS
 
 
-@every_way
-def test_lasting_failure_goes_down_the_whole_ladder_and_comes_back(monkeypatch, way):
-    break_solver(monkeypatch, set(range(100, 180)), status=SolverStatus.INFEASIBLE)
-    results, _, _ = drive(controller(**WAYS[way]), robot(), REFERENCE, 6.0)
+@every_backend
+def test_lasting_failure_goes_down_the_whole_ladder_and_comes_back(monkeypatch, backend):
+    solver = FailingSolver(monkeypatch, "infeasible")
+    ticks = set(range(100, 180))
+    results, _, _ = drive(controller(**BACKENDS[backend]), robot(), REFERENCE, 6.0, change=solver.during(ticks))
     assert modes(results) == [Mode.TRACKING, Mode.REUSED_PLAN, Mode.BRAKING, Mode.STOPPED, Mode.TRACKING]
     assert sum(r.mode is Mode.REUSED_PLAN for r in results) == 5
     assert (slews(results) <= SLEW + 1e-12).all()
 
 
-@every_way
-def test_a_plan_that_is_not_finite_is_not_driven(monkeypatch, way):
-    break_solver(monkeypatch, {100}, status=SolverStatus.SOLVED, garbage=math.nan)
-    results, _, _ = drive(controller(**WAYS[way]), robot(), REFERENCE, 3.0)
+@every_backend
+def test_a_plan_that_is_not_finite_is_not_driven(monkeypatch, backend):
+    solver = FailingSolver(monkeypatch, "solved", garbage=math.nan)
+    results, _, _ = drive(controller(**BACKENDS[backend]), robot(), REFERENCE, 3.0, change=solver.during({100}))
     assert results[100].mode is Mode.REUSED_PLAN
     assert np.isfinite([r.command for r in results]).all()
 
 
-def poison_condensed(way):
-    way._solver._multipliers = np.full_like(way._solver._multipliers, 1e12)
-    way._solver._kinds = tuple(range(9))
-
-
-def poison_sparse(way):
-    for workspace in way._workspaces.values():
-        workspace._dual[:] = 1e12
-
-
-@every_way
-def test_a_failed_warm_start_is_not_carried_on(monkeypatch, way):
+@every_backend
+def test_a_failed_warm_start_is_not_carried_on(monkeypatch, backend):
     """After a failure the solver starts cold: the next solves succeed, whatever the failed one left behind."""
-    chosen, spoil = (SparseSolver, poison_sparse) if "sparse" in way else (CondensedWay, poison_condensed)
-    poisoned = []
+    solver = FailingSolver(monkeypatch, garbage=1e12)
+    results, _, _ = drive(controller(**BACKENDS[backend]), robot(), REFERENCE, 2.0, change=solver.during({50}))
+    assert [r.solver.status.usable for r in results].count(False) == 1
+    assert solver.solves >= len(results) - 5, "the backend must have been asked all the time"
 
-    def poison(self, tick, guess, solve=chosen.solve):
-        solution = solve(self, tick, guess)
-        if len(poisoned) == 50:
-            spoil(self)
-            solution = Solution(solution.plan, SolverReport(SolverStatus.MAX_ITERATIONS))
-        poisoned.append(solution.report.status)
-        return solution
 
-    monkeypatch.setattr(chosen, "solve", poison)
-    # Tight enough that limits matter all the time.
-    drive(controller(**WAYS[way] | {"limits.v_slew": 0.3}), robot(), REFERENCE, 2.0)
-    assert [status.usable for status in poisoned].count(False) == 1
+@every_backend
+def test_the_iteration_limit_is_kept_and_what_it_leaves_is_not_driven(backend):
+    limited = controller(**BACKENDS[backend] | {"solver.max_iterations": 10, "solver.tolerance": 1e-9})
+    results, _, _ = drive(limited, robot(), REFERENCE, 1.0)
+    failed = [r for r in results if r.solver.status is SolverStatus.MAX_ITERATIONS]
+    assert failed
+    assert not any(r.mode is Mode.TRACKING for r in failed)
+
+
+def test_a_problem_that_is_not_finite_is_reported_and_not_solved():
+    reference = SpoiltReference(REFERENCE)
+
+    def spoil(k, m):
+        reference.spoilt = 60 <= k < 63
+        return m
+
+    results, _, _ = drive(controller(), robot(), reference, 2.0, change=spoil)
+    assert modes(results) == [Mode.TRACKING, Mode.REUSED_PLAN, Mode.TRACKING]
+    assert {r.solver.status for r in results[60:63]} == {SolverStatus.NOT_FINITE}
+    assert not SolverStatus.NOT_FINITE.usable
+
+
+BRAKE = {"limits.v_braking": 0.7, "limits.omega_braking": 1.1}
+
+
+@pytest.mark.parametrize("slew", [{"limits.v_slew": 0.001, "limits.omega_slew": 0.001}, {}])
+def test_braking_keeps_its_own_limits_whatever_the_slew_is(slew):
+    """With all sensors gone the robot stands in time, though a tiny slew was set while it drove."""
+    driver, base = controller(**BRAKE), robot()
+    drive(driver, base, REFERENCE, 3.0)
+    driver.update(limits={key.partition(".")[2]: value for key, value in slew.items()})
+    results = []
+    for _ in range(200):
+        results.append(driver.step(base.time, Measurement()))
+        base.advance(results[-1].command)
+    assert modes(results) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED]
+    braking = [k for k, r in enumerate(results) if r.mode is Mode.BRAKING]
+    commands = np.array([r.command for r in results])
+    speed = np.abs(commands[braking[0] - 1])
+    assert speed.min() > 0.4
+    # Constant rates until each channel is at rest; nothing else takes part.
+    for channel, rate in enumerate((0.7, 1.1)):
+        expected = np.maximum(speed[channel] - rate * DT * np.arange(1, len(braking) + 2), 0.0)
+        assert np.abs(commands[braking[0] : braking[-1] + 2, channel]) == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_hold_brakes_and_the_end_ramps_down_at_the_limits_of_braking():
+    driver, base = controller(**BRAKE), robot()
+    drive(driver, base, REFERENCE, 2.0)
+    held = [driver.step(base.time + k * DT, Measurement(), Hold("pause")) for k in range(3)]
+    assert modes(held) == [Mode.BRAKING]
+    assert slews(held) == pytest.approx(np.tile([0.7, 1.1], (2, 1)) * DT, abs=1e-12)
+    cane = load_trajectory("cane")
+    # So wide a finish that it is reached in full motion.
+    far = controller(**BRAKE | {"finish.position": 5.0, "finish.speed": 5.0, "weights.v": 2000.0})
+    results, _, _ = drive(far, IdealRobot(load_model("ssm").discretise(DT), np.zeros(3)), cane, cane.duration + 1.0)
+    finished = [r.mode for r in results].index(Mode.FINISHED)
+    ramp = np.abs([r.command for r in results[finished - 1 :]])
+    assert (ramp[:-1] - ramp[1:] <= np.array([0.7, 1.1]) * DT + 1e-12).all()
+    assert not ramp[-1].any()
 
 
 numbers = st.floats(allow_nan=True, allow_infinity=True)
@@ -327,9 +353,9 @@ spoils = st.dictionaries(
 
 
 @settings(max_examples=75)
-@given(spoils, st.integers(3, 20), st.sampled_from(list(WAYS)))
-def test_whatever_arrives_the_command_is_finite_and_inside_its_limits(faults, horizon, way):
-    driver, base = controller(horizon=horizon, **WAYS[way]), robot()
+@given(spoils, st.integers(3, 20), st.sampled_from(["osqp", "daqp"]))
+def test_whatever_arrives_the_command_is_finite_and_inside_its_limits(faults, horizon, backend):
+    driver, base = controller(horizon=horizon, **{"solver.backend": backend}), robot()
     driver.start(REFERENCE, 0.0)
     last = np.zeros(2)
     for k in range(60):

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from diffdrive_mpc.mpc.feed_forward import FeedForward
 
 from diffdrive_mpc.models import VelocityModel, load_model
-from diffdrive_mpc.mpc.feed_forward import FeedForward
-from diffdrive_mpc.mpc.slip import Slip
+from diffdrive_mpc.mpc.estimation.slip import Slip
 
 DT = 0.0202
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from diffdrive_mpc.mpc.kalman import Belief, SlipFilter
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from diffdrive_mpc.models import integrate_pose, load_model
 from diffdrive_mpc.mpc.config.schema import Compensation, Estimator
-from diffdrive_mpc.mpc.kalman import Belief, SlipFilter
 
 DT = 0.0202
 MODEL = load_model("ssm").with_extra_dead_time([0.01, 0.03]).discretise(DT)

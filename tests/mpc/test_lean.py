@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from diffdrive_mpc.mpc.lean import lean
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from diffdrive_mpc.mpc.config.schema import Weights
-from diffdrive_mpc.mpc.lean import lean
 
 speeds = st.floats(-1.5, 1.5)
 rates = st.floats(-2.0, 2.0)

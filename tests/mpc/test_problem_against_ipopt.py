@@ -5,16 +5,16 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from diffdrive_mpc.mpc.condensed import Condenser
+from diffdrive_mpc.mpc.qp.condensed_solver import CondensedSolver
+from diffdrive_mpc.mpc.tick import Tick
+from diffdrive_mpc.mpc.ways import make_way
 
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.mpc import load_config
-from diffdrive_mpc.mpc.condensed import Condenser
+from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.problem import TrackingProblem
-from diffdrive_mpc.mpc.qp.condensed_solver import CondensedSolver
-from diffdrive_mpc.mpc.slip import Slip
-from diffdrive_mpc.mpc.solver_report import SolverStatus
-from diffdrive_mpc.mpc.tick import Tick
-from diffdrive_mpc.mpc.ways import make_way
+from diffdrive_mpc.mpc.solver.report import SolverStatus
 
 DT = 0.0202
 EXTRA = (0.011, 0.033)

@@ -10,7 +10,7 @@ from ros_parts import CONFIG, DT, stack
 from std_srvs.srv import Trigger
 
 from diffdrive_mpc.mpc.ros.control_loop import LoopState
-from diffdrive_mpc.mpc.solver_report import SolverReport, SolverStatus
+from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 from diffdrive_mpc.mpc.step_result import Mode
 
 LIMITS = CONFIG.limits

@@ -1,0 +1,149 @@
+"""The commands that run and report: `simulate` one case, and the studies `bench`, `tracking`, `reproduce`, `speed`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from diffdrive_mpc.bench.case import HORIZONS, split_names, split_numbers
+from diffdrive_mpc.bench.commands.one_line_errors import FAILED
+from diffdrive_mpc.bench.commands.options import (
+    ConfigFile,
+    Jobs,
+    Settings,
+    Sweep,
+    file_option,
+    out_option,
+    parts_option,
+    with_dimensions,
+)
+
+EXAMPLES = {
+    "simulate": "Example: diffdrive-mpc simulate --model ssm --trajectory square --set horizon=20 --out results",
+    "bench": "Example: diffdrive-mpc bench --out results --models ssm --set weights.across=60,120,240",
+    "tracking": "Example: diffdrive-mpc tracking --out results --quick --only cross,bound",
+    "reproduce": "Example: diffdrive-mpc reproduce --out results --only virtual_track",
+    "speed": "Example: diffdrive-mpc speed --out results --quick --peers ours,acados",
+}
+
+
+@with_dimensions()
+def simulate(
+    *,
+    config: ConfigFile = None,
+    settings: Settings = None,
+    out: Annotated[Path | None, out_option("figures")] = None,
+    log: Annotated[Path | None, typer.Option(help="CSV file for the log of the run.", show_default=False)] = None,
+    **values: Any,  # noqa: ANN401 - text or number
+) -> None:
+    """Run one closed loop and print how well it tracked; --out draws it, --log writes it as CSV."""
+    from diffdrive_mpc.bench.studies.comparison.single import simulate_one  # noqa: PLC0415 - --help does without it
+
+    simulate_one(values, config=config, settings=settings or [], out=out, log=log)
+
+
+@with_dimensions(several=True)
+def bench(
+    *,
+    out: Annotated[Path, out_option("bench.json, bench.md and figures/")],
+    config: ConfigFile = None,
+    settings: Sweep = None,
+    horizons: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LIST|none",
+            help="Horizons to sweep in steps.",
+            show_default=f"{','.join(map(str, HORIZONS))}; none with --set, --scenario or --quick",
+        ),
+    ] = None,
+    jobs: Jobs = None,
+    quick: Annotated[bool, typer.Option("--quick", help="One seed and no horizon sweep.")] = False,
+    **values: str | None,
+) -> None:
+    """Compare controllers on trajectories. Options that name several things take them with commas between.
+
+    The exit code is 1 when a run of the predictive controller did not complete; the report is written all the same.
+    """
+    from diffdrive_mpc.bench.studies.comparison.plan import read_options  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.studies.comparison.results import incomplete  # noqa: PLC0415
+    from diffdrive_mpc.bench.studies.comparison.study import ComparisonStudy  # noqa: PLC0415
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+
+    asked = read_options(values, horizons=horizons, config=config, settings=settings or [], quick=quick)
+    complaint = incomplete(carry_out(ComparisonStudy(asked), out, jobs))
+    if complaint:
+        typer.echo(f"error: {complaint}", err=True)
+        raise typer.Exit(FAILED)
+
+
+def tracking(
+    *,
+    out: Annotated[Path, out_option("tracking.json, tracking.md and figures/")],
+    quick: Annotated[bool, typer.Option("--quick", help="A small study of under a minute.")] = False,
+    study: Annotated[Path | None, file_option("Study file", "--study")] = None,
+    only: Annotated[str | None, parts_option("targets, ablation, cross, surfaces, scenarios, bound")] = None,
+    jobs: Jobs = None,
+) -> None:
+    """Run the tracking study and write its tables and figures: about ten minutes on two cores."""
+    from diffdrive_mpc.bench.studies.tracking.settings import PARTS, load_study  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.studies.tracking.study import TrackingStudy  # noqa: PLC0415
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+
+    if quick and study is not None:
+        raise ValueError(f"--study {study}: --quick has a study of its own; give one of them")
+    parts = PARTS if only is None else split_names(only, "--only")
+    carry_out(TrackingStudy(load_study(study, quick=quick), parts), out, jobs)
+
+
+def reproduce(
+    *,
+    out: Annotated[Path, out_option("reproduce.json, reproduce.md and figures/")],
+    quick: Annotated[bool, typer.Option("--quick", help="A small study of under a minute.")] = False,
+    only: Annotated[str | None, parts_option("mbm_sm, ssm, cost, virtual_track")] = None,
+    jobs: Jobs = None,
+) -> None:
+    """Repeat the papers' experiments on the simulated robot and say which findings hold: minutes on two cores."""
+    from diffdrive_mpc.bench.studies.reproduce.settings import PARTS, load_study  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.studies.reproduce.study import ReproduceStudy  # noqa: PLC0415
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+
+    parts = PARTS if only is None else split_names(only, "--only")
+    carry_out(ReproduceStudy(load_study(quick=quick), parts), out, jobs)
+
+
+def speed(
+    *,
+    out: Annotated[Path, out_option("speed.json, speed.md and figures/")],
+    quick: Annotated[bool, typer.Option("--quick", help="One model, two horizons, a short drive.")] = False,
+    peers: Annotated[
+        str | None,
+        typer.Option(metavar="NAMES", help="Subjects; `ours` and `casadi` are groups.", show_default="all of them"),
+    ] = None,
+    models: Annotated[str | None, typer.Option(metavar="NAMES", help="Models.", show_default="mbm,sm,ssm")] = None,
+    horizons: Annotated[
+        str | None, typer.Option(metavar="NUMBERS", help="Horizons.", show_default="10,20,30,50,100")
+    ] = None,
+    settings: Annotated[Path | None, file_option("Settings", "--settings")] = None,
+    environment: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of the peers' own environment; made there if it is not.",
+            show_default="in the user's cache folder",
+        ),
+    ] = None,
+) -> None:
+    """Time whole steps of the controller and of its peers on the same problem: about a quarter of an hour."""
+    from diffdrive_mpc.bench.studies.speed.settings import chosen, load_speed_settings  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.studies.speed.study import SpeedStudy  # noqa: PLC0415
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+
+    loaded = load_speed_settings(settings, quick=quick)
+    changes: dict[str, object] = {}
+    if models is not None:
+        changes["models"] = split_names(models, "--models")
+    if horizons is not None:
+        changes["horizons"] = split_numbers(horizons, "--horizons", least=1)
+    names = None if peers is None else split_names(peers, "--peers")
+    carry_out(SpeedStudy(chosen(loaded.model_copy(update=changes), names), environment), out)

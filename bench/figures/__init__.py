@@ -1,1 +1,0 @@
-"""Figures of runs and experiments: matplotlib without a display, readable in print and with any colour vision."""

@@ -1,0 +1,197 @@
+"""How cases went: put together by what they share, the figures over them that tables and figures show, and rows."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+from pydantic import BaseModel
+
+from diffdrive_mpc.bench.case import DIMENSIONS, Case
+from diffdrive_mpc.bench.controllers import run_case
+from diffdrive_mpc.bench.runner import OnDone, run_tasks
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.sim import Metrics, Run
+from diffdrive_mpc.sim.metrics.recovery import Recovery
+
+STATISTICS = "true pose against the reference, from t = 0 to the end of the reference, no settling time added"
+
+
+class Scored(Protocol):
+    """A case and the statistics of its run."""
+
+    @property
+    def case(self) -> Case:
+        """What was run."""
+        ...
+
+    @property
+    def metrics(self) -> Metrics:
+        """Its statistics."""
+        ...
+
+    @property
+    def recovery(self) -> Recovery:
+        """How it came back after a disturbance."""
+        ...
+
+
+S = TypeVar("S", bound=Scored)
+K = TypeVar("K")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A case and all of its run; satisfies `Scored`."""
+
+    case: Case
+    run: Run
+
+    @property
+    def metrics(self) -> Metrics:
+        """Statistics of the run."""
+        return self.run.metrics
+
+    @property
+    def recovery(self) -> Recovery:
+        """How it came back after a disturbance."""
+        return self.run.recovery
+
+
+def run_cases(cases: Sequence[Case], jobs: int, on_done: OnDone) -> list[Outcome]:
+    """Run cases, see `bench.runner.run_tasks`."""
+    runs = run_tasks([partial(_recorded, case) for case in cases], jobs, on_done)
+    return [Outcome(case, run) for case, run in zip(cases, runs, strict=True)]
+
+
+def _recorded(case: Case) -> Run:
+    """Run a case and work out its errors where there are several processes to do it."""
+    run = run_case(case)
+    _ = run.errors
+    return run
+
+
+def mean(outcomes: Iterable[Scored], metric: str) -> float:
+    """Mean of one metric over runs; NaN without runs, and where one of them could not compute it."""
+    values = [getattr(outcome.metrics, metric) for outcome in outcomes]
+    return float(np.mean(values)) if values else math.nan
+
+
+def worst(outcomes: Iterable[Scored], metric: str) -> float:
+    """Largest value of one metric over runs."""
+    return float(np.max([getattr(outcome.metrics, metric) for outcome in outcomes]))
+
+
+def count(outcomes: Iterable[Scored], metric: str) -> int:
+    """Sum over runs of one metric that counts, or that is true or not."""
+    return sum(getattr(outcome.metrics, metric) for outcome in outcomes)
+
+
+def recoveries(outcomes: Iterable[Scored], figure: str) -> FloatArray:
+    """(runs,) one figure of the recovery from the disturbance."""
+    return np.array([getattr(outcome.recovery, figure) for outcome in outcomes])
+
+
+def step_times(outcomes: Iterable[Outcome]) -> FloatArray:
+    """Step times of all counted ticks of several runs [s]."""
+    return np.concatenate([outcome.run.step_time[outcome.run.counted] for outcome in outcomes])
+
+
+def group(outcomes: Iterable[S], key: Callable[[S], K]) -> dict[K, list[S]]:
+    """Outcomes by a key, in the order of first appearance."""
+    grouped: dict[K, list[S]] = {}
+    for outcome in outcomes:
+        grouped.setdefault(key(outcome), []).append(outcome)
+    return grouped
+
+
+def by(dimension: str, outcomes: Iterable[S]) -> dict[str, list[S]]:
+    """Outcomes by the label of a dimension, in the order of first appearance."""
+    return group(outcomes, lambda outcome: outcome.case.labels[dimension])
+
+
+def by_model(outcomes: Iterable[S]) -> dict[str, list[S]]:
+    """Outcomes by the name of their model as tables write it."""
+    return group(outcomes, lambda outcome: model_name(outcome.case.labels["model"]))
+
+
+def by_horizon(outcomes: Iterable[S]) -> dict[int, list[S]]:
+    """Outcomes of predictive controllers by horizon, shortest first."""
+    grouped = group(outcomes, lambda outcome: outcome.case.horizon)
+    return dict(sorted((steps, group) for steps, group in grouped.items() if steps is not None))
+
+
+def nested(outcomes: Iterable[S], *dimensions: str) -> list[tuple[tuple[str, ...], list[S]]]:
+    """Groups by several dimensions, the first varying most slowly, each with the names that tables give it."""
+    if not dimensions:
+        return [((), list(outcomes))]
+    first, *rest = dimensions
+    return [
+        ((model_name(name) if first == "model" else name, *names), runs)
+        for name, part in by(first, outcomes).items()
+        for names, runs in nested(part, *rest)
+    ]
+
+
+def with_mean(grouped: Mapping[str, list[S]]) -> list[tuple[str, list[S]]]:
+    """Groups, and where there are several, below them everything under "mean"."""
+    parts = list(grouped.items())
+    return [*parts, ("mean", [one for part in grouped.values() for one in part])] if len(parts) > 1 else parts
+
+
+def by_driver(outcomes: Sequence[S]) -> dict[str, list[S]]:
+    """Outcomes by what is compared: controller and model, and place and settings where they vary.
+
+    The names of a dimension that does not vary are left out, and so is "mpc" beside the name of its model.
+    """
+    varying = [one for one in DIMENSIONS if one.place and len(by(one.name, outcomes)) > 1]
+    several = len({outcome.case.overrides for outcome in outcomes if outcome.case.controller == "mpc"}) > 1
+
+    def driver(outcome: S) -> str:
+        labels = outcome.case.labels
+        parts = [model_name(labels["model"]) if labels["controller"] == "mpc" else labels["controller"]]
+        parts += [labels[one.name] if one.kind is str else f"{one.name}={labels[one.name]}" for one in varying]
+        parts += [f"{key}={value}" for key, value in outcome.case.overrides] if several else []
+        return ", ".join(parts)
+
+    return group(outcomes, driver)
+
+
+def model_name(name: str) -> str:
+    """Name of a model as the papers write it, or that of the user's file."""
+    return name.upper() if name in MODEL_NAMES else name
+
+
+def metrics_row(outcome: Scored) -> dict[str, object]:
+    """Statistics of one run for JSON."""
+    return asdict(outcome.metrics)
+
+
+def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401 - whatever JSON takes
+    """Dataclasses, settings, mappings, sequences and arrays as dicts, lists and numbers; what is not finite as None.
+
+    Parameters
+    ----------
+    value
+        What is to be written.
+    digits
+        Significant digits of every number that is not whole; None for all of them.
+    """
+    if isinstance(value, BaseModel):
+        value = value.model_dump(mode="json")
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = {of.name: getattr(value, of.name) for of in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry, digits) for key, entry in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [plain(entry, digits) for entry in value]
+    if isinstance(value, (float, np.floating)):
+        number = float(value) if digits is None else float(f"{value:.{digits}g}")
+        return number if math.isfinite(number) else None
+    return value

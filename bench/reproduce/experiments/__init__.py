@@ -1,1 +1,0 @@
-"""One experiment each, from drives to numbers."""

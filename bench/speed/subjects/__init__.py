@@ -1,1 +1,0 @@
-"""Who solves the problem: our controller, and peers that get it stage by stage."""

@@ -1,0 +1,1 @@
+"""The studies, each with its plan, its runs, its tables and its figures."""

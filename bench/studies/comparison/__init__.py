@@ -1,0 +1,1 @@
+"""What `diffdrive-mpc bench` compares: controllers, models and settings on trajectories, and horizons."""

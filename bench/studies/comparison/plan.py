@@ -1,0 +1,177 @@
+"""Which cases the comparison consists of."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, create_model
+
+from diffdrive_mpc.bench.case import DIMENSIONS, HORIZONS, NO_MODEL, Case, Overrides, combinations, label, split_numbers
+from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases, chosen_model
+from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.bench.sweep import sweep_settings
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
+
+_ONLY_OURS = ("models", "config", "settings", "horizons")
+"""What a peer takes none of."""
+
+
+class ComparisonSettings(StrictModel):
+    """What is compared: beside what stands here the values of every dimension, under its name in the plural."""
+
+    horizons: tuple[Annotated[int, Field(ge=1)], ...] = Field((), description="of the sweep [steps]; empty for none")
+    config: str | None = Field(None, description="controller configuration file in place of the shipped ones")
+    settings: tuple[Overrides, ...] = Field(((),), description="combinations of swept configuration values")
+
+    def values(self, dimension: str) -> tuple[Any, ...]:
+        """Values of a dimension by its name in the plural."""
+        values: tuple[Any, ...] = getattr(self, dimension)
+        return values
+
+    @property
+    def ours(self) -> bool:
+        """Whether a controller is among them that has a model and a configuration."""
+        return not set(self.values("controllers")) <= set(PEERS)
+
+
+_DIMENSIONS: dict[str, Any] = {
+    one.several: (Annotated[tuple[one.kind, ...], Field(min_length=1)], one.compared)  # type: ignore[name-defined]
+    for one in DIMENSIONS
+}
+_WithDimensions = create_model("ComparisonSettings", __base__=ComparisonSettings, **_DIMENSIONS)
+
+
+def default_settings() -> ComparisonSettings:
+    """What `bench` runs without options."""
+    return _WithDimensions(horizons=HORIZONS)
+
+
+def read_options(
+    values: Mapping[str, str | None],
+    *,
+    horizons: str | None = None,
+    config: Path | None = None,
+    settings: Sequence[str] = (),
+    quick: bool = False,
+) -> ComparisonSettings:
+    """What the options of the command ask for.
+
+    Parameters
+    ----------
+    values
+        By the plural of a dimension's name, the text of its option; None where it was not given.
+    horizons, config, settings, quick
+        As typed.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError, ValueError
+        If an option cannot be used.
+    """
+    default = default_settings()
+    given = {one: text for one in DIMENSIONS if (text := values.get(one.several)) is not None}
+    asked: dict[str, object] = {one.several: one.read(text, one.list_option) for one, text in given.items()}
+    chosen = default.model_copy(update={"settings": tuple(sweep_settings(settings)), **asked})
+    if not chosen.ours:
+        if any((values.get("models") is not None, config is not None, settings, horizons is not None)):
+            name = chosen.values("controllers")[0]
+            raise ConfigError(f"the controller '{name}' takes no --models, --config, --set or --horizons")
+        asked["horizons"] = ()
+    elif horizons is not None:
+        asked["horizons"] = _horizons(horizons, settings)
+    elif quick or settings or "scenarios" in asked:
+        asked["horizons"] = ()
+    if config is not None:
+        asked = {"config": str(config), "models": (chosen_model(None, config),)} | asked
+    if quick:
+        asked.setdefault("seeds", default.values("seeds")[:1])
+    return chosen.model_copy(update=asked)
+
+
+def _horizons(text: str, settings: Sequence[str]) -> tuple[int, ...]:
+    if text.strip().lower() == "none":
+        return ()
+    if any(setting.partition("=")[0].strip() == "horizon" for setting in settings):
+        raise ConfigError("--horizons and --set horizon=...: give one of them")
+    return split_numbers(text, "--horizons", least=1)
+
+
+@dataclass(frozen=True)
+class CasePlan:
+    """Cases of a comparison. A case may belong to both parts; it is run once.
+
+    Attributes
+    ----------
+    main
+        Every combination of controllers, models, settings and the other dimensions.
+    horizon
+        Models x horizons x trajectories with the first of everything else.
+    """
+
+    main: tuple[Case, ...]
+    horizon: tuple[Case, ...]
+
+    @property
+    def all(self) -> tuple[Case, ...]:
+        """Every case once, in order."""
+        return tuple(dict.fromkeys((*self.main, *self.horizon)))
+
+
+def plan_cases(settings: ComparisonSettings) -> CasePlan:
+    """List the cases, after a check that everything they name exists and can be used.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError, ValueError
+        If a value of a dimension or of the configuration cannot be used, or two values would have the same name in
+        tables and figures.
+    """
+    controllers, models = settings.values("controllers"), settings.values("models")
+    unknown = [name for name in controllers if name not in CONTROLLERS]
+    if unknown:
+        raise ConfigError(f"unknown controller '{unknown[0]}'; known: {', '.join(CONTROLLERS)}")
+    _check_labels(settings)
+    ours = [Case(model=model, config=settings.config) for model in models] if settings.ours else []
+    drivers = [replace(case, overrides=values) for case in ours for values in settings.settings]
+    peers = {name: [Case(controller=name, model=NO_MODEL)] for name in controllers if name in PEERS}
+    # Trajectories and seeds vary fastest.
+    several = {one.name: settings.values(one.several) for one in DIMENSIONS if one.place}
+    several |= {"trajectory": settings.values("trajectories"), "seed": settings.values("seeds")}
+    places = [{name: getattr(case, name) for name in several} for case in combinations(**several)]
+    main = [replace(driver, **place) for name in controllers for driver in peers.get(name, drivers) for place in places]
+    first = {name: values[0] for name, values in several.items() if name != "trajectory"}
+    horizon = [
+        _at_horizon(replace(case, overrides=settings.settings[0], trajectory=trajectory, **first), steps)
+        for case, steps, trajectory in itertools.product(ours, settings.horizons, several["trajectory"])
+    ]
+    plan = CasePlan(tuple(main), tuple(horizon))
+    check_cases(plan.all)
+    return plan
+
+
+def _at_horizon(case: Case, steps: int) -> Case:
+    """The case with another horizon, or itself where that is its own: equal cases run once."""
+    return case if case.horizon == steps else case.with_override("horizon", steps)
+
+
+def _check_labels(settings: ComparisonSettings) -> None:
+    """Refuse two files with the same stem in one dimension: tables and figures would merge them.
+
+    A model stands under its name where a peer stands under its own; upper and lower case make no file of their own.
+    """
+    dimensions = {one.several: settings.values(one.several) for one in DIMENSIONS}
+    peers = tuple(name for name in dimensions.pop("controllers") if name in PEERS)
+    dimensions["models"] = (*peers, *dimensions["models"]) if settings.ours else peers
+    for dimension, names in dimensions.items():
+        seen: dict[str, str] = {}
+        for name in names:
+            other = seen.setdefault(label(name).casefold(), name)
+            if other != name:
+                raise ConfigError(
+                    f"{dimension}: '{other}' and '{name}' would both be '{label(name)}' in tables and figures; "
+                    f"rename one file"
+                )

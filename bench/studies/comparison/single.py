@@ -1,0 +1,94 @@
+"""One case for `diffdrive-mpc simulate`: run it, print its tables, draw it, log it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
+from diffdrive_mpc.bench.controllers import build, chosen_model
+from diffdrive_mpc.bench.outcomes import Outcome, by_driver
+from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.studies.comparison.tables import error_table, path_table, scenario_table, summary_table
+from diffdrive_mpc.bench.sweep import single_settings
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.whole_file import whole_file
+from diffdrive_mpc.sim import simulate
+from diffdrive_mpc.sim.log_csv import write_rows
+
+_MESSAGES_SHOWN = 5
+
+
+def simulate_one(
+    values: Mapping[str, Any], *, config: Path | None, settings: Sequence[str], out: Path | None, log: Path | None
+) -> None:
+    """Run a case, print its tables, and write figures and log where asked.
+
+    Parameters
+    ----------
+    values
+        By dimension, `model` being None where it was not given.
+    config, settings, out, log
+        As typed.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError, ValueError, OSError
+        If a name, a file, a value or a place to write to cannot be used; before the run, and nothing is made then.
+    """
+    name, model = values["controller"], values["model"]
+    if name in PEERS and (settings or config is not None or model is not None):
+        raise ConfigError(f"the controller '{name}' takes no --model, --config or --set")
+    model = NO_MODEL if name in PEERS else chosen_model(model, config)
+    file = None if config is None else str(config)
+    case = Case(**{**values, "model": model}, config=file, overrides=single_settings(settings))
+    parts = build(case)
+    with ExitStack() as stack:
+        draft = None if log is None else stack.enter_context(_log_file(log))
+        folder = None if out is None else stack.enter_context(staged(out))
+        with ProgressBar("simulating") as bar:
+            run = simulate(*parts, on_tick=bar.at)
+        if draft is not None:
+            write_rows(run, draft)
+        if folder is not None:
+            _draw(Outcome(case, run), folder)
+    _print(Outcome(case, run))
+
+
+@contextmanager
+def _log_file(log: Path) -> Iterator[Path]:
+    """Where to write the log to; a refusal names the option."""
+    with ExitStack() as stack:
+        try:
+            draft = stack.enter_context(whole_file(log))
+        except ConfigError as error:
+            raise ConfigError(f"--log {error}") from error
+        yield draft
+
+
+def _print(outcome: Outcome) -> None:
+    console = output_console()
+    shown = [summary_table, error_table, path_table]
+    for make in (*shown, scenario_table) if outcome.case.scenario != NO_SCENARIO else shown:
+        console.print(make([outcome]).rich())
+    if outcome.run.ended:
+        console.print(f"not completed: {outcome.run.ended}", markup=False, highlight=False)
+    said = [message for message in dict.fromkeys(outcome.run.messages) if message]
+    for message in said[:_MESSAGES_SHOWN]:
+        console.print(f"controller: {message}", markup=False, highlight=False)
+    if len(said) > _MESSAGES_SHOWN:
+        console.print(f"and {len(said) - _MESSAGES_SHOWN} other messages", highlight=False)
+
+
+def _draw(outcome: Outcome, folder: Path) -> None:
+    from diffdrive_mpc.bench.figure_style import file_name  # noqa: PLC0415 - matplotlib loads slowly
+    from diffdrive_mpc.bench.studies.comparison.figures import draw_case, draw_step_times  # noqa: PLC0415
+
+    (who,) = by_driver([outcome])
+    title = f"{who}, {outcome.case.labels['trajectory']}"
+    draw_case(outcome.run, f"{title}, seed {outcome.case.seed}", folder / f"{file_name(title)}.png")
+    draw_step_times([outcome], folder / f"{file_name(title)}-step-time.png")

@@ -1,0 +1,70 @@
+"""The comparison as a study: run in parallel for the motion, then serially for the step times."""
+
+from __future__ import annotations
+
+from diffdrive_mpc.bench.case import DIMENSIONS
+from diffdrive_mpc.bench.outcomes import STATISTICS, run_cases
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.studies.comparison.plan import CasePlan, ComparisonSettings, plan_cases
+from diffdrive_mpc.bench.studies.comparison.results import (
+    TIMING,
+    ComparisonResults,
+    chosen_configuration,
+    describe,
+    labelled,
+)
+from diffdrive_mpc.bench.studies.comparison.tables import report_tables
+from diffdrive_mpc.bench.study import Report, Study
+from diffdrive_mpc.bench.timing import time_outcomes
+
+
+class ComparisonStudy(Study[CasePlan, ComparisonResults]):
+    """What `settings` ask for."""
+
+    name = "bench"
+    title = "Bench"
+
+    def __init__(self, settings: ComparisonSettings) -> None:
+        self.settings = settings
+
+    def plan(self) -> CasePlan:
+        """The cases; raises ConfigError or ValueError if one of them cannot be run."""
+        return plan_cases(self.settings)
+
+    def run(self, plan: CasePlan, jobs: int, bar: ProgressBar) -> ComparisonResults:
+        """Run every case, and time the controllers' steps; raises NotReproducibleError where a replay differs."""
+        bar.begin(f"running, {jobs} at a time", len(plan.all))
+        recorded = run_cases(plan.all, jobs, bar.advance)
+        bar.begin("timing, one at a time", len(recorded))
+        timed, cpu_share = time_outcomes(recorded, bar.advance)
+        outcomes = {outcome.case: outcome for outcome in timed}
+        main, horizon = (tuple(outcomes[case] for case in cases) for cases in (plan.main, plan.horizon))
+        return ComparisonResults(self.settings, main, horizon, cpu_share)
+
+    def report(self, results: ComparisonResults, seconds: float) -> Report:
+        """The overview above the tables, the runs of the first seed one by one below."""
+        from diffdrive_mpc.bench.studies.comparison.figures import drawings  # noqa: PLC0415 - matplotlib loads slowly
+
+        shown = [one for one in DIMENSIONS if (one.place or one.name == "seed") and one.name not in results.silent]
+        asked = [
+            f"{one.name if one.place and len(values) == 1 else one.several} {', '.join(map(str, values))}"
+            for one in shown
+            if (values := labelled(self.settings, one.several))
+        ]
+        chosen = chosen_configuration(self.settings)
+        return Report(
+            counted=f"{len(results.all)} runs",
+            meta=describe(self.settings, results.cpu_share),
+            content={"runs": results.rows()},
+            facts=[
+                f"{len(results.all)} runs in {seconds} s; {', '.join(asked)}.",
+                *([f"Configuration: {chosen}."] if chosen else []),
+            ],
+            notes=[
+                f"Errors: {STATISTICS}.",
+                f"Step times: {TIMING}; the process had the core for {100 * results.cpu_share:.0f} % of that time.",
+            ],
+            tables=report_tables(results),
+            figures=drawings(results),
+            figures_first=1,
+        )

@@ -1,0 +1,163 @@
+"""The controller on a stand-in of an identified robot: its own model as the plant, so consistency and little more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive_mpc.bench.studies.real_logs.protocol import Proof
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.identification.configuration import MODEL_FILE
+from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE
+from diffdrive_mpc.models.identification.from_logs import FILES as IDENTIFIED
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.config.schema import Limits
+from diffdrive_mpc.sim import make_plant, simulate
+
+SURFACE = "surface.yaml"
+FILES = (*IDENTIFIED, SURFACE)
+
+
+def write_robot_files(proof: Proof, folder: Path) -> None:
+    """Write `FILES` into `folder`; raises OSError if that cannot be done."""
+    proof.found.write(folder)
+    (folder / SURFACE).write_text(surface(proof), encoding="utf-8")
+
+
+def surface(proof: Proof) -> str:
+    """Text of a surface file: what encoders count against what the body does, for a stand-in of this robot."""
+    base = proof.base
+    travel = base.pose.value("pose.travel") if base.pose else 1.0
+    return (
+        f"# {proof.log.robot}: for `model:` plants of the model file beside it, which has the yaw rate of the body.\n"
+        "slip:\n"
+        "  yaw_gain: 1.0\n"
+        f"  wheel_yaw_gain: {1 / base.point['encoders.yaw_ratio']:.5g}   # true yaw rate over that of the encoders\n"
+        f"  longitudinal_gain: {travel:.5g}   # true forward speed over that of the encoders\n"
+        "  side_slip: 0.0   # s, not identified: poses cannot tell it from the sensor's place ahead\n"
+    )
+
+
+TRAJECTORIES = ("circle", "square", "s", "cane")
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """Mean figures over seeds of one controller on one trajectory.
+
+    Attributes
+    ----------
+    controller
+        What it knows of the robot.
+    trajectory
+        Which.
+    position_rmse, position_max
+        [m]; the second the largest over all seeds.
+    heading_rmse
+        [rad].
+    lateral_rmse
+        [m].
+    completed
+        In how many of the runs the robot arrived.
+    runs
+        How many there were.
+    """
+
+    controller: str
+    trajectory: str
+    position_rmse: float
+    position_max: float
+    heading_rmse: float
+    lateral_rmse: float
+    completed: int
+    runs: int
+
+
+def drive(folder: Path, seeds: Sequence[int], on_run: Callable[[], None] | None = None) -> list[Tracking]:
+    """Drive the four trajectories on the robot whose files are in `folder`, with what is known of its base and without.
+
+    Without means the linear part of the same model and the default slew limits: the controller asks for slopes that the
+    base does not follow. Weights are the shipped ones. The trajectories are faster than the log and the stand-in ticks
+    at a rate of its own, so what the configuration says of the log's reach and rate does not hold here.
+
+    Parameters
+    ----------
+    folder
+        With the files of `write_robot_files`.
+    seeds
+        Of the sensors' noise.
+    on_run
+        Called after each run.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If a file has a mistake.
+    """
+    usual = Limits()
+    known = replace_values(load_config(folder / CONFIG_FILE), _unrestricted(usual))
+    ignorant = replace_values(known, {"limits.v_slew": usual.v_slew, "limits.omega_slew": usual.omega_slew})
+    rows = []
+    for name, config in (("knows the base's slew", known), ("linear part only", ignorant)):
+        for trajectory in TRAJECTORIES:
+            found = []
+            for seed in seeds:
+                plant = make_plant(f"model:{folder / MODEL_FILE}", surface=folder / SURFACE, seed=seed)
+                found.append(simulate(Controller(config), plant, load_trajectory(trajectory)).metrics)
+                if on_run is not None:
+                    on_run()
+            rows.append(
+                Tracking(
+                    name,
+                    trajectory,
+                    float(np.mean([metrics.position_rmse_m for metrics in found])),
+                    float(np.max([metrics.position_max_m for metrics in found])),
+                    float(np.mean([metrics.heading_rmse_rad for metrics in found])),
+                    float(np.mean([metrics.lateral_rmse_m for metrics in found])),
+                    int(np.sum([metrics.completed for metrics in found])),
+                    len(found),
+                )
+            )
+    return rows
+
+
+def _unrestricted(usual: Limits) -> dict[str, object]:
+    """The values that the log does not bind on a simulated stand-in, which obeys at any speed."""
+    reach = ("v", "omega", "predicted_v", "predicted_omega", "wheel_speed")
+    return {"sample_time": load_robot().sample_time} | {f"limits.{name}": getattr(usual, name) for name in reach}
+
+
+def tracking_table(rows: Sequence[Tracking]) -> Table:
+    """Tracking errors, a row for each controller and trajectory."""
+    return Table(
+        title="Closed loop on the identified robot",
+        columns=(
+            "controller",
+            "trajectory",
+            "position RMSE [m]",
+            "position max [m]",
+            "heading RMSE [rad]",
+            "lateral RMSE [m]",
+            "completed",
+        ),
+        rows=tuple(
+            (
+                row.controller,
+                row.trajectory,
+                f"{row.position_rmse:.4f}",
+                f"{row.position_max:.4f}",
+                f"{row.heading_rmse:.4f}",
+                f"{row.lateral_rmse:.4f}",
+                f"{row.completed}/{row.runs}",
+            )
+            for row in rows
+        ),
+        text_columns=2,
+        note="The plant is the identified model with its base effects, so this shows that controller and model agree, "
+        "and little about the real robot.",
+    )

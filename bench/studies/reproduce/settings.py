@@ -1,0 +1,55 @@
+"""What `reproduce` runs, read from `study.yaml` or, for a quick one, from `quick.yaml`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.robot import Positive
+
+PARTS = ("mbm_sm", "ssm", "cost", "virtual_track")
+"""Names of the parts, in the order of the report."""
+
+Count = Annotated[int, Field(ge=1)]
+
+
+class MbmSmStudy(StrictModel):
+    """MBM and SM from steps, held against each other on trajectories."""
+
+    trajectories: Annotated[tuple[str, ...], Field(min_length=1)]
+    free_drives: Count
+    free_duration: Positive = Field(description="[s]")
+
+
+class SsmStudy(StrictModel):
+    """SSM of several orders from one free drive."""
+
+    train_duration: Positive = Field(description="[s]")
+    largest_order: int = Field(ge=2, le=5)
+    test_drives: Count
+    free_drives: Count
+    free_duration: Positive = Field(description="[s]")
+
+
+class CostStudy(StrictModel):
+    """Simulations that are timed."""
+
+    runs: int = Field(ge=2, description="a spread takes two")
+    steps: Count
+
+
+class ReproduceSettings(StrictModel):
+    """All parts; a repetition has drives and noise of its own."""
+
+    repetitions: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)]
+    mbm_sm: MbmSmStudy
+    ssm: SsmStudy
+    cost: CostStudy
+
+
+def load_study(*, quick: bool = False) -> ReproduceSettings:
+    """Read the study; raises ConfigError when its file has a mistake."""
+    return load_checked(ReproduceSettings, Path(__file__).parent / ("quick.yaml" if quick else "study.yaml"))

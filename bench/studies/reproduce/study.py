@@ -1,0 +1,164 @@
+"""The papers' experiments on the simulated robot, beside the papers' figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from diffdrive_mpc.bench.outcomes import plain
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.runner import run_tasks
+from diffdrive_mpc.bench.studies.reproduce.cost import Cost, cost_findings, cost_table, measure_cost
+from diffdrive_mpc.bench.studies.reproduce.mbm_and_sm import (
+    MbmSmResult,
+    compare_mbm_and_sm,
+    fit_table,
+    mbm_sm_findings,
+    odometry_tables,
+)
+from diffdrive_mpc.bench.studies.reproduce.published import Finding, load_published
+from diffdrive_mpc.bench.studies.reproduce.settings import PARTS, ReproduceSettings
+from diffdrive_mpc.bench.studies.reproduce.state_space import (
+    SsmResult,
+    compare_orders,
+    free_drive_tables,
+    order_table,
+    ssm_findings,
+)
+from diffdrive_mpc.bench.studies.reproduce.virtual_track import (
+    VirtualTrackResult,
+    check_virtual_track,
+    virtual_track_findings,
+    virtual_track_table,
+)
+from diffdrive_mpc.bench.study import Draw, Report, Study, check_parts
+from diffdrive_mpc.bench.table import Table
+
+Task = Callable[[], SsmResult | MbmSmResult]
+
+
+@dataclass(frozen=True)
+class ReproduceResults:
+    """Results by part; a part that was not run is empty or None.
+
+    Attributes
+    ----------
+    mbm_sm, ssm
+        One for each repetition.
+    cost
+        By name of the model.
+    virtual_track
+        The printed tests and their lines.
+    """
+
+    mbm_sm: tuple[MbmSmResult, ...] = ()
+    ssm: tuple[SsmResult, ...] = ()
+    cost: Mapping[str, Cost] | None = None
+    virtual_track: VirtualTrackResult | None = None
+
+
+class ReproduceStudy(Study[list[Task], ReproduceResults]):
+    """The parts of `settings` that are named in `only`."""
+
+    name = "reproduce"
+    title = "The papers repeated"
+
+    def __init__(self, settings: ReproduceSettings, only: Sequence[str] = PARTS) -> None:
+        self.settings = settings
+        self._only = only
+
+    def plan(self) -> list[Task]:
+        """What is repeated, the longest first: a long one at the end would keep one core waiting."""
+        check_parts(self._only, PARTS)
+        s, only = self.settings, self._only
+        tasks: list[Task] = [partial(compare_orders, s.ssm, k) for k in s.repetitions if "ssm" in only]
+        return tasks + [partial(compare_mbm_and_sm, s.mbm_sm, k) for k in s.repetitions if "mbm_sm" in only]
+
+    def run(self, plan: list[Task], jobs: int, bar: ProgressBar) -> ReproduceResults:
+        """Repetitions in several processes, then, on a quiet machine, what is timed."""
+        timed = "cost" in self._only
+        bar.begin("running", len(plan) + 2 * self.settings.cost.runs * timed)
+        done = run_tasks(plan, jobs, bar.advance)
+        tracked = "virtual_track" in self._only
+        return ReproduceResults(
+            ssm=tuple(result for result in done if isinstance(result, SsmResult)),
+            mbm_sm=tuple(result for result in done if isinstance(result, MbmSmResult)),
+            cost=measure_cost(self.settings.cost, bar.advance) if timed else None,
+            virtual_track=check_virtual_track(load_published().virtual_track) if tracked else None,
+        )
+
+    def report(self, results: ReproduceResults, seconds: float) -> Report:
+        """Findings with their verdicts first; every result is written but paths, which would fill the file."""
+        parts = [part for part in PARTS if getattr(results, part)]
+        written = plain(results)
+        for result in written["mbm_sm"]:
+            del result["paths"]
+        findings = find(results)
+        repetitions = ", ".join(map(str, self.settings.repetitions))
+        where = f"plant mujoco, surface default, sensors default, repetitions {repetitions}"
+        return Report(
+            counted=f"{len(results.ssm) + len(results.mbm_sm)} repetitions",
+            meta={"parts": parts},
+            content={
+                "findings": [plain(finding) | {"verdict": finding.verdict} for finding in findings],
+                "study": self.settings,
+                **written,
+            },
+            facts=[f"Parts {', '.join(parts)} in {seconds} s; {where}."],
+            tables=report_tables(results, findings_table(findings, len(self.settings.repetitions))),
+            figures=_drawings(results),
+        )
+
+
+def report_tables(results: ReproduceResults, findings: Table) -> list[Table]:
+    """Those of the parts that were run, the findings first."""
+    published = load_published()
+    tables = [findings]
+    if results.mbm_sm:
+        tables += [fit_table(results.mbm_sm, published), *odometry_tables(results.mbm_sm, published)]
+    if results.ssm:
+        tables += [order_table(results.ssm, published), *free_drive_tables(results.ssm, published)]
+    if results.cost is not None:
+        tables.append(cost_table(results.cost, published))
+    if results.virtual_track is not None:
+        tables.append(virtual_track_table(results.virtual_track))
+    return tables
+
+
+def _drawings(results: ReproduceResults) -> dict[str, Draw]:
+    """Figures of the parts that were run."""
+    from diffdrive_mpc.bench.studies.reproduce import figures  # noqa: PLC0415 - matplotlib loads slowly
+
+    drawn: dict[str, Draw] = {}
+    if results.mbm_sm:
+        drawn["odometry.png"] = partial(figures.draw_odometry, results.mbm_sm)
+    if results.ssm:
+        drawn["orders.png"] = partial(figures.draw_orders, results.ssm)
+    if results.virtual_track is not None:
+        drawn["virtual-track.png"] = partial(figures.draw_virtual_track, results.virtual_track)
+    return drawn
+
+
+def find(results: ReproduceResults) -> list[Finding]:
+    """Every rule that the parts of `results` can decide."""
+    published = load_published()
+    findings: list[Finding] = []
+    if results.mbm_sm:
+        findings += mbm_sm_findings(results.mbm_sm, published)
+    if results.ssm:
+        findings += ssm_findings(results.ssm, published)
+    if results.cost is not None:
+        findings += cost_findings(results.cost, published)
+    if results.virtual_track is not None:
+        findings += virtual_track_findings(results.virtual_track, published)
+    return findings
+
+
+def findings_table(findings: Sequence[Finding], repetitions: int) -> Table:
+    """Every rule with its verdict."""
+    rows = tuple((one.claim, one.source, one.published, one.plant, one.verdict) for one in findings)
+    count = "one repetition" if repetitions == 1 else f"{repetitions} repetitions, with drives and noise of their own"
+    note = f"From {count}. Holds: in all (yes), in none (no), or in how many. Numbers are means over repetitions."
+    columns = ("finding", "source", "published", "on our plant", "holds")
+    return Table("Findings", columns, rows, text_columns=len(columns), note=note)

@@ -1,0 +1,85 @@
+"""The environment of the peers that cannot share ours: made once, kept in the user's cache folder."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from diffdrive_mpc.bench.studies.speed.process.subject import SubjectError
+from diffdrive_mpc.mpc.core.cache import user_folder
+
+REQUIREMENTS = Path(__file__).parents[1] / "subjects" / "requirements.txt"
+_READY = ".ready"
+
+
+@dataclass(frozen=True)
+class PeerEnvironment:
+    """An interpreter and the variables that a process in it needs."""
+
+    python: str
+    variables: dict[str, str]
+
+
+def peer_environment(folder: Path | None = None) -> PeerEnvironment:
+    """The environment in `folder`, by default below the cache folder; made if it is not there.
+
+    Raises
+    ------
+    bench.studies.speed.process.subject.SubjectError
+        If it cannot be made: no package index within reach, or no wheel for this system.
+    """
+    digest = hashlib.sha256(REQUIREMENTS.read_bytes() + sys.version.encode()).hexdigest()[:16]
+    folder = (folder or user_folder() / "peers" / digest).resolve()
+    if not (folder / _READY).is_file():
+        _make(folder)
+    package = next(folder.glob("lib/python*/site-packages/acados"))
+    _reachable(package)
+    return PeerEnvironment(
+        python=str(folder / "bin" / "python"),
+        variables={
+            "ACADOS_SOURCE_DIR": str(package / "install"),
+            "TERA_PATH": str(package / "install" / "bin" / "t_renderer"),
+            "LD_LIBRARY_PATH": str(package / "install" / "lib"),
+            "PYTHONPATH": str(package),
+        },
+    )
+
+
+def _make(folder: Path) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    lines = REQUIREMENTS.read_text(encoding="utf-8").splitlines()
+    first = next(line for line in lines if not line.startswith("#"))
+    _run(sys.executable, "-m", "venv", str(folder))
+    pip = (
+        str(folder / "bin" / "python"),
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+        "--no-deps",
+    )
+    _run(*pip, first)
+    _run(*pip, "--requirement", str(REQUIREMENTS))
+    (folder / _READY).touch()
+
+
+def _run(*command: str) -> None:
+    variables = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "LD_LIBRARY_PATH")}
+    done = subprocess.run(command, capture_output=True, text=True, env=variables, check=False)
+    if done.returncode:
+        said = [line.strip().removeprefix("ERROR: ") for line in done.stderr.splitlines() if line.strip()]
+        raise SubjectError(f"its environment cannot be made: {said[-1] if said else 'no reason given'}")
+
+
+def _reachable(package: Path) -> None:
+    """Its generator looks for its templates where a checkout of acados has them."""
+    place = package / "install" / "interfaces" / "acados_template"
+    place.mkdir(parents=True, exist_ok=True)
+    if not (place / "acados_template").exists():
+        (place / "acados_template").symlink_to(package / "acados_template", target_is_directory=True)

@@ -1,0 +1,125 @@
+"""The process behind one subject, as seen from here."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from multiprocessing import Pipe
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import diffdrive_mpc
+from diffdrive_mpc.models.errors import DiffdriveMpcError
+
+if TYPE_CHECKING:
+    from typing import Self
+
+_WORKER = Path(__file__).with_name("worker.py")
+_PACKAGES = Path(diffdrive_mpc.__file__).parents[1]
+"""The folder that our package is in: a peer's own environment does not know it."""
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+class SubjectError(DiffdriveMpcError, RuntimeError):
+    """A subject cannot be run; the message is why, in one line."""
+
+
+class TimedStep(NamedTuple):
+    """One step: command [m/s, rad/s], time of the whole step and inside the solver [s], iterations, whether solved."""
+
+    command: tuple[float, float]
+    whole: float
+    inside: float
+    iterations: int
+    solved: bool
+
+
+class Subject:
+    """A persistent process; everything it is asked for is answered before the next question.
+
+    Parameters
+    ----------
+    kind
+        See `bench.studies.speed.process.worker.KINDS`.
+    folder
+        Its own, for code that it generates and for what it prints.
+    python
+        Interpreter and environment variables, by default our own.
+    """
+
+    def __init__(
+        self, kind: str, folder: Path, python: str = sys.executable, variables: dict[str, str] | None = None
+    ) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder = folder
+        self._connection, other = Pipe()
+        with (folder / "output.txt").open("wb") as output:
+            self._process = subprocess.Popen(
+                [python, str(_WORKER), str(other.fileno()), kind, str(_PACKAGES)],
+                pass_fds=[other.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, **_ONE_THREAD, **(variables or {})},
+            )
+        other.close()
+
+    def __enter__(self) -> Self:
+        """Nothing to do: the process starts with the object."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End the process."""
+        self._connection.close()
+        try:
+            self._process.wait(timeout=5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def build(self, problem: object, settings: dict[str, Any], core: int | None) -> dict[str, float]:
+        """Make the subject for `problem` and bind it to `core`; time that took and memory before.
+
+        Raises
+        ------
+        SubjectError
+            If it cannot be made.
+        """
+        self._answer()
+        return dict(self._ask("build", problem, settings, str(self._folder), core))
+
+    def reset(self, data: tuple[Any, ...]) -> None:
+        """Start a drive anew with the data of its first tick."""
+        self._ask("reset", *data)
+
+    def run(self, ticks: list[tuple[Any, ...]]) -> list[TimedStep]:
+        """Step through ticks."""
+        return [TimedStep(*answer) for answer in self._ask("run", *ticks)]
+
+    def memory(self) -> float:
+        """The largest memory it had so far [bytes]."""
+        return float(self._ask("memory"))
+
+    def _ask(self, what: str, *arguments: object) -> Any:  # noqa: ANN401 - depends on what is asked
+        try:
+            self._connection.send((what, arguments))
+        except OSError as error:
+            raise SubjectError(self._last_words()) from error
+        return self._answer()
+
+    def _answer(self) -> Any:  # noqa: ANN401 - see above
+        try:
+            answer = self._connection.recv()
+        except (EOFError, OSError) as error:
+            raise SubjectError(self._last_words()) from error
+        if isinstance(answer, Exception):
+            raise SubjectError(" ".join(str(answer).split()))
+        return answer
+
+    def _last_words(self) -> str:
+        lines = (self._folder / "output.txt").read_text(encoding="utf-8", errors="replace").split("\n")
+        return next((line.strip() for line in reversed(lines) if line.strip()), "the process ended without a word")

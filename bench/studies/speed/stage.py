@@ -1,0 +1,137 @@
+"""The tracking problem of `mpc.problem` stage by stage, for peers that take an optimal control problem apart in time.
+
+The state of a stage is z = (x, pose, past): the velocity model's n states, the pose, and the `memory` commands sent
+before it, oldest first. Stage k has the parameters p_k of `ROWS`; the first stage's state is data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from diffdrive_mpc.bench.peers.command_limits import slew_step
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.pose import arc_function
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.estimation.estimate import Estimate
+from diffdrive_mpc.mpc.solver.backend import Program
+
+ROWS = (
+    *("x", "y", "theta", "heading"),
+    *("v_feed_forward", "omega_feed_forward"),
+    *("v_gain", "omega_gain", "v_offset", "omega_offset", "side_slip"),
+    *("v_limit", "omega_limit", "right_limit", "left_limit", "corridor"),
+)
+"""What changes from tick to tick, in the order of a stage's parameters."""
+
+
+@dataclass(frozen=True)
+class StageProblem:
+    """One problem for a peer, in plain values: a peer's process needs CasADi and NumPy only.
+
+    The peer minimises, over k = 0 to N - 1, effort(z_k, u_k, p_k)^2 weighted by `effort_weights`, and over k = 1 to N,
+    tracking(z_k, p_k)^2 weighted by `tracking_weights`, the last one `terminal` times, each halved; plus
+    soft s + soft_quadratic s^2 / 2 for each amount s by which soft(z_k, p_k) exceeds the limits in p_k in magnitude,
+    k = 1 to N. Hard: z_{k+1} = step(z_k, u_k, p_k), |u_k| <= box, |u_k - u_{k-1}| <= slew.
+
+    Attributes
+    ----------
+    horizon, states, parameters
+        N, and the lengths of z and p.
+    box, slew
+        (2,) bounds of the command [m/s, rad/s] and of its increments; u_{k-1} is the end of z_k.
+    tracking_weights, effort_weights, terminal, soft, soft_quadratic
+        (3,), (4,) and scalars; see `mpc.config.schema.Weights`.
+    step, tracking, effort, soft_values
+        CasADi functions, serialised: (z, u, p) to z; (z, p) to the errors along, across, in heading; (z, u, p) to
+        the deviation from the feed-forward and the increment; (z, p) to the five values with soft limits.
+    """
+
+    horizon: int
+    states: int
+    parameters: int
+    box: FloatArray
+    slew: FloatArray
+    tracking_weights: FloatArray
+    effort_weights: FloatArray
+    terminal: float
+    soft: float
+    soft_quadratic: float
+    step: str
+    tracking: str
+    effort: str
+    soft_values: str
+
+
+def stage_problem(config: ControllerConfig, model: DiscreteModel) -> StageProblem:
+    """The problem of a controller with `config` and the sampled `model`."""
+    n, memory = model.order, model.memory
+    size = n + 3 + 2 * memory
+    z, u, p = ca.SX.sym("z", size), ca.SX.sym("u", 2), ca.SX.sym("p", len(ROWS))
+    x, pose = z[:n], z[n : n + 3]
+    line = ca.vertcat(z[n + 3 :], u)
+    reference, heading, feed_forward, gains, offset, side_slip = p[:3], p[3], p[4:6], p[6:8], p[8:10], p[10]
+    twist = gains * (ca.DM(model.C) @ x + offset)
+    recent = ca.vertcat(*(line[2 * (memory - int(delay)) + i] for i, delay in enumerate(model.delay)))
+    older = ca.vertcat(*(line[2 * (memory - int(delay) - 1) + i] for i, delay in enumerate(model.delay)))
+    after = ca.DM(model.A) @ x + ca.DM(model.B0) @ recent + ca.DM(model.B1) @ older
+    mean = (twist + gains * (ca.DM(model.C) @ after + offset)) / 2
+    moved = arc_function()(pose, mean[0], mean[1], model.dt, side_slip)
+    c, s = ca.cos(reference[2]), ca.sin(reference[2])
+    error = pose - reference
+    across = c * error[1] - s * error[0]
+    half = 0.5 * config.wheels.track
+    rim = twist / gains
+    soft = ca.vertcat(twist, rim[0] + half * rim[1], rim[0] - half * rim[1], across)
+    w, limits = config.weights, config.limits
+    return StageProblem(
+        horizon=config.horizon,
+        states=size,
+        parameters=len(ROWS),
+        box=np.array([limits.v, limits.omega]),
+        slew=slew_step(limits, model.dt),
+        tracking_weights=np.array([w.along, w.across, w.heading]),
+        effort_weights=np.array([w.v, w.omega, w.v_increment, w.omega_increment]),
+        terminal=w.terminal,
+        soft=w.soft,
+        soft_quadratic=w.soft_quadratic,
+        step=_serialised("step", [z, u, p], ca.vertcat(after, moved, line[2:])),
+        tracking=_serialised("tracking", [z, p], ca.vertcat(c * error[0] + s * error[1], across, pose[2] - heading)),
+        effort=_serialised("effort", [z, u, p], ca.vertcat(u - feed_forward, u - line[-4:-2])),
+        soft_values=_serialised("soft_values", [z, p], soft),
+    )
+
+
+def stage_data(program: Program, estimate: Estimate, past: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """State of the first stage (z,) and parameters of all stages (N + 1, p) for one tick.
+
+    Parameters
+    ----------
+    program, estimate
+        The tick's problem in the core's memory, and the estimate that it was made from.
+    past
+        (memory, 2) commands on their way at the tick, oldest first.
+
+    Raises
+    ------
+    ValueError
+        If the last command of the tick is not the newest of `past`: a stage knows only one of them.
+    """
+    if not np.array_equal(program.last_command, past[-1]):
+        raise ValueError("the last command and the newest one on its way differ: peers cannot state that")
+    N, slip = len(program.feed_forward), estimate.slip
+    parameters = np.zeros((N + 1, len(ROWS)))
+    parameters[:, :4] = program.aim
+    parameters[:N, 4:6] = program.feed_forward
+    parameters[:, 6:8] = slip.gains
+    parameters[:, 8:10] = slip.offset
+    parameters[:, 10] = slip.side_slip
+    parameters[:, 11:] = program.soft_limits
+    return np.concatenate([estimate.state, estimate.pose, past.ravel()]), parameters
+
+
+def _serialised(name: str, arguments: list[ca.SX], result: ca.SX) -> str:
+    return str(ca.Function(name, arguments, [result]).serialize())

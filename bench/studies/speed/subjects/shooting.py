@@ -1,0 +1,109 @@
+"""The problem as one nonlinear program by multiple shooting, for CasADi's solvers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+SOFT = 5
+"""Values with soft limits at each stage."""
+
+
+@dataclass(frozen=True)
+class ShootingProgram:
+    """A program in x = (z_0, u_0, s_1, z_1, u_1, ..., s_N, z_N) with p = (z_0, p_0, ..., p_N).
+
+    s_k >= 0 are the amounts by which the soft limits of stage k are exceeded. The program is written out in scalars:
+    mapping one stage over the horizon gives less code, but evaluates its derivatives several times more slowly.
+
+    Attributes
+    ----------
+    nlp
+        x, p, f, g for `casadi.nlpsol`.
+    bounds
+        lbx, ubx, lbg, ubg.
+    equality
+        Which rows of g are equations.
+    stride, states
+        Length of one stage in x, and of z; u_k stands after z_k.
+    """
+
+    nlp: dict[str, ca.SX]
+    bounds: dict[str, np.ndarray]
+    equality: list[bool]
+    stride: int
+    states: int
+
+    def guess(self, states: np.ndarray, commands: np.ndarray) -> np.ndarray:
+        """X for states (N + 1, z) and commands (N, 2), no soft limit exceeded."""
+        slack = np.zeros((len(commands), SOFT))
+        return np.concatenate([np.column_stack([states[:-1], commands, slack]).ravel(), states[-1]])
+
+    def shifted(self, x: np.ndarray) -> np.ndarray:
+        """X one stage later, its last stage repeated."""
+        return np.concatenate([x[self.stride :], x[-self.stride :]])
+
+    def command(self, x: np.ndarray) -> np.ndarray:
+        """(2,) the first command."""
+        return np.asarray(x[self.states : self.states + 2])
+
+
+def shooting_program(problem: dict[str, Any]) -> ShootingProgram:
+    """Write down the program for the fields of a `bench.studies.speed.stage.StageProblem`."""
+    N, size = problem["horizon"], problem["states"]
+    stride = size + 2 + SOFT
+    stage, last = _stage(problem), ca.Function.deserialize(problem["tracking"])
+    x = ca.SX.sym("x", stride * N + size)
+    first, parameters = ca.SX.sym("first", size), ca.SX.sym("p", problem["parameters"], N + 1)
+    g, cost = [], ca.SX(0)
+    for k in range(N):
+        after = x[stride * (k + 1) :][:size]
+        rows, stage_cost = stage(x[stride * k :][:stride], after, parameters[:, k], parameters[:, k + 1])
+        g.append(rows)
+        if k == 0:
+            g.append(x[:size] - first)
+        cost += stage_cost
+    # The end weighs `terminal` times as much as the stage function has counted.
+    weights = (problem["terminal"] - 1.0) * problem["tracking_weights"]
+    cost += ca.dot(weights, last(after, parameters[:, N]) ** 2) / 2
+
+    free, none = np.full(size, np.inf), np.zeros(size)
+    low = np.concatenate([none, -problem["slew"], np.full(SOFT, -np.inf), np.zeros(SOFT)])
+    high = np.concatenate([none, problem["slew"], np.zeros(SOFT), np.full(SOFT, np.inf)])
+    equations = [True] * size + [False] * (len(low) - size)
+    box = problem["box"]
+    lower, upper = np.concatenate([-free, -box, np.zeros(SOFT)]), np.concatenate([free, box, np.full(SOFT, np.inf)])
+    return ShootingProgram(
+        nlp={"x": x, "p": ca.vertcat(first, ca.vec(parameters)), "f": cost, "g": ca.vertcat(*g)},
+        bounds={
+            "lbx": np.concatenate([np.tile(lower, N), -free]),
+            "ubx": np.concatenate([np.tile(upper, N), free]),
+            "lbg": np.concatenate([low, none, np.tile(low, N - 1)]),
+            "ubg": np.concatenate([high, none, np.tile(high, N - 1)]),
+        },
+        equality=equations + [True] * size + equations * (N - 1),
+        stride=stride,
+        states=size,
+    )
+
+
+def _stage(problem: dict[str, Any]) -> ca.Function:
+    """((z, u, s) of a stage, z of the next, their parameters) to the rows of g, and the cost from z to the next z."""
+    size, soft_limit = problem["states"], slice(problem["parameters"] - SOFT, problem["parameters"])
+    step, tracking, effort, soft = (
+        ca.Function.deserialize(problem[name]) for name in ("step", "tracking", "effort", "soft_values")
+    )
+    here, after = ca.SX.sym("here", size + 2 + SOFT), ca.SX.sym("after", size)
+    p, p_after = (ca.SX.sym(name, problem["parameters"]) for name in ("p", "p_after"))
+    z, u, s = here[:size], here[size : size + 2], here[size + 2 :]
+    end = step(z, u, p)
+    # Of `end`, not of `after`: a stage's inequalities may know that stage only.
+    values, limits = soft(end, p_after), p_after[soft_limit]
+    rows = ca.vertcat(after - end, u - z[-2:], values - limits - s, values + limits + s)
+    cost = ca.dot(problem["effort_weights"], effort(z, u, p) ** 2) / 2
+    cost += ca.dot(problem["tracking_weights"], tracking(after, p_after) ** 2) / 2
+    cost += problem["soft"] * ca.sum1(s) + problem["soft_quadratic"] * ca.sumsqr(s) / 2
+    return ca.Function("stage", [here, after, p, p_after], [rows, cost])

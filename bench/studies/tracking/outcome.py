@@ -1,0 +1,202 @@
+"""Runs of the study reduced to the numbers that tables and figures need: thousands of whole runs fill the memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffdrive_mpc.bench.case import NO_SCENARIO, Case
+from diffdrive_mpc.bench.controllers import controller_config, run_case
+from diffdrive_mpc.bench.outcomes import metrics_row, plain
+from diffdrive_mpc.bench.peers.clairvoyant import ClairvoyantController
+from diffdrive_mpc.bench.peers.known_plant import know_plant
+from diffdrive_mpc.bench.studies.tracking.plan import BOUND, TrackingPlan
+from diffdrive_mpc.bench.studies.tracking.settings import TrackingSettings, load_targets
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc import load_trajectory
+from diffdrive_mpc.sim import Metrics, Run, make_plant, simulate
+from diffdrive_mpc.sim.metrics.metrics import steady_arc_lateral, steady_arcs
+from diffdrive_mpc.sim.metrics.recovery import Recovery
+
+_DIGITS = 6
+"""Of every number in `tracking.json`."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedOutcome:
+    """What is kept of a run; satisfies `bench.outcomes.Scored`.
+
+    Attributes
+    ----------
+    case
+        What was run.
+    metrics
+        Its statistics.
+    recovery
+        After a disturbance.
+    arcs
+        Mean lateral error of every steady arc [m].
+    late_lateral_m
+        Largest |lateral| after the first seconds; how many, `targets.yaml` says.
+    time
+        (n,) counted ticks [s].
+    along, across
+        (n,) position error against the reference at the same time, ahead of it and to the left of it [m].
+    steady
+        (n,) whether the tick belongs to a steady arc.
+    """
+
+    case: Case
+    metrics: Metrics
+    recovery: Recovery
+    arcs: tuple[float, ...]
+    late_lateral_m: float
+    time: FloatArray
+    along: FloatArray
+    across: FloatArray
+    steady: NDArray[np.bool_]
+
+    def as_json(self) -> dict[str, object]:
+        """Labels and numbers as plain values, without step times and series; what is not finite is None."""
+        values = self.case.as_row() | {"set": dict(self.case.overrides), "late_lateral_m": self.late_lateral_m}
+        kept = {k: v for k, v in metrics_row(self).items() if "step_time" not in k and k != "deadline_misses"}
+        numbers = {"steady_arcs_m": self.arcs} | kept | asdict(self.recovery)
+        row: dict[str, object] = plain(values | numbers, _DIGITS)
+        return row
+
+
+@dataclass(frozen=True)
+class TrackingResults:
+    """What the study gave.
+
+    Attributes
+    ----------
+    study
+        What was asked for.
+    parts
+        Outcomes by part, in the order of the plan; parts that were left out are missing.
+    """
+
+    study: TrackingSettings
+    parts: dict[str, tuple[ReducedOutcome, ...]]
+
+    @property
+    def all(self) -> tuple[ReducedOutcome, ...]:
+        """Every outcome once, in order."""
+        return tuple({one.case: one for part in self.parts.values() for one in part}.values())
+
+    @property
+    def plain(self) -> list[ReducedOutcome]:
+        """Those of our controller as shipped, on the physics, with the default sensors and without disturbance."""
+        usual = ("mujoco", "default", NO_SCENARIO, ())
+        cases = {one.case: one for one in self.all if one.case.controller != BOUND}
+        return [one for c, one in cases.items() if (c.plant, c.sensors, c.scenario, c.overrides) == usual]
+
+
+def collect(study: TrackingSettings, plan: TrackingPlan, outcomes: Sequence[ReducedOutcome]) -> TrackingResults:
+    """Outcomes in the order and the parts of the plan."""
+    found = {one.case: one for one in outcomes}
+    return TrackingResults(study, {name: tuple(found[case] for case in cases) for name, cases in plan.parts.items()})
+
+
+def run_reduced(case: Case, trajectories: tuple[str, ...]) -> ReducedOutcome:
+    """Run a case and reduce it.
+
+    Parameters
+    ----------
+    case
+        One of ours, or the bound.
+    trajectories
+        What the bound's knowledge of the plant is fitted on.
+    """
+    return reduce_run(case, _run_bound(case, trajectories) if case.controller == BOUND else run_case(case))
+
+
+def reduce_run(case: Case, run: Run) -> ReducedOutcome:
+    """Keep of `run` what the study needs."""
+    counted = np.flatnonzero(run.counted)
+    offset = (run.true_pose - run.reference_pose)[counted]
+    theta = run.reference_pose[counted, 2]
+    c, s = np.cos(theta), np.sin(theta)
+    steady = np.zeros(len(run.time), dtype=bool)
+    for ticks in steady_arcs(run):
+        steady[ticks] = True
+    late = counted[run.time[counted] >= load_targets().lateral_from]
+    return ReducedOutcome(
+        case=case,
+        metrics=run.metrics,
+        recovery=run.recovery,
+        arcs=tuple(float(value) for value in steady_arc_lateral(run)),
+        late_lateral_m=float(np.max(np.abs(run.errors.lateral[late]), initial=0.0)),
+        time=run.time[counted],
+        along=c * offset[:, 0] + s * offset[:, 1],
+        across=c * offset[:, 1] - s * offset[:, 0],
+        steady=steady[counted],
+    )
+
+
+def _run_bound(case: Case, trajectories: tuple[str, ...]) -> Run:
+    known = know_plant(case.plant, case.surface, trajectories)
+    controller = ClairvoyantController(known, controller_config(Case().model))
+    plant = make_plant(case.plant, surface=case.surface, sensors=case.sensors, seed=case.seed)
+    return simulate(controller, plant, load_trajectory(case.trajectory))
+
+
+@dataclass(frozen=True)
+class ErrorParts:
+    """Mean squares that add up to the mean squared position error [m^2].
+
+    Attributes
+    ----------
+    bias
+        Across the path, in steady arcs, the same for every seed: what slip and gains leave behind.
+    transient
+        Across the path, at all other times, the same for every seed: entries, exits, straights.
+    along
+        Along the path, the same for every seed.
+    noise
+        What differs from seed to seed: sensors.
+    """
+
+    bias: float
+    transient: float
+    along: float
+    noise: float
+
+    @property
+    def total(self) -> float:
+        """Mean squared position error [m^2]."""
+        return self.bias + self.transient + self.along + self.noise
+
+
+def decompose(outcomes: Sequence[ReducedOutcome]) -> ErrorParts:
+    """Split the mean squared error of runs of one case that differ in their seeds.
+
+    With S seeds the square of the mean over seeds still holds 1/S of the noise's variance; it is taken off there and
+    counted as noise, so that both parts are unbiased and the sum stays exact. A single run has no noise to see: all of
+    its error counts as repeated.
+
+    Raises
+    ------
+    ValueError
+        If the runs are of different length.
+    """
+    lengths = {len(one.time) for one in outcomes}
+    if len(lengths) != 1:
+        raise ValueError(f"runs of {sorted(lengths)} ticks cannot be compared tick by tick")
+    across, along = (np.array([getattr(one, name) for one in outcomes]) for name in ("across", "along"))
+    steady = outcomes[0].steady
+    several = len(outcomes) > 1
+    spread = [series.var(axis=0, ddof=1) if several else np.zeros(series.shape[1]) for series in (across, along)]
+    repeated = [
+        series.mean(axis=0) ** 2 - var / len(outcomes) for series, var in zip((across, along), spread, strict=True)
+    ]
+    return ErrorParts(
+        bias=float(np.mean(np.where(steady, repeated[0], 0.0))),
+        transient=float(np.mean(np.where(steady, 0.0, repeated[0]))),
+        along=float(np.mean(repeated[1])),
+        noise=float(np.mean(spread[0] + spread[1])),
+    )

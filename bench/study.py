@@ -1,0 +1,171 @@
+"""The one skeleton of all studies: what to run, and how it becomes tables, figures, NAME.md and NAME.json.
+
+docs/recipes/study.md shows how to add one.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Generic, TypeVar
+
+from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.machine import describe_run
+from diffdrive_mpc.bench.outcomes import plain
+from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.runner import OnDone, available_cores
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.checked_yaml import ConfigError
+
+P = TypeVar("P")
+R = TypeVar("R")
+Draw = Callable[[Path], None]
+Meta = Mapping[str, Any]
+FIGURES = "figures"
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a study has to show.
+
+    Attributes
+    ----------
+    counted
+        How much was run, such as "12 runs".
+    meta
+        What the `meta` part says beside machine, versions and duration: definitions, and what was asked for.
+    content
+        What the JSON file holds beside `meta`: rows of plain values by name.
+    facts, notes
+        Sentences of the introduction: what was run, and what follows on the machine.
+    tables
+        In order.
+    figures
+        What draws each figure, by file name.
+    figures_first
+        How many figures stand above the tables, the others being below; None for all.
+    """
+
+    counted: str
+    meta: dict[str, object]
+    content: dict[str, object]
+    facts: Sequence[str]
+    tables: Sequence[Table]
+    figures: Mapping[str, Draw]
+    notes: Sequence[str] = ()
+    figures_first: int | None = None
+
+
+class Study(ABC, Generic[P, R]):
+    """What a study is: subclasses say what to run and what to show of it, `carry_out` does the rest.
+
+    P is the type of the plan, R of what the runs give. `name` is that of the command and of the files, `title` the
+    heading of the report.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+
+    @abstractmethod
+    def plan(self) -> P:
+        """List what is to be run, before a folder is made.
+
+        Raises
+        ------
+        models.checked_yaml.ConfigError, ValueError
+            If something that is named does not exist or cannot be used.
+        """
+
+    @abstractmethod
+    def run(self, plan: P, jobs: int, bar: ProgressBar) -> R:
+        """Run everything in `jobs` processes."""
+
+    @abstractmethod
+    def report(self, results: R, seconds: float) -> Report:
+        """What there is to show of `results`, which took so many `seconds`; matplotlib is imported here, if at all."""
+
+
+def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
+    """Run a study, print its tables and write its report into `out`.
+
+    Parameters
+    ----------
+    study
+        What to run.
+    out
+        Folder of the report.
+    jobs
+        Processes; by default one for each core.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError, ValueError, OSError
+        If something that is named cannot be used or `out` cannot be written to; then `out` keeps what it held.
+    bench.errors.StudyFailedError
+        If it could not be finished.
+    """
+    began = time.perf_counter()
+    plan = study.plan()
+    with staged(out, (f"{study.name}.json", f"{study.name}.md"), (FIGURES,)) as folder, ProgressBar("preparing") as bar:
+        results = study.run(plan, jobs or available_cores(), bar)
+        run = describe_run(time.perf_counter() - began)
+        report = study.report(results, run["wall_time_s"])
+        bar.begin("drawing figures", len(report.figures))
+        write_report(study, report, run | report.meta, folder, bar.advance)
+    console = output_console()
+    for table in report.tables:
+        console.print(table.rich())
+    seconds = time.perf_counter() - began
+    console.print(f"{report.counted} in {seconds:.0f} s; report in {out}", highlight=False)
+    return results
+
+
+def write_report(
+    study: Study[P, R], report: Report, meta: Meta, folder: Path, on_figure: OnDone = lambda: None
+) -> None:
+    """Write `NAME.json`, the figures and `NAME.md` into `folder`, which exists; `on_figure` is called after each."""
+    (folder / f"{study.name}.json").write_text(json_text(meta, report.content), encoding="utf-8")
+    if report.figures:
+        (folder / FIGURES).mkdir()
+    for name, draw in report.figures.items():
+        draw(folder / FIGURES / name)
+        on_figure()
+    (folder / f"{study.name}.md").write_text(markdown(study.title, report, meta), encoding="utf-8")
+
+
+def json_text(meta: Meta, content: Mapping[str, object]) -> str:
+    """`{"meta": ..., NAME: ...}`, a line for each row of a list; what is not finite is null."""
+    parts = {"meta": json.dumps(plain(meta), indent=1, allow_nan=False)}
+    for name, value in plain(content).items():
+        if isinstance(value, list):
+            parts[name] = "[\n" + ",\n".join(json.dumps(row, allow_nan=False) for row in value) + "\n]"
+        else:
+            parts[name] = json.dumps(value, indent=1, allow_nan=False)
+    return "{" + ",\n".join(f'"{name}": {text}' for name, text in parts.items()) + "}\n"
+
+
+def markdown(title: str, report: Report, meta: Meta) -> str:
+    """The report: what was run on what, the tables, and the figures by their relative paths."""
+    machine = meta["machine"]
+    packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
+    revision = f", revision {meta['revision']}" if meta["revision"] else ""
+    project = f"diffdrive-mpc {meta['version']}{revision}, {meta['date']}."
+    host = f"{machine['cpu']}, {machine['cores']} cores, {machine['os']}, Python {machine['python']}, {packages}."
+    images = [f"![{Path(name).stem}]({FIGURES}/{name})" for name in report.figures]
+    first = len(images[: report.figures_first])
+    parts = [f"# {title}", "", *(f"* {line}" for line in (*report.facts, project, host, *report.notes)), ""]
+    parts += [f"{image}\n" for image in images[:first]]
+    parts += [table.markdown() for table in report.tables]
+    parts += ["## Figures", "", *images[first:]] if images[first:] else []
+    return "\n".join(parts).rstrip() + "\n"
+
+
+def check_parts(only: Sequence[str], parts: Sequence[str]) -> None:
+    """Raise ConfigError if a study has no part of a name."""
+    unknown = [name for name in only if name not in parts]
+    if unknown:
+        raise ConfigError(f"--only: unknown part '{unknown[0]}'; known: {', '.join(parts)}")

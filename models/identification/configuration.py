@@ -1,0 +1,175 @@
+"""A controller configuration for the identified robot, with a reason beside each value.
+
+The one place where `config.yaml` is written: values are positive, rounded as the file holds them, and what a log cannot
+tell keeps the schema's default and is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from diffdrive_mpc.models.base_effects import BaseEffects, WheelCommand
+from diffdrive_mpc.models.identification.settings import identification_settings
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.geometry import WheelGeometry, firmware_track
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.structures.identified import IdentifiedModel
+from diffdrive_mpc.models.velocity_model import CHANNELS
+
+MODEL_FILE = "model.yaml"
+_UNITS = {"v": "m/s", "omega": "rad/s"}
+_UNKNOWN_SLEW = "# v_slew and omega_slew are not in a log: set them if the robot must be driven more gently"
+_UNKNOWN_WHEELS = (
+    "# Not in the log: limits.wheel_speed, wheels.track and wheels.encoder_track keep the default; set them."
+)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One value of the configuration.
+
+    Attributes
+    ----------
+    name
+        Key inside its group.
+    value
+        A positive number, rounded as the file holds it, or a word.
+    reason
+        Unit, and where the value comes from.
+    """
+
+    name: str
+    value: float | str
+    reason: str = ""
+
+    def line(self) -> str:
+        """As it stands in the file."""
+        value = f"{self.value:.6g}" if isinstance(self.value, float) else self.value
+        return f"{self.name}: {value}" + (f"   # {self.reason}" if self.reason else "")
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """What an identification says about the controller.
+
+    Attributes
+    ----------
+    name
+        Of the model.
+    general, limits, wheels
+        Settings without a group, and those of two groups; the last is empty where the log says nothing of wheels.
+    """
+
+    name: str
+    general: tuple[Setting, ...]
+    limits: tuple[Setting, ...]
+    wheels: tuple[Setting, ...]
+
+    def mapping(self) -> dict[str, Any]:
+        """Keys and values as `load_config` takes them; the model is the file beside the configuration."""
+        groups = {"limits": self.limits, "wheels": self.wheels}
+        content: dict[str, Any] = {setting.name: setting.value for setting in self.general}
+        for group, settings in groups.items():
+            if settings:
+                content[group] = {setting.name: setting.value for setting in settings}
+        return content
+
+    def text(self) -> str:
+        """The file, a reason beside each value."""
+        slew = any(setting.name.endswith("_slew") for setting in self.limits)
+        lines = [
+            f"# Controller of {self.name}. Fields left out keep the schema's default: diffdrive-mpc config schema",
+            *(setting.line() for setting in self.general),
+            "limits:" if slew else f"limits:   {_UNKNOWN_SLEW}",
+            *(f"  {setting.line()}" for setting in self.limits),
+            *(["wheels:"] if self.wheels else [_UNKNOWN_WHEELS]),
+            *(f"  {setting.line()}" for setting in self.wheels),
+        ]
+        return "\n".join(lines) + "\n"
+
+
+def configure(
+    name: str, identified: IdentifiedModel, train: Sequence[Record], geometry: WheelGeometry | None
+) -> Configuration:
+    """The controller of an identified robot: limits that the log covers, and the tracks of the wheels.
+
+    Parameters
+    ----------
+    name
+        Of the model.
+    identified
+        The model, with what its base does around it where that was looked for.
+    train
+        The records it was identified from.
+    geometry
+        Wheel radius and track of the log; None without wheel speeds.
+
+    Raises
+    ------
+    models.velocity_model.ModelError
+        If the model cannot be a robot's.
+    """
+    margin = identification_settings().limit_margin
+    asked = np.abs(np.concatenate([record.command for record in train]))
+    limit, reasons = np.empty(2), []
+    for row, channel in enumerate(CHANNELS):
+        found = identified.limits.get(channel)
+        limit[row] = asked[:, row].max() if found is None else found
+        reasons.append("largest command of the log" if found is None else "where the robot clips it")
+    gain = np.diag(identified.model.dc_gain)
+    predicted = margin * np.maximum(gain, 1.0) * limit
+    limits = [
+        *_slew(identified),
+        *(_setting(name, limit[i], f"{_UNITS[name]}, {reasons[i]}") for i, name in enumerate(CHANNELS)),
+        *(
+            _setting(f"predicted_{name}", predicted[i], f"{_UNITS[name]}, what the model makes of it, with a margin")
+            for i, name in enumerate(CHANNELS)
+        ),
+    ]
+    wheels: list[Setting] = []
+    base = BaseEffects.model_validate(identified.content.get("base_effects", {})).wheel_command
+    track = base.track if base else firmware_track(train, geometry, identified.model.dc_gain) if geometry else None
+    if geometry is not None and track is not None:
+        limits.append(_wheel_speed(np.minimum(asked, limit), track, base, float(gain[0])))
+        wheels = [
+            _setting("track", track, "m, by which the robot turned omega_ref into wheel speeds"),
+            _setting("encoder_track", geometry.track, "m, by which the log's omega was computed"),
+        ]
+    general = (
+        Setting("model", MODEL_FILE),
+        Setting("sample_time", float(f"{train[0].dt:.6g}"), "s, of the log: the period at which `step` is called"),
+    )
+    return Configuration(name, general, tuple(limits), tuple(wheels))
+
+
+def _slew(identified: IdentifiedModel) -> list[Setting]:
+    """Within the slopes that the base follows, where they were found, its linear model is exact."""
+    found, settings = identified.parameters, identification_settings()
+    usual = load_robot().command_slew
+    slews = []
+    for name in CHANNELS:
+        if f"slew.{name}" not in found.names:
+            continue
+        value, deviation = found.value(f"slew.{name}"), found.deviation(f"slew.{name}")
+        # Less its uncertainty, so that the base's own limit does not act; a slope hardly seen still allows a part.
+        inside, least = value - settings.certain * deviation, settings.least_slew * value
+        slew = min(inside if inside > least else least, getattr(usual, name))
+        slews.append(_setting(f"{name}_slew", slew, f"{_UNITS[name]} per second, within what the base follows"))
+    return slews
+
+
+def _wheel_speed(commands: FloatArray, track: float, base: WheelCommand | None, gain: float) -> Setting:
+    """Of one side; `commands` (K, 2) are the sizes that the robot was driven with."""
+    rim = identification_settings().limit_margin * float((commands[:, 0] + 0.5 * track * commands[:, 1]).max())
+    if base is not None and base.top_speed is not None and gain * base.top_speed < rim:
+        return _setting("wheel_speed", gain * base.top_speed, "m/s at the rim, where the motors saturate")
+    return _setting("wheel_speed", rim, "m/s at the rim, the fastest that the log asked of a side, with a margin")
+
+
+def _setting(name: str, value: float, reason: str) -> Setting:
+    return Setting(name, float(f"{value:.4g}"), reason)

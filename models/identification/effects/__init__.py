@@ -1,0 +1,6 @@
+"""What a base does around its linear dynamics, estimated from records."""
+
+from diffdrive_mpc.models.identification.effects.base import IdentifiedBase, identify_with_effects
+from diffdrive_mpc.models.identification.effects.selection import Trial
+
+__all__ = ["IdentifiedBase", "Trial", "identify_with_effects"]

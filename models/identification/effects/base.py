@@ -1,0 +1,218 @@
+"""SM together with the effects of the base, from records."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from diffdrive_mpc.models.base_effects import BaseEffects
+from diffdrive_mpc.models.identification.effects.fitting import EffectFit, covariance
+from diffdrive_mpc.models.identification.effects.free_run import Point, base_track, free_run, sensed
+from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
+from diffdrive_mpc.models.identification.effects.selection import EFFECTS, Selection, Trial, select_effects
+from diffdrive_mpc.models.identification.effects.settings import effect_settings
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.geometry import wheel_geometry
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error import doubts
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
+from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.structures.sm import SmFile
+from diffdrive_mpc.models.velocity_model import CHANNELS
+
+
+@dataclass(frozen=True)
+class IdentifiedBase:
+    """A model with base effects, and the sensors that it was seen through.
+
+    Attributes
+    ----------
+    identified
+        The model: SM, with `base_effects` among its content. Its v is that of the encoders.
+    effects
+        Names of the effects found.
+    trials
+        What was tried, in this order.
+    point
+        Every parameter of the free run, sensors included.
+    pose
+        Delay of the poses, travel over encoders, and mount; None without enough poses.
+    """
+
+    identified: IdentifiedModel
+    effects: tuple[str, ...]
+    trials: tuple[Trial, ...]
+    point: Point
+    pose: ParameterEstimate | None
+
+    def readings(self, records: Sequence[Record]) -> list[FloatArray]:
+        """For each record (K, 3) v and omega of the encoders, omega of the gyro, from one free run over it."""
+        return [free_run(self.point, experiment) for experiment in sensed(records)]
+
+    def body_twists(self, records: Sequence[Record]) -> list[FloatArray]:
+        """For each record (K, 2) true v [m/s] and yaw rate [rad/s] from one free run, without sensors' errors."""
+        prompt = {name: value for name, value in self.point.items() if name != "encoders.lag"}
+        prompt |= {"encoders.delay": 0.0, "gyro.offset": 0.0}
+        travel = self.pose.value("pose.travel") if self.pose else 1.0
+        twists = []
+        for experiment in sensed(records):
+            seen = free_run(prompt, experiment)
+            twists.append(np.column_stack([travel * seen[:, 0], seen[:, 2]]))
+        return twists
+
+    def fit_percent(self, records: Sequence[Record]) -> FloatArray:
+        """(3,) pooled FIT [%] of v and omega of the encoders, omega of the gyro; raises ValueError as `sensed`."""
+        experiments = sensed(records)
+        simulated = [free_run(self.point, experiment) for experiment in experiments]
+        return np.array(
+            [
+                pooled_fit_percent(
+                    [s.outputs[s.counts[:, row], row] for s in experiments],
+                    [y[s.counts[:, row], row] for y, s in zip(simulated, experiments, strict=True)],
+                )
+                for row in range(3)
+            ]
+        )
+
+
+METHOD = (
+    "output error (simulation from commands alone) of v and omega of the encoders and omega of the gyro at once, two "
+    "real poles and a dead time for each channel, effects of the base around them; each effect tried in turn and kept "
+    "only if it predicts held-out blocks of the records better; outliers held back"
+)
+# What may well be zero, so that a deviation beside it says nothing.
+_MAY_BE_ZERO = ("dead_time", "encoders.delay", "gyro.offset", "veer")
+_IN_THE_FILE = {"lag": "natural_frequency", "spread": "damping"}
+
+
+def identify_with_effects(
+    records: Sequence[Record],
+    *,
+    encoder_track: float | None = None,
+    on_trial: Callable[[str], None] | None = None,
+) -> IdentifiedBase:
+    """Identify SM and what the base does around it.
+
+    The effects are those of `models.base_effects`; a base that has none ends with none. The gyro tells time and true
+    yaw rate: the encoders' delay and lag are found against it. Source of the relations: see each effect.
+
+    Parameters
+    ----------
+    records
+        Records with encoders and gyro. Poses, where some have them, add the pose mount and how far the robot travels
+        for what the encoders count.
+    encoder_track
+        Track by which the encoders' yaw rate was computed [m]; by default from the records' wheel speeds. Where neither
+        tells it, effects of single wheels are not tried, and a warning says so.
+    on_trial
+        Called with the name of the effect that is tried next.
+
+    Raises
+    ------
+    ValueError
+        If a record lacks encoders or gyro, a reading never changes, or the records are too short.
+    """
+    geometry = wheel_geometry(records)
+    track = encoder_track or (geometry.track if geometry else None)
+    selection = select_effects(sensed(records), track, on_trial)
+    fit = selection.fit
+    pose = pose_sensor(records, fit.point)
+    effects = _effects(fit.point, pose)
+    warnings = [] if track else ["the track of the encoders is not known: effects of single wheels were not tried"]
+    parameters = _parameters(selection)
+    identified = IdentifiedModel(
+        schema=SmFile,
+        content={**_linear(fit.point), "base_effects": rounded_effects(effects)},
+        parameters=parameters,
+        offset=np.array([0.0, fit.point["gyro.offset"]]),
+        limits={},
+        yaw="gyro",
+        method=METHOD,
+        fits=(),
+        warnings=(*warnings, *_doubts(fit, parameters)),
+    )
+    return IdentifiedBase(identified, selection.effects, selection.trials, fit.point, pose)
+
+
+def rounded_effects(effects: BaseEffects) -> Mapping[str, Any]:
+    """The group `base_effects` of a model file, without what is not there."""
+    return {name: rounded(values) for name, values in effects.model_dump(exclude_none=True).items()}
+
+
+def _linear(point: Point) -> Mapping[str, Any]:
+    """Keys of the model file for the linear dynamics."""
+    channels = {
+        channel: {
+            "gain": point[f"gain.{channel}"],
+            "natural_frequency": 1.0 / point[f"lag.{channel}"],
+            "damping": np.cosh(point.get(f"spread.{channel}", 0.0)),
+        }
+        for channel in CHANNELS
+    }
+    return {
+        "dead_time": rounded({channel: point[f"dead_time.{channel}"] for channel in CHANNELS}),
+        "channels": rounded(channels),
+    }
+
+
+def _effects(point: Point, pose: ParameterEstimate | None) -> BaseEffects:
+    found: dict[str, Any] = {}
+    if "slew.v" in point:
+        found["twist_slew"] = {channel: point[f"slew.{channel}"] for channel in CHANNELS}
+    if any(name in point for name in ("wheels.resolution", "wheels.top_speed")):
+        found["wheel_command"] = {
+            "track": base_track(point),
+            "resolution": point.get("wheels.resolution", 0.0),
+            "coasting_speed": point.get("wheels.coasting", 0.0),
+            "top_speed": point.get("wheels.top_speed"),
+        }
+    if "relaxation" in point:
+        found["yaw_relaxation"] = {"angle": point["relaxation"]}
+    if "veer" in point:
+        found["veer"] = {"yaw_per_metre": point["veer"]}
+    if pose:
+        found["pose_mount"] = {name: pose.value(f"mount.{name}") for name in ("ahead", "left", "heading")}
+    return BaseEffects.model_validate(found)
+
+
+def _parameters(selection: Selection) -> ParameterEstimate:
+    """The free parameters as a model file names them, with the track that follows from the gains."""
+    fit = selection.fit
+    wheels = any(name in selection.effects for name in EFFECTS if name.endswith("of the wheels"))
+    names = tuple(_readable(name) for name in fit.free) + (("wheels.track",) if wheels else ())
+
+    def readable(row: FloatArray) -> FloatArray:
+        point = {**fit.point, **dict(zip(fit.free, row.tolist(), strict=True))}
+        values = [_physical(name, point[name]) for name in fit.free]
+        return np.array(values + ([base_track(point)] if wheels else []))
+
+    values = np.array([fit.point[name] for name in fit.free])
+    return ParameterEstimate(fit.free, values, covariance(fit, selection.data)).derived(names, readable)
+
+
+def _readable(name: str) -> str:
+    kind, _, channel = name.partition(".")
+    if channel not in CHANNELS or kind == "slew":
+        return name
+    return f"{channel}.{_IN_THE_FILE.get(kind, kind)}"
+
+
+def _physical(name: str, value: float) -> float:
+    kind = name.partition(".")[0]
+    if kind == "lag":
+        return 1.0 / value
+    return float(np.cosh(value)) if kind == "spread" else value
+
+
+def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[str]:
+    sized = [name for name in parameters.names if not any(part in name for part in _MAY_BE_ZERO)]
+    sentences = doubts.badly_known(parameters.part(sized))
+    for name, (low, high, _) in effect_settings().parameters.items():
+        # Nothing of something is a finding; anything else at a bound is none.
+        if name in fit.point and fit.point[name] in (low, high) and fit.point[name] != 0.0:
+            sentences.append(f"{name} = {fit.point[name]:.4g} lies at a bound of the search: the data do not tell it")
+    return sentences

@@ -1,0 +1,179 @@
+"""Least squares of a free run with effects against readings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from diffdrive_mpc.models.identification.effects.free_run import Point, free_run
+from diffdrive_mpc.models.identification.effects.settings import effect_settings
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.statistics import output_spread, residual_scale, sandwich, spike_weights
+
+
+@dataclass(frozen=True)
+class Weighted:
+    """Data, and how much each reading counts.
+
+    Attributes
+    ----------
+    experiments
+        Commands (K, 2) and readings (K, 3).
+    weights
+        For each experiment (K, 3): one over the scale of the sensor's residuals, less for outliers, 0 without reading.
+    scale
+        (3,) that scale.
+    """
+
+    experiments: Sequence[Experiment]
+    weights: Sequence[FloatArray]
+    scale: FloatArray
+
+    def part(self, pieces: Sequence[tuple[int, int, int]]) -> Weighted:
+        """Some of the data: of each piece the number of its experiment, and its samples from and up to."""
+        cut = [(self.experiments[i], slice(first, stop), self.weights[i]) for i, first, stop in pieces]
+        return Weighted(
+            [Experiment(s.name, s.dt, s.inputs[rows], s.outputs[rows], s.counts[rows]) for s, rows, _ in cut],
+            [w[rows] for _, rows, w in cut],
+            self.scale,
+        )
+
+    def errors(self, point: Point, *, smooth: bool = False) -> list[FloatArray]:
+        """For each experiment (K, 3) weighted errors of a free run, NaN where there is no reading."""
+        return [
+            np.where(s.counts, w * (free_run(point, s, smooth=smooth) - s.outputs), np.nan)
+            for s, w in zip(self.experiments, self.weights, strict=True)
+        ]
+
+    def slopes(self, point: Point, free: Sequence[str]) -> list[FloatArray]:
+        """For each experiment (K, 3, q) derivatives of the weighted errors, steps smoothed; one-sided differences."""
+        settings = effect_settings()
+        here = [free_run(point, experiment, smooth=True) for experiment in self.experiments]
+        columns: list[list[FloatArray]] = [[] for _ in self.experiments]
+        for name in free:
+            low, high, usual = settings.parameters[name]
+            step = settings.difference * max(abs(usual), 0.01 * (high - low))
+            step = step if point[name] + step < high else -step
+            moved = {**point, name: point[name] + step}
+            for column, experiment, weight, base in zip(columns, self.experiments, self.weights, here, strict=True):
+                column.append(weight * (free_run(moved, experiment, smooth=True) - base) / step)
+        return [np.stack(column, axis=-1) for column in columns]
+
+
+@dataclass(frozen=True)
+class EffectFit:
+    """An estimate.
+
+    Attributes
+    ----------
+    point
+        Every parameter, also those that were not free.
+    free
+        (q,) names of those that were.
+    cost
+        Sum of the squared weighted errors.
+    """
+
+    point: Mapping[str, float]
+    free: tuple[str, ...]
+    cost: float
+
+
+def weighted(experiments: Sequence[Experiment], point: Point | None = None) -> Weighted:
+    """Weights by the residuals under `point`; without one, by the spread of the readings.
+
+    Raises
+    ------
+    ValueError
+        If a sensor's reading never changes.
+    """
+    spread = output_spread(experiments)
+    counted = [experiment.counts / spread for experiment in experiments]
+    if point is None:
+        return Weighted(experiments, counted, spread)
+    residuals = [error * spread for error in Weighted(experiments, counted, spread).errors(point)]
+    trust = spike_weights(residuals)
+    scale = residual_scale(residuals, trust, spread)
+    weights = [experiment.counts * np.sqrt(part) / scale for experiment, part in zip(experiments, trust, strict=True)]
+    return Weighted(experiments, weights, scale)
+
+
+def fit_effects(
+    start: Point, free: Sequence[str], data: Weighted, evaluations: int | None = None, *, near: bool = False
+) -> EffectFit:
+    """Estimate the parameters `free`, from `start`, by simulation error.
+
+    Steps of the wheel command have no slopes: where there are any, they are smoothed at first; then the search follows
+    the slopes of the smoothed command to lower the errors under the true one.
+
+    Parameters
+    ----------
+    start
+        First guess of every parameter; those not in `free` are kept.
+    free
+        (q,) names.
+    data
+        The readings.
+    evaluations
+        After so many the search ends; None for the usual number.
+    near
+        Whether `start` is nearly there, so that steps need not be smoothed.
+    """
+    free = tuple(free)
+    most = evaluations or effect_settings().evaluations
+    if start.get("wheels.resolution") and not near:
+        start = _best_track(_search(start, free, data, most, smooth=True).point, data)
+    return _search(start, free, data, most, smooth=False)
+
+
+def covariance(fit: EffectFit, data: Weighted) -> FloatArray:
+    """(q, q) of the free parameters, residual correlation taken into account; see `sandwich`."""
+    return sandwich(data.slopes(fit.point, fit.free), data.errors(fit.point)).covariance
+
+
+def _best_track(point: Point, data: Weighted) -> Point:
+    """`point` with its gains shifted so that the true steps fit best.
+
+    Which sides coast depends on the track, which follows from the gains; from one such set to another the search finds
+    no way by slopes.
+    """
+
+    def shifted(part: float) -> Point:
+        gains = {"gain.v": point["gain.v"] / np.sqrt(part), "gain.omega": point["gain.omega"] * np.sqrt(part)}
+        return {**point, **gains}
+
+    def cost(candidate: Point) -> float:
+        return float(sum(np.nansum(error**2) for error in data.errors(candidate)))
+
+    return min((shifted(part) for part in effect_settings().tracks), key=cost)
+
+
+def _search(start: Point, free: tuple[str, ...], data: Weighted, evaluations: int, *, smooth: bool) -> EffectFit:
+    low, high, _ = np.array([effect_settings().parameters[name] for name in free]).T
+    counts = [experiment.counts for experiment in data.experiments]
+
+    def at(values: FloatArray) -> dict[str, float]:
+        return {**start, **dict(zip(free, values.tolist(), strict=True))}
+
+    def errors(values: FloatArray) -> FloatArray:
+        return np.concatenate([e[c] for e, c in zip(data.errors(at(values), smooth=smooth), counts, strict=True)])
+
+    def slopes(values: FloatArray) -> FloatArray:
+        return np.concatenate([d[c] for d, c in zip(data.slopes(at(values), free), counts, strict=True)])
+
+    result = least_squares(
+        errors,
+        np.clip([start[name] for name in free], low + 1e-9, high - 1e-9),
+        slopes,
+        bounds=(low, high),
+        x_scale="jac",
+        max_nfev=evaluations,
+        xtol=1e-5,
+        ftol=1e-5,
+        gtol=1e-8,
+    )
+    return EffectFit(at(result.x), free, 2.0 * float(result.cost))

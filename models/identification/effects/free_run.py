@@ -1,0 +1,159 @@
+"""What encoders and gyro read when the robot follows its commands alone, with the effects of its base."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy import signal
+
+from diffdrive_mpc.models.base_effects import PARTS, TwistSlew, WheelCommand, YawRelaxation
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.experiment import Experiment, twist_experiments
+
+SENSORS = ("v", "omega of the encoders", "omega of the gyro")
+
+
+def sensed(records: Sequence[Record]) -> list[Experiment]:
+    """Commands (v_ref, omega_ref) against v and omega of the encoders and omega of the gyro.
+
+    Raises
+    ------
+    ValueError
+        If a record lacks encoders or gyro, has too few readings, or is not finite.
+    """
+    by_encoders, by_gyro = twist_experiments(records, "encoders"), twist_experiments(records, "gyro")
+    return [
+        Experiment(
+            wheels.name,
+            wheels.dt,
+            wheels.inputs,
+            np.column_stack([wheels.outputs, body.outputs[:, 1]]),
+            np.column_stack([wheels.counts, body.counts[:, 1]]),
+        )
+        for wheels, body in zip(by_encoders, by_gyro, strict=True)
+    ]
+
+
+Point = Mapping[str, float]
+"""Values of parameters by name; an effect whose parameters are missing is not there."""
+
+
+def free_run(point: Point, experiment: Experiment, *, smooth: bool = False) -> FloatArray:
+    """(K, 3) v and omega of the encoders, omega of the gyro, from the commands and the first readings.
+
+    The same chain as `models.base_effects.respond`, from encoders' units, and the sensors behind it. The robot is taken
+    for settled at its first readings.
+
+    Parameters
+    ----------
+    point
+        The parameters.
+    experiment
+        The commands (K, 2) and readings (K, 3).
+    smooth
+        Whether the steps of the wheel command are smoothed to their mean, which has slopes.
+    """
+    step = experiment.dt / PARTS
+    first = [experiment.outputs[np.argmax(counts), row] for row, counts in enumerate(experiment.counts.T)]
+    start = np.array([first[0] / point["gain.v"], first[1] / (point["gain.omega"] * point["encoders.yaw_ratio"])])
+    asked = _asked(point, np.repeat(experiment.inputs, PARTS, axis=0), step, start, smooth)
+    gains = np.array([point["gain.v"], point["gain.omega"]])
+    wheels = np.empty_like(asked)
+    for row, channel in enumerate(("v", "omega")):
+        drive = _late(asked[:, row], start[row], point[f"dead_time.{channel}"] / step)
+        wheels[:, row] = gains[row] * two_lags(
+            drive, start[row], point[f"lag.{channel}"], point.get(f"spread.{channel}", 0.0), step
+        )
+    gyro = wheels[:, 1]
+    if "relaxation" in point:
+        gyro = YawRelaxation.model_construct(angle=point["relaxation"]).follow(gyro, step, float(np.sign(gyro[0])))
+    gyro = gyro + point.get("veer", 0.0) * wheels[:, 0] + point["gyro.offset"]
+    seen = wheels * np.array([1.0, point["encoders.yaw_ratio"]])
+    if "encoders.lag" in point:
+        seen = _lagging(seen, point["encoders.lag"], step)
+    at = PARTS * np.arange(experiment.samples) - point["encoders.delay"] / step
+    fine = np.arange(len(seen))
+    return np.column_stack([np.interp(at, fine, seen[:, 0]), np.interp(at, fine, seen[:, 1]), gyro[::PARTS]])
+
+
+def two_lags(drive: FloatArray, start: float, lag: float, spread: float, step: float) -> FloatArray:
+    """(K,) exact zero-order-hold response of two real poles, settled at `start`.
+
+    Parameters
+    ----------
+    drive
+        (K,) input, each value held over one step.
+    start
+        Input and output before.
+    lag
+        Geometric mean of the two time constants [s].
+    spread
+        Half the logarithm of their ratio.
+    step
+        Time between samples [s].
+    """
+    slow, fast = lag * np.exp(spread), lag * np.exp(-spread)
+    a, b = np.exp(-step / slow), np.exp(-step / fast)
+    if spread > 1e-4:
+        rise = 1.0 - (slow * a - fast * b) / (slow - fast)
+    else:  # the limit of equal poles
+        a = b = np.exp(-step / lag)
+        rise = 1.0 - a * (1.0 + step / lag)
+    numerator = [0.0, rise, (1.0 - a) * (1.0 - b) - rise]
+    return np.asarray(start + signal.lfilter(numerator, [1.0, -(a + b), a * b], drive - start))
+
+
+def _asked(point: Point, commands: FloatArray, step: float, start: FloatArray, smooth: bool) -> FloatArray:
+    """(n, 2) twist that the motors are asked for."""
+    asked = commands
+    if "slew.v" in point:
+        asked = TwistSlew.model_construct(v=point["slew.v"], omega=point["slew.omega"]).follow(asked, step, start)
+    if "encoders.track" not in point:
+        return asked
+    base = WheelCommand.model_construct(
+        track=base_track(point),
+        resolution=point.get("wheels.resolution", 0.0),
+        coasting_speed=point.get("wheels.coasting", 0.0),
+        top_speed=point.get("wheels.top_speed"),
+    )
+    return smoothed(base, asked) if smooth and base.resolution else base.apply(asked)
+
+
+def base_track(point: Point) -> float:
+    """Track [m] by which the base turns omega_ref into rim speeds.
+
+    Both sides answer to the rim speed they are asked for alike, so it is the encoders' track times the encoders' gain
+    in turning over that in driving straight.
+    """
+    turning = point["gain.omega"] * point["encoders.yaw_ratio"]
+    return point["encoders.track"] * turning / point["gain.v"]
+
+
+def smoothed(base: WheelCommand, twist: FloatArray) -> FloatArray:
+    """`base.apply` without jumps: each step replaced by its mean, and coasting set in over half a step."""
+    sides = base.sides(twist)
+    if base.top_speed is not None:
+        sides = np.clip(sides, -base.top_speed, base.top_speed)
+    held = sides - 0.5 * base.resolution * np.tanh(sides / base.resolution)
+    square = (sides / base.resolution) ** 2
+    unheld = 1.0 / (1.0 + (square * square) ** 2)  # the eighth power by squares, which costs a tenth
+    coasting = unheld * (1.0 - unheld[..., ::-1])
+    along = np.clip(held[..., ::-1], -base.coasting_speed, base.coasting_speed)
+    return base.twist(held + coasting * (along - held))
+
+
+def _late(values: FloatArray, before: float, steps: float) -> FloatArray:
+    """(n,) values `steps` steps later, `before` at first; between two steps their mean in proportion."""
+    whole = int(steps)
+    line = np.concatenate([np.full(whole + 1, before), values])
+    rest = steps - whole
+    return np.asarray((1.0 - rest) * line[1 : 1 + len(values)] + rest * line[: len(values)])
+
+
+def _lagging(values: FloatArray, lag: float, step: float) -> FloatArray:
+    """(n, 2) a first-order lag [s] behind `values`, settled at the first."""
+    keep = np.exp(-step / lag)
+    change = values - values[0]
+    return np.asarray(values[0] + signal.lfilter([0.5 * (1 - keep), 0.5 * (1 - keep)], [1.0, -keep], change, axis=0))

@@ -1,0 +1,128 @@
+"""Where a pose sensor sits and how late it is, and how far the robot travels for what its encoders count."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive_mpc.models.identification.effects.settings import effect_settings
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, joined
+from diffdrive_mpc.models.output_error.statistics import sandwich
+
+_FEWEST_WINDOWS = 20
+_DELAY_STEP = 0.2
+"""Of a sample: grid on which the delay is looked for."""
+
+
+class _Window(NamedTuple):
+    """One displacement between two poses."""
+
+    rows: FloatArray
+    """(2, 4) what travel along and across the sensor's heading, and an arm ahead and to the left, add to it"""
+    moved: FloatArray
+    """(2,) displacement [m], in the axes of the sensor at the start"""
+
+
+def pose_sensor(records: Sequence[Record], point: Mapping[str, float]) -> ParameterEstimate | None:
+    """pose.delay [s], pose.travel [-], mount.ahead, mount.left [m] and mount.heading [rad]; None without enough poses.
+
+    The delay behind the gyro is the one with which the poses turn as the gyro does. Displacements over short windows
+    are then explained by the encoders' way along the measured heading: `pose.travel` metres for each metre that they
+    count, `mount.heading` off the sensor's heading, and by the turning of the sensor about the centre of rotation.
+    Side-slip in proportion to the yaw rate cannot be told from `mount.ahead`, and is in it.
+
+    Parameters
+    ----------
+    records
+        Records, some with poses.
+    point
+        What was found of encoders and gyro; see `fit_effects`.
+    """
+    used = [record for record in records if record.pose is not None]
+    delay = _delay(used, point) if used else None
+    if delay is None:
+        return None
+    windows = [window for record in used for window in _windows(record, point, delay)]
+    if len(windows) < _FEWEST_WINDOWS:
+        return None
+    rows = np.array([window.rows for window in windows])
+    moved = np.array([window.moved for window in windows])
+    keep = np.ones(len(windows), dtype=bool)
+    for _ in range(3):
+        found = np.linalg.lstsq(rows[keep].reshape(-1, 4), moved[keep].ravel(), rcond=None)[0]
+        error = rows @ found - moved
+        keep = np.hypot(*error.T) < effect_settings().pose.outlier
+    scale = float(np.sqrt(np.mean(error[keep] ** 2)))
+    spread = sandwich([rows[keep] / scale], [error[keep] / scale]).covariance
+    linear = ParameterEstimate(("along", "across", "mount.ahead", "mount.left"), found, spread)
+    place = linear.derived(
+        ("pose.travel", "mount.heading", "mount.ahead", "mount.left"),
+        lambda row: np.array([np.hypot(row[0], row[1]), np.arctan2(row[1], row[0]), row[2], row[3]]),
+    )
+    # The grid is all that is known of the delay's spread.
+    grid = _DELAY_STEP * used[0].dt / np.sqrt(12.0)
+    return joined([ParameterEstimate(("pose.delay",), np.array([delay]), np.array([[grid**2]])), place])
+
+
+def _delay(records: Sequence[Record], point: Mapping[str, float]) -> float | None:
+    """Delay [s] with which headings over one second change most nearly as the gyro says."""
+    low, high = effect_settings().pose.delays
+    best: tuple[float, float] | None = None
+    for delay in np.arange(low, high, _DELAY_STEP * records[0].dt):
+        errors = []
+        for record in records:
+            if record.yaw_rate is None or record.pose is None or record.fresh_pose is None:
+                continue
+            known = np.isfinite(record.yaw_rate)
+            rate = np.interp(record.time, record.time[known], record.yaw_rate[known] - point["gyro.offset"])
+            turned = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * record.dt)])
+            left = record.pose[:, 2] - np.interp(record.time - delay, record.time, turned)
+            second = round(1.0 / record.dt)
+            both = record.fresh_pose[second:] & record.fresh_pose[:-second]
+            errors.append(np.abs(left[second:] - left[:-second])[both])
+        pooled = np.concatenate(errors) if errors else np.empty(0)
+        if len(pooled) < _FEWEST_WINDOWS:
+            return None
+        size = float(np.mean(pooled))
+        if best is None or size < best[0]:
+            best = (size, float(delay))
+    return best[1] if best else None
+
+
+def _windows(record: Record, point: Mapping[str, float], delay: float) -> list[_Window]:
+    """Displacements between fresh poses, none overlapping."""
+    if record.twist is None or record.pose is None or record.fresh_pose is None:
+        return []
+    steps = round(effect_settings().pose.window / record.dt)
+    late = point["encoders.delay"] + point.get("encoders.lag", 0.0)
+    known = np.isfinite(record.twist[:, 0])
+    if not known.any():
+        return []
+    speed = np.interp(record.time - delay + late, record.time[known], record.twist[known, 0])
+    x, y, theta = record.pose.T
+    c, s = np.cos(theta), np.sin(theta)
+    windows = []
+    k = 0
+    while k + steps < len(speed):
+        rows = slice(k, k + steps + 1)
+        if not (record.fresh_pose[k] and record.fresh_pose[k + steps] and np.isfinite(theta[rows]).all()):
+            k += 1
+            continue
+        way = np.array([_trapezoid(speed[rows] * c[rows]), _trapezoid(speed[rows] * s[rows])]) * record.dt
+        into = np.array([[c[k], s[k]], [-s[k], c[k]]])
+        turned = theta[k + steps] - theta[k]
+        rotation = np.array([[np.cos(turned), -np.sin(turned)], [np.sin(turned), np.cos(turned)]])
+        along = into @ way
+        across = np.array([-along[1], along[0]])
+        displacement = into @ np.array([x[k + steps] - x[k], y[k + steps] - y[k]])
+        windows.append(_Window(np.column_stack([along, across, rotation - np.eye(2)]), displacement))
+        k += steps
+    return windows
+
+
+def _trapezoid(values: FloatArray) -> float:
+    return float(np.sum(values[1:] + values[:-1]) / 2)

@@ -1,0 +1,125 @@
+"""The one place where records become a model, whatever its structure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from time import perf_counter
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.identification.effects import IdentifiedBase, identify_with_effects
+from diffdrive_mpc.models.identification.log_data import LogData, OptionError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs import Record
+from diffdrive_mpc.models.logs.geometry import WheelGeometry, wheel_geometry
+from diffdrive_mpc.models.output_error.experiment import twist_experiments
+from diffdrive_mpc.models.output_error.validation import Validation, score, simulate_records
+from diffdrive_mpc.models.structures.identified import IdentifiedModel
+from diffdrive_mpc.models.structures.orders import OrderChoice
+from diffdrive_mpc.models.structures.structure import Conditions, Found, Structure
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model, and how well a free simulation of it explains the records.
+
+    Attributes
+    ----------
+    identified
+        The model.
+    orders
+        The orders compared; None for structures that have no choice.
+    base
+        The same model with what its base does around it; None where that was not asked for.
+    geometry
+        Wheel radius and track of the log; None without wheel speeds.
+    train, validation
+        FIT, RMSE and residuals on either set.
+    simulated
+        For each validation record (K, 2) v [m/s] and omega [rad/s], sensor offsets included.
+    seconds
+        How long the estimation took [s], without reading, validation and figures.
+    """
+
+    identified: IdentifiedModel
+    orders: OrderChoice | None
+    base: IdentifiedBase | None
+    geometry: WheelGeometry | None
+    train: Validation
+    validation: Validation
+    simulated: tuple[FloatArray, ...]
+    seconds: float
+
+
+def fit(
+    data: LogData,
+    structure: Structure,
+    order: int | None = None,
+    *,
+    effects: bool = False,
+    on_trial: Callable[[str], None] | None = None,
+) -> Fitted:
+    """Identify a model and try it on the records held out.
+
+    Parameters
+    ----------
+    data
+        The records.
+    structure
+        Which structure.
+    order
+        Of the model, where the structure has a choice; None to choose it.
+    effects
+        Whether to look for what the base does around the model, where the structure allows it.
+    on_trial
+        Called with the name of each effect that is tried.
+
+    Raises
+    ------
+    ValueError
+        If the records do not allow it; ModelError, a kind of it, if the numbers found cannot be a robot's.
+    """
+    geometry = wheel_geometry(data.train)
+    base: IdentifiedBase | None = None
+    started = perf_counter()
+    if effects:
+        base = _with_effects(data, geometry, on_trial)
+        found = Found(base.identified)
+    else:
+        radius = geometry.radius if geometry else None
+        found = structure.identify(data.train, Conditions(data.validation, data.yaw, order, radius))
+    seconds = perf_counter() - started
+    identified = found.identified
+    _ = identified.model  # refuses what cannot be a robot
+    simulated = [_simulated(identified, base, records) for records in (data.train, data.validation)]
+    train, validation = (
+        _scored(outputs, records, identified, name)
+        for outputs, records, name in zip(
+            simulated, (data.train, data.validation), ("training", "validation"), strict=True
+        )
+    )
+    return Fitted(identified, found.orders, base, geometry, train, validation, tuple(simulated[1]), seconds)
+
+
+def _with_effects(
+    data: LogData, geometry: WheelGeometry | None, on_trial: Callable[[str], None] | None
+) -> IdentifiedBase:
+    if data.yaw != "gyro":
+        raise OptionError("effects", ": they are told apart by a gyro beside the encoders; map one, or leave it out")
+    return identify_with_effects(data.train, encoder_track=geometry.track if geometry else None, on_trial=on_trial)
+
+
+def _simulated(identified: IdentifiedModel, base: IdentifiedBase | None, records: Sequence[Record]) -> list[FloatArray]:
+    """Speed of the encoders and omega as the model means it, from one free run over each record."""
+    if base is None:
+        return simulate_records(identified.system, records, identified.yaw)
+    return [readings[:, [0, 2]] for readings in base.readings(records)]
+
+
+def _scored(
+    simulated: Sequence[FloatArray], records: Sequence[Record], identified: IdentifiedModel, name: str
+) -> Validation:
+    try:
+        return score(simulated, twist_experiments(records, identified.yaw))
+    except ValueError as error:
+        raise ConfigError(f"{name} records: {error}") from error

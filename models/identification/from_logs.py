@@ -1,0 +1,237 @@
+"""From logs of a robot to a model, a controller configuration and a report."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.identification.configuration import MODEL_FILE, Configuration, configure
+from diffdrive_mpc.models.identification.fitting import fit
+from diffdrive_mpc.models.identification.log_data import LogData, OptionError, read_data
+from diffdrive_mpc.models.identification.poses import from_poses
+from diffdrive_mpc.models.identification.report import Report
+from diffdrive_mpc.models.identification.settings import identification_settings
+from diffdrive_mpc.models.logs import Finding
+from diffdrive_mpc.models.structures.identified import model_file, write_model_file
+from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
+from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.models.structures.structure import Structure
+from diffdrive_mpc.models.velocity_model import VelocityModel
+
+AUTOMATIC = "auto"
+CONFIG_FILE = "config.yaml"
+FILES = (MODEL_FILE, CONFIG_FILE, "report.json", "report.md")
+"""What `Identification.write` writes."""
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What was made of logs. `str` of it is the report's summary; arrays in it cannot be written to.
+
+    Attributes
+    ----------
+    model
+        The velocity model, for `Controller(..., model=found.model)`.
+    config
+        Keys and values that `load_config` takes: limits that the logs cover, the tracks of the wheels, and as model the
+        name of the file that `write` puts beside the configuration.
+    report
+        Scores, parameters with their uncertainty, warnings: as data, `as_json` and `markdown`; prints as tables.
+    content
+        What the model's parameter file says.
+    configuration
+        `config` with a reason beside each value.
+    """
+
+    model: VelocityModel
+    config: Mapping[str, Any]
+    report: Report
+    content: ModelFile
+    configuration: Configuration
+
+    def __str__(self) -> str:
+        """The report, in short."""
+        return str(self.report)
+
+    def write(self, folder: str | Path, figures: Mapping[str, str] | None = None) -> None:
+        """Write `FILES` into `folder`, which is made where missing; files of these names are replaced.
+
+        Parameters
+        ----------
+        folder
+            Where to.
+        figures
+            Titles and relative paths of figures that the report shows.
+
+        Raises
+        ------
+        OSError
+            If a file cannot be written.
+        """
+        folder = Path(folder)
+        words = self.report.markdown(figures)
+        numbers = json.dumps(self.report.as_json(), indent=1, allow_nan=False) + "\n"
+        folder.mkdir(parents=True, exist_ok=True)
+        write_model_file(folder / MODEL_FILE, self.content)
+        (folder / CONFIG_FILE).write_text(self.configuration.text(), encoding="utf-8")
+        (folder / "report.json").write_text(numbers, encoding="utf-8")
+        (folder / "report.md").write_text(words, encoding="utf-8")
+
+
+def identify(
+    logs: str | Path | Sequence[str | Path],
+    mapping: str | Path | None = None,
+    structure: str = "sm",
+    effects: bool = False,
+    *,
+    validate: Sequence[str | Path] = (),
+    fit_share: float | None = None,
+    order: int | str = AUTOMATIC,
+    name: str | None = None,
+    on_findings: Callable[[Sequence[Finding]], None] | None = None,
+    on_progress: Callable[[str], None] | None = None,
+) -> Identification:
+    """Identify a velocity model from logs, and say how far to trust it.
+
+    Parameters
+    ----------
+    logs
+        CSV files or ROS 2 bags, all of one robot.
+    mapping
+        What their columns or topics are: the name of a shipped mapping or the path of a mapping file; None for logs of
+        `diffdrive-mpc simulate --log`, and for bags with the usual topics.
+    structure
+        "mbm", "sm", "ssm".
+    effects
+        Whether to look for what the base does around an sm: slew, steps, tyres, veer. Takes minutes.
+    validate
+        Logs to try the model on; without any, the last part of each of `logs`.
+    fit_share
+        Part of each log that comes before that last part [-]; by default 0.6.
+    order
+        Order of an ssm, or "auto" to choose it.
+    name
+        Of the model; by default from the logs.
+    on_findings
+        Called with notes and warnings of each log once it is read, also when an error of it is raised next.
+    on_progress
+        Called with what is done next, in words.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError, ValueError, OSError
+        If an argument or a log cannot be used, or the logs allow no model; the message is one line.
+    """
+    paths = [Path(path) for path in ([logs] if isinstance(logs, (str, Path)) else logs)]
+    if not paths:
+        raise ConfigError("no logs: give at least one")
+    chosen = _structure(structure)
+    wanted = _order(chosen, order)
+    if validate and fit_share is not None:
+        raise OptionError("fit_share", ": with --validate all of the other logs is identified from; give one of them")
+    if effects and not chosen.takes_effects:
+        able = " or ".join(other.name for other in STRUCTURES.values() if other.takes_effects)
+        raise OptionError("effects", f": they stand around an {able}, not an {chosen.name}; choose that structure")
+    if name is not None and not name.strip():
+        raise OptionError("name", ": it is empty; give the model a name, or leave the option out")
+    if on_progress:
+        on_progress("reading")
+    data = read_data(
+        paths,
+        [Path(path) for path in validate],
+        mapping=mapping,
+        fit_share=identification_settings().fit_share if fit_share is None else fit_share,
+        wheels=chosen.needs_wheels,
+        on_findings=on_findings or (lambda _: None),
+    )
+    more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
+    title = name or f"{chosen.name.upper()} from {paths[0].stem}{more}"
+    return identify_data(data, chosen, title, order=wanted, effects=effects, on_progress=on_progress)
+
+
+def identify_data(
+    data: LogData,
+    structure: Structure,
+    name: str,
+    *,
+    order: int | None = None,
+    effects: bool = False,
+    on_progress: Callable[[str], None] | None = None,
+) -> Identification:
+    """Identify a model from records that are divided already; otherwise as `identify`.
+
+    Parameters
+    ----------
+    data
+        The records; they become read-only.
+    structure
+        Of the registry.
+    name
+        Of the model.
+    order, effects, on_progress
+        As for `identify`; an order of None is chosen.
+
+    Raises
+    ------
+    ValueError
+        If the records do not allow it.
+    """
+    announce = on_progress or (lambda _: None)
+    announce("identification (seconds, for an SSM up to minutes)")
+    fitted = fit(
+        data, structure, order, effects=effects, on_trial=lambda effect: announce(f"does the base show {effect}?")
+    )
+    report = Report(name, data, fitted, from_poses(data, fitted), date.today())
+    content = model_file(
+        fitted.identified,
+        name=name,
+        source=", ".join(data.logs),
+        records=[record.name for record in data.train],
+        date=report.day,
+        train_fit_percent=fitted.train.fit_percent,
+        validation_fit_percent=fitted.validation.fit_percent,
+        notes=f"validated on {data.held_out}",
+    )
+    configuration = configure(name, fitted.identified, data.train, fitted.geometry)
+    found = Identification(build_model(content), configuration.mapping(), report, content, configuration)
+    _lock(found)
+    return found
+
+
+def _structure(name: str) -> Structure:
+    if name not in STRUCTURES:
+        raise OptionError("structure", f" '{name}': give one of {', '.join(STRUCTURES)}")
+    return STRUCTURES[name]
+
+
+def _order(structure: Structure, order: int | str) -> int | None:
+    if order == AUTOMATIC:
+        return None
+    if structure.largest_order is None:
+        able = " or ".join(name for name, other in STRUCTURES.items() if other.largest_order is not None)
+        raise OptionError("order", f" {order}: only {able} has a choice of order; leave it out for {structure.name}")
+    if not (str(order).isdecimal() and 1 <= int(order) <= structure.largest_order):
+        raise OptionError("order", f" '{order}': give {AUTOMATIC}, or 1 to {structure.largest_order}")
+    return int(order)
+
+
+def _lock(value: object) -> None:
+    """Make every array in nested dataclasses, tuples, lists and mappings read-only."""
+    if isinstance(value, np.ndarray):
+        value.setflags(write=False)
+    elif is_dataclass(value) and not isinstance(value, type):
+        for field in fields(value):
+            _lock(getattr(value, field.name))
+    elif isinstance(value, (tuple, list)):
+        for part in value:
+            _lock(part)
+    elif isinstance(value, Mapping):
+        for part in value.values():
+            _lock(part)

@@ -1,0 +1,307 @@
+"""What measured poses add: geometry and slip of the wheels, scale of the gyro, and the drift of a predicted pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive_mpc.models.base_effects import PoseMount
+from diffdrive_mpc.models.identification.effects import IdentifiedBase
+from diffdrive_mpc.models.identification.fitting import Fitted
+from diffdrive_mpc.models.identification.log_data import LogData
+from diffdrive_mpc.models.identification.pose_calibration import (
+    ConstantTrack,
+    PoseCalibration,
+    SlipLaw,
+    SlipPolynomial,
+    VirtualTrack,
+    calibrate_gyro,
+    calibrate_wheels,
+)
+from diffdrive_mpc.models.identification.settings import identification_settings
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.geometry import WheelGeometry
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, joined
+from diffdrive_mpc.models.pose import integrate_pose, wrap_angle
+
+
+@dataclass(frozen=True)
+class PoseDrift:
+    """Error after one horizon.
+
+    Attributes
+    ----------
+    horizon
+        [s].
+    position_rmse, heading_rmse
+        [m], [rad].
+    position_mean, heading_mean
+        Mean size of the error [m], [rad].
+    starts
+        How many predictions it is taken over.
+    """
+
+    horizon: float
+    position_rmse: float
+    heading_rmse: float
+    position_mean: float
+    heading_mean: float
+    starts: int
+
+
+def pose_drift(
+    records: Sequence[Record],
+    twists: Sequence[FloatArray],
+    *,
+    lever_arm: tuple[float, float] = (0.0, 0.0),
+    side_slip: float = 0.0,
+    pose_lag: float = 0.0,
+    horizons: Sequence[float] | None = None,
+) -> list[PoseDrift]:
+    """Open-loop pose error about the rotation centre.
+
+    A prediction starts at the measured pose every second inside one record, and follows the arcs of the predicted
+    twists; position errors are those of the point that the robot turns about.
+
+    Parameters
+    ----------
+    records
+        Records with a pose.
+    twists
+        For each record (K, 2) predicted v [m/s] and true yaw rate [rad/s], from one free run over the whole record.
+    lever_arm
+        Pose point seen from the rotation centre: ahead and to the left [m].
+    side_slip
+        Lateral speed over -v omega [s].
+    pose_lag
+        By how much poses describe the robot earlier than their stamp says [s].
+    horizons
+        [s]; those of the settings by default.
+
+    Raises
+    ------
+    ValueError
+        If a record has no pose, or none is as long as the horizon.
+    """
+    settings = identification_settings()
+    return [
+        _drift_after(records, twists, horizon, lever_arm, side_slip, pose_lag, settings.start_every)
+        for horizon in (horizons or settings.horizons)
+    ]
+
+
+def rotation_centre(pose: FloatArray, lever_arm: tuple[float, float]) -> FloatArray:
+    """Poses (..., 3) of the rotation centre from those of a point `lever_arm` ahead and to the left of it [m]."""
+    ahead, left = lever_arm
+    c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    return np.stack([pose[..., 0] - ahead * c + left * s, pose[..., 1] - ahead * s - left * c, pose[..., 2]], axis=-1)
+
+
+def _drift_after(
+    records: Sequence[Record],
+    twists: Sequence[FloatArray],
+    horizon: float,
+    lever_arm: tuple[float, float],
+    side_slip: float,
+    pose_lag: float,
+    start_every: float,
+) -> PoseDrift:
+    errors = []
+    for record, twist in zip(records, twists, strict=True):
+        if record.pose is None or record.fresh_pose is None:
+            raise ValueError(f"record '{record.name}': no pose; the drift of a prediction needs one")
+        centre = rotation_centre(record.pose, lever_arm)
+        lag, steps, stride = (round(time / record.dt) for time in (pose_lag, horizon, start_every))
+        starts = np.arange(lag, len(twist) - steps, stride)
+        starts = starts[record.fresh_pose[starts] & record.fresh_pose[starts + steps]]
+        if not len(starts):
+            continue
+        mean = 0.5 * (twist[1:] + twist[:-1])
+        pose = centre[starts]
+        for step in range(steps):
+            v, omega = mean[starts - lag + step].T
+            pose = integrate_pose(pose, v, omega, record.dt, side_slip)
+        error = pose - centre[starts + steps]
+        errors.append(np.column_stack([np.hypot(error[:, 0], error[:, 1]), np.abs(wrap_angle(error[:, 2]))]))
+    if not errors:
+        raise ValueError(f"no record is {horizon:.3g} s long with poses at both ends; give longer ones")
+    size = np.concatenate(errors)
+    rmse = np.sqrt((size**2).mean(axis=0))
+    mean_size = size.mean(axis=0)
+    return PoseDrift(horizon, float(rmse[0]), float(rmse[1]), float(mean_size[0]), float(mean_size[1]), len(size))
+
+
+_LEVER_ARM = ("lever_arm_ahead", "lever_arm_left")
+# Wheels that an odometry without wheel speeds might have had: its twist is theirs by definition.
+_UNIT_WHEELS = WheelGeometry(1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class PoseResults:
+    """What was found from poses.
+
+    Attributes
+    ----------
+    parameters
+        Of wheels and gyro, SI units; empty without poses.
+    laws
+        Slip laws compared: name, and its calibration.
+    drift
+        Open-loop error of the validation records, one entry for each horizon.
+    warnings
+        What not to trust.
+    """
+
+    parameters: ParameterEstimate
+    laws: tuple[tuple[str, PoseCalibration], ...]
+    drift: tuple[PoseDrift, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def mount(self) -> tuple[str, ...]:
+        """Names of the two parameters that say where the pose point is, ahead and left; empty without them."""
+        pairs = (_LEVER_ARM, ("mount.ahead", "mount.left"))
+        return next((pair for pair in pairs if set(pair) <= set(self.parameters.names)), ())
+
+
+class PosePoint(NamedTuple):
+    """What lies between the body's rotation centre and a measured pose."""
+
+    lever_arm: tuple[float, float] = (0.0, 0.0)
+    """Pose point ahead and to the left [m]."""
+    side_slip: float = 0.0
+    """Lateral speed over -v omega [s]."""
+    lag: float = 0.0
+    """By how much poses are late [s]."""
+
+
+Predictions = list[tuple[Record, FloatArray]]
+"""Records with a pose, each with the body's twist (K, 2) v [m/s], omega [rad/s] as predicted from the commands."""
+
+NO_POSES = PoseResults(ParameterEstimate((), np.empty(0), np.empty((0, 0))), (), (), ())
+
+
+def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
+    """Calibrate on the training records that have a pose, and predict the poses of the validation records.
+
+    Where there are too few poses, that part is left out and a warning says why.
+    """
+    train, validation = _with_pose(data.train), _with_pose(data.validation)
+    if not train and not validation:
+        return NO_POSES
+    warnings: list[str] = []
+    laws = _slip_laws(train, fitted.geometry, warnings)
+    if fitted.base:
+        found = fitted.base.pose or NO_POSES.parameters
+        return PoseResults(found, laws, _drift(*_of_base(data, fitted.base), warnings), tuple(warnings))
+    gyro = _gyro(train, warnings) if data.yaw == "gyro" else None
+    calibrations = [("wheels", laws[0][1])] if laws else []
+    calibrations += [("gyro", gyro)] if gyro else []
+    warnings += [f"poses: {text}" for _, calibration in calibrations for text in calibration.warnings]
+    parts = [calibration.parameters for _, calibration in calibrations]
+    if parts and laws and fitted.geometry is None:
+        parts[0] = _as_gains(parts[0])
+    parameters = joined(parts) if parts else NO_POSES.parameters
+    drift = _drift(*_of_model(data, fitted, laws[0][1].parameters if laws else None, gyro), warnings)
+    return PoseResults(parameters, laws, drift, tuple(warnings))
+
+
+def _slip_laws(
+    train: Sequence[Record], geometry: WheelGeometry | None, warnings: list[str]
+) -> tuple[tuple[str, PoseCalibration], ...]:
+    """The law with a constant track first; the others where the log has wheels of its own."""
+    if not train:
+        return ()
+    records = train if geometry else [_unit_wheels(record) for record in train]
+    place = geometry or _UNIT_WHEELS
+    candidates: dict[str, SlipLaw] = {"constant track": ConstantTrack(*place)} | (
+        {"virtual track": VirtualTrack(*place), "slip polynomial": SlipPolynomial(*place)} if geometry else {}
+    )
+    try:
+        return tuple((name, calibrate_wheels(records, law)) for name, law in candidates.items())
+    except ValueError as error:
+        warnings.append(f"wheels are not calibrated from poses: {error}")
+        return ()
+
+
+def _gyro(train: Sequence[Record], warnings: list[str]) -> PoseCalibration | None:
+    try:
+        return calibrate_gyro(train) if train else None
+    except ValueError as error:
+        warnings.append(f"the gyro is not calibrated from poses: {error}")
+        return None
+
+
+def _of_model(
+    data: LogData, fitted: Fitted, wheels: ParameterEstimate | None, gyro: PoseCalibration | None
+) -> tuple[Predictions, PosePoint]:
+    """The body's twist, which is the model's output behind the calibration, and where the pose was taken."""
+    place = fitted.geometry or _UNIT_WHEELS
+    gain = np.ones(2)
+    if wheels:
+        gain[0] = wheels.value("wheel_radius") / place.radius
+        if data.yaw == "encoders":
+            gain[1] = gain[0] * place.track / wheels.value("track")
+    if gyro:
+        gain[1] = 1.0 / gyro.parameters.value("gyro_scale")
+    predictions = [
+        (record, gain * (outputs - fitted.identified.offset))
+        for record, outputs in zip(data.validation, fitted.simulated, strict=True)
+        if record.pose is not None
+    ]
+    if wheels is None:
+        return predictions, PosePoint()
+    arm = (wheels.value(_LEVER_ARM[0]), wheels.value(_LEVER_ARM[1]))
+    return predictions, PosePoint(arm, wheels.value("side_slip"))
+
+
+def _of_base(data: LogData, base: IdentifiedBase) -> tuple[Predictions, PosePoint]:
+    """As `_of_model`, with the mount of the pose sensor already taken off the poses."""
+    records = _with_pose(data.validation)
+    predictions = list(zip(records, base.body_twists(records), strict=True))
+    if base.pose is None:
+        return predictions, PosePoint()
+    mount = PoseMount(**{name: base.pose.value(f"mount.{name}") for name in ("ahead", "left", "heading")})
+    centred = [(replace(record, pose=mount.centre(np.asarray(record.pose))), twist) for record, twist in predictions]
+    return centred, PosePoint(lag=base.pose.value("pose.delay"))
+
+
+def _drift(predictions: Predictions, point: PosePoint, warnings: list[str]) -> tuple[PoseDrift, ...]:
+    records, twists = [record for record, _ in predictions], [twist for _, twist in predictions]
+    drift: list[PoseDrift] = []
+    for horizon in identification_settings().horizons:
+        try:
+            drift += pose_drift(
+                records,
+                twists,
+                lever_arm=point.lever_arm,
+                side_slip=point.side_slip,
+                pose_lag=point.lag,
+                horizons=[horizon],
+            )
+        except ValueError as error:
+            warnings.append(f"no pose error at {horizon:g} s: {error}")
+    return tuple(drift)
+
+
+def _with_pose(records: Sequence[Record]) -> list[Record]:
+    return [record for record in records if record.pose is not None]
+
+
+def _unit_wheels(record: Record) -> Record:
+    """Wheels of 1 m radius, 1 m apart, that would have given the record's twist."""
+    if record.twist is None:
+        return record
+    v, omega = record.twist.T
+    wheels: FloatArray = np.column_stack([v - omega / 2, v + omega / 2])
+    return replace(record, wheels=wheels)
+
+
+def _as_gains(wheels: ParameterEstimate) -> ParameterEstimate:
+    """Of unit wheels, radius and track as the gains that they stand for: body over odometry."""
+    names = ("longitudinal_gain", "yaw_gain", *wheels.names[2:])
+    return wheels.derived(names, lambda row: np.concatenate([[row[0], row[0] / row[1]], row[2:]]))

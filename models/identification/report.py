@@ -1,0 +1,198 @@
+"""Everything that one identification found, for people and for programs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import date
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+
+from diffdrive_mpc.models.identification.fitting import Fitted
+from diffdrive_mpc.models.identification.log_data import LogData
+from diffdrive_mpc.models.identification.poses import PoseResults
+from diffdrive_mpc.models.identification.settings import identification_settings
+from diffdrive_mpc.models.identification.tables import (
+    drift_table,
+    effect_table,
+    finding_table,
+    order_table,
+    parameter_table,
+    residual_table,
+    score_table,
+    slip_table,
+)
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.table import Table
+from diffdrive_mpc.models.velocity_model import CHANNELS
+
+
+@dataclass(frozen=True)
+class Report:
+    """One identification: what it was made from and what was found. `str` of it is what a person reads first.
+
+    Attributes
+    ----------
+    name
+        Of the model.
+    data, fitted, poses
+        What it was made from, the model with its scores, and what poses added.
+    day
+        Of the identification.
+    """
+
+    name: str
+    data: LogData
+    fitted: Fitted
+    poses: PoseResults
+    day: date
+
+    def __str__(self) -> str:
+        """Scores, pose errors, parameters and warnings."""
+        tables = [*self.scores, parameter_table("Parameters", self.fitted.identified.parameters)]
+        lines = [f"warning: {warning}" for warning in self.warnings]
+        return "\n\n".join([self.name, *map(str, tables), *(["\n".join(lines)] if lines else [])])
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Everything that a user should know before trusting the model: of the log, the estimate and its scores."""
+        found = [str(finding) for finding in self.data.findings if finding.severity == "warning"]
+        found += [*self.data.warnings, *self.fitted.identified.warnings, *self.poses.warnings]
+        if self.data.yaw == "encoders":
+            found.append(
+                "omega: the log has no gyro, so this is the yaw rate of the wheels; a skid-steered body turns less"
+            )
+        if self.fitted.geometry is None:
+            found.append(
+                "wheels: the log has no speeds of theirs: in config.yaml set limits.wheel_speed, wheels.track and "
+                "wheels.encoder_track"
+            )
+        return tuple(dict.fromkeys([*found, *score_warnings(self.fitted), *mount_warnings(self.poses)]))
+
+    @property
+    def scores(self) -> tuple[Table, ...]:
+        """How good the model is: FIT and RMSE, and the open-loop pose error where there are poses."""
+        return (score_table(self.fitted), *([drift_table(self.poses)] if self.poses.drift else []))
+
+    def as_json(self) -> dict[str, Any]:
+        """Scores, pose errors, parameters and warnings for a program; parameters from poses stand behind "poses."."""
+        fitted = self.fitted
+        return {
+            "model": fitted.identified.structure,
+            "train_fit_percent": _channels(fitted.train.fit_percent),
+            "validation_fit_percent": _channels(fitted.validation.fit_percent),
+            "pose_error": [
+                {
+                    "horizon_s": drift.horizon,
+                    "position_rmse_m": drift.position_rmse,
+                    "heading_rmse_rad": drift.heading_rmse,
+                }
+                for drift in self.poses.drift
+            ],
+            "parameters": _parameters(fitted.identified.parameters)
+            | _parameters(self.poses.parameters.renamed("poses")),
+            "warnings": list(self.warnings),
+        }
+
+    def markdown(self, figures: Mapping[str, str] | None = None) -> str:
+        """The report as Markdown; `figures` are titles and relative paths, in the order to be shown."""
+        fitted, poses = self.fitted, self.poses
+        tables = [residual_table(fitted), *self.scores[1:]]
+        if fitted.orders:
+            tables.append(order_table(fitted.orders))
+        if fitted.base:
+            tables.append(effect_table(fitted.base))
+        tables.append(parameter_table("Parameters", fitted.identified.parameters))
+        if poses.parameters.names:
+            tables.append(parameter_table("Parameters from poses", poses.parameters))
+        if poses.laws:
+            tables.append(slip_table(poses))
+        if self.data.findings:
+            tables.append(finding_table(self.data.findings))
+        parts = [f"# {self.name}", "", *self._facts(), "", self.scores[0].markdown()]
+        parts += ["## Warnings", "", *_bullets(self.warnings), ""]
+        for title, path in (figures or {}).items():
+            parts += [f"## {title}", "", f"![{title}]({path})", ""]
+        parts += [table.markdown() for table in tables]
+        parts += ["## Stretches", ""]
+        parts += _bullets([f"training: {record.name}" for record in self.data.train])
+        parts += _bullets([f"validation: {record.name}" for record in self.data.validation])
+        return "\n".join(parts).rstrip() + "\n"
+
+    def _facts(self) -> list[str]:
+        data, fitted = self.data, self.fitted
+        spans = [
+            sum(len(record.command) * record.dt for record in records) for records in (data.train, data.validation)
+        ]
+        return _bullets(
+            [
+                f"{fitted.identified.structure.upper()} from {', '.join(data.logs)}: {fitted.identified.method}.",
+                f"Identified from {spans[0]:.0f} s, tried on {spans[1]:.0f} s, {data.held_out}; "
+                f"one sample every {data.train[0].dt:.6g} s.",
+                f"omega is that of the {data.yaw}.",
+                f"Estimation took {fitted.seconds:.1f} s.",
+                f"diffdrive-mpc {_version()}, {self.day.isoformat()}.",
+            ]
+        )
+
+
+def score_warnings(fitted: Fitted) -> list[str]:
+    """What FIT and residuals on the records held out say against the model."""
+    limits = identification_settings().warn
+    found = []
+    for row, channel in enumerate(CHANNELS):
+        train, validation = float(fitted.train.fit_percent[row]), float(fitted.validation.fit_percent[row])
+        if validation < limits.low_fit:
+            found.append(
+                f"{channel}: validation FIT {validation:.1f} %, below {limits.low_fit:g} %: little is explained"
+            )
+        if train - validation > limits.fit_drop:
+            found.append(
+                f"{channel}: FIT falls from {train:.1f} to {validation:.1f} % on data held out: they differ, or the "
+                "model has too many parameters"
+            )
+        unexplained = fitted.validation.residuals.unexplained[row]
+        j = int(np.argmax(unexplained))
+        if unexplained[j] > limits.unexplained:
+            found.append(
+                f"{channel}: residuals follow past commands of {CHANNELS[j]} ({unexplained[j]:.1f} times the 95 % "
+                "bound): the model misses part of the dynamics"
+            )
+    return found
+
+
+def mount_warnings(poses: PoseResults) -> list[str]:
+    """A sentence if poses are those of a point that the robot does not turn about."""
+    place = {name.rpartition("_")[2].rpartition(".")[2]: poses.parameters.value(name) for name in poses.mount}
+    if not place or np.hypot(place["ahead"], place["left"]) < identification_settings().warn.lever_arm:
+        return []
+    return [
+        f"poses: their point sits {place['ahead']:.3f} m ahead and {place['left']:.3f} m to the left of the centre of "
+        "rotation: give the controller poses of that centre (models.base_effects.PoseMount)"
+    ]
+
+
+def _bullets(lines: Sequence[str]) -> list[str]:
+    return [f"* {line}" for line in lines] or ["None."]
+
+
+def _channels(values: FloatArray) -> dict[str, float]:
+    return {channel: float(value) for channel, value in zip(CHANNELS, values, strict=True)}
+
+
+def _parameters(estimate: ParameterEstimate) -> dict[str, dict[str, float | None]]:
+    return {
+        name: {"value": float(value), "standard_deviation": float(deviation) if math.isfinite(deviation) else None}
+        for name, value, deviation in zip(estimate.names, estimate.values, estimate.standard_deviation, strict=True)
+    }
+
+
+def _version() -> str:
+    try:
+        return version("diffdrive-mpc")
+    except PackageNotFoundError:  # run from a copy that was never installed
+        return "unknown"

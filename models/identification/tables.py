@@ -1,0 +1,124 @@
+"""The tables of an identification."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from diffdrive_mpc.models.identification.effects import IdentifiedBase
+from diffdrive_mpc.models.identification.fitting import Fitted
+from diffdrive_mpc.models.identification.poses import PoseResults
+from diffdrive_mpc.models.logs.record import Finding
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.structures.orders import OrderChoice
+from diffdrive_mpc.models.table import Table, number
+from diffdrive_mpc.models.velocity_model import CHANNELS
+
+
+def score_table(fitted: Fitted) -> Table:
+    """FIT and RMSE of the free simulation."""
+    train, validation = fitted.train, fitted.validation
+    rows = [
+        (
+            channel,
+            number(float(train.fit_percent[i]), 2),
+            number(float(validation.fit_percent[i]), 2),
+            number(float(train.rmse[i])),
+            number(float(validation.rmse[i])),
+        )
+        for i, channel in enumerate(CHANNELS)
+    ]
+    columns = ("channel", "FIT training [%]", "FIT validation [%]", "RMSE training", "RMSE validation")
+    note = "Simulated from the commands alone, started once in each stretch; RMSE in m/s and rad/s."
+    return Table("How much the model explains", columns, tuple(rows), note=note)
+
+
+def residual_table(fitted: Fitted) -> Table:
+    """Whiteness of the validation residuals, and what the commands could still explain."""
+    check = fitted.validation.residuals
+    rows = [
+        (channel, f"{check.ljung_box_p[i]:.2g}", *(number(float(x), 2) for x in check.unexplained[i]))
+        for i, channel in enumerate(CHANNELS)
+    ]
+    columns = ("residual of", "p if white [-]", "with past v_ref [bounds]", "with past omega_ref [bounds]")
+    note = "Largest correlation with a past command over its 95 % bound; well above 1, dynamics are missing."
+    return Table("Residuals on data held out", columns, tuple(rows), note=note)
+
+
+def drift_table(poses: PoseResults) -> Table:
+    """Open-loop pose error."""
+    rows = [
+        (f"{d.horizon:g}", number(d.position_rmse), number(d.position_mean), number(d.heading_rmse), str(d.starts))
+        for d in poses.drift
+    ]
+    columns = ("after [s]", "position RMSE [m]", "position mean [m]", "heading RMSE [rad]", "starts")
+    note = "Poses predicted from commands alone, held against the measured ones, on data held out."
+    return Table("Open-loop pose error", columns, tuple(rows), text_columns=0, note=note)
+
+
+def parameter_table(title: str, estimate: ParameterEstimate) -> Table:
+    """Values with their standard deviations."""
+    rows = [
+        (name, f"{value:.5g}", f"{deviation:.2g}")
+        for name, value, deviation in zip(estimate.names, estimate.values, estimate.standard_deviation, strict=True)
+    ]
+    note = "SI units: gains and damping [-], frequencies and poles [rad/s], times [s], lengths [m]."
+    return Table(title, ("parameter", "value", "standard deviation"), tuple(rows), note=note)
+
+
+def order_table(choice: OrderChoice) -> Table:
+    """Orders compared, as in Table 1 of Guffanti, Pavon, Sensors 2025, 25(18), 5821."""
+    rows = []
+    for order, row in enumerate(choice.rows, start=1):
+        held_out = row.validation_fit_percent if row.validation_fit_percent is not None else np.full(2, np.nan)
+        cells = [number(float(x), 2) for x in (*row.train_fit_percent, *held_out)]
+        chosen = "chosen" if order == choice.order else ""
+        rows.append((f"{order}", chosen, str(row.parameters), *cells, f"{row.aic:.0f}", f"{row.bic:.0f}"))
+    columns = (
+        *("order", "", "parameters", "FIT training v [%]", "omega [%]", "FIT validation v [%]", "omega [%]"),
+        *("AIC", "BIC"),
+    )
+    note = f"Order {choice.order}: {choice.reason}. Criteria over the lowest of all orders."
+    return Table("Orders compared", columns, tuple(rows), text_columns=2, note=note)
+
+
+def effect_table(base: IdentifiedBase) -> Table:
+    """What was tried around the linear model, and what was kept."""
+    rows = [
+        (
+            trial.effect + (", once more" if trial.again else ""),
+            number(trial.gain),
+            str(trial.blocks),
+            "yes" if trial.kept else "no",
+        )
+        for trial in base.trials
+    ]
+    note = "Gain: fall of the logarithm of the error power on parts of the training data that were held out in turn."
+    return Table(
+        "What the base does", ("effect", "gain [-]", "better in blocks", "in the model"), tuple(rows), note=note
+    )
+
+
+def slip_table(poses: PoseResults) -> Table:
+    """Slip laws with their errors over a short window."""
+    rows = [
+        (name, ", ".join(_valued(law.parameters)), *(number(float(x)) for x in law.rmse), str(law.windows))
+        for name, law in poses.laws
+    ]
+    columns = ("law", "coefficients", "ahead [m]", "to the left [m]", "heading [rad]", "windows")
+    note = (
+        "RMSE of the body's displacement over windows of one second, from the wheels through the law, on training data."
+    )
+    return Table("Slip laws", columns, tuple(rows), text_columns=2, note=note)
+
+
+def finding_table(findings: Sequence[Finding]) -> Table:
+    """What was found in the logs."""
+    rows = tuple((finding.severity, finding.kind, finding.place, finding.words) for finding in findings)
+    return Table("Findings in the logs", ("severity", "kind", "where", "what"), rows, text_columns=4)
+
+
+def _valued(estimate: ParameterEstimate) -> list[str]:
+    pairs = zip(estimate.names, estimate.values, estimate.standard_deviation, strict=True)
+    return [f"{name} {value:.3g} ± {deviation:.1g}" for name, value, deviation in pairs]

@@ -1,0 +1,293 @@
+"""A CSV file as a log: its columns as signals in SI units, its rows in stretches in which time runs forward."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.check_settings import check_settings
+from diffdrive_mpc.models.logs.clock_checks import require_one_clock
+from diffdrive_mpc.models.logs.csv_table import CsvTable, read_table
+from diffdrive_mpc.models.logs.mapping import (
+    FACTORS,
+    FOUR_WHEELS,
+    SIDES,
+    Columns,
+    CommandColumns,
+    EncoderColumns,
+    LogMapping,
+    SensorColumns,
+    SignalColumn,
+    WheelColumn,
+    Wheels,
+    load_mapping,
+)
+from diffdrive_mpc.models.logs.record import BoolArray, Finding, ranges
+from diffdrive_mpc.models.logs.sampling import RawLog, RawStretch, Signal, increasing, unwrapped
+from diffdrive_mpc.models.wheels import WheelKinematics
+
+Rows = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class RowSignal:
+    """A signal with a value, or none, in each of the n rows of a table.
+
+    Attributes
+    ----------
+    time
+        (n,) times that the values are valid for [s].
+    value
+        (n, width) in SI units; NaN where the row has no reading.
+    fresh
+        (n,) False where the row repeats the reading of the row before.
+    counts
+        Whether the values are running counts, whose rate is the signal.
+    """
+
+    time: FloatArray
+    value: FloatArray
+    fresh: BoolArray
+    counts: bool = False
+
+    def signal(self, rows: Rows) -> Signal:
+        """The readings in these rows, which must be in order of time."""
+        rows = rows[(self.fresh & np.isfinite(self.time) & np.isfinite(self.value).all(axis=1))[rows]]
+        rows = rows[increasing(self.time[rows])]
+        time, value = self.time[rows], self.value[rows]
+        if self.counts:
+            # A difference of counts is the mean speed between them, so it is valid for the middle.
+            return Signal(0.5 * (time[1:] + time[:-1]), np.diff(value, axis=0) / np.diff(time)[:, None])
+        return Signal(time, value)
+
+
+class RowReader:
+    """Reads columns of one table in SI units and notes the cells that are not finite.
+
+    Parameters
+    ----------
+    table
+        The table.
+    wheels
+        Lengths of the mapping; None where it gives none.
+    """
+
+    def __init__(self, table: CsvTable, wheels: Wheels | None) -> None:
+        self.table = table
+        self.wheels = wheels
+        self.findings: list[Finding] = []
+
+    def column(self, column: SignalColumn) -> tuple[FloatArray, BoolArray]:
+        """Values (n,) in SI units, NaN where there is none, and (n,) True where a cell holds NaN or infinity."""
+        values, empty = self.table.numbers(column.column)
+        bad = np.isnan(values) & ~empty
+        if bad.any():
+            place = f"{self.table.path.name}, line {ranges(self.table.lines[bad])}"
+            words = f"column '{column.column}' is not finite in {bad.sum()} rows; they are left out"
+            self.findings.append(Finding("NaN rows", "warning", place, words))
+        return column.sign * self._factor(column) * values, bad
+
+    def command(self, command: CommandColumns) -> tuple[FloatArray, FloatArray | None, BoolArray]:
+        """Commands (n, 2) v, omega; (n, 2) left, right or None; (n,) True where a command is not finite."""
+        names = ("v", "omega") if command.given("v") else SIDES
+        values, bad = self._columns(command, names)
+        if command.given("v"):
+            return values, None, bad
+        return self._twist(values, "command"), values, bad
+
+    def encoders(self, encoders: EncoderColumns) -> tuple[dict[str, FloatArray], bool]:
+        """Fields of a record that the encoders fill, and whether they are running counts."""
+        fields: dict[str, FloatArray] = {}
+        if encoders.given(*FOUR_WHEELS):
+            fields["wheel_speeds"] = self._columns(encoders, FOUR_WHEELS)[0]
+            fields["wheels"] = 0.5 * (fields["wheel_speeds"][:, :2] + fields["wheel_speeds"][:, 2:])
+        if encoders.given(*SIDES):
+            fields["wheels"] = self._columns(encoders, SIDES)[0]
+        if encoders.given("v"):
+            fields["twist"] = self._columns(encoders, ("v", "omega"))[0]
+        else:
+            fields["twist"] = self._twist(fields["wheels"], "encoders")
+        units = {column.unit for name in (*SIDES, *FOUR_WHEELS) if (column := getattr(encoders, name)) is not None}
+        if "ticks" in units and (len(units) > 1 or encoders.given("v")):
+            raise ConfigError(f"{self.table.path}: encoders: give all columns in ticks, or none")
+        return fields, "ticks" in units
+
+    def _columns(self, group: CommandColumns | EncoderColumns, names: tuple[str, ...]) -> tuple[FloatArray, BoolArray]:
+        columns = [self.column(getattr(group, name)) for name in names]
+        return np.column_stack([values for values, _ in columns]), np.any([bad for _, bad in columns], axis=0)
+
+    def _twist(self, sides: FloatArray, whose: str) -> FloatArray:
+        wheels = self._lengths(f"turns the wheel speeds of the {whose} into v and omega")
+        return WheelKinematics(wheels.radius, wheels.track).twist(np.hstack([sides, sides]))
+
+    def _factor(self, column: SignalColumn) -> float:
+        if isinstance(column, WheelColumn) and column.unit in ("ticks", "ticks/s"):
+            ticks = self._lengths("says the ticks per turn").ticks_per_turn
+            if ticks is None:
+                raise ConfigError(f"{self.table.path}: the mapping needs 'wheels.ticks_per_turn' for '{column.column}'")
+            return 2.0 * np.pi / ticks
+        if isinstance(column, WheelColumn) and column.unit == "m/s":
+            return 1.0 / self._lengths(f"turns the rim speed '{column.column}' into a wheel speed").radius
+        return FACTORS[column.unit]
+
+    def _lengths(self, purpose: str) -> Wheels:
+        if self.wheels is None:
+            raise ConfigError(f"{self.table.path}: the mapping needs 'wheels' with radius and track [m]: it {purpose}")
+        return self.wheels
+
+
+def fresh_rows(value: FloatArray) -> BoolArray:
+    """(n,) True where a row of held values (n, width) holds a new reading.
+
+    A changed value is new. So is one that stays for as long as hardly any reading does (95th percentile of the distance
+    between changes): a robot at rest is read too.
+    """
+    changed = np.concatenate([[True], (np.diff(value, axis=0) != 0).any(axis=1)])
+    rows = np.flatnonzero(changed)
+    longest = int(np.percentile(np.diff(rows), 95)) if len(rows) > 1 else 1
+    fresh = changed.copy()
+    last = 0
+    for i in range(1, len(fresh)):
+        fresh[i] |= i - last >= longest
+        if fresh[i]:
+            last = i
+    return fresh
+
+
+OWN_FORMAT = "simulate"
+"""The mapping of the logs that `diffdrive-mpc simulate --log` writes; they are recognised by their columns."""
+
+
+def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
+    """Read a CSV log.
+
+    Parameters
+    ----------
+    path
+        The file.
+    mapping
+        Which column is what; None for a log of `diffdrive-mpc simulate --log`.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the file or a column is missing, a cell is no number, no row has a time and a command, the mapping lacks
+        something that a unit needs, or a sensor's times are on another clock than the rows'.
+    """
+    table = read_table(path)
+    columns, wheels = (mapping or _own_mapping(table)).columns, mapping.wheels if mapping else None
+    if columns is None:
+        raise ConfigError(f"{path}: the mapping has no 'columns', which a CSV file needs")
+    reader = RowReader(table, wheels)
+    findings = list(table.findings)
+    time = _times(table, columns)
+    commands, wheel_commands, broken = reader.command(columns.command)
+    always = np.ones(len(time), dtype=bool)
+    command = RowSignal(time, commands, always)
+    wheel_command = None if wheel_commands is None else RowSignal(time, wheel_commands, always)
+    measured = _measured(reader, columns, time)
+    findings += reader.findings
+    stretches = []
+    for rows in _forward(table, columns, time, broken, findings):
+        signal = command.signal(rows)
+        if len(signal.time):
+            parts = {field: row_signal.signal(rows) for field, row_signal in measured.items()}
+            if "pose" in parts:
+                parts["pose"] = Signal(parts["pose"].time, unwrapped(parts["pose"].value))
+            sides = None if wheel_command is None else wheel_command.signal(rows)
+            stretches.append(RawStretch(time[rows], signal, parts, sides))
+    if not stretches:
+        raise ConfigError(f"{path}: no row has both a time and a command; are these the right columns?")
+    return RawLog(path.name, tuple(stretches), tuple(findings), columns.sample_time)
+
+
+def _own_mapping(table: CsvTable) -> LogMapping:
+    mapping = load_mapping(OWN_FORMAT)
+    assert mapping.columns is not None
+    if not mapping.columns.names() <= set(table.header):
+        raise ConfigError(
+            f"{table.path}: which column is what? Give a mapping file; the columns are {', '.join(table.header)}"
+        )
+    return mapping
+
+
+def _times(table: CsvTable, columns: Columns) -> FloatArray:
+    """(n,) times of the rows [s]."""
+    if columns.time is None:
+        assert columns.sample_time is not None
+        return columns.sample_time * np.arange(len(table.rows), dtype=float)
+    return FACTORS[columns.time.unit] * table.numbers(columns.time.column)[0]
+
+
+def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str, RowSignal]:
+    """The measured signals by the field of `Record` that they fill."""
+    signals: dict[str, RowSignal] = {}
+
+    def add(name: str, sensor: SensorColumns, values: dict[str, FloatArray], counts: bool = False) -> None:
+        own = time
+        if sensor.time is not None:
+            own = FACTORS[sensor.time.unit] * reader.table.numbers(sensor.time.column)[0]
+            late = {"the rows": np.zeros(1), f"column '{sensor.time.column}'": time - own}
+            require_one_clock(
+                str(reader.table.path), late, "log both on one clock, or leave its time out of the mapping"
+            )
+        together = np.column_stack(list(values.values()))
+        fresh = fresh_rows(together) if sensor.held else np.ones(len(time), dtype=bool)
+        if not (sensor.held or counts):
+            reader.findings += _seems_held(reader.table, name, together)
+        for field, value in values.items():
+            signals[field] = RowSignal(own - sensor.delay, value, fresh, counts)
+
+    if columns.encoders is not None:
+        add("encoders", columns.encoders, *reader.encoders(columns.encoders))
+    if columns.gyro is not None:
+        add("gyro", columns.gyro, {"yaw_rate": reader.column(columns.gyro.yaw_rate)[0][:, None]})
+    if columns.pose is not None:
+        axes = (columns.pose.x, columns.pose.y, columns.pose.theta)
+        add("pose", columns.pose, {"pose": np.column_stack([reader.column(axis)[0] for axis in axes])})
+    return signals
+
+
+def _seems_held(table: CsvTable, sensor: str, readings: FloatArray) -> list[Finding]:
+    """A finding where many readings (n, width) of a moving robot repeat the one before bit for bit."""
+    moving = readings[np.isfinite(readings).all(axis=1) & readings.any(axis=1)]
+    share = float(np.mean((np.diff(moving, axis=0) == 0).all(axis=1))) if len(moving) > 1 else 0.0
+    if share <= check_settings().held_share:
+        return []
+    words = (
+        f"{100 * share:.0f} % of the readings of the {sensor} repeat the one before; if they are held from row to row, "
+        "say `held: true` in the mapping"
+    )
+    return [Finding("held readings", "note", table.path.name, words)]
+
+
+def _forward(
+    table: CsvTable, columns: Columns, time: FloatArray, broken: BoolArray, findings: list[Finding]
+) -> list[Rows]:
+    """The rows in parts of one segment each, in which time runs forward and every command is known."""
+    where = f"{table.path.name}, line "
+    if np.isnan(time).any():
+        lines = ranges(table.lines[np.isnan(time)])
+        findings.append(Finding("NaN rows", "warning", where + lines, "the row has no time; it is left out"))
+    rows = np.flatnonzero(np.isfinite(time))
+    steps = np.diff(time[rows])
+    again = rows[1:][steps == 0]
+    if len(again):
+        words = f"{len(again)} rows have the time of the row before; the last of each counts"
+        findings.append(Finding("time stands still", "warning", where + ranges(table.lines[again]), words))
+    cut = steps < 0
+    for row, step in zip(rows[1:][cut], steps[cut], strict=True):
+        words = f"time goes backwards by {-step:.3f} s, to {time[row]:.3f} s; a new stretch begins"
+        findings.append(Finding("time backwards", "warning", f"{where}{table.lines[row]}", words))
+    if columns.segment is not None:
+        segment = np.array(table.texts(columns.segment))[rows]
+        cut |= segment[1:] != segment[:-1]
+    cut |= broken[rows[1:]]
+    parts = np.split(rows, np.flatnonzero(cut) + 1)
+    parts = [part[~broken[part]] for part in parts]
+    return [part[np.append(np.diff(time[part]) > 0, True)] for part in parts if len(part)]

@@ -1,0 +1,99 @@
+"""The wheel radius and the tracks behind logs and models, from wheel speeds, twists and gyro."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+
+
+class WheelGeometry(NamedTuple):
+    """By which a log's wheel speeds become its v and omega."""
+
+    radius: float
+    """Wheel radius [m]."""
+    track: float
+    """Track [m]."""
+
+
+def wheel_geometry(records: Sequence[Record]) -> WheelGeometry | None:
+    """Radius and track by least squares over all records with wheels and twist; None without any.
+
+    v = radius (right + left) / 2, omega = radius (right - left) / track.
+    """
+    wheels, twist = _readings(records)
+    mean, difference = wheels.mean(axis=1), wheels[:, 1] - wheels[:, 0]
+    forward, turning = float(mean @ twist[:, 0]), float(difference @ twist[:, 1])
+    if forward <= 0 or turning <= 0:
+        return None
+    radius = forward / float(mean @ mean)
+    return WheelGeometry(radius, radius * float(difference @ difference) / turning)
+
+
+def firmware_track(records: Sequence[Record], geometry: WheelGeometry, dc_gain: FloatArray) -> float | None:
+    """Track [m] by which the robot turned omega_ref into wheel speeds; None where the records do not tell.
+
+    The wheels turn the body with an effective track, difference of rim speeds over the gyro's yaw rate. A model's
+    steady yaw gain times that track over its forward gain is the firmware's.
+
+    Parameters
+    ----------
+    records
+        Records with wheels and gyro; without a gyro the model's omega is that of the wheels already.
+    geometry
+        Of the log.
+    dc_gain
+        (2, 2) steady gains of the model.
+    """
+    pairs = [
+        np.column_stack([record.twist[:, 1], record.yaw_rate])
+        for record in records
+        if record.twist is not None and record.yaw_rate is not None
+    ]
+    effective = geometry.track
+    if pairs:
+        both = np.concatenate(pairs)
+        both = both[np.isfinite(both).all(axis=1)]
+        wheel_rate, yaw_rate = (both - both.mean(axis=0)).T if len(both) else both.T
+        shared = float(wheel_rate @ yaw_rate)
+        if shared <= 0:
+            return None
+        effective *= float(wheel_rate @ wheel_rate) / shared
+    return float(effective * dc_gain[1, 1] / dc_gain[0, 0])
+
+
+def _readings(records: Sequence[Record]) -> tuple[FloatArray, FloatArray]:
+    wheels, twist = [np.empty((0, 2))], [np.empty((0, 2))]
+    for record in records:
+        if record.wheels is not None and record.twist is not None and record.fresh_twist is not None:
+            wheels.append(record.wheels[record.fresh_twist])
+            twist.append(record.twist[record.fresh_twist])
+    return np.concatenate(wheels), np.concatenate(twist)
+
+
+def side_difference(wheel_speeds: FloatArray, radius: float) -> FloatArray:
+    """(K,) right minus left rim speed [m/s] of wheel speeds (K, 4) [rad/s]; each side is the mean of its wheels."""
+    return np.asarray(0.5 * radius * (wheel_speeds @ np.array([-1.0, 1.0, -1.0, 1.0])))
+
+
+def identify_track(difference: FloatArray, yaw_rate: FloatArray) -> float:
+    """Track [m] by which right minus left rim speed (K,) [m/s] becomes a yaw rate (K,) [rad/s], by least squares.
+
+    With the measured yaw rate it is the effective track, on a skid-steer wider than the geometric one; with the
+    commanded yaw rate and settled wheels, that of the firmware times the motors' gain.
+
+    Raises
+    ------
+    ValueError
+        If the data do not turn, or turn against the wheels.
+    """
+    turning = float(yaw_rate @ yaw_rate)
+    slope = float(difference @ yaw_rate) / turning if turning > 0 else 0.0
+    if slope <= 0:
+        raise ValueError("no track can be found: the yaw rate is zero or runs against the wheels; check its sign")
+    # Errors lie in the gyro, so it is regressed on the wheels: yaw rate = difference / track.
+    return float(difference @ difference) / float(difference @ yaw_rate)

@@ -1,0 +1,276 @@
+"""The mapping file of a log: which column or topic is what, in which unit, with which sign."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.named_file import named_file
+
+TimeUnit = Literal["s", "ms", "us", "ns"]
+LengthUnit = Literal["m", "cm", "mm"]
+AngleUnit = Literal["rad", "deg"]
+SpeedUnit = Literal["m/s", "cm/s", "mm/s", "km/h"]
+RateUnit = Literal["rad/s", "deg/s", "rpm"]
+WheelUnit = Literal["rad/s", "deg/s", "rpm", "ticks/s", "ticks", "m/s"]
+
+FACTORS: dict[str, float] = {
+    "s": 1.0,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "ns": 1e-9,
+    "m": 1.0,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "rad": 1.0,
+    "deg": math.pi / 180.0,
+    "m/s": 1.0,
+    "cm/s": 1e-2,
+    "mm/s": 1e-3,
+    "km/h": 1.0 / 3.6,
+    "rad/s": 1.0,
+    "deg/s": math.pi / 180.0,
+    "rpm": 2.0 * math.pi / 60.0,
+}
+"""SI value of one of each unit. A wheel's ticks and rim speeds also need its ticks per turn or its radius."""
+
+MIXED_UP: dict[str, float] = {
+    "degrees and radians": 180.0 / math.pi,
+    "revolutions per minute and rad/s": 60.0 / (2.0 * math.pi),
+    "revolutions and radians": 2.0 * math.pi,
+    "millimetres and metres": 1000.0,
+    "centimetres and metres": 100.0,
+    "km/h and m/s": 3.6,
+}
+"""Factors by which a signal is wrong when two units were mixed up, either way round."""
+
+
+MAPPINGS = Path(__file__).parent / "mappings"
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Sign = Literal[1, -1]
+
+
+class Column(StrictModel):
+    """One column; a plain name stands for a column in SI units."""
+
+    column: str = Field(min_length=1, description="name in the header")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _plain_name(cls, data: Any) -> Any:  # noqa: ANN401 - whatever the file holds
+        return {"column": data} if isinstance(data, str) else data
+
+
+class TimeColumn(Column):
+    """A column of times."""
+
+    unit: TimeUnit = "s"
+
+
+class LengthColumn(Column):
+    """A column of positions."""
+
+    unit: LengthUnit = "m"
+    sign: Sign = 1
+
+
+class AngleColumn(Column):
+    """A column of headings, wrapped or not."""
+
+    unit: AngleUnit = "rad"
+    sign: Sign = 1
+
+
+class SpeedColumn(Column):
+    """A column of forward speeds."""
+
+    unit: SpeedUnit = "m/s"
+    sign: Sign = 1
+
+
+class RateColumn(Column):
+    """A column of yaw rates, counter-clockwise positive after `sign`."""
+
+    unit: RateUnit = "rad/s"
+    sign: Sign = 1
+
+
+class WheelColumn(Column):
+    """A column of one wheel, or one side: its speed, forward positive after `sign`, or its running count of ticks."""
+
+    unit: WheelUnit = "rad/s"
+    sign: Sign = 1
+
+
+SignalColumn = LengthColumn | AngleColumn | SpeedColumn | RateColumn | WheelColumn
+
+SIDES = ("left", "right")
+FOUR_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
+
+
+class _TwistOrWheels(StrictModel):
+    """(v, omega), or the wheels of the two sides."""
+
+    v: SpeedColumn | None = None
+    omega: RateColumn | None = None
+    left: WheelColumn | None = None
+    right: WheelColumn | None = None
+
+    def given(self, *names: str) -> bool:
+        """Whether the mapping names all of these."""
+        return all(getattr(self, name) is not None for name in names)
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        groups = [("v", "omega"), SIDES, *([FOUR_WHEELS] if hasattr(self, FOUR_WHEELS[0]) else [])]
+        for group in groups:
+            there = [name for name in group if self.given(name)]
+            if there and len(there) < len(group):
+                absent = next(name for name in group if name not in there)
+                raise ValueError(f"'{there[0]}' needs '{absent}' beside it")
+        if not any(self.given(*group) for group in groups):
+            raise ValueError(f"name the columns of {' or of '.join(', '.join(group) for group in groups)}")
+        return self
+
+
+class CommandColumns(_TwistOrWheels):
+    """What was commanded: (v, omega), or wheel speeds left and right. An empty cell: the last command still holds."""
+
+    @model_validator(mode="after")
+    def _no_counts(self) -> Self:
+        if self.given("v") and self.given("left"):
+            raise ValueError("name the columns of v and omega, or of left and right, not both")
+        for side in (self.left, self.right):
+            if side is not None and side.unit == "ticks":
+                raise ValueError("a command is a speed: give 'ticks/s', not 'ticks'")
+        return self
+
+
+class SensorColumns(StrictModel):
+    """How a sensor's readings reached the log."""
+
+    time: TimeColumn | None = Field(None, description="times of its readings where they are not those of the rows")
+    held: bool = Field(False, description="rows repeat the last reading until the next one arrives")
+    delay: float = Field(0.0, description="how long after the fact a reading appears in the log [s]")
+
+
+class EncoderColumns(_TwistOrWheels, SensorColumns):
+    """What the encoders measured: (v, omega), sides, four wheels, or several of these."""
+
+    front_left: WheelColumn | None = None
+    front_right: WheelColumn | None = None
+    rear_left: WheelColumn | None = None
+    rear_right: WheelColumn | None = None
+
+
+class GyroColumns(SensorColumns):
+    """What the gyro measured."""
+
+    yaw_rate: RateColumn
+
+
+class PoseColumns(SensorColumns):
+    """Where the robot was, from something better than its own encoders, in one frame within a segment."""
+
+    x: LengthColumn
+    y: LengthColumn
+    theta: AngleColumn
+
+
+class Columns(StrictModel):
+    """The columns of a CSV file."""
+
+    time: TimeColumn | None = Field(None, description="times of the rows")
+    sample_time: Positive | None = Field(None, description="time between rows [s], for a log without time stamps")
+    segment: str | None = Field(None, description="column whose change begins a new stretch")
+    command: CommandColumns
+    encoders: EncoderColumns | None = None
+    gyro: GyroColumns | None = None
+    pose: PoseColumns | None = None
+
+    @model_validator(mode="after")
+    def _timed_and_measured(self) -> Self:
+        if (self.time is None) == (self.sample_time is None):
+            raise ValueError("give either 'time', the column of times, or 'sample_time' [s] for a log without one")
+        if self.encoders is None and self.gyro is None and self.pose is None:
+            raise ValueError("nothing measured: name the columns of 'encoders', 'gyro' or 'pose'")
+        return self
+
+    def names(self) -> set[str]:
+        """Names of all columns that the mapping uses."""
+        groups = [self.command, self.encoders, self.gyro, self.pose]
+        parts = [part for group in groups if group is not None for _, part in group]
+        names = {part.column for part in [self.time, *parts] if isinstance(part, Column)}
+        return names if self.segment is None else {*names, self.segment}
+
+
+class Topic(StrictModel):
+    """One topic of a bag; a plain name stands for a topic without sign or delay."""
+
+    topic: str = Field(min_length=1)
+    sign: Sign = Field(1, description="of yaw rates and headings; -1 for a sensor mounted upside down")
+    delay: float = Field(0.0, description="how long after the fact its stamps are [s]")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _plain_name(cls, data: Any) -> Any:  # noqa: ANN401 - whatever the file holds
+        return {"topic": data} if isinstance(data, str) else data
+
+
+class Topics(StrictModel):
+    """The topics of a ROS 2 bag."""
+
+    command: Topic = Field(Topic(topic="/cmd_vel"), description="geometry_msgs Twist or TwistStamped")
+    odometry: Topic | None = Field(None, description="nav_msgs Odometry of the encoders alone; its twist is used")
+    imu: Topic | None = Field(None, description="sensor_msgs Imu; its angular velocity about z is used")
+    pose: Topic | None = Field(
+        None, description="PoseStamped, PoseWithCovarianceStamped or Odometry of a localisation, not of the encoders"
+    )
+    clock: Literal["stamp", "receive"] = Field(
+        "stamp", description="whose times count: the messages' or the recorder's"
+    )
+
+    @model_validator(mode="after")
+    def _measured(self) -> Self:
+        if self.odometry is None and self.imu is None and self.pose is None:
+            raise ValueError("nothing measured: name the topic of 'odometry', 'imu' or 'pose'")
+        return self
+
+
+class Wheels(StrictModel):
+    """The lengths by which the mapping turns wheel speeds into (v, omega)."""
+
+    radius: Positive = Field(description="wheel radius [m]")
+    track: Positive = Field(description="track [m]")
+    ticks_per_turn: Positive | None = Field(None, description="encoder ticks per turn of the wheel")
+
+
+class LogMapping(StrictModel):
+    """A mapping file."""
+
+    source: str = Field("", description="where the log comes from, and on what the signs and delays are based")
+    columns: Columns | None = None
+    topics: Topics | None = None
+    wheels: Wheels | None = None
+    gap: Positive | None = Field(None, description="longest time between two commands or rows of one stretch [s]")
+
+
+def load_mapping(name: str | Path) -> LogMapping:
+    """Read a mapping file.
+
+    Parameters
+    ----------
+    name
+        Name of a shipped mapping ("simulate", "husky_tile", ...) or the path of a YAML file.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If there is no such mapping or it has a mistake.
+    """
+    return load_checked(LogMapping, named_file("mapping", MAPPINGS, name))

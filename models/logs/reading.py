@@ -1,0 +1,91 @@
+"""A log from a file: read, cut into stretches, sampled evenly and checked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.logs.bags import is_bag, read_bag
+from diffdrive_mpc.models.logs.check_settings import CheckSettings, check_settings
+from diffdrive_mpc.models.logs.clock_checks import check_timing, gap_finding
+from diffdrive_mpc.models.logs.csv_log import read_csv
+from diffdrive_mpc.models.logs.mapping import load_mapping
+from diffdrive_mpc.models.logs.record import Finding, Log, Record
+from diffdrive_mpc.models.logs.record_checks import check_commands, check_responses, check_sensors
+from diffdrive_mpc.models.logs.sampling import RawLog, pieces, resample, usual_step
+
+
+def read_log(path: str | Path, mapping: str | Path | None = None, sample_time: float | None = None) -> Log:
+    """Read a log of a robot.
+
+    Parameters
+    ----------
+    path
+        A CSV file, or a ROS 2 bag: its folder, or one .mcap or .db3 file.
+    mapping
+        Name of a shipped mapping, or the path of a mapping file that says which column or topic is what. None for a
+        log of `diffdrive-mpc simulate --log`, and for a bag with /cmd_vel and /odom or /imu.
+    sample_time
+        Step of the records [s]; None for that of the log.
+
+    Returns
+    -------
+    Log
+        The stretches that can be used, with everything found wrong. Nothing is repaired: what is left out, or where a
+        stretch ends, is said in a finding.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the file or the mapping cannot be read, names are missing, the times come from two clocks, or no stretch is
+        long enough. Commands that excite nothing, wrong signs and wrong units are findings of severity "error".
+    """
+    path = Path(path)
+    if sample_time is not None and not (np.isfinite(sample_time) and sample_time > 0):
+        raise ConfigError(f"sample time {sample_time} s; it must be positive and finite")
+    if not path.exists():
+        raise ConfigError(f"{path}: there is no such file or folder")
+    loaded = None if mapping is None else load_mapping(mapping)
+    raw = (read_bag if is_bag(path) else read_csv)(path, loaded)
+    settings = check_settings()
+    period = usual_step([stretch.clock for stretch in raw.stretches])
+    dt = sample_time or raw.sample_time or period
+    if not np.isfinite(dt):
+        raise ConfigError(f"{path}: no two rows follow each other in time; is the column of times the right one?")
+    longest_step = (loaded.gap if loaded else None) or settings.longest_step(period)
+    records, findings = _records(raw, dt, longest_step, settings)
+    findings = [*raw.findings, *check_timing(raw, period, settings), *findings]
+    records, stuck = check_sensors(records, settings)
+    findings += [*stuck, *check_commands(raw.name, records, settings), *check_responses(raw.name, records, settings)]
+    return Log(raw.name, tuple(records), tuple(findings))
+
+
+def _records(
+    raw: RawLog, dt: float, longest_step: float, settings: CheckSettings
+) -> tuple[list[Record], list[Finding]]:
+    """The stretches that are long enough, and findings about gaps and those that are not."""
+    records: list[Record] = []
+    findings: list[Finding] = []
+    longest, end = 0, np.inf
+    for stretch in raw.stretches:
+        for first, last in pieces(stretch, longest_step):
+            if first - end > longest_step:
+                findings.append(gap_finding(raw.name, end, first, settings))
+            end = last
+            record = resample(raw.name, stretch, first, last, dt, settings)
+            count = 0 if record is None else len(record.command)
+            longest = max(longest, count)
+            if record is not None and count >= settings.fewest_samples:
+                records.append(record)
+            else:
+                words = f"{count} samples, fewer than {settings.fewest_samples}; the stretch is left out"
+                place = f"{raw.name}, {first:.1f} to {last:.1f} s"
+                findings.append(Finding("short stretch", "note", place, words, (first, last)))
+    if not records:
+        raise ConfigError(
+            f"{raw.name}: {longest} samples in the longest stretch, at least {settings.fewest_samples} are needed; "
+            f"record for longer, or give a longer 'gap' in the mapping (now {longest_step:.3g} s)"
+        )
+    return records, findings

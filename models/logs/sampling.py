@@ -1,0 +1,186 @@
+"""From signals with their own times to evenly sampled records."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.check_settings import CheckSettings
+from diffdrive_mpc.models.logs.record import BoolArray, Finding, Record
+
+
+@dataclass(frozen=True)
+class Signal:
+    """n readings of one sensor, or n commands, in SI units.
+
+    Attributes
+    ----------
+    time
+        (n,) strictly increasing times that the values are valid for [s].
+    value
+        (n, width) finite values.
+    """
+
+    time: FloatArray
+    value: FloatArray
+
+    def later(self, shift: float) -> Signal:
+        """The same values, valid `shift` seconds later."""
+        return Signal(self.time + shift, self.value)
+
+    def between(self, first: float, last: float) -> Signal:
+        """The readings at times from `first` to `last` [s], both included."""
+        inside = (self.time >= first) & (self.time <= last)
+        return Signal(self.time[inside], self.value[inside])
+
+
+@dataclass(frozen=True)
+class RawStretch:
+    """A part of a log in which time runs forward.
+
+    Attributes
+    ----------
+    clock
+        (n,) times at which the log was seen to be alive [s]: its rows or its commands.
+    command
+        (v [m/s], omega [rad/s]), in force until the next.
+    measured
+        Signals by the name of the field of `Record` that they will fill.
+    wheel_commands
+        Left, right [rad/s], where the log commands wheels.
+    """
+
+    clock: FloatArray
+    command: Signal
+    measured: Mapping[str, Signal]
+    wheel_commands: Signal | None = None
+
+
+@dataclass(frozen=True)
+class RawLog:
+    """A log as its reader hands it over.
+
+    Attributes
+    ----------
+    name
+        Of the file or bag, for messages.
+    stretches
+        In the order of the log.
+    findings
+        What the reader found wrong.
+    sample_time
+        The log's own [s]; None where it has to be found from the times.
+    """
+
+    name: str
+    stretches: tuple[RawStretch, ...]
+    findings: tuple[Finding, ...]
+    sample_time: float | None = None
+
+
+def unwrapped(pose: FloatArray) -> FloatArray:
+    """Poses (n, 3) with the third column [rad] made continuous."""
+    return np.column_stack([pose[:, :2], np.unwrap(pose[:, 2])])
+
+
+def increasing(time: FloatArray) -> BoolArray:
+    """(n,) True where a time is later than every one before it."""
+    before = np.concatenate([[-np.inf], np.maximum.accumulate(time)[:-1]])
+    return np.asarray(time > before)
+
+
+def usual_step(times: list[FloatArray]) -> float:
+    """Usual step of rows of times [s]; NaN where no two times follow each other.
+
+    The median, unless rounded or uneven stamps put the mean elsewhere. Rows missed count for as many steps; gaps do not
+    count.
+    """
+    steps = np.concatenate([np.diff(time) for time in times]) if times else np.empty(0)
+    if not len(steps):
+        return float("nan")
+    median = float(np.percentile(steps, 50, method="lower"))
+    rows = np.rint(steps / median)
+    near = rows <= 3
+    mean = float(steps[near].sum() / rows[near].sum())
+    # A sample time has no more than six digits; the rest is rounding of the stamps.
+    return float(f"{median if np.isclose(median, mean, rtol=1e-4) else mean:.6g}")
+
+
+def hold(signal: Signal, grid: FloatArray, tolerance: float) -> FloatArray:
+    """Values (K, width) in force at the times `grid` (K,) [s]: zero-order hold, from the past alone.
+
+    A value at most `tolerance` [s] after a grid point belongs to that point. The first value must not be later.
+    """
+    return signal.value[np.searchsorted(signal.time, grid + tolerance, side="right") - 1]
+
+
+def sample(signal: Signal, grid: FloatArray, dt: float, tolerance: float, reach: float) -> tuple[FloatArray, BoolArray]:
+    """Sample readings at the times `grid` (K,) [s] with step `dt` [s].
+
+    A reading within `tolerance` [s] of a grid point is taken as it stands; elsewhere the value is interpolated
+    between two readings no further apart than `reach` [s], and NaN where there are none.
+
+    Returns
+    -------
+    tuple
+        Values (K, width), and (K,) True where a reading falls on the sample, nearer to it than to any other.
+    """
+    width = signal.value.shape[1]
+    values = np.full((len(grid), width), np.nan)
+    fresh = np.zeros(len(grid), dtype=bool)
+    if not len(signal.time):
+        return values, fresh
+    right = np.searchsorted(signal.time, grid)
+    before, after = np.clip(right - 1, 0, None), np.clip(right, None, len(signal.time) - 1)
+    inside = (right > 0) & (right < len(signal.time)) & (signal.time[after] - signal.time[before] <= reach)
+    for j in range(width):
+        values[inside, j] = np.interp(grid[inside], signal.time, signal.value[:, j])
+    nearest = np.where(np.abs(signal.time[after] - grid) <= np.abs(grid - signal.time[before]), after, before)
+    distance = np.abs(signal.time[nearest] - grid)
+    exact = distance <= tolerance
+    values[exact] = signal.value[nearest[exact]]
+    # Half a step is nobody's middle: a hair decides such ties the same way along the whole grid.
+    cells = np.floor((signal.time - grid[0]) / dt + 0.5 + 1e-6).astype(int)
+    fresh[cells[(cells >= 0) & (cells < len(grid))]] = True
+    return values, fresh & np.isfinite(values).all(axis=1)
+
+
+def pieces(stretch: RawStretch, longest_step: float) -> Iterator[tuple[float, float]]:
+    """From and to [s] of the parts of a stretch between pauses longer than `longest_step` [s]."""
+    edges = np.flatnonzero(np.diff(stretch.clock) > longest_step)
+    for first, last in zip([0, *(edges + 1)], [*edges, len(stretch.clock) - 1], strict=True):
+        yield float(stretch.clock[first]), float(stretch.clock[last])
+
+
+def resample(
+    name: str, stretch: RawStretch, first: float, last: float, dt: float, settings: CheckSettings
+) -> Record | None:
+    """Sample the part of `stretch` from `first` to `last` [s] evenly, `dt` [s] apart; None where nothing is left.
+
+    The record begins with the first command in the part. Commands and readings outside the part are not used, so
+    nothing is held or interpolated across its ends. Readings slower or faster than `dt` are not filtered.
+    """
+    tolerance = settings.grid_tolerance * dt
+    command = stretch.command.between(first - tolerance, last + tolerance)
+    if not len(command.time):
+        return None
+    start = max(first, float(command.time[0]))
+    count = int(np.floor((last - start) / dt + settings.grid_tolerance)) + 1
+    if count < 1:
+        return None
+    grid = np.asarray(start + dt * np.arange(count))
+    sampled: dict[str, Any] = {"command": hold(command, grid, tolerance)}
+    if stretch.wheel_commands is not None:
+        sampled["wheel_commands"] = hold(stretch.wheel_commands, grid, tolerance)
+    for field, signal in stretch.measured.items():
+        reach = settings.longest_step(usual_step([signal.time]))
+        part = signal.between(first - tolerance, last + tolerance)
+        values, fresh = sample(part, grid, dt, tolerance, reach)
+        sampled[field] = values[:, 0] if field == "yaw_rate" else values
+        sampled[f"fresh_{field}" if field in ("yaw_rate", "pose") else "fresh_twist"] = fresh
+    place = f"{name}, {start:.1f} to {grid[-1]:.1f} s"
+    return Record(name=place, start=start, dt=dt, **sampled)

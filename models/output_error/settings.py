@@ -1,0 +1,51 @@
+"""Where the estimator looks, and when it warns: read from `settings.yaml`."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from pydantic import Field
+
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.robot import Positive
+
+Range = tuple[Positive, Positive]
+
+
+class SaturationSettings(StrictModel):
+    """How a limit of the base is looked for."""
+
+    lowest: Positive = Field(lt=1, description="lowest level tried, part of the largest command [-]")
+    levels: int = Field(ge=2, description="number of levels tried")
+    share: Positive = Field(lt=1, description="least share of samples commanded beyond the level [-]")
+    evidence: Positive = Field(description="least fall of the information criterion [-]")
+
+
+class WarningSettings(StrictModel):
+    """When a parameter is said to be badly known."""
+
+    relative_deviation: Positive = Field(description="standard deviation over value [-]")
+    condition: Positive = Field(description="condition number of the scaled information matrix [-]")
+
+
+class EstimatorSettings(StrictModel):
+    """Bounds, first guesses and thresholds of the estimator."""
+
+    longest_dead_time: Positive = Field(description="[s]")
+    lag: Range = Field(description="sum of both time constants [s]")
+    short: Range = Field(description="product of both time constants over their sum [s]")
+    gain: Range = Field(description="[-]")
+    track: Range = Field(description="[m]")
+    start_dead_times: tuple[float, ...] = Field(description="grid of first guesses [s]")
+    start_frequencies: tuple[Positive, ...] = Field(description="grid of first guesses [rad/s]")
+    impulse_response: Positive = Field(description="length of the impulse response an SSM starts from [s]")
+    saturation: SaturationSettings
+    warn: WarningSettings
+    residual_lag: Positive = Field(description="longest lag of the residuals' correlations [s]")
+
+
+@cache
+def estimator_settings() -> EstimatorSettings:
+    """Read `settings.yaml`; raises ConfigError on a mistake in it."""
+    return load_checked(EstimatorSettings, Path(__file__).parent / "settings.yaml")

@@ -1,0 +1,246 @@
+"""From data and a first guess to parameters with their covariance, and to levels at which a robot clips its command."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.layout import Layout
+from diffdrive_mpc.models.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.output_error.problem import OutputErrorProblem
+from diffdrive_mpc.models.output_error.settings import estimator_settings
+from diffdrive_mpc.models.output_error.statistics import (
+    Sandwich,
+    output_spread,
+    residual_scale,
+    sandwich,
+    spike_weights,
+)
+
+# Reweighting ends when a round lowers the cost by less than this part of it, or after so many rounds. A round goes on
+# where the last one stopped, so few evaluations in each are enough.
+_SETTLED = 1e-5
+_ROUNDS = 5
+_EVALUATIONS = 25
+
+
+@dataclass(frozen=True)
+class OutputErrorFit:
+    """An estimate.
+
+    Attributes
+    ----------
+    layout, parameters
+        What was estimated, and its values (q,).
+    covariance
+        (q, q), residual correlation taken into account.
+    scale
+        (p,) scale of the residuals, units of the outputs.
+    residuals
+        For each experiment (K, p) measured minus simulated, from the best initial state; NaN where it does not count.
+    trust
+        For each experiment (K, p) weights of the residuals: 1, and less for outliers.
+    effective_samples
+        (p,) how many independent readings the correlated residuals are worth.
+    condition
+        Condition number of the information matrix, each parameter scaled to unit information.
+    """
+
+    layout: Layout
+    parameters: FloatArray
+    covariance: FloatArray
+    scale: FloatArray
+    residuals: list[FloatArray]
+    trust: list[FloatArray]
+    effective_samples: FloatArray
+    condition: float
+
+    @property
+    def system(self) -> LinearSystem:
+        """The estimated system."""
+        return self.layout.system(self.parameters)
+
+    def loss(self, scale: FloatArray) -> FloatArray:
+        """(p,) weighted sum of squares of each output's residuals over `scale` (p,)."""
+        parts = [np.nansum(w * (r / scale) ** 2, axis=0) for w, r in zip(self.trust, self.residuals, strict=True)]
+        return np.asarray(np.sum(parts, axis=0))
+
+
+def fit_output_error(
+    candidates: Sequence[tuple[Layout, FloatArray]],
+    experiments: Sequence[Experiment],
+    robust: bool = True,
+    trial: int = 25,
+    scale: FloatArray | None = None,
+) -> OutputErrorFit:
+    """Fit every candidate, go on with the best, and find its covariance.
+
+    Weighted least squares with a trust region (scipy), reweighted until it settles: outputs by the scale of their
+    residuals, single readings by whether their neighbours agree. The commands before an experiment are not known, so
+    the first readings, for as long as the dead time, do not count.
+
+    Parameters
+    ----------
+    candidates
+        Layouts, each with a first guess of its parameters.
+    experiments
+        The data.
+    robust
+        Whether single outliers are held back.
+    trial
+        Evaluations after which the best candidate is chosen.
+    scale
+        (p,) scale of the residuals to begin with; by default the spread of the outputs.
+
+    Raises
+    ------
+    ValueError
+        If there is no data, or an output never changes.
+    """
+    if not experiments:
+        raise ValueError("no data: give at least one record in which the robot moves")
+    spread = output_spread(experiments)
+    scale = spread if scale is None else scale
+    with threadpool_limits(1):  # the matrices are small: threads only get in each other's way
+        fits = []
+        for layout, start in candidates:
+            weights = _weights(layout, start, experiments, scale)
+            fits.append((*_solve(layout, start, experiments, weights, trial), weights))
+        layout, parameters, cost, weights = min(fits, key=lambda fit: fit[2])
+        for _ in range(_ROUNDS):
+            residuals = _residuals(layout, parameters, experiments, weights)
+            trust = spike_weights(residuals) if robust else [np.ones_like(rows) for rows in residuals]
+            scale = residual_scale(residuals, trust, spread)
+            weights = _weights(layout, parameters, experiments, scale, trust)
+            before = _cost(layout, parameters, experiments, weights)
+            layout, parameters, cost = _solve(layout, parameters, experiments, weights, _EVALUATIONS)
+            if before - cost < _SETTLED * cost:
+                break
+        residuals = _residuals(layout, parameters, experiments, weights)
+        found = _covariance(layout, parameters, experiments, weights)
+    return OutputErrorFit(
+        layout, parameters, found.covariance, scale, residuals, trust, found.effective_samples, found.condition
+    )
+
+
+def _solve(
+    layout: Layout, start: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray], evaluations: int
+) -> tuple[Layout, FloatArray, float]:
+    from scipy.optimize import least_squares  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+
+    parametrisation, own = layout.parametrisation.recentred(start[: layout.counts[0]])
+    layout = layout.around(parametrisation)
+    start = np.concatenate([own, start[len(own) :]])
+    problem = OutputErrorProblem(layout, experiments, weights)
+    low, high = layout.bounds
+    result = least_squares(
+        problem.residuals,
+        np.clip(start, low + 1e-9, high - 1e-9),
+        problem.jacobian,
+        bounds=(low, high),
+        x_scale="jac",
+        max_nfev=evaluations,
+        xtol=1e-8,
+        ftol=1e-8,
+        gtol=1e-8,
+    )
+    return layout, np.asarray(result.x), float(result.cost)
+
+
+def _cost(
+    layout: Layout, parameters: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray]
+) -> float:
+    return 0.5 * float(np.sum(OutputErrorProblem(layout, experiments, weights).residuals(parameters) ** 2))
+
+
+def _residuals(
+    layout: Layout, parameters: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray]
+) -> list[FloatArray]:
+    simulated = OutputErrorProblem(layout, experiments, weights).simulations(parameters)
+    return [
+        np.where(weight > 0, experiment.outputs - outputs, np.nan)
+        for experiment, outputs, weight in zip(experiments, simulated, weights, strict=True)
+    ]
+
+
+def _known_commands(layout: Layout, parameters: FloatArray, experiment: Experiment) -> NDArray[np.bool_]:
+    """(K,) from where on every command that still acts lies inside the experiment."""
+    longest = float(layout.system(parameters).dead_time.max())
+    return np.asarray(np.arange(experiment.samples) > np.floor(longest / experiment.dt))
+
+
+def _weights(
+    layout: Layout,
+    parameters: FloatArray,
+    experiments: Sequence[Experiment],
+    scale: FloatArray,
+    trust: list[FloatArray] | None = None,
+) -> list[FloatArray]:
+    """Square roots of the weights, over the scale."""
+    weights = [
+        (experiment.counts & _known_commands(layout, parameters, experiment)[:, None]) / scale
+        for experiment in experiments
+    ]
+    if trust is None:
+        return weights
+    return [weight * np.sqrt(part) for weight, part in zip(weights, trust, strict=True)]
+
+
+def _covariance(
+    layout: Layout, parameters: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray]
+) -> Sandwich:
+    problem = OutputErrorProblem(layout, experiments, weights)
+    jacobian, error = problem.jacobian(parameters), problem.residuals(parameters).reshape(-1, layout.outputs)
+    error = np.where(np.concatenate(weights) > 0, error, np.nan)
+    cuts = np.cumsum([experiment.samples for experiment in experiments])[:-1]
+    return sandwich(np.split(jacobian.reshape(*error.shape, -1), cuts), np.split(error, cuts))
+
+
+_CERTAIN = 2.0
+# Only the level and the gain have to move before the best level shows.
+_TRIAL = 6
+
+
+def find_limits(
+    fit: OutputErrorFit, experiments: Sequence[Experiment], channel: int, robust: bool = True
+) -> OutputErrorFit:
+    """Let input `channel` have a limit, and keep it if the data clearly show one.
+
+    The weighted loss has to fall by more than the information criterion (Schwarz, Annals of Statistics 1978, 6(2)) asks
+    for, counted in effective samples; enough commands have to lie beyond the level; and the level has to lie below the
+    largest command by two standard deviations.
+
+    Parameters
+    ----------
+    fit
+        The fit without a limit on this input.
+    experiments
+        The data behind it.
+    channel
+        Number of the input.
+    robust
+        As for the fit.
+    """
+    settings = estimator_settings().saturation
+    size = np.concatenate([np.abs(experiment.inputs[:, channel]) for experiment in experiments])
+    levels = np.linspace(settings.lowest, 1.0, settings.levels, endpoint=False) * size.max()
+    levels = levels[[np.mean(size > level) > settings.share for level in levels]]
+    limited = tuple(free or j == channel for j, free in enumerate(fit.layout.limited))
+    layout = replace(fit.layout, limited=limited)
+    place = sum(fit.layout.counts[:3]) + sum(limited[:channel])
+    candidates = [(layout, np.insert(fit.parameters, place, level)) for level in levels]
+    if not candidates:
+        return fit
+    found = fit_output_error(candidates, experiments, robust, _TRIAL)
+    level, deviation = found.parameters[place], np.sqrt(found.covariance[place, place])
+    samples = float(fit.effective_samples.sum())
+    gain = samples * np.log(fit.loss(fit.scale).sum() / found.loss(fit.scale).sum()) - np.log(samples)
+    beyond = float(np.mean(size > level))
+    shown = gain > settings.evidence and beyond > settings.share and level + _CERTAIN * deviation < size.max()
+    return found if shown else fit

@@ -1,0 +1,151 @@
+"""Weights that keep outliers from deciding, and how well parameters are known when residuals are correlated in time.
+
+In a log an outlier is a reading that its neighbours contradict. What a model cannot explain lasts longer than that, and
+is no outlier: holding it back would fit the quiet parts of a log and give up the rest. Source of the weights: Huber,
+Robust Statistics, Wiley 1981: min(1, c / |z|) of residuals z over their scale.
+
+Covariance H^-1 S H^-1 ("sandwich"): H is the information that white residuals would give, S the long-run covariance of
+the scores. Sources: Ljung, System Identification, 2nd edition, 1999, section 9.4 (output error with coloured noise);
+Newey, West, Econometrica 1987, 55(3), 703-708 (weights of the lags); Andrews, Econometrica 1991, 59(3), 817-858
+(how many lags).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.output_error.experiment import Experiment
+
+_SPIKE = 5.0
+"""c for single readings: on normal noise next to none is held back."""
+_NEIGHBOURS = 5
+# The median size of a normal variable is this part of its standard deviation.
+_MEDIAN = 0.6745
+# The scale of spikes is not taken below this part of the residuals.
+_LEAST_SHARE = 0.1
+
+
+def spike_weights(residuals: Sequence[FloatArray]) -> list[FloatArray]:
+    """For each experiment (K, p) weights of its residuals (K, p), NaN where they do not count: 1, and less for spikes.
+
+    A spike is the difference from the median of five readings around; its scale is the median of all that differ. (The
+    quantised readings of a robot that stands do not, and say nothing about noise.)
+    """
+    from scipy import ndimage  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+
+    spikes = [np.full_like(rows, np.nan) for rows in residuals]
+    for spike, rows in zip(spikes, residuals, strict=True):
+        for column in range(rows.shape[1]):
+            known = np.isfinite(rows[:, column])
+            reading = rows[known, column]
+            spike[known, column] = reading - ndimage.median_filter(reading, _NEIGHBOURS, mode="nearest")
+    whole = np.concatenate(residuals)
+    size = np.abs(np.concatenate(spikes))
+    scale = np.array([_median(column[column > 0]) for column in size.T]) / _MEDIAN
+    scale = np.maximum(scale, _LEAST_SHARE * np.sqrt(np.nanmean(whole**2, axis=0)) + np.finfo(float).tiny)
+    return [_SPIKE / np.maximum(np.nan_to_num(np.abs(spike / scale)), _SPIKE) for spike in spikes]
+
+
+def residual_scale(residuals: Sequence[FloatArray], weights: Sequence[FloatArray], spread: FloatArray) -> FloatArray:
+    """(p,) root mean square of weighted residuals (K, p), NaN where they do not count.
+
+    Never below a tiny part of the outputs' `spread` (p,), which keeps noise-free data from dividing by zero.
+    """
+    weighted = np.concatenate([weight * rows for weight, rows in zip(weights, residuals, strict=True)])
+    return np.asarray(np.maximum(np.sqrt(np.nanmean(weighted**2, axis=0)), 1e-9 * spread))
+
+
+def output_spread(experiments: Sequence[Experiment]) -> FloatArray:
+    """(p,) standard deviation of each output; raises ValueError where one never changes."""
+    spread = []
+    for row in range(experiments[0].outputs.shape[1]):
+        spread.append(np.std(np.concatenate([s.outputs[s.counts[:, row], row] for s in experiments])))
+    if min(spread) == 0.0:
+        raise ValueError("the outputs never change: is the sensor connected, and did the robot move?")
+    return np.array(spread)
+
+
+def _median(values: FloatArray) -> float:
+    return float(np.median(values)) if len(values) else 0.0
+
+
+# Correlations of scores are capped here in the choice of the window: beyond, the window would take in everything.
+_MOST_CORRELATED = 0.97
+
+
+class Sandwich(NamedTuple):
+    """Covariance and what it says about the data."""
+
+    covariance: FloatArray
+    """(q, q)"""
+    effective_samples: FloatArray
+    """(p,) independent readings that the residuals are worth"""
+    condition: float
+    """condition number of the information matrix, scaled to unit diagonal"""
+
+
+def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> Sandwich:
+    """Covariance of parameters at the optimum of a weighted least-squares problem.
+
+    Parameters
+    ----------
+    jacobians
+        For each experiment (K, p, q) derivatives of the weighted residuals, initial states projected out.
+    errors
+        For each experiment (K, p) weighted residuals, NaN where they do not count.
+    """
+    count = jacobians[0].shape[2]
+    rows = [jacobian.reshape(-1, count) for jacobian in jacobians]
+    information = np.sum([row.T @ row for row in rows], axis=0)
+    scores = [
+        np.einsum("kpq,kp->kq", j, np.nan_to_num(e), optimize=True) for j, e in zip(jacobians, errors, strict=True)
+    ]
+    spread = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    shaped = information / np.outer(spread, spread)
+    bread = np.linalg.pinv(shaped, rcond=1e-14, hermitian=True) / np.outer(spread, spread)
+    used = sum(int(np.isfinite(error).sum()) for error in errors)
+    covariance = bread @ long_run_covariance(scores) @ bread * used / max(used - count, 1)
+    return Sandwich(covariance, effective_samples(errors), float(np.linalg.cond(shaped)))
+
+
+def long_run_covariance(scores: Sequence[FloatArray], window: int | None = None) -> FloatArray:
+    """(q, q) covariance of the scores' (K, q) sum, Bartlett weights.
+
+    Nothing is correlated across experiments. The window is chosen from the scores' first autocorrelation (Andrews' rule
+    for Bartlett weights) unless given.
+    """
+    if window is None:
+        window = _window(scores)
+    total = np.zeros((scores[0].shape[1],) * 2)
+    for row in scores:
+        total += row.T @ row
+        for lag in range(1, min(window + 1, len(row))):
+            part = row[lag:].T @ row[:-lag]
+            total += (1 - lag / (window + 1)) * (part + part.T)
+    return total
+
+
+def effective_samples(errors: Sequence[FloatArray]) -> FloatArray:
+    """(p,) readings divided by the integrated autocorrelation of the residuals (K, p), NaN where they do not count."""
+    worth = []
+    for row in range(errors[0].shape[1]):
+        column = [np.nan_to_num(error[:, row : row + 1]) for error in errors]
+        used = sum(int(np.isfinite(error[:, row]).sum()) for error in errors)
+        power = sum(float((c**2).sum()) for c in column)
+        inflation = float(long_run_covariance(column)[0, 0]) / power if power else 1.0
+        worth.append(used / max(inflation, 1.0))
+    return np.array(worth)
+
+
+def _window(scores: Sequence[FloatArray]) -> int:
+    """Lags that count: 1.1447 (4 rho^2 / (1 - rho^2)^2 K)^(1/3), rho the strongest autocorrelation of any score."""
+    power = sum((row**2).sum(axis=0) for row in scores)
+    lagged = sum((row[1:] * row[:-1]).sum(axis=0) for row in scores)
+    rho = np.abs(lagged / np.maximum(power, np.finfo(float).tiny)).max()
+    rho = min(rho, _MOST_CORRELATED)
+    samples = sum(map(len, scores))
+    return int(1.1447 * (4 * rho**2 / (1 - rho**2) ** 2 * samples) ** (1 / 3))

@@ -1,0 +1,215 @@
+"""How good a model is on records: FIT and RMSE of a free simulation, and whether its residuals are white.
+
+Protocol: each record is simulated from its commands once, started at the first measured output and never restarted; FIT
+is pooled over records.
+
+Sources: Guffanti et al., Sensors 2025, 25(11), 3553 (FIT); Ljung, Box, Biometrika 1978, 65(2), 297-303 (portmanteau
+statistic); Ljung, System Identification, 2nd edition, 1999, section 16.6 (bounds); Bartlett's formula for the variance
+of a cross-correlation of two correlated signals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.experiment import Experiment, YawSource, twist_experiments
+from diffdrive_mpc.models.output_error.linear_system import LinearSystem, StateResponse, delayed, sample, settled_start
+from diffdrive_mpc.models.output_error.settings import estimator_settings
+
+
+def fit_percent(measured: FloatArray, simulated: FloatArray) -> float:
+    """FIT = 100 (1 - |y - yhat| / |y - mean(y)|) [%] of one signal (K,).
+
+    Source: Guffanti et al., Sensors 2025, 25(11), 3553. 100 is a perfect simulation, 0 no better than the mean.
+
+    Raises
+    ------
+    ValueError
+        If the measured signal is constant: FIT is not defined then.
+    """
+    return pooled_fit_percent([measured], [simulated])
+
+
+def pooled_fit_percent(measured: Sequence[FloatArray], simulated: Sequence[FloatArray]) -> float:
+    """FIT [%] over several stretches of one signal, each against the mean of all; raises as `fit_percent`."""
+    y, yhat = np.concatenate(measured), np.concatenate(simulated)
+    spread = float(np.linalg.norm(y - y.mean()))
+    if spread == 0.0:
+        raise ValueError("FIT is not defined: the measured signal is constant; use a log in which the robot moves")
+    return 100.0 * (1.0 - float(np.linalg.norm(y - yhat)) / spread)
+
+
+# 97.5 % quantile of the normal distribution.
+_BOUND = 1.959963984540054
+
+
+@dataclass(frozen=True)
+class ResidualCheck:
+    """Correlations of residuals, L lags of `lag_step` seconds.
+
+    Attributes
+    ----------
+    lag_step
+        Time between lags [s].
+    autocorrelation
+        (2, L + 1) of the residuals of v and omega, normalised; lag 0 first.
+    whiteness_bound
+        95 % of the autocorrelations of white residuals lie within plus or minus this.
+    ljung_box_p
+        (2,) probability of a statistic this large if residuals were white.
+    cross_correlation
+        (2, 2, 2 L + 1) of residual i with command j, normalised; lag k means the command k steps before the residual,
+        negative lags first.
+    cross_bound
+        (2, 2) 95 % bound of these if residuals were independent of the commands.
+    """
+
+    lag_step: float
+    autocorrelation: FloatArray
+    whiteness_bound: float
+    ljung_box_p: FloatArray
+    cross_correlation: FloatArray
+    cross_bound: FloatArray
+
+    @property
+    def unexplained(self) -> FloatArray:
+        """(2, 2) largest correlation of residual i with a past command j, over its bound; beyond about 1.5 is news."""
+        past = self.cross_correlation[:, :, self.cross_correlation.shape[2] // 2 :]
+        return np.asarray(np.abs(past).max(axis=2) / self.cross_bound)
+
+
+def check_residuals(errors: Sequence[FloatArray], experiments: Sequence[Experiment]) -> ResidualCheck:
+    """Correlate residuals (K, 2), NaN where there is no reading, with themselves and with the commands.
+
+    Nothing is correlated across experiments. Where the sensors are slower than the log, lags between two readings have
+    no pairs and count as zero.
+    """
+    from scipy import stats  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+
+    dt = experiments[0].dt
+    lags = min(round(estimator_settings().residual_lag / dt), min(map(len, errors)) - 1)
+    outputs, inputs = errors[0].shape[1], experiments[0].inputs.shape[1]
+    centred = [_centred(rows) for rows in _columns(errors)]
+    driven = [_centred(rows) for rows in _columns([experiment.inputs for experiment in experiments])]
+    auto = [_correlation(rows, rows, lags) for rows in centred]
+    readings = np.array([sum(int(np.isfinite(r).sum()) for r in rows) for rows in centred])
+    probabilities = []
+    for (values, pairs), count in zip(auto, readings, strict=True):
+        seen = pairs[1:] > 0
+        statistic = count * (count + 2) * np.sum(values[1:][seen] ** 2 / pairs[1:][seen])
+        probabilities.append(stats.chi2.sf(statistic, int(seen.sum())))
+    cross = np.zeros((outputs, inputs, 2 * lags + 1))
+    bound = np.zeros((outputs, inputs))
+    for i, rows in enumerate(centred):
+        for j, columns in enumerate(driven):
+            after, pairs = _correlation(rows, columns, lags)
+            cross[i, j] = np.concatenate([_correlation(columns, rows, lags)[0][:0:-1], after])
+            own = _correlation(columns, columns, lags)[0]
+            inflation = 1.0 + 2.0 * float(np.sum(auto[i][0][1:] * own[1:]))
+            bound[i, j] = _BOUND * np.sqrt(max(inflation, 1.0) / readings[i])
+    return ResidualCheck(
+        dt,
+        np.array([values for values, _ in auto]),
+        float(_BOUND / np.sqrt(readings.min())),
+        np.array(probabilities),
+        cross,
+        bound,
+    )
+
+
+def _columns(arrays: Sequence[FloatArray]) -> list[list[FloatArray]]:
+    return [[array[:, i] for array in arrays] for i in range(arrays[0].shape[1])]
+
+
+def _centred(rows: list[FloatArray]) -> list[FloatArray]:
+    mean = np.nanmean(np.concatenate(rows))
+    return [row - mean for row in rows]
+
+
+def _correlation(late: list[FloatArray], early: list[FloatArray], lags: int) -> tuple[FloatArray, FloatArray]:
+    """Correlation of late[k] with early[k - lag], lags 0 to `lags`, and the number of pairs behind each."""
+    power = np.sqrt(np.nanmean(np.concatenate(late) ** 2) * np.nanmean(np.concatenate(early) ** 2))
+    values, pairs = np.zeros(lags + 1), np.zeros(lags + 1)
+    for lag in range(lags + 1):
+        products = np.concatenate([a[lag:] * b[: len(b) - lag] for a, b in zip(late, early, strict=True)])
+        pairs[lag] = np.isfinite(products).sum()
+        if pairs[lag] and power > 0:
+            values[lag] = np.nanmean(products) / power
+    return values, pairs
+
+
+@dataclass(frozen=True)
+class Validation:
+    """What a free simulation explains.
+
+    Attributes
+    ----------
+    fit_percent
+        (2,) pooled FIT of v and omega [%].
+    rmse
+        (2,) root mean square error of v [m/s] and omega [rad/s].
+    residuals
+        Whiteness and correlation with the commands.
+    """
+
+    fit_percent: FloatArray
+    rmse: FloatArray
+    residuals: ResidualCheck
+
+
+def validate(system: LinearSystem, records: Sequence[Record], yaw: YawSource = "gyro") -> Validation:
+    """Hold a model with two inputs and outputs against records.
+
+    Parameters
+    ----------
+    system
+        The model, with sensor offsets and command limits; see `IdentifiedModel.system`.
+    records
+        Records that it was not identified from.
+    yaw
+        Which sensor's omega the model predicts.
+
+    Raises
+    ------
+    ValueError
+        If a record lacks a signal, or a measured signal never changes.
+    """
+    experiments = twist_experiments(records, yaw)
+    return score([simulate_experiment(system, experiment) for experiment in experiments], experiments)
+
+
+def score(simulated: Sequence[FloatArray], experiments: Sequence[Experiment]) -> Validation:
+    """Hold simulated outputs (K, 2), one array for each experiment, against its readings; raises as `validate`."""
+    errors = [
+        np.where(experiment.counts, experiment.outputs - outputs, np.nan)
+        for experiment, outputs in zip(experiments, simulated, strict=True)
+    ]
+    fits = []
+    for row in (0, 1):
+        rows = [experiment.counts[:, row] for experiment in experiments]
+        measured = [experiment.outputs[keep, row] for experiment, keep in zip(experiments, rows, strict=True)]
+        fits.append(pooled_fit_percent(measured, [y[keep, row] for y, keep in zip(simulated, rows, strict=True)]))
+    return Validation(
+        np.array(fits), np.sqrt(np.nanmean(np.concatenate(errors) ** 2, axis=0)), check_residuals(errors, experiments)
+    )
+
+
+def simulate_records(system: LinearSystem, records: Sequence[Record], yaw: YawSource = "gyro") -> list[FloatArray]:
+    """For each record the simulated v [m/s] and omega [rad/s] (K, 2), sensor offsets included; raises as `validate`."""
+    return [simulate_experiment(system, experiment) for experiment in twist_experiments(records, yaw)]
+
+
+def simulate_experiment(system: LinearSystem, experiment: Experiment) -> FloatArray:
+    """(K, p) outputs from the inputs alone, after rest in the settled state that gives each output's first reading."""
+    first = np.array([experiment.outputs[np.argmax(counts), row] for row, counts in enumerate(experiment.counts.T)])
+    sampled = sample(system, experiment.dt)
+    start, before = settled_start(system, first)
+    recent, older = delayed(np.clip(experiment.inputs, -system.limit, system.limit), sampled.delay, before)
+    drive = sampled.B0 @ recent + sampled.B1 @ older
+    states = StateResponse(sampled.A)(drive[:, None, :], start[:, None])[:, 0]
+    return np.asarray(states.T @ system.C.T + system.offset)

@@ -1,0 +1,184 @@
+"""What an identification returns, whatever the structure, and how it becomes a parameter file."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.output_error.experiment import YawSource
+from diffdrive_mpc.models.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.output_error.solve import OutputErrorFit
+from diffdrive_mpc.models.structures.model_file import ModelFile, build_model, structure_name
+from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
+
+# The file carries this many digits: far finer than any standard deviation.
+_DIGITS = 8
+
+
+@dataclass(frozen=True)
+class IdentifiedModel:
+    """An identified velocity model.
+
+    Attributes
+    ----------
+    schema
+        Schema of the structure's parameter file.
+    content
+        Those keys of the parameter file that hold the dynamics, numbers rounded as the file holds them.
+    parameters
+        What was estimated, with covariance; SI units.
+    offset
+        (2,) sensor bias of v [m/s] and omega [rad/s], to be added to the model's outputs when compared with the log.
+    limits
+        Level of each channel at which the robot clips its command, where the data show one.
+    yaw
+        Whether omega was the gyro's or the encoders'.
+    method
+        How it was done, in words.
+    fits
+        The estimates behind it: of each channel, or one.
+    warnings
+        What not to trust.
+    """
+
+    schema: type[ModelFile]
+    content: Mapping[str, Any]
+    parameters: ParameterEstimate
+    offset: FloatArray
+    limits: Mapping[str, float]
+    yaw: YawSource
+    method: str
+    fits: tuple[OutputErrorFit, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def structure(self) -> str:
+        """Name of the structure: "mbm", "sm", "ssm"."""
+        return structure_name(self.schema)
+
+    @property
+    def model(self) -> VelocityModel:
+        """The velocity model; raises ModelError if its numbers cannot be a robot's."""
+        return build_model(self.file("identified", {"origin": "identified", "source": self.method}))
+
+    @property
+    def system(self) -> LinearSystem:
+        """The model with its sensor offsets and limits, as it is held against a log."""
+        data = self.file("identified", {"origin": "identified", "source": self.method})
+        limit = np.array([self.limits.get(channel, np.inf) for channel in CHANNELS])
+        dead_time = np.array([data.dead_time.v, data.dead_time.omega])
+        return LinearSystem(*data.matrices(), dead_time, self.offset, limit)
+
+    def file(self, name: str, provenance: Mapping[str, Any], **more: object) -> ModelFile:
+        """The content of a parameter file; `more` are further keys of it."""
+        return self.schema.model_validate(
+            {"name": name, "structure": self.structure, "provenance": provenance, **self.content, **more}
+        )
+
+
+def rounded(value: object) -> Any:  # noqa: ANN401 - numbers in any nesting, as YAML takes them
+    """Numbers, or arrays or mappings of them, as plain Python numbers with the digits that a file carries."""
+    if isinstance(value, Mapping):
+        return {key: rounded(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [rounded(entry) for entry in value]
+    return float(f"{float(value):.{_DIGITS}g}")  # type: ignore[arg-type]
+
+
+_HEAD = (
+    "# Identified from a log. Gains and damping [-], frequencies and poles [rad/s], times [s], lengths [m], "
+    "twists [m/s, rad/s].\n"
+)
+_PERCENT_DIGITS = 2
+_CORRELATION_DIGITS = 4
+
+
+def model_file(
+    identified: IdentifiedModel,
+    *,
+    name: str,
+    source: str,
+    records: Sequence[str],
+    date: datetime.date,
+    train_fit_percent: FloatArray,
+    validation_fit_percent: FloatArray | None = None,
+    notes: str = "",
+) -> ModelFile:
+    """The checked content of a parameter file, with provenance and uncertainty.
+
+    Parameters
+    ----------
+    identified
+        What was identified.
+    name
+        Name of the model for tables and messages.
+    source
+        The log, and the robot where that is known.
+    records
+        Which stretches of it the model was identified from.
+    date
+        Day of the identification.
+    train_fit_percent, validation_fit_percent
+        (2,) simulation FIT of v and omega [%] on those records, and on others.
+    notes
+        Anything a reader should know.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        If a number is not finite.
+    """
+    provenance = {
+        "origin": "identified",
+        "source": source,
+        "method": f"{identified.method}; omega of the {identified.yaw}",
+        "experiments": list(records),
+        "date": date.isoformat(),
+        "notes": notes,
+    }
+    more: dict[str, Any] = {
+        "fit_percent": _percent(train_fit_percent),
+        "uncertainty": uncertainty(identified.parameters),
+        "warnings": list(identified.warnings),
+    }
+    if validation_fit_percent is not None:
+        more["validation_fit_percent"] = _percent(validation_fit_percent)
+    if identified.limits:
+        more["limits"] = dict(identified.limits)
+    return identified.file(name, provenance, **more)
+
+
+def write_model_file(path: Path, content: ModelFile) -> None:
+    """Write a parameter file; raises OSError if it cannot be written."""
+    data = content.model_dump(exclude_none=True, exclude_defaults=True)
+    first = ("name", "structure", "provenance", "fit_percent", "validation_fit_percent", "limits", "warnings")
+    ordered = {key: data[key] for key in first if key in data}
+    ordered |= {key: value for key, value in data.items() if key not in (*first, "uncertainty")}
+    ordered |= {key: data[key] for key in ("uncertainty",) if key in data}
+    text = yaml.safe_dump(ordered, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+    path.write_text(_HEAD + text, encoding="utf-8")
+
+
+def uncertainty(estimate: ParameterEstimate) -> Mapping[str, Any]:
+    """What the parameter file says about how well parameters are known."""
+    deviation = estimate.standard_deviation
+    scale = np.where(deviation > 0, deviation, 1.0)
+    correlation = np.clip(estimate.covariance / np.outer(scale, scale), -1.0, 1.0)
+    return {
+        "parameters": list(estimate.names),
+        "value": rounded(estimate.values),
+        "standard_deviation": [float(f"{value:.4g}") for value in deviation],
+        "correlation": [[round(float(value), _CORRELATION_DIGITS) for value in row] for row in correlation],
+    }
+
+
+def _percent(fit: FloatArray) -> dict[str, float]:
+    return {channel: round(float(value), _PERCENT_DIGITS) for channel, value in zip(CHANNELS, fit, strict=True)}

@@ -1,0 +1,253 @@
+"""MBM: four motors between wheel kinematics; its file, and its identification from records."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error import doubts
+from diffdrive_mpc.models.output_error.experiment import Experiment, twist_experiments, wheel_experiments
+from diffdrive_mpc.models.output_error.layout import Layout
+from diffdrive_mpc.models.output_error.linear_system import AnyArray
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, joined
+from diffdrive_mpc.models.output_error.settings import estimator_settings
+from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
+from diffdrive_mpc.models.robot import Positive
+from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.structures.model_file import Matrices, ModelFile
+from diffdrive_mpc.models.structures.structure import Conditions, Found, Structure
+from diffdrive_mpc.models.structures.two_poles import (
+    IdentifiedChannel,
+    TwoPoles,
+    TwoPolesParametrisation,
+    identify_channel,
+    side_by_side,
+    two_poles,
+    two_poles_parameters,
+)
+from diffdrive_mpc.models.velocity_model import CHANNELS
+from diffdrive_mpc.models.wheels import WheelKinematics
+
+METHOD = (
+    "output error (simulation from commands alone), two poles and no zeros for each motor, one dead time, firmware "
+    "track with them; effective track from the steady yaw gain of the gyro; all records at once, free initial states, "
+    "outliers held back"
+)
+
+
+class Motors(StrictModel):
+    """One transfer function for each motor, from commanded to true wheel speed."""
+
+    front_left: TwoPoles
+    front_right: TwoPoles
+    rear_left: TwoPoles
+    rear_right: TwoPoles
+
+
+class MbmFile(ModelFile):
+    """MBM: four motors between wheel kinematics (Guffanti et al., Sensors 2025, 25(11), 3553).
+
+    Two tracks: on a skid-steer the one by which the firmware turns omega_ref into wheel speeds is not the one by which
+    wheel speeds turn into the true yaw rate.
+    """
+
+    structure: Literal["mbm"]
+    motors: Motors
+    wheel_radius: Positive = Field(description="[m]")
+    firmware_track: Positive = Field(description="track on the way in [m]")
+    effective_track: Positive = Field(description="track on the way out [m]")
+
+    def matrices(self) -> Matrices:
+        """Continuous A (8, 8), B (8, 2), C (2, 8)."""
+        A, B, C = side_by_side(
+            [self.motors.front_left, self.motors.front_right, self.motors.rear_left, self.motors.rear_right]
+        )
+        into = WheelKinematics(self.wheel_radius, self.firmware_track).body_to_wheels
+        out = WheelKinematics(self.wheel_radius, self.effective_track).wheels_to_body
+        return A, B @ into, out @ C
+
+
+@dataclass(frozen=True)
+class MotorsParametrisation:
+    """One transfer function with two poles for each motor, driven by (v_ref, omega_ref) through the firmware's track.
+
+    Attributes
+    ----------
+    sides
+        For each motor -1 (left) or 1 (right).
+    radius
+        Wheel radius by which the firmware turns speeds into wheel rates [m].
+    """
+
+    sides: tuple[int, ...]
+    radius: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Three for each motor, then the firmware's track."""
+        return (
+            *(f"{name}_{i}" for i in range(len(self.sides)) for name in TwoPolesParametrisation().names),
+            "log_track",
+        )
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """(3 motors + 1,) bounds from the settings."""
+        low, high = TwoPolesParametrisation().bounds
+        track = np.log(estimator_settings().track)
+        count = len(self.sides)
+        return np.append(np.tile(low, count), track[0]), np.append(np.tile(high, count), track[1])
+
+    def matrices(self, parameters: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+        """A (2 motors, 2 motors), B (2 motors, 2), C (motors, 2 motors)."""
+        count = len(self.sides)
+        A = np.zeros((2 * count, 2 * count), dtype=parameters.dtype)
+        B, C = np.zeros((2 * count, 2), dtype=parameters.dtype), np.zeros((count, 2 * count), dtype=parameters.dtype)
+        track = np.exp(parameters[-1])
+        for i, side in enumerate(self.sides):
+            rows = slice(2 * i, 2 * i + 2)
+            A[rows, rows], into, C[i : i + 1, rows] = TwoPolesParametrisation().matrices(parameters[3 * i : 3 * i + 3])
+            B[rows] = into * np.array([1.0, 0.5 * side * track]) / self.radius
+        return A, B, C
+
+    def recentred(self, parameters: FloatArray) -> tuple[MotorsParametrisation, FloatArray]:
+        """Logarithms suit everywhere."""
+        return self, parameters
+
+
+_MOTORS = tuple(Motors.model_fields)
+_SIDES = (-1, 1, -1, 1)
+
+
+def identify_mbm(records: Sequence[Record], wheel_radius: float, *, robust: bool = True) -> IdentifiedModel:
+    """Identify MBM (Guffanti et al., Sensors 2025, 25(11), 3553) by output error.
+
+    The effective track is the one for which the motors' steady turning rate becomes that of the gyro, whatever the two
+    sensors' delays are.
+
+    Parameters
+    ----------
+    records
+        Records with wheel speeds and a gyro. Where only two sides were logged, front and rear motor of
+        a side are equal.
+    wheel_radius
+        [m], as the robot's firmware has it.
+    robust
+        Whether single outliers are held back.
+
+    Raises
+    ------
+    ValueError
+        If a record lacks a signal, or the robot or its commands never move.
+    """
+    experiments = wheel_experiments(records)
+    yaw = identify_channel(
+        [experiment.channel(1, 1) for experiment in twist_experiments(records)],
+        "omega",
+        offset=True,
+        limit=False,
+        robust=robust,
+    )
+    sides = _SIDES[: experiments[0].outputs.shape[1]]
+    layout = Layout(MotorsParametrisation(sides, wheel_radius), 2, len(sides), shared_dead_time=True)
+    fit = fit_output_error([(layout, _start(experiments, sides, wheel_radius, robust))], experiments, robust)
+    parameters = _with_effective_track(joined([_physical(fit, len(sides)), _yaw_gain(yaw)]), len(sides))
+    motors = {
+        name: {key: parameters.value(f"{_MOTORS[i % len(sides)]}.{key}") for key in TwoPoles.model_fields}
+        for i, name in enumerate(_MOTORS)
+    }
+    dead_time = parameters.value("dead_time")
+    return IdentifiedModel(
+        schema=MbmFile,
+        content={
+            "dead_time": rounded(dict.fromkeys(CHANNELS, dead_time)),
+            "motors": rounded(motors),
+            "wheel_radius": wheel_radius,
+            "firmware_track": rounded(parameters.value("firmware_track")),
+            "effective_track": rounded(parameters.value("effective_track")),
+        },
+        parameters=parameters,
+        offset=np.array([0.0, yaw.parameters.value("offset")]),
+        limits={},
+        yaw="gyro",
+        method=METHOD,
+        fits=(fit, yaw.fit),
+        warnings=(
+            *doubts.at_bounds(fit, "motors"),
+            *(f"motors: {sentence}" for sentence in doubts.badly_known(parameters.part(_doubtful(parameters)))),
+            *doubts.hardly_identifiable(fit, "motors"),
+        ),
+    )
+
+
+def _start(experiments: Sequence[Experiment], sides: tuple[int, ...], radius: float, robust: bool) -> FloatArray:
+    """Forward motion gives a motor for all, turning the track."""
+    forward = [_combined(experiment, np.full(len(sides), radius / len(sides)), 0) for experiment in experiments]
+    turning = [_combined(experiment, np.array(sides) * 2 * radius / len(sides), 1) for experiment in experiments]
+    v = identify_channel(forward, "wheels", limit=False, robust=robust).parameters
+    omega = identify_channel(turning, "wheels' difference", limit=False, robust=robust).parameters
+    motor = two_poles_parameters(*(v.value(key) for key in TwoPoles.model_fields))
+    track = np.log(omega.value("gain") / v.value("gain"))
+    return np.concatenate([np.tile(motor, len(sides)), [track, v.value("dead_time")]])
+
+
+def _combined(experiment: Experiment, weights: FloatArray, column: int) -> Experiment:
+    """One command against a weighted sum of the wheels."""
+    return Experiment(
+        experiment.name,
+        experiment.dt,
+        experiment.inputs[:, column : column + 1],
+        (experiment.outputs @ weights)[:, None],
+        np.asarray(experiment.counts.all(axis=1, keepdims=True)),
+    )
+
+
+def _physical(fit: OutputErrorFit, motors: int) -> ParameterEstimate:
+    names = [f"{motor}.{key}" for motor in _MOTORS[:motors] for key in TwoPoles.model_fields]
+
+    def physical(row: FloatArray) -> FloatArray:
+        each = [two_poles(row[3 * i : 3 * i + 3]) for i in range(motors)]
+        return np.concatenate([*each, np.exp(row[3 * motors : 3 * motors + 1]), row[3 * motors + 1 :]])
+
+    return ParameterEstimate(fit.layout.names, fit.parameters, fit.covariance).derived(
+        (*names, "firmware_track", "dead_time"), physical
+    )
+
+
+def _yaw_gain(yaw: IdentifiedChannel) -> ParameterEstimate:
+    return yaw.parameters.part(["gain", "offset"]).renamed("omega")
+
+
+def _with_effective_track(found: ParameterEstimate, motors: int) -> ParameterEstimate:
+    """The yaw gain of the gyro turned into a track: firmware track times the motors' mean gain over the yaw gain."""
+    gains = [found.names.index(f"{motor}.gain") for motor in _MOTORS[:motors]]
+    track, yaw = found.names.index("firmware_track"), found.names.index("omega.gain")
+
+    def exchanged(row: FloatArray) -> FloatArray:
+        changed = row.copy()
+        changed[yaw] = row[track] * row[gains].mean() / row[yaw]
+        return changed
+
+    names = tuple("effective_track" if name == "omega.gain" else name for name in found.names)
+    return found.derived(names, exchanged)
+
+
+def _doubtful(parameters: ParameterEstimate) -> list[str]:
+    """An offset or a dead time near zero is no doubt about the model."""
+    return [name for name in parameters.names if name not in ("omega.offset", "dead_time")]
+
+
+def _identify(records: Sequence[Record], conditions: Conditions) -> Found:
+    if conditions.wheel_radius is None or conditions.yaw != "gyro":
+        raise ConfigError("mbm: it needs wheel speeds and a gyro in the log; map them, or identify sm or ssm")
+    return Found(identify_mbm(records, conditions.wheel_radius))
+
+
+MBM = Structure("mbm", MbmFile, _identify, needs_wheels=True)

@@ -1,0 +1,116 @@
+"""SM: one transfer function for v, one for omega; its file, and its identification from records."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from diffdrive_mpc.models.checked_yaml import StrictModel
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.experiment import YawSource, twist_experiments
+from diffdrive_mpc.models.output_error.parameters import joined
+from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.structures.model_file import Matrices, ModelFile
+from diffdrive_mpc.models.structures.structure import Conditions, Found, Structure
+from diffdrive_mpc.models.structures.two_poles import IdentifiedChannel, TwoPoles, identify_channel, side_by_side
+from diffdrive_mpc.models.velocity_model import CHANNELS
+
+METHOD = (
+    "output error (simulation from commands alone), two poles, no zeros and a dead time for each channel, all records "
+    "at once, free initial states, outliers held back, several starts"
+)
+
+
+class SmChannels(StrictModel):
+    """One transfer function for each channel."""
+
+    v: TwoPoles
+    omega: TwoPoles
+
+
+class SmFile(ModelFile):
+    """SM: v_ref to v and omega_ref to omega (Guffanti et al., Sensors 2025, 25(11), 3553)."""
+
+    structure: Literal["sm"]
+    channels: SmChannels
+
+    def matrices(self) -> Matrices:
+        """Continuous A (4, 4), B (4, 2), C (2, 4)."""
+        return side_by_side([getattr(self.channels, channel) for channel in CHANNELS])
+
+
+def identify_sm(
+    records: Sequence[Record], *, yaw: YawSource = "gyro", limits: bool = True, robust: bool = True
+) -> IdentifiedModel:
+    """Identify SM (Guffanti et al., Sensors 2025, 25(11), 3553) by output error.
+
+    Parameters
+    ----------
+    records
+        Records with encoders, and a gyro if `yaw` is "gyro"; its bias is identified too.
+    yaw
+        Which sensor's omega the model predicts.
+    limits
+        Whether to look for levels at which the robot clips its commands.
+    robust
+        Whether single outliers are held back.
+
+    Raises
+    ------
+    ValueError
+        If a record lacks a signal, or the robot or its commands never move.
+    """
+    channels = identify_channels(records, yaw=yaw, limits=limits, robust=robust)
+    fits = dict(zip(CHANNELS, channels, strict=True))
+    return IdentifiedModel(
+        schema=SmFile,
+        content={
+            "dead_time": rounded({name: fit.parameters.value("dead_time") for name, fit in fits.items()}),
+            "channels": rounded(
+                {name: {key: fit.parameters.value(key) for key in TwoPoles.model_fields} for name, fit in fits.items()}
+            ),
+        },
+        parameters=joined([fit.parameters.renamed(name) for name, fit in fits.items()]),
+        offset=np.concatenate([fit.fit.system.offset for fit in channels]),
+        limits=channel_limits(channels),
+        yaw=yaw,
+        method=METHOD,
+        fits=tuple(fit.fit for fit in channels),
+        warnings=tuple(warning for fit in channels for warning in fit.warnings),
+    )
+
+
+def identify_channels(
+    records: Sequence[Record], *, yaw: YawSource = "gyro", limits: bool = True, robust: bool = True
+) -> tuple[IdentifiedChannel, IdentifiedChannel]:
+    """The two channels of SM, v and omega; parameters and errors as `identify_sm`."""
+    experiments = twist_experiments(records, yaw)
+    v, omega = (
+        identify_channel(
+            [experiment.channel(row, row) for experiment in experiments],
+            channel,
+            offset=channel == "omega" and yaw == "gyro",
+            limit=limits,
+            robust=robust,
+        )
+        for row, channel in enumerate(CHANNELS)
+    )
+    return v, omega
+
+
+def channel_limits(channels: Sequence[IdentifiedChannel]) -> dict[str, float]:
+    """Level of each channel that has one."""
+    return {
+        name: float(rounded(fit.parameters.value("limit")))
+        for name, fit in zip(CHANNELS, channels, strict=True)
+        if "limit" in fit.parameters.names
+    }
+
+
+def _identify(records: Sequence[Record], conditions: Conditions) -> Found:
+    return Found(identify_sm(records, yaw=conditions.yaw))
+
+
+SM = Structure("sm", SmFile, _identify, takes_effects=True)

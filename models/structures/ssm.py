@@ -1,0 +1,268 @@
+"""SSM: one state-space model with a dead time for each input; its file, and its identification from records."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from pydantic import model_validator
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error import doubts
+from diffdrive_mpc.models.output_error.experiment import Experiment, YawSource, twist_experiments
+from diffdrive_mpc.models.output_error.layout import Layout
+from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.output_error.settings import estimator_settings
+from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
+from diffdrive_mpc.models.output_error.state_space import (
+    LocalStateSpace,
+    Realisation,
+    balanced,
+    beside,
+    distinct_poles,
+    from_impulse_response,
+    impulse_response,
+    pole_names,
+    pole_numbers,
+    real_pole_names,
+    spare_state,
+)
+from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.structures.model_file import Matrices, ModelFile
+from diffdrive_mpc.models.structures.orders import OrderChoice, compare_orders
+from diffdrive_mpc.models.structures.sm import identify_channels
+from diffdrive_mpc.models.structures.structure import Conditions, Found, Structure
+from diffdrive_mpc.models.structures.two_poles import IdentifiedChannel
+from diffdrive_mpc.models.velocity_model import CHANNELS
+
+METHOD = (
+    "output error (simulation from commands alone), state space with a dead time for each input, data driven local "
+    "coordinates, all records at once, free initial states, outliers held back; starts from an impulse response "
+    "(eigensystem realization) and from the order below"
+)
+LARGEST_ORDER = 5
+
+
+class SsmFile(ModelFile):
+    """SSM: one MIMO state-space model (Guffanti, Pavon, Sensors 2025, 25(18), 5821)."""
+
+    structure: Literal["ssm"]
+    A: list[list[float]]
+    B: list[list[float]]
+    C: list[list[float]]
+
+    @model_validator(mode="after")
+    def _rectangular(self) -> SsmFile:
+        for name in ("A", "B", "C"):
+            rows = getattr(self, name)
+            if not rows or len({len(row) for row in rows}) != 1:
+                raise ValueError(f"{name} must be a matrix: rows of equal length")
+        return self
+
+    def matrices(self) -> Matrices:
+        """Continuous A (n, n), B (n, 2), C (2, n) as the file states them."""
+        return np.array(self.A), np.array(self.B), np.array(self.C)
+
+
+def identify_ssm(
+    records: Sequence[Record],
+    order: int = 2,
+    *,
+    yaw: YawSource = "gyro",
+    limits: bool = True,
+    robust: bool = True,
+) -> IdentifiedModel:
+    """Identify SSM of one order by output error; as `identify_ssm_orders`."""
+    return identify_ssm_orders(records, order, yaw=yaw, limits=limits, robust=robust)[-1]
+
+
+def choose_order(
+    train: Sequence[Record],
+    validation: Sequence[Record] = (),
+    *,
+    largest: int = LARGEST_ORDER,
+    yaw: YawSource = "gyro",
+    limits: bool = True,
+    robust: bool = True,
+) -> OrderChoice:
+    """Identify every order up to `largest` and choose one, as `compare_orders` does.
+
+    Parameters
+    ----------
+    train
+        Records to identify from.
+    validation
+        Records held out.
+    largest
+        2 to 5.
+    yaw, limits, robust
+        As for `identify_ssm`.
+
+    Raises
+    ------
+    ValueError
+        As `identify_ssm_orders`; or if no order gives a usable model.
+    """
+    models = identify_ssm_orders(train, largest, yaw=yaw, limits=limits, robust=robust)
+    return compare_orders(models, train, validation, yaw)
+
+
+def identify_ssm_orders(
+    records: Sequence[Record],
+    largest: int = LARGEST_ORDER,
+    *,
+    yaw: YawSource = "gyro",
+    limits: bool = True,
+    robust: bool = True,
+) -> list[IdentifiedModel]:
+    """Identify SSM of every order from 1 to `largest`; each starts from the one below too, so none explains less.
+
+    Parameters
+    ----------
+    records
+        Records with encoders, and a gyro if `yaw` is "gyro"; its bias is identified too.
+    largest
+        1 to 5.
+    yaw
+        Which sensor's omega the model predicts.
+    limits
+        Whether to look for levels at which the robot clips its commands.
+    robust
+        Whether single outliers are held back.
+
+    Raises
+    ------
+    ValueError
+        If the order is out of range, a record lacks a signal, or the robot or its commands never move.
+    """
+    if not 1 <= largest <= LARGEST_ORDER:
+        raise ValueError(f"order {largest}: give 1 to {LARGEST_ORDER}")
+    experiments = twist_experiments(records, yaw)
+    channels = identify_channels(records, yaw=yaw, limits=limits, robust=robust)
+    fits: list[OutputErrorFit] = []
+    for order in range(1, largest + 1):
+        fits.append(_fit(experiments, channels, order, fits[-1] if fits else None, yaw == "gyro", robust))
+    return [_identified(fit, yaw) for fit in fits]
+
+
+def _fit(
+    experiments: list[Experiment],
+    channels: tuple[IdentifiedChannel, IdentifiedChannel],
+    order: int,
+    below: OutputErrorFit | None,
+    offset: bool,
+    robust: bool,
+) -> OutputErrorFit:
+    limited = tuple("limit" in channel.parameters.names for channel in channels)
+    dead_time = np.array([channel.parameters.value("dead_time") for channel in channels])
+    shared = [channels[1].parameters.value("offset")] if offset else []
+    shared += [channel.parameters.value("limit") for channel in channels if "limit" in channel.parameters.names]
+
+    def candidate(start: Realisation, dead_time: FloatArray) -> tuple[Layout, FloatArray]:
+        space = LocalStateSpace(*start)
+        layout = Layout(space, 2, 2, offset=(False, offset), limited=limited)
+        return layout, np.concatenate([np.zeros(len(space.names)), dead_time, shared])
+
+    dt = experiments[0].dt
+    length = round(estimator_settings().impulse_response / dt)
+    candidates = []
+    if order % 2 == 0:
+        candidates.append(candidate(_side_by_side(channels, order // 2), dead_time))
+    direct = from_impulse_response(impulse_response(experiments, dead_time, length), order, dt)
+    if direct:
+        candidates.append(candidate(direct, dead_time))
+    if below:
+        system = below.system
+        left = [
+            Experiment(experiment.name, experiment.dt, experiment.inputs, residuals, np.isfinite(residuals))
+            for experiment, residuals in zip(experiments, below.residuals, strict=True)
+        ]
+        more = from_impulse_response(impulse_response(left, system.dead_time, length), 1, dt)
+        known = (system.A, system.B, system.C)
+        candidates.append(candidate(beside(known, more or spare_state(*known)), system.dead_time))
+    if not candidates:
+        candidates.append(candidate(_common_pole(channels), dead_time))
+    scale = np.concatenate([channel.fit.scale for channel in channels])
+    return fit_output_error(candidates, experiments, robust, scale=scale)
+
+
+def _side_by_side(channels: tuple[IdentifiedChannel, IdentifiedChannel], poles: int) -> Realisation:
+    """The channels' transfer functions with two poles each, or with one pole of the same lag and gain."""
+    parts = []
+    for row, channel in enumerate(channels):
+        system = channel.fit.system
+        A, B, C = system.A, system.B, system.C
+        if poles == 1:
+            gain, w, damping = (channel.parameters.value(name) for name in ("gain", "natural_frequency", "damping"))
+            A, B, C = np.array([[-w / (2 * damping)]]), np.array([[gain * w / (2 * damping)]]), np.eye(1)
+        into, out = np.zeros((len(A), 2)), np.zeros((2, len(A)))
+        into[:, row], out[row] = B[:, 0], C[0]
+        parts.append((A, into, out))
+    return balanced(*beside(*parts))
+
+
+def _common_pole(channels: tuple[IdentifiedChannel, IdentifiedChannel]) -> Realisation:
+    """One pole for both channels, for an impulse response too noisy to realise."""
+    A, B, C = _side_by_side(channels, 1)
+    return A[:1, :1], B[:1], C[:, :1]
+
+
+def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
+    system = fit.system
+    A, B, C = balanced(system.A, system.B, system.C)
+    order = len(A)
+    label = f"SSM order {order}"
+    own, dead_times, offsets, _ = fit.layout.counts
+    limited = [name for name, free in zip(CHANNELS, fit.layout.limited, strict=True) if free]
+    poles = distinct_poles(A)
+    gains = [f"gain.{into}_ref_to_{out}" for out in CHANNELS for into in CHANNELS]
+    named_poles = pole_names(poles)
+    rest = [f"dead_time.{name}" for name in CHANNELS] + ["omega.offset"] * offsets
+    rest += [f"{name}.limit" for name in limited]
+
+    def meaningful(parameters: FloatArray) -> FloatArray:
+        found = fit.layout.system(parameters)
+        gain = -found.C @ np.linalg.solve(found.A, found.B)
+        return np.concatenate([gain.ravel(), pole_numbers(found.A, poles), parameters[own:]])
+
+    parameters = ParameterEstimate(fit.layout.names, fit.parameters, fit.covariance).derived(
+        (*gains, *named_poles, *rest), meaningful
+    )
+    main = parameters.part([gains[0], gains[3], *(name for name in named_poles if not name.endswith("imag"))])
+    values = fit.parameters[own + dead_times + offsets :]
+    return IdentifiedModel(
+        schema=SsmFile,
+        content={
+            "dead_time": rounded(dict(zip(CHANNELS, system.dead_time, strict=True))),
+            "A": rounded(A),
+            "B": rounded(B),
+            "C": rounded(C),
+        },
+        parameters=parameters,
+        offset=np.asarray(system.offset),
+        limits=rounded(dict(zip(limited, values, strict=True))),
+        yaw=yaw,
+        method=f"{METHOD}; order {order}",
+        fits=(fit,),
+        warnings=(
+            *doubts.at_bounds(fit, label),
+            *(f"{label}: {sentence}" for sentence in doubts.badly_known(main)),
+            *doubts.merged_poles(parameters.part(real_pole_names(named_poles)), label),
+        ),
+    )
+
+
+def _identify(records: Sequence[Record], conditions: Conditions) -> Found:
+    order = conditions.order
+    # Order 1 is only a floor to compare with, so at least order 2 is tried beside it.
+    largest = max(order or LARGEST_ORDER, 2)
+    choice = choose_order(records, conditions.validation, largest=largest, yaw=conditions.yaw)
+    if order is not None:
+        choice = replace(choice, order=order, reason="as asked for")
+    return Found(choice.identified, choice)
+
+
+SSM = Structure("ssm", SsmFile, _identify, largest_order=LARGEST_ORDER)

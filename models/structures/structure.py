@@ -1,0 +1,72 @@
+"""What a structure of velocity models has to say for itself, so that one line in the registry adds it everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.experiment import YawSource
+from diffdrive_mpc.models.structures.identified import IdentifiedModel
+from diffdrive_mpc.models.structures.model_file import ModelFile
+from diffdrive_mpc.models.structures.orders import OrderChoice
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What an identification is told beside the records to identify from.
+
+    Attributes
+    ----------
+    validation
+        Records held out, by which an order may be chosen.
+    yaw
+        Which sensor's omega the model predicts.
+    order
+        Order of the model, for structures that have a choice; None to choose it.
+    wheel_radius
+        [m]; None where the log has no wheel speeds.
+    """
+
+    validation: Sequence[Record] = ()
+    yaw: YawSource = "gyro"
+    order: int | None = None
+    wheel_radius: float | None = None
+
+
+class Found(NamedTuple):
+    """What a structure made of records."""
+
+    identified: IdentifiedModel
+    """The model."""
+    orders: OrderChoice | None = None
+    """The orders that were compared, for structures that have a choice."""
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A way to fill a velocity model.
+
+    Attributes
+    ----------
+    name
+        By which files, options and messages call it.
+    file
+        Schema of its parameter file, from which the model is built.
+    identify
+        From records to a model; raises ValueError where they do not allow it.
+    needs_wheels
+        Whether it is identified from wheel speeds, and a gyro beside them.
+    largest_order
+        The choice of order is 1 to this; None for structures without a choice.
+    takes_effects
+        Whether `models.identification.effects` can look for what a base does around it.
+    """
+
+    name: str
+    file: type[ModelFile]
+    identify: Callable[[Sequence[Record], Conditions], Found]
+    needs_wheels: bool = False
+    largest_order: int | None = None
+    takes_effects: bool = False

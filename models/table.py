@@ -1,0 +1,92 @@
+"""A table as plain text cells, printed as aligned lines or written as Markdown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self, TypeVar
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells with their headings. `str` of it is text with aligned columns.
+
+    Attributes
+    ----------
+    title
+        Heading above the table.
+    columns
+        Heading of each column, with the unit in brackets.
+    rows
+        Cells, as many in each row as there are columns.
+    text_columns
+        How many columns from the left hold names; the others hold numbers and are aligned to the right.
+    note
+        One sentence below the table.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    text_columns: int = 1
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        """Check that every row has a cell for each column; raises ValueError."""
+        for row in self.rows:
+            if len(row) != len(self.columns):
+                raise ValueError(f"table '{self.title}': {len(row)} cells for {len(self.columns)} columns")
+
+    @classmethod
+    def of(
+        cls,
+        title: str,
+        names: tuple[str, ...],
+        columns: Mapping[str, Callable[[T], str]],
+        entries: Iterable[tuple[tuple[str, ...], T]],
+        note: str = "",
+    ) -> Self:
+        """A table of `entries`, each the names on its left and what its cells are made of.
+
+        Parameters
+        ----------
+        title, note
+            Of the table.
+        names
+            Headings of the columns that hold names.
+        columns
+            By the heading of a column, what gives its cells.
+        entries
+            One for each row.
+        """
+        rows = tuple((*left, *(cell(right) for cell in columns.values())) for left, right in entries)
+        return cls(title, (*names, *columns), rows, len(names), note)
+
+    def __str__(self) -> str:
+        """Title, headings, rows and note."""
+        widths = [max(map(len, column)) for column in zip(self.columns, *self.rows, strict=True)]
+        lines = ["  ".join(self._aligned(cells, widths)).rstrip() for cells in (self.columns, *self.rows)]
+        return "\n".join([self.title, *lines, *([self.note] if self.note else [])])
+
+    def markdown(self) -> str:
+        """The table as a Markdown section."""
+        rule = ["---" if i < self.text_columns else "---:" for i in range(len(self.columns))]
+        lines = [_markdown_row(cells) for cells in (self.columns, rule, *self.rows)]
+        note = ["", self.note] if self.note else []
+        return "\n".join([f"## {self.title}", "", *lines, *note, ""])
+
+    def _aligned(self, cells: Sequence[str], widths: Sequence[int]) -> list[str]:
+        pairs = enumerate(zip(cells, widths, strict=True))
+        return [cell.ljust(width) if i < self.text_columns else cell.rjust(width) for i, (cell, width) in pairs]
+
+
+def number(value: float, digits: int = 4) -> str:
+    """A cell for `value`; "-" where it could not be computed."""
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+
+
+def _markdown_row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

@@ -1,0 +1,439 @@
+#include "active_set.h"
+
+#include <float.h>
+#include <string.h>
+
+#include "active_rows.h"
+
+enum { MOST_ROUNDS = 12, PATIENCE = 2, MOST_STALLS = 20, MOST_REFINEMENTS = 3 };
+
+#ifdef DDMPC_FLOAT
+#define ROUNDING (R(16.0) * FLT_EPSILON)
+#define NEGLIGIBLE R(1e-3)
+#define STATIONARY R(3e-4)
+#else
+#define ROUNDING (R(16.0) * DBL_EPSILON)
+#define NEGLIGIBLE R(1e-7)
+#define STATIONARY R(1e-8)
+#endif
+
+/* The range of a multiplier on the piece of its row. */
+typedef struct {
+    real low, high;
+} range;
+
+static range piece_of(const ddmpc_rows *rows, int position)
+{
+    const real price = rows->problem->price;
+    const int exceeded = ddmpc_is_exceeded(rows, position);
+    const real near = exceeded ? price : R(0.0);
+    const real far = exceeded || !ddmpc_is_soft(rows, position) ? DDMPC_LARGEST : price;
+    const range above = {near, far}, below = {-far, -near};
+    return ddmpc_is_above(rows, position) ? above : below;
+}
+
+static real within(range piece, real multiplier)
+{
+    return ddmpc_min(ddmpc_max(multiplier, piece.low), piece.high);
+}
+
+/* How much a value may be beyond its limit. */
+static real tolerance(const ddmpc_rows *rows, int row)
+{
+    return rows->problem->slack + ROUNDING * (rows->largest_input + ddmpc_fabs(rows->start[row]));
+}
+
+/* Replace the values in `now` by what is beyond a limit and its tolerance: positive above the upper one, negative below
+ * the lower one, else zero. `broken` says whether there are such rows, hard ones and soft ones. Returns whether all are
+ * numbers. */
+static int survey(ddmpc_rows *rows, int broken[2])
+{
+    const real *restrict upper = rows->problem->upper, *restrict lower = rows->problem->lower;
+    const real *restrict start = rows->start;
+    const real slack = rows->problem->slack + ROUNDING * rows->largest_input;
+    real *restrict now = rows->now;
+    int sound = 1;
+    broken[0] = broken[1] = 0;
+    rows->primal = R(0.0);
+    for (int i = 0; i < rows->problem->hard; i++)
+        rows->primal = ddmpc_max(rows->primal, ddmpc_max(now[i] - upper[i], lower[i] - now[i]));
+    for (int i = 0; i < rows->m; i++) {
+        const real allowed = slack + ROUNDING * ddmpc_fabs(start[i]);
+        const real above = now[i] - upper[i] - allowed, below = lower[i] - now[i] - allowed;
+        sound &= ddmpc_fabs(now[i]) < DDMPC_LARGEST;
+        now[i] = ddmpc_max(above, R(0.0)) - ddmpc_max(below, R(0.0));
+    }
+    for (int i = 0; i < rows->problem->hard; i++)
+        broken[0] |= now[i] != R(0.0);
+    for (int i = rows->problem->hard; i < rows->m; i++)
+        broken[1] |= now[i] != R(0.0);
+    return sound;
+}
+
+/* Let rows press that are broken and do not press yet. Of each run of rows side by side that are broken on the same
+ * side only the worst, since it mostly mends the others; but of hard rows all, if `all`. Returns how many rows are
+ * broken, or with `entered` 0 if there is no room for any of them. */
+static int enter_broken(ddmpc_rows *rows, int all, int *entered)
+{
+    const real *now = rows->now;
+    int broken = 0, count = 0, worst = -1;
+    for (int row = 0; row <= rows->m; row++) {
+        const real beyond = row < rows->m && rows->state[row] == DDMPC_FREE ? now[row] : R(0.0);
+        const int alone = all && row < rows->problem->hard;
+        if (worst >= 0 && (alone || row == rows->problem->hard || !(beyond * now[worst] > R(0.0)))) {
+            if (rows->active + count < rows->most_active)
+                rows->entering[count++] = worst;
+            worst = -1;
+        }
+        if (beyond == R(0.0))
+            continue;
+        broken++;
+        if (worst < 0 || ddmpc_fabs(beyond) > ddmpc_fabs(now[worst]))
+            worst = row;
+    }
+    for (int i = 0; i < count; i++)
+        rows->state[rows->entering[i]] = now[rows->entering[i]] > R(0.0) ? DDMPC_KEPT : -DDMPC_KEPT;
+    ddmpc_enter_rows(rows, count);
+    *entered = count;
+    return broken;
+}
+
+/* Whether active rows are where their multipliers say, to within their tolerance; leaves what is missing in `step`. */
+static int is_met(ddmpc_rows *rows)
+{
+    const ddmpc_limited_problem *problem = rows->problem;
+    int met = 1;
+    for (int i = 0; i < rows->active; i++) {
+        const int row = ddmpc_row_at(rows, i);
+        const range piece = piece_of(rows, i);
+        real wanted = rows->state[row] > 0 ? problem->upper[row] : problem->lower[row];
+        if (ddmpc_is_exceeded(rows, i))
+            wanted += (rows->multiplier[i] - (rows->state[row] > 0 ? piece.low : piece.high)) / problem->slope;
+        rows->step[i] = rows->now[row] - wanted;
+        met &= ddmpc_fabs(rows->step[i]) <= tolerance(rows, row);
+    }
+    return met;
+}
+
+/* Steps of the primal-dual active set method: what pulls leaves, what is broken comes, all at once. For hard rows only:
+ * soft ones make it go round in circles. Returns whether that ended at the solution. */
+static int change_many(ddmpc_rows *rows, int *iterations, real *plan)
+{
+    int best = rows->m + 1, patience = PATIENCE, entered;
+    for (int round = 0; round < MOST_ROUNDS && *iterations < rows->problem->most_iterations; round++) {
+        int wrong = 0, broken[2];
+        ++*iterations;
+        if (ddmpc_factorise_rows(rows, 1) < 0)
+            return 0;
+        ddmpc_solve_rows(rows);
+        memcpy(rows->multiplier, rows->wanted, (size_t)rows->active * sizeof(real));
+        for (int i = rows->active - 1; i >= 0; i--)
+            if (rows->pivot[i] == R(0.0))
+                ddmpc_leave_row(rows, i);
+        ddmpc_plan_of_rows(rows, plan);
+        const int met = is_met(rows);
+        if (!survey(rows, broken) || broken[1])
+            return 0;
+        for (int i = rows->active - 1; i >= 0; i--)
+            if (rows->multiplier[i] != within(piece_of(rows, i), rows->multiplier[i])) {
+                wrong++;
+                ddmpc_leave_row(rows, i);
+            }
+        if (broken[0])
+            wrong += enter_broken(rows, 1, &entered);
+        if (wrong == 0)
+            return met;
+        if (wrong < best) {
+            best = wrong;
+            patience = PATIENCE;
+        } else if (--patience == 0) {
+            return 0;
+        }
+    }
+    return 0;
+}
+
+/* The way to the maximum of the dual on the active rows into `step`, and how far that is: where a row depends on others,
+ * along what moves no plan, without end. `gain` is then how fast it rises. Returns 0 if numbers ran out. */
+static int find_step(ddmpc_rows *rows, real *length, real *gain)
+{
+    const int dependent = ddmpc_factorise_rows(rows, 0), slots = rows->slots;
+    real *step = rows->step, largest = R(0.0), rise = R(0.0);
+    *length = R(1.0);
+    *gain = R(0.0);
+    if (dependent < 0)
+        return 0;
+    if (dependent == rows->active) {
+        ddmpc_solve_rows(rows);
+        for (int i = 0; i < rows->active; i++)
+            step[i] = rows->wanted[i] - rows->multiplier[i];
+        return 1;
+    }
+    ddmpc_null_step(rows, dependent);
+    for (int i = 0; i <= dependent; i++)
+        largest = ddmpc_max(largest, ddmpc_fabs(step[i]));
+    for (int i = 0; i <= dependent; i++) {
+        const real *gram = rows->gram + rows->order[i] * slots;
+        real slope = -ddmpc_room(rows, i);
+        if (ddmpc_fabs(step[i]) <= NEGLIGIBLE * largest) {
+            step[i] = R(0.0);
+            continue;
+        }
+        for (int j = 0; j < rows->active; j++)
+            slope -= gram[rows->order[j]] * rows->multiplier[j];
+        if (ddmpc_is_exceeded(rows, i))
+            slope -= rows->multiplier[i] / rows->problem->slope;
+        rise += slope * step[i];
+    }
+    if (rise < R(0.0))
+        for (int i = 0; i <= dependent; i++)
+            step[i] = -step[i];
+    *length = DDMPC_LARGEST;
+    *gain = ddmpc_fabs(rise);
+    return 1;
+}
+
+/* The first row whose multiplier leaves its piece within `length` along `step`; -1 if none does. */
+static int find_block(const ddmpc_rows *rows, real *length)
+{
+    int block = -1;
+    for (int i = 0; i < rows->active; i++) {
+        const real step = rows->step[i];
+        const range piece = piece_of(rows, i);
+        const real bound = step < R(0.0) ? piece.low : piece.high;
+        if (step == R(0.0) || ddmpc_fabs(bound) == DDMPC_LARGEST)
+            continue;
+        const real reach = ddmpc_max((bound - rows->multiplier[i]) / step, R(0.0));
+        if (reach < *length) {
+            *length = reach;
+            block = i;
+        }
+    }
+    return block;
+}
+
+typedef enum { SETTLED, RAN_OUT, UNBOUNDED } outcome;
+
+/* From multipliers on their pieces climb to the maximum of the dual on the active rows, or a part of them. */
+static outcome settle(ddmpc_rows *rows, int *iterations)
+{
+    for (;;) {
+        real length, gain, total = R(0.0);
+        if (*iterations >= rows->problem->most_iterations || !find_step(rows, &length, &gain))
+            return RAN_OUT;
+        ++*iterations;
+        const int endless = length > R(1.0);
+        int block = find_block(rows, &length);
+        if (endless && block < 0) {
+            for (int i = 0; i < rows->active; i++)
+                total += ddmpc_fabs(rows->step[i]);
+            if (gain > rows->problem->slack * total)
+                return UNBOUNDED;
+            /* As high everywhere: the other way something blocks. */
+            for (int i = 0; i < rows->active; i++)
+                rows->step[i] = -rows->step[i];
+            block = find_block(rows, &length);
+            if (block < 0)
+                return RAN_OUT;
+        }
+        if (block < 0) {
+            memcpy(rows->multiplier, rows->wanted, (size_t)rows->active * sizeof(real));
+            return SETTLED;
+        }
+        const range piece = piece_of(rows, block);
+        const int falls = rows->step[block] < R(0.0), above = ddmpc_is_above(rows, block);
+        for (int i = 0; i < rows->active; i++)
+            rows->multiplier[i] = within(piece_of(rows, i), rows->multiplier[i] + length * rows->step[i]);
+        rows->multiplier[block] = falls ? piece.low : piece.high;
+        if (falls == above && !ddmpc_is_exceeded(rows, block))
+            ddmpc_leave_row(rows, block);
+        else
+            ddmpc_switch_piece(rows, block);
+    }
+}
+
+/* The dual objective where the system is solved. */
+static real height(const ddmpc_rows *rows)
+{
+    const real price = rows->problem->price;
+    real sum = R(0.0);
+    for (int i = 0; i < rows->active; i++) {
+        sum -= rows->multiplier[i] * ddmpc_room(rows, i);
+        if (ddmpc_is_exceeded(rows, i))
+            sum -= price * price / rows->problem->slope;
+    }
+    return R(0.5) * sum;
+}
+
+/* The dual method: settle, let broken rows press, settle, ... */
+static ddmpc_limited_status climb(ddmpc_rows *rows, int *iterations, real *plan)
+{
+    real highest = -DDMPC_LARGEST;
+    for (int stalls = 0; stalls < MOST_STALLS;) {
+        const outcome end = settle(rows, iterations);
+        int refinements = 0, entered, broken[2];
+        if (end != SETTLED)
+            return end == UNBOUNDED ? DDMPC_INFEASIBLE : DDMPC_NOT_PROVEN;
+        ddmpc_plan_of_rows(rows, plan);
+        while (!is_met(rows)) {
+            if (refinements++ == MOST_REFINEMENTS)
+                return DDMPC_NOT_PROVEN;
+            ddmpc_solve_step(rows);
+            for (int i = 0; i < rows->active; i++)
+                rows->multiplier[i] = within(piece_of(rows, i), rows->multiplier[i] + rows->step[i]);
+            ddmpc_plan_of_rows(rows, plan);
+        }
+        if (!survey(rows, broken))
+            return DDMPC_NOT_PROVEN;
+        const real reached = height(rows);
+        stalls = reached > highest ? 0 : stalls + 1;
+        highest = ddmpc_max(highest, reached);
+        if (!(broken[0] || broken[1]) || enter_broken(rows, 0, &entered) == 0)
+            return DDMPC_PROVEN;
+        if (entered == 0)
+            return DDMPC_NOT_PROVEN;
+    }
+    return DDMPC_NOT_PROVEN;
+}
+
+/* Begin with the rows whose multipliers are not zero, and no others. */
+static void warm_start(ddmpc_rows *rows, const real *multipliers)
+{
+    const ddmpc_limited_problem *problem = rows->problem;
+    int count = 0;
+    while (rows->active > 0)
+        ddmpc_leave_row(rows, rows->active - 1);
+    for (int row = 0; row < rows->m && count < rows->most_active; row++) {
+        const real size = ddmpc_fabs(multipliers[row]);
+        /* Not the other way round: NaN is nothing to begin with. */
+        if (!(size > R(0.0) && size < DDMPC_LARGEST))
+            continue;
+        const int piece = row >= problem->hard && size > problem->price ? DDMPC_EXCEEDED : DDMPC_KEPT;
+        rows->state[row] = multipliers[row] > R(0.0) ? piece : -piece;
+        rows->entering[count++] = row;
+    }
+    ddmpc_enter_rows(rows, count);
+    for (int i = 0; i < count; i++)
+        rows->multiplier[i] = multipliers[ddmpc_row_at(rows, i)];
+}
+
+/* How large the numbers are whose sum is R'R (U - U0), largest entry. */
+static real size_of_gradient(const ddmpc_rows *rows, const real *plan)
+{
+    const ddmpc_limited_problem *problem = rows->problem;
+    real *restrict size = rows->z, largest = R(0.0);
+    memset(size, 0, (size_t)rows->n * sizeof(real));
+    for (int k = 0; k < rows->n; k++) {
+        const real *restrict row = problem->factor + k * rows->n;
+        real sum = R(0.0);
+        for (int i = k; i < rows->n; i++)
+            sum += ddmpc_fabs(row[i]) * (ddmpc_fabs(plan[i]) + ddmpc_fabs(problem->minimiser[i]));
+        for (int i = k; i < rows->n; i++)
+            size[i] += ddmpc_fabs(row[i]) * sum;
+    }
+    for (int k = 0; k < rows->n; k++)
+        largest = ddmpc_max(largest, size[k]);
+    return largest;
+}
+
+/* Fill residuals and multipliers from the plan; returns whether the cost is stationary, as far as rounding tells. */
+static int is_stationary(ddmpc_rows *rows, const real *plan, real *multipliers, ddmpc_limited_result *result)
+{
+    const ddmpc_limited_problem *problem = rows->problem;
+    const int n = rows->n;
+    real *restrict gradient = rows->batch, *restrict moved = rows->batch + n;
+    real largest = R(0.0), allowed = R(0.0), dual = R(0.0);
+    for (int k = 0; k < n; k++) {
+        moved[k] = plan[k] - problem->minimiser[k];
+        gradient[k] = R(0.0);
+    }
+    for (int k = 0; k < n; k++) {
+        const real *restrict row = problem->factor + k * n;
+        const real sum = ddmpc_long_dot(row + k, moved + k, n - k);
+        for (int i = k; i < n; i++)
+            gradient[i] += row[i] * sum;
+    }
+    memset(multipliers, 0, (size_t)rows->m * sizeof(real));
+    for (int i = 0; i < rows->active; i++) {
+        const int row = ddmpc_row_at(rows, i), above = ddmpc_is_above(rows, i);
+        int first = 0, last = n;
+        real multiplier = rows->multiplier[i], give = R(0.0), *restrict line = rows->line;
+        problem->row(problem->context, row, line, &first, &last);
+        multipliers[row] = multiplier;
+        if (ddmpc_is_exceeded(rows, i)) {
+            /* The price is that of the plan as it is. */
+            const real value = ddmpc_long_dot(line + first, plan + first, last - first);
+            multiplier = above ? problem->price + problem->slope * (value - problem->upper[row])
+                               : -problem->price + problem->slope * (value - problem->lower[row]);
+            give = problem->slope * tolerance(rows, row);
+        }
+        for (int k = first; k < last; k++) {
+            gradient[k] += multiplier * line[k];
+            largest = ddmpc_max(largest, ddmpc_fabs(line[k]) * ddmpc_fabs(multiplier));
+            allowed = ddmpc_max(allowed, ddmpc_fabs(line[k]) * give);
+        }
+    }
+    int sound = 1;
+    for (int k = 0; k < n; k++) {
+        sound &= ddmpc_fabs(gradient[k]) < DDMPC_LARGEST;
+        dual = ddmpc_max(dual, ddmpc_fabs(gradient[k]));
+    }
+    result->dual = dual;
+    allowed += STATIONARY * largest;
+    return sound && (dual <= allowed || dual <= allowed + ROUNDING * size_of_gradient(rows, plan));
+}
+
+/* What the limits must be for there to be a problem. */
+static ddmpc_limited_status check_limits(const ddmpc_limited_problem *problem)
+{
+    int sound = 1, crossed = 0;
+    for (int row = 0; row < problem->rows; row++) {
+        const int kept = problem->lower[row] <= problem->upper[row];
+        crossed |= row < problem->hard && problem->lower[row] > problem->upper[row] + R(2.0) * problem->slack;
+        sound &= kept && problem->lower[row] < DDMPC_LARGEST && problem->upper[row] > -DDMPC_LARGEST;
+    }
+    if (problem->rows > problem->hard)
+        sound &= problem->price >= R(0.0) && problem->price < DDMPC_LARGEST && problem->slope > R(0.0) &&
+                 problem->slope < DDMPC_LARGEST;
+    return crossed ? DDMPC_INFEASIBLE : sound ? DDMPC_PROVEN : DDMPC_NOT_PROVEN;
+}
+
+ddmpc_limited_result ddmpc_solve_limited(const ddmpc_limited_problem *problem, const ddmpc_limited_memory *memory,
+                                         real *multipliers, real *plan)
+{
+    ddmpc_limited_result result = {DDMPC_NOT_PROVEN, 0, 0, R(0.0), R(0.0)};
+    ddmpc_rows rows;
+    result.status = check_limits(problem);
+    if (result.status == DDMPC_PROVEN && !ddmpc_begin_rows(&rows, problem, memory))
+        result.status = DDMPC_NOT_PROVEN;
+    if (result.status == DDMPC_PROVEN) {
+        int soft = 0;
+        warm_start(&rows, multipliers);
+        for (int i = 0; i < rows.active; i++)
+            soft |= ddmpc_is_soft(&rows, i);
+        if (soft || !change_many(&rows, &result.iterations, plan)) {
+            warm_start(&rows, multipliers);
+            result.status = climb(&rows, &result.iterations, plan);
+        }
+        result.active = rows.active;
+        result.primal = rows.primal;
+        if (result.status == DDMPC_PROVEN && !is_stationary(&rows, plan, multipliers, &result))
+            result.status = DDMPC_NOT_PROVEN;
+    }
+    if (result.status != DDMPC_PROVEN) {
+        memset(multipliers, 0, (size_t)problem->rows * sizeof(real));
+        memcpy(plan, problem->minimiser, (size_t)problem->inputs * sizeof(real));
+    }
+    return result;
+}
+
+unsigned long ddmpc_limited_reals(int inputs, int rows, int most_active)
+{
+    return (unsigned long)DDMPC_LIMITED_REALS(inputs, rows, most_active);
+}
+
+unsigned long ddmpc_limited_ints(int inputs, int rows, int most_active)
+{
+    (void)inputs;
+    return (unsigned long)DDMPC_LIMITED_INTS(inputs, rows, most_active);
+}

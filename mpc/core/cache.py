@@ -1,0 +1,152 @@
+"""Compiled libraries, kept by what they come from, and never loaded unless they are whole and our own.
+
+The name of a library carries the digest of what it comes from and the digest of its content: one rename puts both in
+place. It is checked before each load, since the loader would run whatever it is given.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import stat
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import TypeVar
+
+from diffdrive_mpc.mpc.core.compiler import NotCompiledError
+
+CACHE_VARIABLE = "DIFFDRIVE_MPC_CACHE"
+"""Environment variable that names the folder of compiled libraries."""
+
+_Loaded = TypeVar("_Loaded")
+_log = logging.getLogger(__name__)
+
+
+def load_cached(stem: str, origin: str, build: Callable[[Path], Path], load: Callable[[Path], _Loaded]) -> _Loaded:
+    """A library from the cache, built first if there is none that can be used.
+
+    Parameters
+    ----------
+    stem
+        First part of its name.
+    origin
+        Digest of all that it comes from.
+    build
+        Makes it in an empty folder, and returns where.
+    load
+        Loads it; OSError says that it cannot.
+
+    Raises
+    ------
+    NotCompiledError
+        If it cannot be built, or no folder will take it.
+    """
+    faults = []
+    for folder in _folders():
+        try:
+            return _load_in(folder, f"{stem}-{origin[:32]}", build, load)
+        except OSError as error:
+            faults.append(f"{folder}: {error.strerror or error}")
+    raise NotCompiledError(f"{'; '.join(faults)}; set {CACHE_VARIABLE} to a folder of your own")
+
+
+def content_digest(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal digits.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    """
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _load_in(folder: Path, stem: str, build: Callable[[Path], Path], load: Callable[[Path], _Loaded]) -> _Loaded:
+    for path in sorted(folder.glob(f"{stem}-*.so")):
+        if _intact(path):
+            return load(path)
+        _log.warning("%s is damaged; it is compiled anew", path)
+        with suppress(OSError):
+            path.unlink()
+    with tempfile.TemporaryDirectory(dir=folder, prefix="build-") as build_folder:
+        built = build(Path(build_folder))
+        path = folder / f"{stem}-{content_digest(built)}.so"
+        _to_disk(built)
+        # In one step: another process may be at the same.
+        built.replace(path)
+        _to_disk(folder)
+    return load(path)
+
+
+def _intact(path: Path) -> bool:
+    """Whether the content is what the name says."""
+    try:
+        return content_digest(path) == path.stem.rpartition("-")[2]
+    except OSError:
+        return False
+
+
+def _to_disk(path: Path) -> None:
+    """Wait until a file or folder is on the disk: a power cut may not leave a name without its content."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _folders() -> Iterator[Path]:
+    """Folders for libraries that nobody else can write to, best first: the user's, then private ones."""
+    for folder in (user_folder, _shared_private_folder):
+        try:
+            path = folder()
+            path.mkdir(mode=0o700, parents=True, exist_ok=True)
+            reason = _why_not_ours(path)
+        except (OSError, RuntimeError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+        if reason is None:
+            yield path
+        elif folder is user_folder:
+            _log.warning("no compiled library is kept in the cache folder (%s); see %s", reason, CACHE_VARIABLE)
+    yield _process_folder()
+
+
+def user_folder() -> Path:
+    """The folder that is named, or the user's cache. RuntimeError: there is no home folder."""
+    named = os.environ.get(CACHE_VARIABLE)
+    if named:
+        return Path(named).expanduser().resolve()
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache").resolve() / "diffdrive-mpc"
+
+
+def _shared_private_folder() -> Path:
+    """A folder of this user beside everybody's temporary files."""
+    return Path(tempfile.gettempdir()).resolve() / f"diffdrive-mpc-{os.geteuid()}"
+
+
+@cache
+def _process_folder() -> Path:
+    """A folder that ends with this process."""
+    folder = tempfile.TemporaryDirectory(prefix="diffdrive-mpc-")
+    _kept.append(folder)
+    return Path(folder.name)
+
+
+_kept: list[tempfile.TemporaryDirectory[str]] = []
+
+
+def _why_not_ours(folder: Path) -> str | None:
+    """Why somebody else might have put a library into `folder`, which is no link; None if nobody can."""
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode):
+        return f"{folder} is no folder"
+    if found.st_uid not in (os.geteuid(), 0):
+        return f"{folder} belongs to somebody else"
+    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        return f"others can write to {folder}"
+    return None

@@ -1,0 +1,189 @@
+/* Which measurements may be believed: stamps, numbers, ranges and jumps. */
+#include <string.h>
+
+#include "internal.h"
+
+/* A variance of a square kilometre says nothing about a robot, and would overflow the filter before long. */
+#define LARGEST_VARIANCE R(1e6)
+/* Share by which two mirrored entries may differ: rounding on the way here. */
+#define ASYMMETRY R(1e-6)
+/* Clocks of one robot agree to better than this; a stamp further ahead of the tick is a fault [s]. */
+#define FUTURE 1e-3
+
+void ddmpc_reject(ddmpc_result *result, int subject, int fault, real a, real b)
+{
+    if (result->notes < DDMPC_NOTES) {
+        const ddmpc_note note = {a, b, subject, fault};
+        result->note[result->notes++] = note;
+    }
+}
+
+static int all_finite(const real *values, int count)
+{
+    for (int i = 0; i < count; i++)
+        if (!isfinite(values[i]))
+            return 0;
+    return 1;
+}
+
+/* Whether k x k `entries` are a symmetric positive definite matrix, by its leading minors' pivots. */
+static int possible_covariance(const real *entries, int k)
+{
+    real work[9];
+    if (!all_finite(entries, k * k))
+        return 0;
+    for (int i = 0; i < k * k; i++) {
+        const int mirrored = i % k * k + i / k;
+        if (ddmpc_fabs(entries[i]) > LARGEST_VARIANCE)
+            return 0;
+        if (ddmpc_fabs(entries[i] - entries[mirrored]) > ASYMMETRY * ddmpc_fabs(entries[i]))
+            return 0;
+        work[i] = entries[i];
+    }
+    for (int p = 0; p < k; p++) {
+        if (!(work[p * k + p] > R(0.0)))
+            return 0;
+        for (int i = p + 1; i < k; i++)
+            for (int j = p + 1; j <= i; j++)
+                work[i * k + j] -= work[i * k + p] * work[j * k + p] / work[p * k + p];
+    }
+    return 1;
+}
+
+/* What is wrong with a stamp at tick `t`, after one at `last`; `number` gets what belongs to it. */
+static int stamp_fault(ddmpc_time stamp, ddmpc_time t, ddmpc_time last, real history, real *number)
+{
+    const ddmpc_time age = t - stamp;
+    if (!isfinite(stamp))
+        return DDMPC_BAD_STAMP;
+    *number = (real)age;
+    if (age < -FUTURE) {
+        *number = (real)-age;
+        return DDMPC_IN_FUTURE;
+    }
+    if (stamp <= last)
+        return DDMPC_NOT_NEWER;
+    if (age > (ddmpc_time)history)
+        return DDMPC_TOO_OLD;
+    return DDMPC_NO_FAULT;
+}
+
+int ddmpc_check_pose(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *pose, ddmpc_checked_pose *checked)
+{
+    const ddmpc_constants *constants = c->constants;
+    ddmpc_estimator *estimator = &c->estimator;
+    real number = R(0.0);
+    if (!pose->present)
+        return 0;
+    int fault = stamp_fault(pose->stamp, t, estimator->pose_stamp, constants->stamp_history, &number);
+    if (!all_finite(pose->value, 3))
+        fault = DDMPC_NOT_NUMBERS;
+    else if (pose->has_covariance && !possible_covariance(pose->covariance, 3))
+        fault = DDMPC_BAD_COVARIANCE;
+    if (fault != DDMPC_NO_FAULT) {
+        ddmpc_reject(&c->result, DDMPC_OF_POSE, fault, number, R(0.0));
+        return 0;
+    }
+    estimator->pose_stamp = checked->stamp = pose->stamp;
+    memcpy(checked->value, pose->value, sizeof checked->value);
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++)
+            checked->covariance[i][j] = pose->has_covariance ? pose->covariance[3 * i + j]
+                                        : i == j             ? constants->pose_variance[i]
+                                                             : R(0.0);
+    return 1;
+}
+
+/* One message with `count` numbers, the sensors from `first` on. */
+static int check_twist(ddmpc_controller *c, int subject, int first, int count, ddmpc_time *last_stamp, real *last,
+                       ddmpc_time t, const ddmpc_stamped *stamped, ddmpc_checked_twist *checked)
+{
+    const ddmpc_constants *constants = c->constants;
+    real a = R(0.0), b = R(0.0);
+    if (!stamped->present)
+        return 0;
+    int fault = stamp_fault(stamped->stamp, t, *last_stamp, constants->stamp_history, &a);
+    if (!all_finite(stamped->value, count)) {
+        fault = DDMPC_NOT_NUMBERS;
+    } else {
+        int excess = 0;
+        while (excess < count && !(ddmpc_fabs(stamped->value[excess]) > constants->largest_twist[first + excess]))
+            excess++;
+        if (excess < count) {
+            fault = DDMPC_TOO_LARGE;
+            a = stamped->value[excess];
+            b = constants->largest_twist[first + excess];
+        } else if (stamped->has_covariance && !possible_covariance(stamped->covariance, count)) {
+            fault = DDMPC_BAD_COVARIANCE;
+        }
+    }
+    for (int i = 0; i < count && fault == DDMPC_NO_FAULT; i++)
+        /* A wheel that hits a wall does jump, and stays where it is: the next sample confirms it. */
+        if (ddmpc_fabs(stamped->value[i] - last[i]) > constants->largest_twist_jump[first + i]) {
+            fault = DDMPC_JUMPS;
+            a = last[i];
+            b = stamped->value[i];
+        }
+    if (fault == DDMPC_NO_FAULT || fault == DDMPC_JUMPS) {
+        *last_stamp = stamped->stamp;
+        memcpy(last, stamped->value, (size_t)count * sizeof(real));
+    }
+    if (fault != DDMPC_NO_FAULT) {
+        ddmpc_reject(&c->result, subject, fault, a, b);
+        return 0;
+    }
+    for (int i = 0; i < count; i++) {
+        checked[i].sensor = first + i;
+        checked[i].value = stamped->value[i];
+        checked[i].variance = stamped->has_covariance ? stamped->covariance[i * (count + 1)]
+                                                      : constants->twist_variance[first + i];
+    }
+    return count;
+}
+
+int ddmpc_check_wheels(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *wheels, ddmpc_checked_twist checked[2])
+{
+    return check_twist(c, DDMPC_OF_WHEELS, WHEEL_SPEED, 2, &c->estimator.wheels_stamp, c->estimator.last_wheels, t,
+                       wheels, checked);
+}
+
+int ddmpc_check_yaw_rate(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *rate, ddmpc_checked_twist checked[1])
+{
+    return check_twist(c, DDMPC_OF_YAW_RATE, YAW_RATE, 1, &c->estimator.yaw_rate_stamp, &c->estimator.last_yaw_rate, t,
+                       rate, checked);
+}
+
+static int differs(const ddmpc_constants *constants, const real value[3], const real expected[3])
+{
+    const real distance = ddmpc_hypot(value[0] - expected[0], value[1] - expected[1]);
+    const real turn = ddmpc_fabs(ddmpc_wrap(value[2] - expected[2]));
+    /* Not the other way round: NaN must count as different. */
+    return !(distance <= constants->largest_position_jump && turn <= constants->largest_heading_jump);
+}
+
+int ddmpc_pose_passes(ddmpc_controller *c, const ddmpc_checked_pose *pose, const real expected[3])
+{
+    const ddmpc_constants *constants = c->constants;
+    ddmpc_estimator *estimator = &c->estimator;
+    if (!differs(constants, pose->value, expected)) {
+        ddmpc_accept_pose(c, pose);
+        return 1;
+    }
+    if (estimator->jumps > 0 && differs(constants, pose->value, estimator->jumped[estimator->jumps - 1].value))
+        estimator->jumps = 0;
+    if (estimator->jumps == AGREEING) {
+        memmove(estimator->jumped, estimator->jumped + 1, (AGREEING - 1) * sizeof estimator->jumped[0]);
+        estimator->jumps--;
+    }
+    estimator->jumped[estimator->jumps++] = *pose;
+    ddmpc_reject(&c->result, DDMPC_OF_POSE, DDMPC_JUMPS,
+                 ddmpc_hypot(pose->value[0] - expected[0], pose->value[1] - expected[1]),
+                 ddmpc_fabs(ddmpc_wrap(pose->value[2] - expected[2])));
+    return 0;
+}
+
+void ddmpc_accept_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose)
+{
+    c->estimator.accepted_stamp = pose->stamp;
+    c->estimator.jumps = 0;
+}

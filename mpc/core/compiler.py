@@ -1,0 +1,183 @@
+"""The C compiler: which one, what it is told, and how long it may take. Needs nothing but Python's own library."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shutil
+import signal
+import subprocess
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+
+from diffdrive_mpc.models.errors import DiffdriveMpcError
+
+_COMPILERS = ("cc", "gcc", "clang")
+_FLAGS = (
+    "-std=c99",
+    "-O3",
+    "-ffp-contract=fast",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-fno-semantic-interposition",
+    "-fPIC",
+)
+# The quickest instructions of this machine; not every compiler knows the first way to ask for them.
+NATIVE: tuple[tuple[str, ...], ...] = (
+    ("-march=native", "-mprefer-vector-width=512"),
+    ("-march=native",),
+    ("-mcpu=native",),
+    (),
+)
+"""Flags for the processor at hand, in the order in which they are tried."""
+
+_PATIENCE, _ANSWER_PATIENCE = 120.0, 10.0  # [s] to compile, and to say its version
+
+
+class NotCompiledError(DiffdriveMpcError, RuntimeError):
+    """There is no compiled library and none can be made. The message is one line: why, and the remedy."""
+
+
+def build_library(texts: Mapping[str, str], folder: Path, tunings: Sequence[Sequence[str]]) -> Path:
+    """Write `texts` (name to text) to `folder` and compile its C files to one shared library there.
+
+    Parameters
+    ----------
+    texts
+        C files and headers by name.
+    folder
+        An empty folder.
+    tunings
+        Sets of flags for the processor; the first one that the compiler takes is used.
+
+    Raises
+    ------
+    NotCompiledError
+        If there is no compiler, it fails, or it takes too long.
+    OSError
+        If the folder cannot be written.
+    """
+    compiler, _ = find_compiler()
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    sources = sorted(name for name in texts if name.endswith(".c"))
+    fault = ""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for tuning in tunings:
+            command = [compiler, *_FLAGS, *tuning]
+            # In the folder, with names only: the library does not tell where it was made.
+            compiling = [pool.submit(_complaint, [*command, "-c", source], folder) for source in sources]
+            fault = next((complaint.result() for complaint in compiling if complaint.result()), "")
+            if not fault:
+                objects = [f"{Path(source).stem}.o" for source in sources]
+                fault = _complaint([*command, "-shared", *objects, "-o", "library.so", "-lm"], folder)
+            if not fault:
+                return folder / "library.so"
+    raise NotCompiledError(f"{compiler} failed: {fault}")
+
+
+def _complaint(command: Sequence[str], folder: Path) -> str:
+    """What the compiler has against a command, in one line; nothing if it did it.
+
+    Raises
+    ------
+    NotCompiledError
+        If it takes too long.
+    """
+    try:
+        code, _, said = _run(command, _PATIENCE, folder)
+    except TimeoutError as error:
+        raise NotCompiledError(f"{command[0]} did not finish within {_PATIENCE:g} s") from error
+    if code == 0:
+        return ""
+    return next((line for line in said.splitlines() if "error" in line), said.strip() or f"exit code {code}")
+
+
+def what_is_built(texts: Mapping[str, str]) -> str:
+    """Digest of all that a library for this machine comes from: texts, compiler, flags and processor.
+
+    Raises
+    ------
+    NotCompiledError
+        If there is no compiler.
+    """
+    _, version = find_compiler()
+    how = repr((_FLAGS, NATIVE, platform.libc_ver()))
+    return digest_of([version, _machine(), how, *(part for item in sorted(texts.items()) for part in item)])
+
+
+def digest_of(parts: Sequence[str]) -> str:
+    """SHA-256 of texts, in hexadecimal digits."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part.encode() + b"\0")
+    return digest.hexdigest()
+
+
+@cache
+def find_compiler() -> tuple[str, str]:
+    """Path of the C compiler, and what it says of itself.
+
+    Raises
+    ------
+    NotCompiledError
+        If there is none that answers.
+    """
+    for name in _COMPILERS:
+        path = shutil.which(name)
+        if path:
+            try:
+                code, answer, _ = _run([path, "--version"], _ANSWER_PATIENCE)
+            except OSError:  # a timeout is one
+                continue
+            if code == 0:
+                return path, answer
+    raise NotCompiledError(f"no C compiler ({', '.join(_COMPILERS)}) was found")
+
+
+def _run(command: Sequence[str], patience: float, folder: Path | None = None) -> tuple[int, str, str]:
+    """Exit code and output of a command that is ended with all its children after `patience` seconds.
+
+    Raises
+    ------
+    TimeoutError
+        If it had to be ended.
+    """
+    process = subprocess.Popen(
+        command,
+        cwd=folder,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        start_new_session=True,
+    )
+    with process:
+        try:
+            out, said = process.communicate(timeout=patience)
+        except BaseException as error:
+            os.killpg(process.pid, signal.SIGKILL)
+            if isinstance(error, subprocess.TimeoutExpired):
+                raise TimeoutError(f"{command[0]}: no end after {patience:g} s") from error
+            raise
+    return process.returncode, out, said
+
+
+@cache
+def _machine() -> str:
+    """The processor, with all that it can do: code for one may not run on another."""
+    known = ("model name", "flags", "Features", "CPU part")
+    return platform.machine() + "".join(sorted({line for line in processor_lines() if line.startswith(known)}))
+
+
+@cache
+def processor_lines() -> tuple[str, ...]:
+    """What the system says of its processors, line by line; on a system that has no such file, what Python knows."""
+    try:
+        return tuple(Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines())
+    except OSError:
+        return (f"model name: {platform.processor()}",)

@@ -1,0 +1,251 @@
+/* Estimates pose, twist and slip from measurements that arrive at several rates and late: an extended Kalman filter
+ * with a short history, in which a late measurement is entered at its stamp. */
+#include <string.h>
+
+#include "internal.h"
+
+static ddmpc_node *node_at(const ddmpc_controller *c, int index)
+{
+    return &c->estimator.node[(c->estimator.first + index) % HISTORY(c)];
+}
+
+static ddmpc_node *newest(const ddmpc_controller *c)
+{
+    return node_at(c, c->estimator.nodes - 1);
+}
+
+/* The command sent `ticks_ago`. */
+static real *sent(const ddmpc_controller *c, int ticks_ago)
+{
+    return c->estimator.commands + 2 * (COMMANDS(c) - 1 - ticks_ago);
+}
+
+/* A new node at the end of the history, which drops its oldest where it is full. */
+static ddmpc_node *grow(ddmpc_controller *c, ddmpc_time time)
+{
+    ddmpc_estimator *estimator = &c->estimator;
+    if (estimator->nodes == HISTORY(c))
+        estimator->first = (estimator->first + 1) % HISTORY(c);
+    else
+        estimator->nodes++;
+    ddmpc_node *node = newest(c);
+    node->time = time;
+    node->poses = node->twists = 0;
+    return node;
+}
+
+void ddmpc_estimator_clear(ddmpc_controller *c)
+{
+    memset(c->estimator.commands, 0, (size_t)(2 * COMMANDS(c)) * sizeof(real));
+    ddmpc_estimator_forget(c);
+}
+
+void ddmpc_estimator_forget(ddmpc_controller *c)
+{
+    ddmpc_estimator *estimator = &c->estimator;
+    estimator->first = estimator->nodes = estimator->jumps = 0;
+    estimator->accepted_stamp = estimator->pose_stamp = -HUGE_VAL;
+    estimator->wheels_stamp = estimator->yaw_rate_stamp = -HUGE_VAL;
+    estimator->last_wheels[0] = estimator->last_wheels[1] = estimator->last_yaw_rate = R(0.0);
+    for (int i = 0; i < DDMPC_SENSORS; i++)
+        estimator->innovations[i] = (real)NAN;
+}
+
+int ddmpc_estimator_state(const ddmpc_controller *c)
+{
+    return (c->estimator.nodes > 0 ? READY : 0) | (c->estimator.jumps >= AGREEING ? MOVED : 0);
+}
+
+void ddmpc_estimator_append(ddmpc_controller *c, const real command[2])
+{
+    real *commands = c->estimator.commands;
+    const real entered[2] = {command[0], command[1]};
+    memmove(commands, commands + 2, (size_t)(2 * (COMMANDS(c) - 1)) * sizeof(real));
+    ddmpc_estimator_correct_last(c, entered);
+}
+
+void ddmpc_estimator_correct_last(ddmpc_controller *c, const real command[2])
+{
+    memcpy(sent(c, 0), command, 2 * sizeof(real));
+}
+
+int ddmpc_estimator_correct_sent(ddmpc_controller *c, const real got[2])
+{
+    const real *largest = c->constants->largest_twist;
+    for (int i = 0; i < 2; i++)
+        /* Not the other way round: NaN must not pass. */
+        if (!(ddmpc_fabs(got[i]) <= largest[i]))
+            return 0;
+    ddmpc_estimator_correct_last(c, got);
+    return 1;
+}
+
+void ddmpc_estimator_advance(ddmpc_controller *c, ddmpc_time t)
+{
+    const ddmpc_time dt = c->constants->sample_time;
+    if (c->estimator.nodes == 0)
+        return;
+    const double passed = rint((t - newest(c)->time) / dt);
+    const int steps = passed > 1.0 ? (int)passed : 1;
+    for (int missing = steps - 1; missing >= 0; missing--) {
+        if (missing < steps - 1)
+            ddmpc_estimator_append(c, sent(c, 0));
+        const ddmpc_belief *before = &newest(c)->posterior;
+        ddmpc_node *node = grow(c, t - missing * dt);
+        ddmpc_filter_predict(c, before, sent(c, 0), &node->prior);
+        ddmpc_copy_belief(c, &node->posterior, &node->prior);
+    }
+}
+
+/* Index of the last node not after `time`; the first where the history does not reach back so far. */
+static int node_before(const ddmpc_controller *c, ddmpc_time time)
+{
+    for (int index = c->estimator.nodes - 1; index > 0; index--)
+        if (node_at(c, index)->time <= time + 1e-9)
+            return index;
+    return 0;
+}
+
+/* Filter again from the node `first` to the newest. */
+static void filter_from(ddmpc_controller *c, int first)
+{
+    ddmpc_estimator *estimator = &c->estimator;
+    for (int index = first; index < estimator->nodes; index++) {
+        ddmpc_node *node = node_at(c, index);
+        if (index > first)
+            ddmpc_filter_predict(c, &node_at(c, index - 1)->posterior, sent(c, estimator->nodes - 1 - index),
+                                 &node->prior);
+        ddmpc_copy_belief(c, &node->posterior, &node->prior);
+        for (int i = 0; i < node->twists; i++) {
+            const ddmpc_checked_twist *twist = &node->twist[i];
+            estimator->innovations[twist->sensor] = ddmpc_filter_correct_twist(c, &node->posterior, twist);
+        }
+        for (int i = 0; i < node->poses; i++) {
+            const real ahead = (real)(node->pose[i].stamp - node->time);
+            estimator->innovations[POSE_SENSOR] =
+                ddmpc_filter_correct_pose(c, &node->posterior, &node->pose[i], ahead);
+        }
+    }
+}
+
+/* A robot that obeys the commands sent so far as the model says, somewhere. Its speed is as uncertain as if it might
+   as well stand; that of a robot at rest is certain. */
+static void moving(const ddmpc_controller *c, ddmpc_belief *belief)
+{
+    const ddmpc_constants *constants = c->constants;
+    const int n = STATES(c), Z = BELIEF(c);
+    real state[DDMPC_MOST_STATES], next[DDMPC_MOST_STATES], output[2];
+    for (int i = 0; i < n; i++) {
+        state[i] = R(0.0);
+        for (int channel = 0; channel < 2; channel++)
+            /* The command before the oldest that acts on the first interval. */
+            state[i] += constants->settled[2 * i + channel] *
+                        sent(c, HISTORY(c) + DELAY(c, channel) + 1)[channel];
+    }
+    for (int ticks_ago = HISTORY(c); ticks_ago >= 0; ticks_ago--) {
+        ddmpc_velocity_step(c, state, sent(c, ticks_ago), next, 0, c->problem.step_jacobian);
+        memcpy(state, next, (size_t)n * sizeof(real));
+    }
+    memset(belief->mean, 0, (size_t)Z * sizeof(real));
+    memset(belief->covariance, 0, (size_t)(Z * Z) * sizeof(real));
+    memset(belief->surprised, 0, sizeof belief->surprised);
+    memcpy(belief->mean, state, (size_t)n * sizeof(real));
+    for (int i = n + OMEGA_GAIN; i < n + SIDE_SLIP; i++)
+        belief->mean[i] = R(1.0);
+    ddmpc_velocity_output(c, state, output, 0);
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++)
+            for (int channel = 0; channel < 2; channel++)
+                belief->covariance[i * Z + j] += constants->settled[2 * i + channel] * output[channel] *
+                                                 output[channel] * constants->settled[2 * j + channel];
+    for (int i = 0; i < DDMPC_SLIPS; i++)
+        belief->covariance[(n + i) * (Z + 1)] = constants->uncertainty[i] * constants->uncertainty[i];
+}
+
+/* A history of one node, which is at `pose` with the motion that its prior holds. */
+static void start(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_pose *pose, const ddmpc_belief *motion)
+{
+    /* `motion` may lie in the history: it moves to the first node before the rest is dropped. */
+    if (motion != &c->estimator.node[0].prior)
+        ddmpc_copy_belief(c, &c->estimator.node[0].prior, motion);
+    c->estimator.first = c->estimator.nodes = 0;
+    ddmpc_node *node = grow(c, t);
+    ddmpc_filter_place(c, &node->prior, pose);
+    ddmpc_copy_belief(c, &node->posterior, &node->prior);
+    ddmpc_accept_pose(c, pose);
+}
+
+static int least(int a, int b)
+{
+    return a < b ? a : b;
+}
+
+int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
+{
+    ddmpc_checked_pose pose;
+    ddmpc_checked_twist twist[3];
+    ddmpc_estimator *estimator = &c->estimator;
+    const int has_pose = ddmpc_check_pose(c, t, &input->pose, &pose);
+    const int wheels = ddmpc_check_wheels(c, t, &input->wheels, twist);
+    const int twists = wheels + ddmpc_check_yaw_rate(c, t, &input->yaw_rate, twist + wheels);
+    if (estimator->nodes == 0) {
+        if (has_pose) {
+            moving(c, &estimator->node[0].prior);
+            start(c, t, &pose, &estimator->node[0].prior);
+        }
+        return ddmpc_estimator_state(c);
+    }
+    int first = estimator->nodes;
+    for (int i = 0; i < twists; i++) {
+        /* At the nearest tick: within half a sample a twist changes little. */
+        const ddmpc_time stamp = i < wheels ? input->wheels.stamp : input->yaw_rate.stamp;
+        const int index = node_before(c, stamp + 0.5 * c->constants->sample_time);
+        ddmpc_node *node = node_at(c, index);
+        if (node->twists == MOST_TWISTS) {
+            ddmpc_reject(&c->result, i < wheels ? DDMPC_OF_WHEELS : DDMPC_OF_YAW_RATE, DDMPC_TOO_MANY, R(0.0), R(0.0));
+            continue;
+        }
+        node->twist[node->twists++] = twist[i];
+        first = least(first, index);
+    }
+    if (has_pose) {
+        const int index = node_before(c, pose.stamp);
+        ddmpc_node *node = node_at(c, index);
+        real expected[3];
+        ddmpc_filter_pose_at(c, &node->posterior, (real)(pose.stamp - node->time), expected);
+        if (node->poses == MOST_POSES) {
+            ddmpc_reject(&c->result, DDMPC_OF_POSE, DDMPC_TOO_MANY, R(0.0), R(0.0));
+        } else if (ddmpc_pose_passes(c, &pose, expected)) {
+            node->pose[node->poses++] = pose;
+            first = least(first, index);
+        }
+    }
+    filter_from(c, first);
+    return ddmpc_estimator_state(c);
+}
+
+int ddmpc_estimator_restart_elsewhere(ddmpc_controller *c)
+{
+    if (!(ddmpc_estimator_state(c) & MOVED))
+        return 0;
+    const ddmpc_checked_pose pose = c->estimator.jumped[c->estimator.jumps - 1];
+    const ddmpc_node *last = newest(c);
+    start(c, last->time, &pose, &last->posterior);
+    return 1;
+}
+
+void ddmpc_estimator_estimate(ddmpc_controller *c)
+{
+    const ddmpc_node *node = newest(c);
+    const ddmpc_belief *belief = &node->posterior;
+    const int Z = BELIEF(c);
+    ddmpc_estimate *estimate = &c->result.estimate;
+    estimate->time = node->time;
+    *estimate->pose_age = (real)(node->time - c->estimator.accepted_stamp);
+    memcpy(estimate->mean, belief->mean, (size_t)Z * sizeof(real));
+    for (int i = 0; i < Z; i++)
+        estimate->deviation[i] = ddmpc_sqrt(ddmpc_max(belief->covariance[i * (Z + 1)], R(0.0)));
+    ddmpc_filter_twist(c, belief->mean, estimate->twist);
+    ddmpc_filter_twist_deviation(c, belief, estimate->twist_deviation);
+    memcpy(estimate->innovations, c->estimator.innovations, sizeof c->estimator.innovations);
+}

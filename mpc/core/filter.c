@@ -1,0 +1,395 @@
+/* The extended Kalman filter's steps over one sample. The state is z = (x, slip, gyro bias, pose): the n states of the
+ * velocity model, what lies between the model's twist and the true one, the gyro's bias and x, y, theta. Only algebra
+ * stands here: motion, sensors and their gradients are generated from mpc/problem/formulas.py. */
+#include <string.h>
+
+#include "internal.h"
+
+static real dot(const real *a, const real *b, int count)
+{
+    real sum = R(0.0);
+    for (int i = 0; i < count; i++)
+        sum += a[i] * b[i];
+    return sum;
+}
+
+void ddmpc_copy_belief(const ddmpc_controller *c, ddmpc_belief *to, const ddmpc_belief *from)
+{
+    const int Z = BELIEF(c);
+    memmove(to->mean, from->mean, (size_t)Z * sizeof(real));
+    memmove(to->covariance, from->covariance, (size_t)(Z * Z) * sizeof(real));
+    memcpy(to->surprised, from->surprised, sizeof to->surprised);
+}
+
+/* Twist of the body, and its gradient by the filter's state (2, Z). */
+static void twist_now(const ddmpc_controller *c, const real *mean, real twist[2], real (*gradient)[MOST_BELIEF])
+{
+    const int n = STATES(c);
+    real y[2], rows[2 * DDMPC_MOST_STATES], J[2 * 7];
+    ddmpc_velocity_output(c, mean, y, rows);
+    const real *arguments[2] = {y, mean + n};
+    real *results[2] = {twist, J};
+    ddmpc_f_twist(arguments, results, 0, 0, 0);
+    if (!gradient)
+        return;
+    memset(gradient, 0, 2 * sizeof *gradient);
+    for (int i = 0; i < 2; i++) {
+        for (int j = 0; j < n; j++)
+            gradient[i][j] = J[i] * rows[j] + J[i + 2] * rows[n + j];
+        for (int j = 0; j < SLIP; j++)
+            gradient[i][n + j] = J[i + 2 * (2 + j)];
+    }
+}
+
+void ddmpc_filter_twist(const ddmpc_controller *c, const real *mean, real twist[2])
+{
+    twist_now(c, mean, twist, 0);
+}
+
+/* P h; P is symmetric. */
+static void times(const ddmpc_controller *c, const ddmpc_belief *belief, const real *h, real *out)
+{
+    const int Z = BELIEF(c);
+    const real *row = belief->covariance;
+    memset(out, 0, (size_t)Z * sizeof(real));
+    for (int j = 0; j < Z; j++, row += Z)
+        if (h[j] != R(0.0))
+            for (int i = 0; i < Z; i++)
+                out[i] += row[i] * h[j];
+}
+
+void ddmpc_filter_twist_deviation(const ddmpc_controller *c, const ddmpc_belief *belief, real deviation[2])
+{
+    real twist[2], gradient[2][MOST_BELIEF], product[MOST_BELIEF];
+    twist_now(c, belief->mean, twist, gradient);
+    for (int i = 0; i < 2; i++) {
+        times(c, belief, gradient[i], product);
+        deviation[i] = ddmpc_sqrt(ddmpc_max(dot(gradient[i], product, BELIEF(c)), R(0.0)));
+    }
+}
+
+/* A pose and its gradient by the filter's state. */
+typedef struct {
+    real pose[3], twist[2], by[3][MOST_BELIEF];
+} moved_pose;
+
+/* Where the body is after `dt` with the model's output `y`, whose gradient by the states is (2, n). */
+static void move(const ddmpc_controller *c, const real *z, const real y[2], const real *rows, real dt,
+                 moved_pose *moved)
+{
+    const int n = STATES(c);
+    const real *at = z + n + POSE;
+    real displacement[3], J[3 * 8];
+    const real *arguments[4] = {y, z + n, at + 2, &dt};
+    real *results[2] = {displacement, J};
+    ddmpc_f_move(arguments, results, 0, 0, 0);
+    memset(moved->by, 0, sizeof moved->by);
+    for (int i = 0; i < 3; i++) {
+        for (int j = 0; j < n; j++)
+            moved->by[i][j] = J[i] * rows[j] + J[i + 3] * rows[n + j];
+        for (int j = 0; j < SLIP; j++)
+            moved->by[i][n + j] = J[i + 3 * (2 + j)];
+        moved->by[i][n + POSE + 2] = J[i + 3 * 7];
+        moved->by[i][n + POSE + i] += R(1.0);
+        moved->pose[i] = at[i] + displacement[i];
+    }
+}
+
+static void move_from(const ddmpc_controller *c, const real *z, real dt, moved_pose *moved)
+{
+    real y[2], rows[2 * DDMPC_MOST_STATES];
+    ddmpc_velocity_output(c, z, y, rows);
+    move(c, z, y, rows, dt, moved);
+}
+
+void ddmpc_filter_pose_at(const ddmpc_controller *c, const ddmpc_belief *belief, real ahead, real pose[3])
+{
+    moved_pose moved;
+    move_from(c, belief->mean, ahead, &moved);
+    memcpy(pose, moved.pose, sizeof moved.pose);
+}
+
+/* F P F' for F = (A 0 0; 0 1 0; G), of which only the blocks that change are computed. */
+static void propagate(const ddmpc_controller *c, const moved_pose *moved, const real *A, const real *before, real *out)
+{
+    const int n = STATES(c), Z = BELIEF(c), pose = n + POSE;
+    real top[DDMPC_MOST_STATES][MOST_BELIEF], bottom[3][MOST_BELIEF];
+    for (int i = 0; i < n; i++) {
+        memset(top[i], 0, (size_t)Z * sizeof(real));
+        for (int k = 0; k < n; k++)
+            for (int j = 0; j < Z; j++)
+                top[i][j] += A[i * n + k] * before[k * Z + j];
+    }
+    for (int i = 0; i < 3; i++) {
+        memset(bottom[i], 0, (size_t)Z * sizeof(real));
+        for (int k = 0; k < Z; k++)
+            for (int j = 0; j < Z; j++)
+                bottom[i][j] += moved->by[i][k] * before[k * Z + j];
+    }
+    memcpy(out, before, (size_t)(Z * Z) * sizeof(real));
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j <= i; j++)
+            out[i * Z + j] = out[j * Z + i] = dot(A + j * n, top[i], n);
+        for (int j = n; j < pose; j++)
+            out[i * Z + j] = out[j * Z + i] = top[i][j];
+    }
+    for (int i = 0; i < 3; i++) {
+        const int row = pose + i;
+        for (int j = 0; j < n; j++)
+            out[row * Z + j] = out[j * Z + row] = dot(A + j * n, bottom[i], n);
+        for (int j = n; j < pose; j++)
+            out[row * Z + j] = out[j * Z + row] = bottom[i][j];
+        for (int j = 0; j <= i; j++)
+            out[row * Z + pose + j] = out[(pose + j) * Z + row] = dot(moved->by[j], bottom[i], Z);
+    }
+}
+
+/* The model's output over the sample from x to x+: its mean, with its gradient by x (2, n). */
+static void mean_output(const ddmpc_controller *c, const real *x, const real *after, const real *A, real y[2],
+                        real *rows)
+{
+    const int n = STATES(c);
+    real next[2], next_rows[2 * DDMPC_MOST_STATES];
+    ddmpc_velocity_output(c, x, y, rows);
+    ddmpc_velocity_output(c, after, next, next_rows);
+    for (int i = 0; i < 2; i++) {
+        y[i] = R(0.5) * (y[i] + next[i]);
+        for (int j = 0; j < n; j++) {
+            real through = R(0.0);
+            for (int k = 0; NONLINEAR(c) && k < n; k++)
+                through += next_rows[i * n + k] * A[k * n + j];
+            rows[i * n + j] =
+                NONLINEAR(c) ? R(0.5) * (rows[i * n + j] + through) : c->constants->mean_output[i * n + j];
+        }
+    }
+}
+
+void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before, const real *newest,
+                          ddmpc_belief *after)
+{
+    const ddmpc_constants *k = c->constants;
+    const int n = STATES(c), Z = BELIEF(c);
+    const real *z = before->mean;
+    real state[DDMPC_MOST_STATES], y[2], rows[2 * DDMPC_MOST_STATES], twist[2];
+    real by_state[DDMPC_MOST_STATES * DDMPC_MOST_STATES];
+    const real *A = NONLINEAR(c) ? by_state : k->A;
+    moved_pose moved;
+    ddmpc_velocity_step(c, z, newest, state, NONLINEAR(c) ? by_state : 0, c->problem.step_jacobian);
+    mean_output(c, z, state, A, y, rows);
+    move(c, z, y, rows, (real)k->sample_time, &moved);
+    const real *arguments[2] = {y, z + n};
+    real *results[2] = {twist, 0};
+    ddmpc_f_twist(arguments, results, 0, 0, 0);
+    propagate(c, &moved, A, before->covariance, after->covariance);
+
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++)
+            after->covariance[i * Z + j] += k->noise[i * n + j];
+    for (int i = 0; i < 3; i++)
+        after->covariance[(n + POSE + i) * (Z + 1)] += k->pose_noise[i];
+    /* A gain shows only while its channel moves: without news its uncertainty must not grow. */
+    const int turning = ddmpc_fabs(twist[1]) >= k->least_yaw_rate;
+    const int driving = ddmpc_fabs(twist[0]) >= k->least_speed;
+    const int moving[DDMPC_SLIPS] = {1, turning, driving, turning, turning && driving, 1};
+    for (int i = 0; i < DDMPC_SLIPS; i++)
+        if (moving[i])
+            after->covariance[(n + i) * (Z + 1)] += k->drift[i];
+
+    memcpy(after->mean + n, z + n, DDMPC_SLIPS * sizeof(real));
+    memcpy(after->mean, state, (size_t)n * sizeof(real));
+    memcpy(after->mean + n + POSE, moved.pose, sizeof moved.pose);
+    for (int i = 0; i < DDMPC_SENSORS; i++)
+        after->surprised[i] = before->surprised[i] + (before->surprised[i] > 0);
+}
+
+/* Count an innovation; whether it tells of something other than slip, which does not last. */
+static int judge(const ddmpc_controller *c, ddmpc_belief *belief, int sensor, real normalised)
+{
+    if (!(normalised > c->constants->surprise)) {
+        belief->surprised[sensor] = 0;
+        return 0;
+    }
+    if (belief->surprised[sensor] < 1)
+        belief->surprised[sensor] = 1;
+    return (real)belief->surprised[sensor] <= c->constants->patience;
+}
+
+/* A gain is zero for what the measurement may not change. */
+static void freeze(const ddmpc_controller *c, const real *z, int pushed, real *gain, int columns)
+{
+    const int n = STATES(c);
+    real twist[2];
+    if (pushed) {
+        /* The robot does not do as told, for a reason that is none of slip: velocity and pose take it all. */
+        memset(gain + n * columns, 0, (size_t)(DDMPC_SLIPS * columns) * sizeof(real));
+        return;
+    }
+    ddmpc_filter_twist(c, z, twist);
+    if (ddmpc_fabs(twist[1]) < c->constants->least_yaw_rate) {
+        memset(gain + (n + OMEGA_GAIN) * columns, 0, (size_t)columns * sizeof(real));
+        memset(gain + (n + YAW_GAIN) * columns, 0, (size_t)columns * sizeof(real));
+    }
+}
+
+static void bound(const ddmpc_controller *c, real *z)
+{
+    const int n = STATES(c);
+    for (int i = n + OMEGA_GAIN; i < n + SIDE_SLIP; i++) {
+        /* Not by min and max: NaN must stay NaN. */
+        if (z[i] < c->constants->least_gain)
+            z[i] = c->constants->least_gain;
+        if (z[i] > c->constants->most_gain)
+            z[i] = c->constants->most_gain;
+    }
+}
+
+static void correct_scalar(const ddmpc_controller *c, ddmpc_belief *belief, const real *h, real innovation,
+                           real variance, int pushed, const real *PHt)
+{
+    const int Z = BELIEF(c);
+    const real S = dot(h, PHt, Z) + variance;
+    real gain[MOST_BELIEF], half[MOST_BELIEF], *row = belief->covariance;
+    for (int i = 0; i < Z; i++)
+        gain[i] = PHt[i] / S;
+    freeze(c, belief->mean, pushed, gain, 1);
+    for (int i = 0; i < Z; i++) {
+        belief->mean[i] += gain[i] * innovation;
+        half[i] = PHt[i] - R(0.5) * S * gain[i];
+    }
+    bound(c, belief->mean);
+    /* Joseph's form: right for any gain, optimal or not. */
+    for (int i = 0; i < Z; i++, row += Z)
+        for (int j = 0; j < Z; j++)
+            row[j] -= gain[i] * half[j] + half[i] * gain[j];
+}
+
+/* What the wheels and the gyro should read, and its gradient by the filter's state. */
+static real expected_reading(const ddmpc_controller *c, const real *z, int sensor, real *h)
+{
+    const int n = STATES(c);
+    real y[2], rows[2 * DDMPC_MOST_STATES], reading[3], J[3 * 8];
+    ddmpc_velocity_output(c, z, y, rows);
+    const real *arguments[4] = {y, z + n, z + n + GYRO_BIAS, &c->constants->wheel_yaw_ratio};
+    real *results[2] = {reading, J};
+    ddmpc_f_sensors(arguments, results, 0, 0, 0);
+    memset(h, 0, (size_t)BELIEF(c) * sizeof(real));
+    for (int j = 0; j < n; j++)
+        h[j] = J[sensor] * rows[j] + J[sensor + 3] * rows[n + j];
+    for (int j = 0; j < DDMPC_SLIPS; j++)
+        h[n + j] = J[sensor + 3 * (2 + j)];
+    return reading[sensor];
+}
+
+real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_twist *measured)
+{
+    const int n = STATES(c), Z = BELIEF(c);
+    const real *settled = c->constants->settled;
+    real h[MOST_BELIEF], PHt[MOST_BELIEF];
+    const real innovation = measured->value - expected_reading(c, belief->mean, measured->sensor, h);
+    times(c, belief, h, PHt);
+    const real normalised = innovation * innovation / (dot(h, PHt, Z) + measured->variance);
+    const int pushed = judge(c, belief, measured->sensor, normalised);
+    if (pushed) {
+        const int channel = measured->sensor == WHEEL_SPEED ? 0 : 1;
+        for (int i = 0; i < n; i++)
+            for (int j = 0; j < n; j++)
+                belief->covariance[i * Z + j] +=
+                    innovation * innovation * (settled[2 * i + channel] * settled[2 * j + channel]);
+        times(c, belief, h, PHt);
+    }
+    correct_scalar(c, belief, h, innovation, measured->variance, pushed, PHt);
+    return normalised;
+}
+
+/* P H' and S = H P H' + covariance for a pose, and the factors of S = L D L'. */
+typedef struct {
+    real PHt[MOST_BELIEF][3], S[3][3];
+    real l10, l20, l21, d[3];
+} expectation;
+
+static void factorise(expectation *f)
+{
+    f->d[0] = f->S[0][0];
+    f->l10 = f->S[1][0] / f->d[0];
+    f->l20 = f->S[2][0] / f->d[0];
+    f->d[1] = f->S[1][1] - f->l10 * f->S[1][0];
+    const real below = f->S[2][1] - f->l20 * f->S[1][0];
+    f->l21 = below / f->d[1];
+    f->d[2] = f->S[2][2] - f->l20 * f->S[2][0] - f->l21 * below;
+}
+
+/* x = S^-1 b */
+static void divide(const expectation *f, const real b[3], real x[3])
+{
+    const real y1 = b[1] - f->l10 * b[0], y2 = b[2] - f->l20 * b[0] - f->l21 * y1;
+    x[2] = y2 / f->d[2];
+    x[1] = y1 / f->d[1] - f->l21 * x[2];
+    x[0] = b[0] / f->d[0] - f->l10 * x[1] - f->l20 * x[2];
+}
+
+static void expect(const ddmpc_controller *c, const ddmpc_belief *belief, const moved_pose *moved,
+                   const ddmpc_checked_pose *pose, expectation *found)
+{
+    const int Z = BELIEF(c);
+    real product[3][MOST_BELIEF];
+    for (int i = 0; i < 3; i++)
+        times(c, belief, moved->by[i], product[i]);
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j <= i; j++)
+            found->S[i][j] = found->S[j][i] = dot(moved->by[i], product[j], Z) + pose->covariance[i][j];
+    for (int k = 0; k < Z; k++)
+        for (int i = 0; i < 3; i++)
+            found->PHt[k][i] = product[i][k];
+    factorise(found);
+}
+
+real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_pose *pose,
+                               real ahead)
+{
+    const int n = STATES(c), Z = BELIEF(c);
+    real innovation[3], solved[3], gain[MOST_BELIEF][3], half[MOST_BELIEF][3];
+    moved_pose moved;
+    expectation f;
+    move_from(c, belief->mean, ahead, &moved);
+    for (int i = 0; i < 3; i++)
+        innovation[i] = pose->value[i] - moved.pose[i];
+    innovation[2] = ddmpc_wrap(innovation[2]);
+    expect(c, belief, &moved, pose, &f);
+    divide(&f, innovation, solved);
+    const real normalised = dot(innovation, solved, 3) / R(3.0);
+    /* A pose that the belief cannot explain says that something moved the robot: then the pose is believed, and nothing
+       is learned from it about slip, unless that goes on. */
+    const int pushed = judge(c, belief, POSE_SENSOR, normalised);
+    if (pushed) {
+        for (int i = 0; i < 3; i++)
+            belief->covariance[(n + POSE + i) * (Z + 1)] += innovation[i] * innovation[i];
+        expect(c, belief, &moved, pose, &f);
+    }
+    for (int i = 0; i < Z; i++)
+        divide(&f, f.PHt[i], gain[i]);
+    freeze(c, belief->mean, pushed, gain[0], 3);
+    for (int i = 0; i < Z; i++)
+        for (int k = 0; k < 3; k++) {
+            belief->mean[i] += gain[i][k] * innovation[k];
+            half[i][k] = f.PHt[i][k] - R(0.5) * dot(gain[i], f.S[k], 3);
+        }
+    bound(c, belief->mean);
+    for (int i = 0; i < Z; i++)
+        for (int j = 0; j <= i; j++)
+            belief->covariance[i * Z + j] = belief->covariance[j * Z + i] =
+                belief->covariance[i * Z + j] - (dot(gain[i], half[j], 3) + dot(half[i], gain[j], 3));
+    return normalised;
+}
+
+void ddmpc_filter_place(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_pose *pose)
+{
+    const int Z = BELIEF(c), at = STATES(c) + POSE;
+    for (int i = 0; i < 3; i++) {
+        for (int j = 0; j < at; j++)
+            belief->covariance[(at + i) * Z + j] = belief->covariance[j * Z + at + i] = R(0.0);
+        for (int j = 0; j < 3; j++)
+            belief->covariance[(at + i) * Z + at + j] = pose->covariance[i][j];
+        belief->mean[at + i] = pose->value[i];
+    }
+    memset(belief->surprised, 0, sizeof belief->surprised);
+}

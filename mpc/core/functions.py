@@ -1,0 +1,73 @@
+"""Functions of the user in C: terms and nonlinear models, generated and compiled like the shipped formulas."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc.core.generate import GeneratedC, generate
+from diffdrive_mpc.mpc.core.library import load_core, load_functions
+from diffdrive_mpc.mpc.problem.terms import Term
+from diffdrive_mpc.mpc.problem.user_functions import user_output, user_step, user_term
+
+CompiledTerm = tuple[Any, int, bool, int]
+"""Address of the function, rows of its value, whether it is soft, and the place of its first parameter."""
+
+STEP, OUTPUT = "ddmpc_user_step", "ddmpc_user_output"
+"""Names of a nonlinear model's functions in C."""
+
+
+def term_name(index: int) -> str:
+    """Name in C of the term with this index."""
+    return f"ddmpc_user_term_{index}"
+
+
+def generated_functions(model: VelocityModel | NonlinearModel, terms: Sequence[Term]) -> GeneratedC | None:
+    """C of a nonlinear model's step and output, if it is one, and of the terms; None if there is nothing to write.
+
+    Raises
+    ------
+    ConfigError
+        If a function cannot be written as C.
+    """
+    functions: list[ca.Function] = []
+    if isinstance(model, NonlinearModel):
+        functions += [user_step(model.step, STEP), user_output(model.output, OUTPUT, model.order)]
+    functions += [user_term(term.function, term_name(index)) for index, term in enumerate(terms)]
+    return generate(functions, "ddmpc_user", "the user's functions") if functions else None
+
+
+def first_parameters(terms: Sequence[Term]) -> list[int]:
+    """Where the parameters of each term begin among those of all."""
+    return [sum(term.parameters for term in terms[:index]) for index in range(len(terms))]
+
+
+def compile_functions(
+    model: VelocityModel | NonlinearModel, terms: Sequence[Term]
+) -> tuple[tuple[Any, Any] | None, list[CompiledTerm]]:
+    """Addresses of a nonlinear model's step and output, if it is one, and of the terms.
+
+    Raises
+    ------
+    ConfigError
+        If a function cannot be written as C.
+    NotCompiledError
+        If there is something to compile, and no compiler.
+    """
+    generated = generated_functions(model, terms)
+    if generated is None:
+        return None, []
+    (ffi, _), library = load_core(), load_functions(generated)
+
+    def address(name: str) -> Any:  # noqa: ANN401 - cffi has no types
+        return ffi.addressof(library, name)
+
+    step_and_output = (address(STEP), address(OUTPUT)) if isinstance(model, NonlinearModel) else None
+    places = zip(terms, first_parameters(terms), strict=True)
+    return step_and_output, [
+        (address(term_name(index)), term.rows, term.soft, first) for index, (term, first) in enumerate(places)
+    ]

@@ -1,0 +1,173 @@
+"""C text of CasADi functions: plain C99 for double and single precision, without memory of its own.
+
+CasADi writes the statements; its macros, its queries and its reference counts are left out, and each constant and
+function of math.h is wrapped, so that one text serves both precisions and no double sneaks into a controller in float.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc.problem.formulas import formulas
+
+_SIGNATURE = "int {name}(const real **arg, real **res, long long *iw, real *w, int mem)"
+
+# Functions of math.h that CasADi may call.
+_MATH = re.compile(
+    "a?(?:cos|sin|tan)h?|atan2|ceil|copysign|erf|exp|expm1|fabs|floor|fmax|fmin|fmod|hypot|log|log1p|pow|remainder|sqrt"
+)
+_OWN = {
+    "sq": "static inline real ddmpc_square(real x) { return x * x; }",
+    "sign": "static inline real ddmpc_sign(real x) { return x < 0 ? -1 : x > 0 ? 1 : x; }",
+}
+_OWN_NAMES = {"sq": "ddmpc_square", "sign": "ddmpc_sign"}
+_CONSTANTS = {"inf": "(real)INFINITY", "nan": "(real)NAN"}
+
+_BODY = re.compile(r"^/\* (?P<name>\w+):[^\n]*\*/\nstatic int casadi_f\d+\([^)]*\) \{\n(?P<body>.*?)^\}", re.M | re.S)
+_WORK = re.compile(
+    r"^CASADI_SYMBOL_EXPORT int (?P<name>\w+)_work\(.*?sz_iw = (?P<iw>\d+);.*?sz_w = (?P<w>\d+);", re.M | re.S
+)
+_TOKEN = re.compile(
+    r"(?P<number>(?<![\w.])(?:\d+\.\d*(?:[eE][+-]?\d+)?|\d+[eE][+-]?\d+))|(?P<call>\b[a-z]\w*)(?=\()|\bcasadi_(?P<rest>\w+)"
+)
+
+_SOURCE_HEAD = """\
+/* Generated from {origin}; do not edit. */
+#include "{stem}.h"
+
+/* A function of math.h for numbers of type real. */
+#ifdef DDMPC_FLOAT
+#define MATH(name) name##f
+#else
+#define MATH(name) name
+#endif
+"""
+
+_HEADER = """\
+/* Generated from {origin}; do not edit.
+ *
+ * Each function reads its arguments one after the other from `arg` and writes its results to `res`; matrices lie column
+ * by column. No result may lie where an argument lies; one that is not wanted may be NULL. `iw`, `w` and `mem` are not
+ * used: no function needs memory. */
+#ifndef {guard}
+#define {guard}
+
+#include "real.h"
+
+{declarations}
+#endif
+"""
+
+
+@dataclass(frozen=True)
+class GeneratedC:
+    """Text of a C file and of its header.
+
+    Attributes
+    ----------
+    stem
+        Names of both files without their ending; the source includes the header by it.
+    source, header
+        The texts. The header includes real.h, which defines `real`, `R(number)`, and DDMPC_FLOAT in single precision.
+    names
+        What the functions are called.
+    """
+
+    stem: str
+    source: str
+    header: str
+    names: tuple[str, ...]
+
+
+def generate_formulas() -> GeneratedC:
+    """C of the controller's formulas, `mpc/problem/formulas.py`."""
+    return generate(formulas(), "ddmpc_formulas", "mpc/problem/formulas.py")
+
+
+def generate(functions: Sequence[ca.Function], stem: str, origin: str) -> GeneratedC:
+    """C of SX functions, under the names that they have.
+
+    Parameters
+    ----------
+    functions
+        What to write down. Sparse results come out dense.
+    stem
+        Name of the files without their ending.
+    origin
+        Where the functions come from, for a reader of the C.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If a function needs what C99 or a controller without memory does not have.
+    """
+    generator = ca.CodeGenerator(f"{stem}.c", {"with_header": False, "main": False, "mex": False, "with_mem": False})
+    for function in functions:
+        generator.add(_as_computed(function))
+    text = generator.dump()
+    for found in _WORK.finditer(text):
+        if (found["iw"], found["w"]) != ("0", "0"):
+            raise ConfigError(
+                f"{found['name']}: its C needs memory of its own; write it without calls of other functions"
+            )
+    bodies = {found["name"]: _plain(found["name"], found["body"]) for found in _BODY.finditer(text)}
+    for function in functions:
+        if function.name() not in bodies:
+            version = ca.CasadiMeta.version()
+            raise ConfigError(f"{function.name()}: the C of CasADi {version} is not understood; install 3.8")
+    own = [line for name, line in _OWN.items() if any(_OWN_NAMES[name] in body for body in bodies.values())]
+    parts = [_SOURCE_HEAD.format(origin=origin, stem=stem), *(f"{line}\n" for line in own)]
+    names = tuple(function.name() for function in functions)
+    for name in names:
+        signature = _SIGNATURE.format(name=name)
+        parts.append(f"{signature}\n{{\n  (void)iw, (void)w, (void)mem;\n{bodies[name]}}}\n")
+    declared = "\n".join(_declaration(function) for function in functions)
+    header = _HEADER.format(origin=origin, guard=f"{stem.upper()}_H", declarations=declared)
+    return GeneratedC(stem, "\n".join(parts), header, names)
+
+
+def _as_computed(function: ca.Function) -> ca.Function:
+    """`function` with dense results, and nothing computed twice."""
+    symbols = function.sx_in()
+    results = ca.cse([ca.densify(result) for result in function.call(symbols, True, False)])
+    return ca.Function(function.name(), symbols, results, function.name_in(), function.name_out())
+
+
+def _plain(name: str, body: str) -> str:
+    """CasADi's statements with each number and each function of math.h in the precision of `real`."""
+
+    def written(token: re.Match[str]) -> str:
+        if token["number"]:
+            return f"R({token['number']})"
+        word = token["rest"] or token["call"]
+        called = token["call"] is not None
+        word = word.removeprefix("casadi_")
+        if not called and word == "real":
+            return "real"
+        if not called and word in _CONSTANTS:
+            return _CONSTANTS[word]
+        if called and word in _OWN_NAMES:
+            return _OWN_NAMES[word]
+        if called and _MATH.fullmatch(word):
+            return f"MATH({word})"
+        if called and word == "if":
+            return word
+        raise ConfigError(f"{name}: CasADi's operation '{word}' has no form in C99; write the function without it")
+
+    return _TOKEN.sub(written, body)
+
+
+def _declaration(function: ca.Function) -> str:
+    arguments = ", ".join(_shapes(function.name_in(k), function.size_in(k)) for k in range(function.n_in()))
+    results = ", ".join(_shapes(function.name_out(k), function.size_out(k)) for k in range(function.n_out()))
+    return f"/* ({arguments}) to ({results}) */\n{_SIGNATURE.format(name=function.name())};\n"
+
+
+def _shapes(name: str, shape: tuple[int, int]) -> str:
+    rows, columns = shape
+    return f"{name} {rows}" if columns == 1 else f"{name} {rows} x {columns}"

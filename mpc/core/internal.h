@@ -1,0 +1,229 @@
+/* What the parts of the core share: sizes, memory, and the steps of a tick. */
+#ifndef DDMPC_INTERNAL_H
+#define DDMPC_INTERNAL_H
+
+#include "active_set.h"
+#include "core.h"
+#include "ddmpc_formulas.h"
+#include "tile.h"
+
+/* Sizes are numbers that come with a controller; an export knows them when it is compiled, and is quicker for it. */
+#ifdef DDMPC_EXPORT
+#define DDMPC_MOST_STEPS DDMPC_STEPS
+#define DDMPC_MOST_STATES DDMPC_STATES
+#define DDMPC_MOST_WINDOW DDMPC_WINDOW
+#define DDMPC_MOST_KINDS (4 + DDMPC_SOFT)
+#define STEPS(c) DDMPC_STEPS
+#define STATES(c) DDMPC_STATES
+#define DELAY(c, channel) ((channel) ? DDMPC_DELAY_OMEGA : DDMPC_DELAY_V)
+#define LAG(c, channel) ((channel) ? DDMPC_LAG_OMEGA : DDMPC_LAG_V)
+#define WINDOW(c) DDMPC_WINDOW
+#define HISTORY(c) DDMPC_HISTORY
+#define RESIDUALS(c) DDMPC_RESIDUALS
+#define SOFT(c) DDMPC_SOFT
+#define TERMS(c) DDMPC_TERMS
+#define PARAMETERS(c) DDMPC_PARAMETERS
+#define NONLINEAR(c) DDMPC_NONLINEAR
+#else
+/* The most that is held: for local memory, and for bounds on what is given. */
+#define DDMPC_MOST_STEPS 200
+#define DDMPC_MOST_STATES 64
+#define DDMPC_MOST_WINDOW 512
+#define DDMPC_MOST_KINDS 64
+#define STEPS(c) ((c)->sizes.steps)
+#define STATES(c) ((c)->sizes.states)
+#define DELAY(c, channel) ((channel) ? (c)->sizes.delay_omega : (c)->sizes.delay_v)
+#define LAG(c, channel) ((channel) ? (c)->sizes.lag_omega : (c)->sizes.lag_v)
+#define WINDOW(c) ((c)->sizes.window)
+#define HISTORY(c) ((c)->sizes.history)
+#define RESIDUALS(c) ((c)->sizes.residuals)
+#define SOFT(c) ((c)->sizes.soft)
+#define TERMS(c) ((c)->sizes.terms)
+#define PARAMETERS(c) ((c)->sizes.parameters)
+#define NONLINEAR(c) ((c)->sizes.nonlinear)
+#endif
+
+/* The filter's state: n velocity states, then these; places are counted from n. */
+enum { V_OFFSET, OMEGA_GAIN, LONGITUDINAL_GAIN, YAW_GAIN, SIDE_SLIP, GYRO_BIAS, POSE, BEYOND = POSE + 3 };
+enum { SLIP = 5 };
+#define BELIEF(c) (STATES(c) + BEYOND)
+#define MOST_BELIEF (DDMPC_MOST_STATES + BEYOND)
+/* Rows of commands are padded with zeros to whole lanes. */
+#define INPUTS(c) (2 * STEPS(c))
+#define WIDTH(c) ddmpc_whole_lanes(INPUTS(c))
+/* Rows of residuals in the stack at each sample: along, across, the user's, and of a nonlinear model the heading. */
+#define STACKED(c) (2 + RESIDUALS(c) + NONLINEAR(c))
+#define LONGEST_LAG(c) (LAG(c, 0) > LAG(c, 1) ? LAG(c, 0) : LAG(c, 1))
+#define SAMPLES(c) (STEPS(c) + 1 + LONGEST_LAG(c))
+/* Commands that are remembered. */
+#define COMMANDS(c) (WINDOW(c) + HISTORY(c) + 2)
+enum { HARD = 4, SHIPPED_SOFT = 5, TERM_INPUTS = 7 };
+#define KINDS(c) (HARD + SOFT(c))
+/* Limits that may press at once: as many as there are commands, and some soft ones that give way. */
+#define MOST_ACTIVE(c) (INPUTS(c) + 32)
+
+enum { WHEEL_SPEED, WHEEL_YAW_RATE, YAW_RATE, POSE_SENSOR };
+enum {
+    MOST_TWISTS = 12, /* numbers of wheels and gyro that one tick of the history holds */
+    MOST_POSES = 4,   /* poses that it holds */
+    AGREEING = 3      /* poses in a row that contradict the estimate but agree with each other are no outliers */
+};
+
+typedef struct {
+    real *mean;        /* [n+9] */
+    real *covariance;  /* [n+9][n+9] */
+    int surprised[DDMPC_SENSORS]; /* samples since the sensor's innovations have been too large; 0: they are not */
+} ddmpc_belief;
+
+typedef struct {
+    real value, variance;
+    int sensor;
+} ddmpc_checked_twist;
+
+typedef struct {
+    ddmpc_time stamp;
+    real value[3], covariance[3][3];
+} ddmpc_checked_pose;
+
+/* One tick of the history: the belief before and after its measurements. */
+typedef struct {
+    ddmpc_time time;
+    ddmpc_belief prior, posterior;
+    ddmpc_checked_pose pose[MOST_POSES];
+    ddmpc_checked_twist twist[MOST_TWISTS];
+    int poses, twists;
+} ddmpc_node;
+
+typedef struct {
+    real *commands; /* [COMMANDS][2] sent, newest last */
+    real innovations[DDMPC_SENSORS];
+    ddmpc_time accepted_stamp, pose_stamp, wheels_stamp, yaw_rate_stamp;
+    real last_wheels[2], last_yaw_rate;
+    ddmpc_checked_pose jumped[AGREEING];
+    int jumps;        /* poses in `jumped` */
+    int first, nodes; /* of the history, a ring */
+    ddmpc_node *node; /* [H] */
+} ddmpc_estimator;
+
+/* The tick's problem, linearised along the guess. */
+typedef struct {
+    real pose[3], slip[SLIP], gains[2], last[2];
+    real *free_twist;   /* [N+1][2] of the body, if the plan were zero */
+    real *aim;          /* [N+1][4] */
+    real *feed_forward; /* [N][2] */
+    real *free_output;  /* [N+1][2] of the model, if the plan were zero */
+    real *by_plan;      /* [2][N+1] what a plan adds to that */
+    /* Of a nonlinear model: rows of twist, mean twist and heading at each sample, and its states and Jacobians. */
+    real *twist_rows;   /* [N+1][2][width] */
+    real *mean_rows;    /* [N][2][width] */
+    real *heading_rows; /* [N+1][width] */
+    real *sensitivity;  /* [2][n][width] */
+    real *step_jacobian; /* [n][n+2W] column by column */
+    real *poses;        /* [N+1][3] along the guess */
+    real *arc;          /* [8][N] displacement of each arc; its gradient by the model's twist and heading: of x, of y */
+    real *cosine, *sine; /* [N] of the path's heading at the samples 1 to N */
+    real *stack;        /* [N STACKED][width] weighted rows of the residuals */
+    real *position;     /* [N][2][width] rows of x and y */
+    real *moves;        /* [2][width] */
+    real *gradient;     /* [width] */
+    real *soft_value;   /* [K][N] of what has soft limits, if the plan were zero */
+    real *soft_gradient; /* [K][N][7] by pose, twist and command */
+    real *term;         /* [8 K or 8 R] what a function of the user gives */
+    real *H, *g;        /* [2N][2N], [2N] */
+    real *lower, *upper; /* [4+K][N] */
+    real *guess;        /* [2N] */
+    real *minimiser;    /* [2N] without limits */
+    real *factor;       /* [2N][2N] R of H = R'R, upper triangular */
+    real *multipliers;  /* [4+K][N] at the last tick, a step ahead */
+    real *values;       /* [4+K][N] */
+    real *plan;         /* [2N] */
+    int *pressing;      /* [4+K] */
+    int has_guess;
+} ddmpc_problem;
+
+struct ddmpc_controller {
+    ddmpc_sizes sizes;
+    const ddmpc_constants *constants;
+    ddmpc_functions functions;
+    ddmpc_estimator estimator;
+    ddmpc_problem problem;
+    ddmpc_limited_memory limited;
+    ddmpc_reference reference;
+    ddmpc_time t0;
+    /* clock of the ticks */
+    ddmpc_time last_tick, leap;
+    int has_last_tick, has_leap;
+    /* ladder */
+    real last[2];         /* the command that slew counts from */
+    real *kept;           /* [2N] the last good plan */
+    int plan_age;         /* ticks since it was made; -1: there is none */
+    int has_reference, has_result, has_driven, latched, finished, pending;
+    real share;
+    real *parameters;     /* [N+1][P] */
+    real *reference_pose; /* [SAMPLES][3] */
+    real *reference_twist; /* [SAMPLES][2] */
+    ddmpc_result result;
+};
+
+/* checks.c */
+void ddmpc_reject(ddmpc_result *result, int subject, int fault, real a, real b);
+int ddmpc_check_pose(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *pose, ddmpc_checked_pose *checked);
+/* Wheels or gyro, as so many checked numbers; 0 and a note if they cannot be used. */
+int ddmpc_check_wheels(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *wheels, ddmpc_checked_twist checked[2]);
+int ddmpc_check_yaw_rate(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *rate, ddmpc_checked_twist checked[1]);
+/* Whether `pose` lies near the `expected` one; if not it is remembered, and noted. */
+int ddmpc_pose_passes(ddmpc_controller *c, const ddmpc_checked_pose *pose, const real expected[3]);
+/* Count `pose` as believed, which clears the memory of jumps. */
+void ddmpc_accept_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose);
+
+/* velocity.c: the velocity model over one sample. */
+/* x+ under the command window that ends with the commands at `newest` (2), and their predecessors before it in memory;
+   the Jacobian's part by x (n, n), row by row, where asked for. */
+void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *newest, real *after, real *by_state,
+                         real *scratch);
+/* (v, omega) of the model and its gradient (2, n), row by row. */
+void ddmpc_velocity_output(const ddmpc_controller *c, const real *x, real y[2], real *gradient);
+
+/* filter.c */
+void ddmpc_filter_twist(const ddmpc_controller *c, const real *mean, real twist[2]);
+void ddmpc_filter_twist_deviation(const ddmpc_controller *c, const ddmpc_belief *belief, real deviation[2]);
+void ddmpc_filter_pose_at(const ddmpc_controller *c, const ddmpc_belief *belief, real ahead, real pose[3]);
+/* One sample on under the commands up to `newest`. */
+void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before, const real *newest,
+                          ddmpc_belief *after);
+real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_twist *twist);
+real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_pose *pose,
+                               real ahead);
+void ddmpc_filter_place(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_pose *pose);
+void ddmpc_copy_belief(const ddmpc_controller *c, ddmpc_belief *to, const ddmpc_belief *from);
+
+/* estimator.c */
+enum { READY = 1, MOVED = 2 };
+void ddmpc_estimator_clear(ddmpc_controller *c);
+void ddmpc_estimator_forget(ddmpc_controller *c);
+void ddmpc_estimator_append(ddmpc_controller *c, const real command[2]);
+void ddmpc_estimator_correct_last(ddmpc_controller *c, const real command[2]);
+int ddmpc_estimator_correct_sent(ddmpc_controller *c, const real sent[2]);
+void ddmpc_estimator_advance(ddmpc_controller *c, ddmpc_time t);
+int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input);
+int ddmpc_estimator_state(const ddmpc_controller *c);
+int ddmpc_estimator_restart_elsewhere(ddmpc_controller *c);
+void ddmpc_estimator_estimate(ddmpc_controller *c);
+
+/* problem.c */
+void ddmpc_problem_begin(ddmpc_controller *c);
+void ddmpc_problem_guess(ddmpc_controller *c);
+void ddmpc_problem_condense(ddmpc_controller *c);
+/* The poses that follow from `plan`, by exact arcs. */
+void ddmpc_problem_poses(ddmpc_controller *c, const real *plan, real *poses);
+
+/* What limits are about, as far as it is linear in `plan` (4 + K, N), and one row of it; `context` is the controller. */
+void ddmpc_limit_values(const void *context, const real *plan, real *values);
+void ddmpc_limit_row(const void *context, int index, real *row, int *first, int *last);
+
+/* solve.c */
+/* Without limits, then with the active set; DDMPC_DONE or DDMPC_NEEDS_BACKEND, with the report filled. */
+int ddmpc_solve(ddmpc_controller *c);
+void ddmpc_solver_reset(ddmpc_controller *c);
+
+#endif

@@ -1,0 +1,73 @@
+"""The compiled core and compiled functions of the user, loaded through cffi.
+
+The core is the package's own where a wheel brought one. Else it is compiled at first use for the processor at hand, and
+kept in the user's cache (`mpc/core/cache.py`). Its declarations are the text of its header, so names cross the border
+by name.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import cffi
+
+from diffdrive_mpc.mpc.core.cache import load_cached
+from diffdrive_mpc.mpc.core.compiler import NATIVE, NotCompiledError, build_library, what_is_built
+from diffdrive_mpc.mpc.core.generate import GeneratedC
+from diffdrive_mpc.mpc.core.packaged import packaged_libraries
+from diffdrive_mpc.mpc.core.sources import core_declarations, core_origin, core_texts, shared_headers
+
+_FUNCTION = "int {name}(const real **, real **, long long *, real *, int);"
+
+
+@cache
+def load_core() -> tuple[cffi.FFI, Any]:
+    """The core: cffi's declarations of `mpc/core/core.h`, and the library.
+
+    Raises
+    ------
+    NotCompiledError
+        If the package brought no library, and none can be compiled.
+    """
+    ffi = cffi.FFI()
+    ffi.cdef(core_declarations())
+    for path in packaged_libraries():
+        try:
+            return ffi, ffi.dlopen(str(path))
+        except OSError:  # such as a wheel for another C library
+            continue
+
+    def build(folder: Path) -> Path:
+        return build_library(core_texts(), folder, NATIVE)
+
+    try:
+        origin = what_is_built({"core": core_origin(), "casadi": ca.CasadiMeta.version()})
+        return ffi, load_cached("ddmpc_core", origin, build, lambda path: ffi.dlopen(str(path)))
+    except NotCompiledError as error:
+        remedy = "install gcc, or diffdrive-mpc from a wheel (pip install diffdrive_mpc-*.whl), which holds the core"
+        raise NotCompiledError(f"the controller's core is not compiled: {error}; {remedy}") from error
+
+
+@cache
+def load_functions(generated: GeneratedC) -> Any:  # noqa: ANN401 - cffi has no type for a library
+    """The library of generated functions, each to be had by its name, with the core's types.
+
+    Raises
+    ------
+    NotCompiledError
+        If they cannot be compiled: functions of the user need a C compiler.
+    """
+    ffi, _ = load_core()
+    ffi.cdef("\n".join(_FUNCTION.format(name=name) for name in generated.names), override=True)
+    texts = shared_headers() | {f"{generated.stem}.c": generated.source, f"{generated.stem}.h": generated.header}
+
+    def build(folder: Path) -> Path:
+        return build_library(texts, folder, NATIVE)
+
+    try:
+        return load_cached(generated.stem, what_is_built(texts), build, lambda path: ffi.dlopen(str(path)))
+    except NotCompiledError as error:
+        raise NotCompiledError(f"functions of the user are compiled, these are not: {error}; install gcc") from error

@@ -1,0 +1,222 @@
+/* Solves the tick's quadratic program. Most ticks press on no limit: the minimiser without limits keeps them all, and so
+ * solves the whole problem. Else the active set is found from the limits that pressed at the last tick, and proven by its
+ * multipliers. Where that fails somebody else has to solve it: a backend. */
+#include <string.h>
+
+#include "internal.h"
+
+/* Numbers beyond this are no robot's. */
+#define LARGEST R(1e15)
+
+/* Whether every number is one: of H the diagonal, which bounds the rest of a positive definite matrix. */
+static int is_sound(const ddmpc_controller *c)
+{
+    const ddmpc_problem *p = &c->problem;
+    const int inputs = INPUTS(c);
+    int sound = 1;
+    for (int i = 0; i < inputs; i++)
+        /* Not the other way round: NaN must fail. */
+        sound &= ddmpc_fabs(p->H[i * inputs + i]) < LARGEST && ddmpc_fabs(p->g[i]) < LARGEST;
+    for (int i = 0; i < KINDS(c) * STEPS(c); i++)
+        sound &= p->upper[i] >= p->lower[i] && (i >= HARD * STEPS(c) || p->upper[i] < LARGEST);
+    return sound;
+}
+
+/* The corner of a row of blocks: R'R = S, for as many columns as there are; 0 if S is not positive definite. */
+static int factorise_corner(real S[DDMPC_LANES][DDMPC_LANES], int count)
+{
+    for (int p = 0; p < count; p++) {
+        if (!(S[p][p] > R(0.0)))
+            return 0;
+        const real root = ddmpc_sqrt(S[p][p]), inverse = R(1.0) / root;
+        S[p][p] = root;
+        for (int j = p + 1; j < count; j++)
+            S[p][j] *= inverse;
+        for (int i = p + 1; i < count; i++)
+            for (int j = i; j < count; j++)
+                S[i][j] -= S[p][i] * S[p][j];
+    }
+    return 1;
+}
+
+/* H = R'R by rows of blocks; what lies left of the diagonal stays zero. */
+DDMPC_HOT static int factorise(const real *H, int inputs, real *factor)
+{
+    enum { LANES = DDMPC_LANES };
+    memset(factor, 0, (size_t)(inputs * inputs + LANES) * sizeof(real));
+    for (int j = 0; j < inputs; j += LANES) {
+        const int rows = inputs - j < LANES ? inputs - j : LANES;
+        real corner[LANES][LANES], inverse[LANES];
+        for (int i = j; i < inputs; i += LANES) {
+            const int columns = inputs - i < LANES ? inputs - i : LANES;
+            real sum[LANES][LANES];
+            memset(sum, 0, sizeof sum);
+            /* Beyond a last block that is not whole this reads on into the next row; nobody looks at the result. */
+            ddmpc_tile(factor + j, factor + i, j, inputs, sum);
+            for (int a = 0; a < rows; a++)
+                for (int b = 0; b < columns; b++)
+                    sum[a][b] = H[(j + a) * inputs + i + b] - sum[a][b];
+            if (i == j) {
+                memcpy(corner, sum, sizeof corner);
+                if (!factorise_corner(corner, rows))
+                    return 0;
+                for (int a = 0; a < rows; a++) {
+                    inverse[a] = R(1.0) / corner[a][a];
+                    memcpy(factor + (j + a) * inputs + j + a, corner[a] + a, (size_t)(rows - a) * sizeof(real));
+                }
+                continue;
+            }
+            for (int a = 0; a < rows; a++) {
+                for (int p = 0; p < a; p++)
+                    for (int b = 0; b < LANES; b++)
+                        sum[a][b] -= corner[p][a] * sum[p][b];
+                for (int b = 0; b < LANES; b++)
+                    sum[a][b] *= inverse[a];
+                memcpy(factor + (j + a) * inputs + i, sum[a], (size_t)columns * sizeof(real));
+            }
+        }
+    }
+    return 1;
+}
+
+/* a'b in several sums side by side, which one order of adding would forbid. */
+static inline real long_dot(const real *a, const real *b, int count)
+{
+    real sum[DDMPC_LANES] = {R(0.0)};
+    int i = 0;
+    for (; i + DDMPC_LANES <= count; i += DDMPC_LANES)
+        for (int lane = 0; lane < DDMPC_LANES; lane++)
+            sum[lane] += a[i + lane] * b[i + lane];
+    for (; i < count; i++)
+        sum[0] += a[i] * b[i];
+    for (int lane = 1; lane < DDMPC_LANES; lane++)
+        sum[0] += sum[lane];
+    return sum[0];
+}
+
+/* x = -H^-1 g; returns the largest entry of H x + g. */
+DDMPC_HOT static real minimise(const real *H, const real *g, const real *factor, int inputs, real *x)
+{
+    real residual = R(0.0);
+    for (int i = 0; i < inputs; i++)
+        x[i] = -g[i];
+    for (int k = 0; k < inputs; k++) {
+        x[k] /= factor[k * inputs + k];
+        for (int i = k + 1; i < inputs; i++)
+            x[i] -= factor[k * inputs + i] * x[k];
+    }
+    for (int k = inputs - 1; k >= 0; k--)
+        x[k] = (x[k] - long_dot(factor + k * inputs + k + 1, x + k + 1, inputs - 1 - k)) / factor[k * inputs + k];
+    for (int i = 0; i < inputs; i++)
+        residual = ddmpc_max(residual, ddmpc_fabs(long_dot(H + i * inputs, x, inputs) + g[i]));
+    return residual;
+}
+
+void ddmpc_broken(const ddmpc_controller *c, const real *plan, real margin, int *broken)
+{
+    const ddmpc_problem *p = &c->problem;
+    const int N = STEPS(c);
+    ddmpc_limit_values(c, plan, p->values);
+    for (int kind = 0; kind < KINDS(c); kind++) {
+        broken[kind] = 0;
+        for (int i = kind * N; i < (kind + 1) * N; i++)
+            /* Not the other way round: NaN breaks every limit. */
+            broken[kind] |= !(p->values[i] <= p->upper[i] + margin && p->values[i] >= p->lower[i] - margin);
+    }
+}
+
+void ddmpc_soft_rows(const ddmpc_controller *c, int kind, real *rows)
+{
+    int first, last;
+    for (int k = 0; k < STEPS(c); k++)
+        ddmpc_limit_row(c, kind * STEPS(c) + k, rows + k * INPUTS(c), &first, &last);
+}
+
+ddmpc_program ddmpc_program_of(const ddmpc_controller *c)
+{
+    const ddmpc_problem *p = &c->problem;
+    const ddmpc_program program = {p->H, p->g, p->lower, p->upper, p->guess, p->multipliers, p->pressing,
+                                   p->last, p->aim, p->feed_forward, p->soft_value};
+    return program;
+}
+
+void ddmpc_solver_reset(ddmpc_controller *c)
+{
+    c->problem.has_guess = 0;
+    memset(c->problem.multipliers, 0, (size_t)(KINDS(c) * STEPS(c)) * sizeof(real));
+}
+
+/* The multipliers of the last tick move a step ahead, like the plan. */
+static void shift_multipliers(ddmpc_controller *c)
+{
+    const int N = STEPS(c);
+    for (int kind = 0; kind < KINDS(c); kind++) {
+        real *own = c->problem.multipliers + kind * N;
+        memmove(own, own + 1, (size_t)(N - 1) * sizeof(real));
+    }
+}
+
+/* Kinds that press, or that the minimiser without limits breaks. */
+static void gather_kinds(ddmpc_controller *c)
+{
+    ddmpc_problem *p = &c->problem;
+    for (int i = 0; i < KINDS(c) * STEPS(c); i++)
+        p->pressing[i / STEPS(c)] |= p->multipliers[i] != R(0.0);
+}
+
+static int find_active_set(ddmpc_controller *c)
+{
+    ddmpc_problem *p = &c->problem;
+    ddmpc_report *report = &c->result.solver;
+    const int rows = KINDS(c) * STEPS(c), hard = HARD * STEPS(c);
+    const ddmpc_limited_problem problem = {
+        INPUTS(c), rows, hard, p->factor, p->minimiser, p->lower, p->upper, c->constants->price,
+        c->constants->price_slope, ddmpc_limit_values, ddmpc_limit_row, c, c->constants->slack,
+        c->constants->active_set};
+    /* Kept for a backend: what is not proven leaves none. */
+    memcpy(p->values, p->multipliers, (size_t)rows * sizeof(real));
+    const ddmpc_limited_result found = ddmpc_solve_limited(&problem, &c->limited, p->values, p->plan);
+    report->iterations = found.iterations;
+    if (found.status != DDMPC_PROVEN)
+        return 0;
+    memcpy(p->multipliers, p->values, (size_t)rows * sizeof(real));
+    report->status = DDMPC_QP_SOLVED;
+    report->path = DDMPC_ACTIVE_SET;
+    report->primal_residual = found.primal;
+    report->dual_residual = found.dual;
+    for (int i = hard; i < rows; i++)
+        report->soft_limits |= p->multipliers[i] != R(0.0);
+    return 1;
+}
+
+int ddmpc_solve(ddmpc_controller *c)
+{
+    ddmpc_problem *p = &c->problem;
+    ddmpc_report *report = &c->result.solver;
+    int broken = 0;
+    report->status = DDMPC_QP_NOT_FINITE;
+    if (!is_sound(c))
+        return DDMPC_DONE;
+    report->status = DDMPC_QP_NOT_CONVEX;
+    if (!factorise(p->H, INPUTS(c), p->factor))
+        return DDMPC_DONE;
+    const real residual = minimise(p->H, p->g, p->factor, INPUTS(c), p->minimiser);
+    ddmpc_broken(c, p->minimiser, R(0.0), p->pressing);
+    for (int kind = 0; kind < KINDS(c); kind++)
+        broken |= p->pressing[kind];
+    report->status = DDMPC_QP_NOT_RUN;
+    if (!broken && !c->constants->forced) {
+        memcpy(p->plan, p->minimiser, (size_t)INPUTS(c) * sizeof(real));
+        memset(p->multipliers, 0, (size_t)(KINDS(c) * STEPS(c)) * sizeof(real));
+        report->status = DDMPC_QP_SOLVED;
+        report->path = DDMPC_UNLIMITED;
+        report->primal_residual = R(0.0);
+        report->dual_residual = residual;
+        return DDMPC_DONE;
+    }
+    shift_multipliers(c);
+    if (c->constants->active_set > 0 && !c->constants->forced && find_active_set(c))
+        return DDMPC_DONE;
+    gather_kinds(c);
+    return DDMPC_NEEDS_BACKEND;
+}

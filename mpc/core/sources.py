@@ -1,0 +1,65 @@
+"""What the core is compiled from: the C files of this folder, and the formulas, which are generated."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from diffdrive_mpc.mpc.core.compiler import digest_of
+
+CORE = Path(__file__).parent
+"""Folder of the C files and headers."""
+
+_HEADER = "core.h"
+_PACKAGE = CORE.parents[1]
+# What the generated part comes from.
+_FORMULAS = ("models/pose.py", "mpc/problem/formulas.py", "mpc/core/generate.py")
+# Python has the sizes at run time, and numbers in double precision: an export says otherwise here.
+_SIZES = {"ddmpc_sizes.h": "/* double precision */\n"}
+
+_COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
+_ONLY_CPP = re.compile(r"^[ \t]*#[ \t]*ifdef[ \t]+__cplusplus\b.*?^[ \t]*#[ \t]*endif[^\n]*$", re.DOTALL | re.MULTILINE)
+_DIRECTIVE = re.compile(r"^[ \t]*#(?:[^\n]*\\\n)*[^\n]*$", re.MULTILINE)
+_CONSTANT = re.compile(r"\s*#\s*define\s+\w+\s+\d+\s*")
+
+
+def core_texts() -> dict[str, str]:
+    """Every C file and header of the core by name, those of the formulas generated."""
+    # Imported late: generating needs CasADi at work, a library that is found does not.
+    from diffdrive_mpc.mpc.core.generate import generate_formulas  # noqa: PLC0415
+
+    formulas = generate_formulas()
+    return {**written_texts(), f"{formulas.stem}.c": formulas.source, f"{formulas.stem}.h": formulas.header}
+
+
+def written_texts() -> dict[str, str]:
+    """The C files and headers that are written by hand, by name."""
+    return _SIZES | {path.name: path.read_text(encoding="utf-8") for path in sorted(CORE.glob("*.[ch]"))}
+
+
+def shared_headers() -> dict[str, str]:
+    """The headers that functions beside the core are compiled with."""
+    return _SIZES | {"real.h": (CORE / "real.h").read_text(encoding="utf-8")}
+
+
+def core_origin() -> str:
+    """Digest of all that the core's C comes from, without generating it."""
+    written = [part for item in written_texts().items() for part in item]
+    return digest_of([*written, *((_PACKAGE / name).read_text("utf-8") for name in _FORMULAS)])
+
+
+def header_text() -> str:
+    """Text of the core's header."""
+    return (CORE / _HEADER).read_text(encoding="utf-8")
+
+
+def core_declarations() -> str:
+    """What the core's header declares, as cffi reads it."""
+    return declarations(header_text())
+
+
+def declarations(header: str) -> str:
+    """The declarations of a C header for cffi: no comments, no directives but whole-number constants, `real` double."""
+    plain = _ONLY_CPP.sub("", _COMMENT.sub(" ", header))
+    kept = _DIRECTIVE.sub(lambda line: line[0] if _CONSTANT.fullmatch(line[0]) else "", plain)
+    return f"typedef double real;\ntypedef double ddmpc_time;\n{kept}"

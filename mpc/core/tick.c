@@ -1,0 +1,435 @@
+/* One tick straight down from measurement to command, and what happens when a part of it fails. */
+#include <string.h>
+
+#include "internal.h"
+
+static void forget(ddmpc_controller *c)
+{
+    ddmpc_estimator_forget(c);
+    ddmpc_solver_reset(c);
+    c->has_last_tick = c->has_leap = 0;
+    c->plan_age = -1;
+    c->has_result = c->has_driven = c->latched = c->finished = 0;
+    c->pending = DDMPC_DONE;
+}
+
+void ddmpc_reset(ddmpc_controller *c)
+{
+    ddmpc_estimator_clear(c);
+    forget(c);
+    c->last[0] = c->last[1] = R(0.0);
+}
+
+void ddmpc_forget(ddmpc_controller *c) { forget(c); }
+
+void ddmpc_configure(ddmpc_controller *c, const ddmpc_constants *constants) { c->constants = constants; }
+
+int ddmpc_start(ddmpc_controller *c, const ddmpc_reference *reference, ddmpc_time t0)
+{
+    if (!isfinite(t0) || !isfinite(reference->duration))
+        return 0;
+    forget(c);
+    c->reference = *reference;
+    c->t0 = t0;
+    c->has_reference = 1;
+    return 1;
+}
+
+/* The nearest command inside `share` of range, and inside `step` of the last one. */
+static void clip(const ddmpc_controller *c, const real wanted[2], real share, const real step[2], real command[2])
+{
+    for (int i = 0; i < 2; i++) {
+        const real last = c->last[i], reachable = ddmpc_fabs(last) - step[i];
+        const real most = ddmpc_max(reachable, share * c->constants->largest_command[i]);
+        const real lower = ddmpc_max(last - step[i], -most), upper = ddmpc_min(last + step[i], most);
+        command[i] = ddmpc_min(ddmpc_max(wanted[i], lower), upper);
+    }
+}
+
+/* The command ramps to zero. */
+static void ramp(ddmpc_controller *c)
+{
+    const real zero[2] = {R(0.0), R(0.0)};
+    clip(c, zero, R(1.0), c->constants->braking, c->result.command);
+}
+
+static int brake(ddmpc_controller *c, unsigned int reason, int failure)
+{
+    ddmpc_result *result = &c->result;
+    result->reasons |= reason;
+    result->has_plan = 0;
+    c->plan_age = -1;
+    ddmpc_solver_reset(c);
+    /* Waiting for the first pose is no failure to be latched. */
+    c->latched = c->latched || (failure && c->has_driven && !c->constants->resume);
+    ramp(c);
+    result->mode = result->command[0] != R(0.0) || result->command[1] != R(0.0) ? DDMPC_BRAKING : DDMPC_STOPPED;
+    return DDMPC_DONE;
+}
+
+static void stand(ddmpc_controller *c)
+{
+    c->result.command[0] = c->result.command[1] = R(0.0);
+    c->result.mode = DDMPC_STOPPED;
+}
+
+typedef enum { TICK_NEW, TICK_REPEATED, TICK_LEAPT, TICK_PAUSED, TICK_FAULTY } tick_kind;
+
+/* What a call at `t` is, against the last one. */
+static tick_kind look_at(const ddmpc_controller *c, ddmpc_time t)
+{
+    const ddmpc_constants *k = c->constants;
+    const ddmpc_time gap = t - c->last_tick, since_leap = t - c->leap;
+    if (!isfinite(t))
+        return TICK_FAULTY;
+    if (!c->has_last_tick)
+        return TICK_NEW;
+    if (gap < 0.0)
+        return TICK_FAULTY;
+    if (gap < 0.5 * k->sample_time)
+        return TICK_REPEATED;
+    if (gap <= k->longest_pause)
+        return TICK_NEW;
+    /* One leap may be a glitch of the clock; a second tick right after it shows that it was none. */
+    return c->has_leap && since_leap > 0.0 && since_leap <= k->longest_pause ? TICK_PAUSED : TICK_LEAPT;
+}
+
+int ddmpc_is_new_tick(const ddmpc_controller *c, ddmpc_time t) { return look_at(c, t) == TICK_NEW; }
+
+static tick_kind judge(ddmpc_controller *c, ddmpc_time t)
+{
+    const tick_kind kind = look_at(c, t);
+    c->result.gap = t - c->last_tick;
+    c->has_leap = kind == TICK_LEAPT;
+    if (kind == TICK_LEAPT)
+        c->leap = t;
+    if (kind == TICK_NEW || kind == TICK_PAUSED) {
+        c->last_tick = t;
+        c->has_last_tick = 1;
+    }
+    return kind;
+}
+
+/* What the robot really got, as far as it lies inside the limits: from outside them there is no slew back. */
+static void take_slew_base(ddmpc_controller *c)
+{
+    const real *newest = ddmpc_commands(c) + 2 * (WINDOW(c) - 1);
+    for (int i = 0; i < 2; i++) {
+        const real largest = ddmpc_max(c->constants->largest_command[i], ddmpc_fabs(c->last[i]));
+        c->last[i] = ddmpc_min(ddmpc_max(newest[i], -largest), largest);
+    }
+}
+
+/* Take the robot to be where its rejected poses agree it is, once it has been told to stand. */
+static int restart_elsewhere(ddmpc_controller *c)
+{
+    const real *commands = ddmpc_commands(c);
+    for (int i = 0; i < 2 * WINDOW(c); i++)
+        if (commands[i] != R(0.0))
+            return 0;
+    return c->constants->resume && ddmpc_estimator_restart_elsewhere(c);
+}
+
+static void take_estimate(ddmpc_controller *c)
+{
+    c->result.has_estimate = ddmpc_estimator_state(c) & READY;
+    if (c->result.has_estimate)
+        ddmpc_estimator_estimate(c);
+}
+
+static const real *pose_of(const ddmpc_controller *c)
+{
+    return c->result.estimate.mean + STATES(c) + POSE;
+}
+
+static real distance_to(const ddmpc_controller *c, const real pose[3])
+{
+    const real *here = pose_of(c);
+    return ddmpc_hypot(here[0] - pose[0], here[1] - pose[1]);
+}
+
+/* Whether the robot rests at the end of its reference, or has had the time to; what is finished stays so. */
+static int is_finished(ddmpc_controller *c, ddmpc_time time)
+{
+    const ddmpc_constants *k = c->constants;
+    const real *moving = c->result.estimate.twist;
+    const ddmpc_time duration = c->reference.duration;
+    real pose[3], twist[2], arc_length;
+    if (c->finished || !(time >= duration))
+        return c->finished;
+    c->reference.sample(c->reference.context, duration, pose, twist, &arc_length);
+    const real distance = distance_to(c, pose);
+    const int settled = distance <= k->finish_position && ddmpc_fabs(moving[0]) <= k->finish_speed &&
+                        ddmpc_fabs(moving[1]) <= k->finish_speed;
+    const int late = time >= duration + (ddmpc_time)k->finish_timeout;
+    if (late && !settled) {
+        c->result.reasons |= DDMPC_NOT_AT_REST;
+        c->result.distance = distance;
+    }
+    c->finished = settled || late;
+    return c->finished;
+}
+
+ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const real *twist)
+{
+    const ddmpc_constants *k = c->constants;
+    const real followed[4] = {pose[0], pose[1], pose[2], pose[2]};
+    real error[3];
+    const real *arguments[5] = {pose_of(c), 0, 0, followed, 0};
+    real *results[2] = {error, 0};
+    ddmpc_stray stray;
+    ddmpc_f_errors(arguments, results, 0, 0, 0);
+    stray.along = error[0];
+    stray.across = error[1];
+    stray.heading = ddmpc_wrap(error[2]);
+    const real v = twist[0], omega = twist[1];
+    const int backwards = v < R(0.0), driving = ddmpc_fabs(v) > k->standing;
+    const real ahead = backwards ? -stray.along : stray.along;
+    stray.outside = ddmpc_fabs(stray.across) > k->band || ddmpc_fabs(stray.heading) > k->heading_band ||
+                    !(-k->behind <= ahead && ahead <= k->ahead);
+    if (driving) {
+        stray.late = -ahead / k->wait;
+    } else {
+        /* It stands, or turns on the spot: then the robot has to arrive first. */
+        const real turning = !(ddmpc_fabs(omega) > k->turning) ? R(0.0)
+                             : omega < R(0.0)                  ? stray.heading
+                                                               : -stray.heading;
+        stray.late = ddmpc_max(ddmpc_hypot(stray.along, stray.across) / k->wait, turning / k->heading_wait);
+    }
+    return stray;
+}
+
+static void sample_reference(ddmpc_controller *c, ddmpc_time time)
+{
+    real arc_length;
+    for (int i = 0; i < SAMPLES(c); i++)
+        c->reference.sample(c->reference.context, time + i * c->constants->sample_time, c->reference_pose + 3 * i,
+                            c->reference_twist + 2 * i, &arc_length);
+}
+
+static void shift_guess(ddmpc_controller *c)
+{
+    const int inputs = INPUTS(c);
+    real *guess = c->problem.guess;
+    memcpy(guess, c->kept + 2, (size_t)(inputs - 2) * sizeof(real));
+    memcpy(guess + inputs - 2, c->kept + inputs - 2, 2 * sizeof(real));
+    c->problem.has_guess = 1;
+}
+
+/* Take over a plan that may be driven. */
+static int accept(ddmpc_controller *c)
+{
+    ddmpc_result *result = &c->result;
+    const size_t size = (size_t)INPUTS(c) * sizeof(real);
+    memcpy(c->kept, c->problem.plan, size);
+    ddmpc_problem_poses(c, c->kept, result->planned_poses);
+    memcpy(result->planned_commands, c->kept, size);
+    memcpy(result->aim, c->problem.aim, (size_t)(4 * (STEPS(c) + 1)) * sizeof(real));
+    shift_guess(c);
+    c->plan_age = 0;
+    result->has_plan = 1;
+    result->mode = DDMPC_TRACKING;
+    clip(c, c->kept, c->share, c->constants->slew, result->command);
+    return DDMPC_DONE;
+}
+
+/* The rest of the last good plan, a few ticks at most. */
+static int reuse(ddmpc_controller *c)
+{
+    const int usable = c->constants->max_reused_ticks < STEPS(c) - 1 ? c->constants->max_reused_ticks : STEPS(c) - 1;
+    c->result.reasons |= DDMPC_SOLVE_FAILED;
+    ddmpc_solver_reset(c);
+    if (c->plan_age < 0 || ++c->plan_age > usable)
+        return brake(c, 0, 1);
+    c->result.mode = DDMPC_REUSED_PLAN;
+    c->result.has_plan = 1;
+    clip(c, c->kept + 2 * c->plan_age, R(1.0), c->constants->slew, c->result.command);
+    return DDMPC_DONE;
+}
+
+static int is_usable(int status) { return status == DDMPC_QP_SOLVED || status == DDMPC_QP_SOLVED_INACCURATELY; }
+
+static int use(ddmpc_controller *c)
+{
+    real sum = R(0.0);
+    for (int i = 0; i < INPUTS(c); i++)
+        sum += c->problem.plan[i] * c->problem.plan[i];
+    return is_usable(c->result.solver.status) && isfinite(sum) ? accept(c) : reuse(c);
+}
+
+static int track(ddmpc_controller *c)
+{
+    ddmpc_problem_begin(c);
+    if (!c->problem.has_guess)
+        ddmpc_problem_guess(c);
+    ddmpc_problem_condense(c);
+    return ddmpc_solve(c) == DDMPC_NEEDS_BACKEND ? DDMPC_NEEDS_BACKEND : use(c);
+}
+
+/* Follow the reference where the robot is on its path and on time; otherwise somebody has to say what to do. */
+static int follow(ddmpc_controller *c, const ddmpc_input *input)
+{
+    if (!input->on_time)
+        return DDMPC_NEEDS_TARGET;
+    sample_reference(c, input->reference_time);
+    if (!c->constants->reentry) {
+        const real distance = distance_to(c, c->reference_pose);
+        if (distance <= c->constants->max_position_error) /* false for NaN, too */
+            return track(c);
+        c->result.distance = distance;
+        return brake(c, DDMPC_TOO_FAR, 1);
+    }
+    const ddmpc_stray stray = ddmpc_stray_from(c, c->reference_pose, c->reference_twist);
+    /* Before its start the reference rests, and the robot with it. */
+    return stray.outside || !(stray.late <= R(1.0)) ? DDMPC_NEEDS_TARGET : track(c);
+}
+
+static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
+{
+    ddmpc_result *result = &c->result;
+    if (input->has_sent) {
+        if (!ddmpc_estimator_correct_sent(c, input->sent))
+            result->reasons |= DDMPC_SENT_REJECTED;
+        take_slew_base(c);
+    }
+    ddmpc_estimator_advance(c, t);
+    const int state = ddmpc_estimator_update(c, t, input);
+    if (input->request != DDMPC_DRIVE)
+        return brake(c, DDMPC_HELD, input->request == DDMPC_STOP_AS_FAILURE);
+    if (!(state & READY))
+        return brake(c, DDMPC_NO_POSE, 1);
+    if ((state & MOVED) && !restart_elsewhere(c))
+        return brake(c, DDMPC_ELSEWHERE, 1);
+    take_estimate(c);
+    const real *pose = pose_of(c);
+    if (!(isfinite(pose[0]) && isfinite(pose[1]) && isfinite(pose[2]))) {
+        ddmpc_estimator_forget(c);
+        result->has_estimate = 0;
+        return brake(c, DDMPC_LOST, 1);
+    }
+    if (*result->estimate.pose_age > c->constants->max_pose_age)
+        return brake(c, DDMPC_OLD_POSE, 1);
+    if (c->latched)
+        return brake(c, DDMPC_LATCHED, 1);
+    if (is_finished(c, input->reference_time)) {
+        ramp(c);
+        result->mode = DDMPC_FINISHED;
+        return DDMPC_DONE;
+    }
+    return follow(c, input);
+}
+
+/* Brake: this tick tells nothing. Where the clock leapt, stand: a base without commands has stopped itself. */
+static void lose_time(ddmpc_controller *c, tick_kind kind)
+{
+    const unsigned int reason = kind == TICK_FAULTY  ? DDMPC_TIME_FAULTY
+                                : kind == TICK_LEAPT ? DDMPC_TIME_LEAPT
+                                                     : DDMPC_TIME_PAUSED;
+    brake(c, reason, 1);
+    if (kind == TICK_PAUSED)
+        ddmpc_estimator_clear(c);
+    if (kind != TICK_FAULTY)
+        stand(c);
+}
+
+static void clear(ddmpc_result *result)
+{
+    const ddmpc_report not_run = {DDMPC_QP_NOT_RUN, DDMPC_NO_WAY, 0, 0, (real)NAN, (real)NAN};
+    result->solver = not_run;
+    result->reasons = 0;
+    result->notes = 0;
+    result->has_estimate = result->has_plan = 0;
+}
+
+/* Enter the command of a tick that is done. */
+static int finish_tick(ddmpc_controller *c, int pending, int is_new)
+{
+    c->pending = pending;
+    if (pending != DDMPC_DONE)
+        return pending;
+    if (is_new)
+        ddmpc_estimator_append(c, c->result.command);
+    else
+        /* No interval of the model begins here: the command in force since the last tick has changed. */
+        ddmpc_estimator_correct_last(c, c->result.command);
+    memcpy(c->last, c->result.command, sizeof c->last);
+    c->has_driven = c->has_driven || c->result.mode == DDMPC_TRACKING;
+    c->has_result = 1;
+    return DDMPC_DONE;
+}
+
+int ddmpc_step(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
+{
+    if (!c->has_reference) {
+        clear(&c->result);
+        stand(c);
+        c->result.reasons = DDMPC_NO_REFERENCE;
+        return DDMPC_DONE;
+    }
+    /* A tick that nobody went on with has no plan. */
+    if (c->pending != DDMPC_DONE)
+        finish_tick(c, reuse(c), 1);
+    const tick_kind kind = judge(c, t);
+    if (kind == TICK_REPEATED && c->has_result) {
+        c->result.notes = 0;
+        ddmpc_estimator_update(c, t, input);
+        c->result.reasons = DDMPC_TIME_REPEATED;
+        return DDMPC_DONE;
+    }
+    clear(&c->result);
+    c->share = R(1.0);
+    if (kind == TICK_NEW) {
+        const int pending = new_tick(c, t, input);
+        if (!c->result.has_estimate)
+            take_estimate(c);
+        return finish_tick(c, pending, 1);
+    }
+    lose_time(c, kind);
+    take_estimate(c);
+    return finish_tick(c, DDMPC_DONE, 0);
+}
+
+int ddmpc_track(ddmpc_controller *c, const real *poses, const real *twists, real share)
+{
+    if (c->pending != DDMPC_NEEDS_TARGET)
+        return c->pending;
+    memcpy(c->reference_pose, poses, (size_t)(3 * SAMPLES(c)) * sizeof(real));
+    memcpy(c->reference_twist, twists, (size_t)(2 * SAMPLES(c)) * sizeof(real));
+    c->share = share;
+    return finish_tick(c, track(c), 1);
+}
+
+int ddmpc_too_far(ddmpc_controller *c, real distance)
+{
+    if (c->pending != DDMPC_NEEDS_TARGET)
+        return c->pending;
+    c->result.distance = distance;
+    return finish_tick(c, brake(c, DDMPC_TOO_FAR, 1), 1);
+}
+
+int ddmpc_answer(ddmpc_controller *c, const real *plan, const real *multipliers, const ddmpc_report *report)
+{
+    if (c->pending != DDMPC_NEEDS_BACKEND)
+        return c->pending;
+    memcpy(c->problem.plan, plan, (size_t)INPUTS(c) * sizeof(real));
+    memcpy(c->problem.multipliers, multipliers, (size_t)(KINDS(c) * STEPS(c)) * sizeof(real));
+    c->result.solver = *report;
+    return finish_tick(c, use(c), 1);
+}
+
+int ddmpc_samples(const ddmpc_controller *c)
+{
+    (void)c;
+    return SAMPLES(c);
+}
+
+const ddmpc_result *ddmpc_result_of(const ddmpc_controller *c) { return &c->result; }
+
+real *ddmpc_parameters(ddmpc_controller *c) { return c->parameters; }
+
+const real *ddmpc_last_command(const ddmpc_controller *c) { return c->last; }
+
+const real *ddmpc_commands(const ddmpc_controller *c)
+{
+    return c->estimator.commands + 2 * (COMMANDS(c) - WINDOW(c));
+}

@@ -1,0 +1,282 @@
+"""The compiled tick from Python: constants and results by the names of their fields in C.
+
+`core.h` is the only place that knows how memory is laid out. Its text declares the structs to cffi, and the shapes of
+what they point to stand in it beside each pointer; names that are missing, unknown or of another shape are refused.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
+from diffdrive_mpc.models.velocity_model import ModelError
+from diffdrive_mpc.mpc.core.library import load_core
+from diffdrive_mpc.mpc.core.sources import header_text
+from diffdrive_mpc.mpc.problem.constants import Constants, whole_lanes
+
+_POINTER = re.compile(r"^\s*(?:const )?(?:real|ddmpc_time|int) \*(\w+);\s*/\* ((?:\[[^\]]+\])+)", re.MULTILINE)
+_STRUCT = re.compile(r"typedef struct \{(.*?)\} (\w+);", re.DOTALL)
+
+
+def pointer_shapes(struct: str, sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
+    """Shapes of what the pointers of a struct of core.h point to, by name, for these sizes of a controller."""
+    N, n = sizes["steps"], sizes["states"]
+    symbols = {
+        "N": N,
+        "n": n,
+        "W": sizes["window"],
+        "K": sizes["soft"],
+        "H": sizes["history"],
+        "P": sizes["parameters"],
+        "width": whole_lanes(2 * N),
+    }
+    (body,) = (body for body, name in _STRUCT.findall(header_text()) if name == struct)
+    return {
+        name: tuple(_value(part, symbols) for part in re.findall(r"\[([^\]]+)\]", brackets))
+        for name, brackets in _POINTER.findall(body)
+    }
+
+
+def _value(expression: str, symbols: Mapping[str, int]) -> int:
+    """A sum of products of symbols and numbers."""
+    total = 0
+    for summand in expression.strip("()").replace("(", "").split("+"):
+        product = 1
+        for factor in summand.split("*"):
+            product *= symbols[factor] if factor in symbols else int(factor)
+        total += product
+    return total
+
+
+class Tick:
+    """One controller in C, in memory of its own.
+
+    Parameters
+    ----------
+    sizes, constants
+        Fields of `ddmpc_sizes` and `ddmpc_constants`.
+    step, output
+        Addresses of a nonlinear model's functions.
+    terms
+        Of the user's terms: address of the function, rows, whether soft, and first parameter.
+
+    Raises
+    ------
+    models.velocity_model.ModelError
+        If a size is more than the core holds.
+    """
+
+    def __init__(
+        self,
+        sizes: Mapping[str, int],
+        constants: Constants,
+        functions: tuple[Any, Any] | None = None,
+        terms: Sequence[tuple[Any, int, bool, int]] = (),
+    ) -> None:
+        ffi, self.lib = load_core()
+        self.ffi, self._sizes = ffi, dict(sizes)
+        self._c_sizes = ffi.new("ddmpc_sizes *", dict(sizes))
+        self._constants = self.prepare(constants)
+        self._terms = ffi.new("ddmpc_term[]", [(function, rows, soft, first) for function, rows, soft, first in terms])
+        step, output = functions or (ffi.NULL, ffi.NULL)
+        self._functions = ffi.new("ddmpc_functions *", {"step": step, "output": output, "terms": self._terms})
+        reals, ints = self.lib.ddmpc_reals(self._c_sizes), self.lib.ddmpc_ints(self._c_sizes)
+        self._reals, self._ints = np.zeros(max(reals, 1)), np.zeros(max(ints, 1), dtype=np.intc)
+        self._nodes = ffi.new("char[]", max(1, sizes["history"] * self.lib.ddmpc_node_bytes()))
+        # cffi gives memory that suits any type.
+        self._memory = ffi.new("char[]", self.lib.ddmpc_controller_bytes())
+        self.c = ffi.cast("ddmpc_controller *", self._memory)
+        fits = self.lib.ddmpc_init(
+            self.c,
+            self._c_sizes,
+            self._constants[0],
+            self._functions,
+            self._address("real *", self._reals),
+            self._address("int *", self._ints),
+            self._nodes,
+        )
+        if not fits:
+            raise ModelError(
+                f"a model of order {sizes['states']} with {sizes['window']} commands on their way, a horizon of "
+                f"{sizes['steps']} and {sizes['soft']} soft limits is more than the core holds (64, 512, 200, 60); "
+                "identify a model of lower order"
+            )
+        self.result = self.lib.ddmpc_result_of(self.c)
+        self.samples: int = self.lib.ddmpc_samples(self.c)
+        self.layout = ResultLayout(self)
+        self.input = MeasurementBuffer(ffi)
+        self.reference: Any = None
+
+    def _address(self, kind: str, array: np.ndarray[Any, Any]) -> Any:  # noqa: ANN401 - cffi has no types
+        return self.ffi.cast(kind, array.ctypes.data)
+
+    def prepare(self, values: Constants) -> tuple[Any, list[FloatArray]]:
+        """A `ddmpc_constants` with these fields, and the arrays that it points to, which have to live as long.
+
+        Raises
+        ------
+        ValueError
+            If a field is missing, unknown, or of another shape than core.h says.
+        """
+        ffi = self.ffi
+        struct, kept = ffi.new("ddmpc_constants *"), []
+        fields = dict(ffi.typeof("ddmpc_constants").fields)
+        shapes = pointer_shapes("ddmpc_constants", self._sizes)
+        odd = set(fields) ^ set(values)
+        if odd:
+            raise ValueError(f"ddmpc_constants and mpc/problem/constants.py differ in {', '.join(sorted(odd))}")
+        for name, field in fields.items():
+            value: Any = values[name]
+            if field.type.kind == "pointer":
+                array = np.ascontiguousarray(value, dtype=float)
+                if array.shape != shapes[name]:
+                    raise ValueError(f"ddmpc_constants.{name} has shape {array.shape}, core.h says {shapes[name]}")
+                kept.append(array)
+                value = self._address("const real *", array)
+            elif field.type.kind == "array":
+                value = np.asarray(value, dtype=float).ravel().tolist()
+                if len(value) != field.type.length:
+                    raise ValueError(f"ddmpc_constants.{name} has {len(value)} numbers, core.h {field.type.length}")
+            else:
+                value = int(value) if field.type.cname == "int" else float(value)
+            setattr(struct, name, value)
+        return struct, kept
+
+    def configure(self, prepared: tuple[Any, list[FloatArray]]) -> None:
+        """Use other constants from now on."""
+        self.lib.ddmpc_configure(self.c, prepared[0])
+        self._constants = prepared
+
+    def view(self, address: Any, shape: tuple[int, ...]) -> FloatArray:  # noqa: ANN401 - cffi has no types
+        """The numbers at an address of C as an array, without a copy."""
+        count = int(np.prod(shape))
+        return np.frombuffer(self.ffi.buffer(address, 8 * count), dtype=float).reshape(shape)
+
+    @property
+    def parameters(self) -> FloatArray:
+        """(N + 1, P) stage parameters of the user's terms."""
+        shape = (self._sizes["steps"] + 1, self._sizes["parameters"])
+        return self.view(self.lib.ddmpc_parameters(self.c), shape) if shape[1] else np.zeros(shape)
+
+    def track(self, poses: FloatArray, twists: FloatArray, share: float) -> int:
+        """Go on with a target: poses (samples, 3) and twists (samples, 2) from now on."""
+        poses, twists = np.ascontiguousarray(poses), np.ascontiguousarray(twists)
+        at = self._address
+        return int(self.lib.ddmpc_track(self.c, at("real *", poses), at("real *", twists), share))
+
+
+class ResultLayout:
+    """Where the arrays of a result lie in one block of memory, so that one copy takes them all."""
+
+    def __init__(self, tick: Tick) -> None:
+        result, ffi = tick.result, tick.ffi
+        shapes = {
+            name: (getattr(owner, name), shape)
+            for struct, owner in (("ddmpc_estimate", result.estimate), ("ddmpc_result", result))
+            for name, shape in pointer_shapes(struct, tick._sizes).items()
+        }
+        addresses = {name: int(ffi.cast("uintptr_t", address)) for name, (address, _) in shapes.items()}
+        first = min(addresses.values())
+        self.places: dict[str, tuple[slice, tuple[int, ...]]] = {}
+        end = 0
+        for name, (_, shape) in shapes.items():
+            begin, count = (addresses[name] - first) // 8, int(np.prod(shape))
+            self.places[name] = (slice(begin, begin + count), shape)
+            end = max(end, begin + count)
+        self._block = np.frombuffer(ffi.buffer(ffi.cast("real *", first), 8 * end), dtype=float)
+
+    def copy(self) -> FloatArray:
+        """All arrays of the present result, read-only."""
+        block = self._block.copy()
+        block.flags.writeable = False
+        return block
+
+    def take(self, block: FloatArray, name: str) -> FloatArray:
+        """One array of a copy."""
+        place, shape = self.places[name]
+        return block[place].reshape(shape)
+
+
+class MeasurementBuffer:
+    """Memory of one ddmpc_input. Whatever is not numbers becomes NaN, which C rejects and names."""
+
+    def __init__(self, ffi: Any) -> None:  # noqa: ANN401 - cffi has no types
+        self.struct = ffi.new("ddmpc_input *")
+        whole = memoryview(ffi.buffer(self.struct)).cast("B")
+
+        def numbers(offset: int, count: int) -> Any:  # noqa: ANN401 - a view of doubles, which its type cannot say
+            return whole[offset : offset + 8 * count].cast("d")
+
+        def message(field: str, count: int) -> _Message:
+            base = ffi.offsetof("ddmpc_input", field)
+            value, covariance = (base + ffi.offsetof("ddmpc_stamped", part) for part in ("value", "covariance"))
+            return _Message(
+                getattr(self.struct, field), numbers(value, count), numbers(covariance, count * count), count
+            )
+
+        self._pose, self._wheels = message("pose", 3), message("wheels", 2)
+        self._yaw_rate = message("yaw_rate", 1)
+        self._sent = numbers(ffi.offsetof("ddmpc_input", "sent"), 2)
+
+    def fill(self, measurement: Measurement) -> None:
+        """Take over whatever arrived."""
+        self._pose.fill(measurement.pose)
+        self._wheels.fill(measurement.wheel_twist)
+        self._yaw_rate.fill(measurement.yaw_rate)
+        sent = measurement.sent
+        self.struct.has_sent = sent is not None
+        if sent is not None:
+            _write(self._sent, sent, 2)
+
+
+class _Message:
+    """Memory of one ddmpc_stamped."""
+
+    __slots__ = ("_count", "_covariance", "_struct", "_value")
+
+    def __init__(self, struct: Any, value: Any, covariance: Any, count: int) -> None:  # noqa: ANN401
+        self._struct, self._value, self._covariance, self._count = struct, value, covariance, count
+
+    def fill(self, stamped: Stamped | None) -> None:
+        struct = self._struct
+        if stamped is None:
+            struct.present = 0
+            return
+        struct.present = 1
+        try:
+            struct.stamp = stamped.time
+        except (TypeError, ValueError, OverflowError):
+            struct.stamp = math.nan
+        _write(self._value, stamped.value, self._count)
+        covariance = stamped.covariance
+        struct.has_covariance = covariance is not None
+        if covariance is not None:
+            flat = covariance.reshape(-1) if isinstance(covariance, np.ndarray) else covariance
+            _write(self._covariance, flat, self._count * self._count)
+
+
+def _write(memory: Any, value: Any, count: int) -> None:  # noqa: ANN401 - whatever arrives
+    """`value` as `count` numbers; NaN if it is anything else."""
+    if count == 1 and isinstance(value, float):
+        memory[0] = value
+        return
+    try:
+        # Quick, and right for nothing but so many doubles in a row.
+        memory[:] = value
+    except (TypeError, ValueError):
+        found = numbers(value, count)
+        memory[:] = (np.full(count, np.nan) if found is None else found).data
+
+
+def numbers(value: Any, count: int) -> FloatArray | None:  # noqa: ANN401 - whatever arrives
+    """`value` as a flat array of `count` numbers, or None where it is none."""
+    try:
+        found = np.asarray(value, dtype=float).ravel()
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return np.ascontiguousarray(found) if len(found) == count else None

@@ -1,0 +1,128 @@
+"""What the core says in numbers, in words: modes, states of the solver, and why something was done or rejected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.core.tick import Tick
+from diffdrive_mpc.mpc.hold import Hold
+from diffdrive_mpc.mpc.solver.report import SolverPath, SolverStatus
+from diffdrive_mpc.mpc.step_result import Mode
+
+
+class Words:
+    """Sentences about one controller's results; every number of C is looked up by its name.
+
+    Attributes
+    ----------
+    modes, statuses
+        By their numbers in C.
+    """
+
+    def __init__(self, tick: Tick, config: ControllerConfig) -> None:
+        lib = tick.lib
+        self._result, self._lib = tick.result, lib
+        self.modes = {getattr(lib, f"DDMPC_{mode.name}"): mode for mode in Mode}
+        self.statuses = {
+            getattr(lib, f"DDMPC_QP_{status.name}"): status for status in SolverStatus if status.name != "REFUSED"
+        }
+        self._subjects = {
+            lib.DDMPC_OF_WHEELS: "wheel speed",
+            lib.DDMPC_OF_YAW_RATE: "yaw rate",
+            lib.DDMPC_OF_POSE: "pose",
+        }
+        self.not_a_new_tick: int = (
+            lib.DDMPC_TIME_FAULTY | lib.DDMPC_TIME_REPEATED | lib.DDMPC_TIME_LEAPT | lib.DDMPC_TIME_PAUSED
+        )
+        self.configure(config)
+
+    def configure(self, config: ControllerConfig) -> None:
+        """Speak of the limits of `config` from now on."""
+        self._config = config
+        self._paths: dict[int, str] = {
+            self._lib.DDMPC_NO_WAY: SolverPath.NONE,
+            self._lib.DDMPC_UNLIMITED: SolverPath.UNLIMITED,
+            self._lib.DDMPC_ACTIVE_SET: SolverPath.ACTIVE_SET,
+            self._lib.DDMPC_BACKEND: config.solver.backend,
+        }
+
+    def path(self, number: int) -> str:
+        """The way with this number."""
+        return self._paths[number]
+
+    def sentence(self, hold: Hold | None, status: SolverStatus, target: str) -> str:
+        """Why the tick went as it did; `target` says what is out of the ordinary of what is tracked."""
+        c, lib = self._result, self._lib
+        reasons = c.reasons
+        parts = [words(c) for bit, words in self._time_words(lib) if reasons & bit]
+        if reasons & lib.DDMPC_SENT_REJECTED:
+            parts.append("sent command rejected: it is not one that a robot can have got")
+        parts += [self._note(c.note[index]) for index in range(c.notes)]
+        if reasons & lib.DDMPC_HELD and hold is not None:
+            parts.append(hold.reason)
+        parts += [words for bit, words in self._ladder_words(lib, c) if reasons & bit]
+        if target:
+            parts.append(target)
+        if reasons & lib.DDMPC_SOLVE_FAILED:
+            parts.append(f"solve failed: {status}")
+        return "; ".join(parts)
+
+    @staticmethod
+    def _time_words(lib: Any) -> list[tuple[int, Callable[[Any], str]]]:  # noqa: ANN401 - cffi has no types
+        return [
+            (lib.DDMPC_TIME_FAULTY, _faulty_time),
+            (
+                lib.DDMPC_TIME_REPEATED,
+                _repeated,
+            ),
+            (lib.DDMPC_TIME_LEAPT, lambda c: f"no tick for {c.gap:.2f} s"),
+            (lib.DDMPC_TIME_PAUSED, lambda c: f"no tick for {c.gap:.2f} s; the estimate starts anew"),
+        ]
+
+    def _ladder_words(self, lib: Any, c: Any) -> list[tuple[int, str]]:  # noqa: ANN401
+        failure, finish = self._config.failure, self._config.finish
+        age = c.estimate.pose_age[0]
+        return [
+            (lib.DDMPC_NO_POSE, "no pose has arrived yet"),
+            (lib.DDMPC_ELSEWHERE, "poses agree that the robot is somewhere else"),
+            (lib.DDMPC_LOST, "the estimate is not finite; it starts anew"),
+            (lib.DDMPC_OLD_POSE, f"no pose was accepted for {age:.2f} s"),
+            (lib.DDMPC_LATCHED, "stopped after a failure; call start or reset to drive on"),
+            (
+                lib.DDMPC_TOO_FAR,
+                f"{c.distance:.2f} m from the reference; the limit is {failure.max_position_error} m",
+            ),
+            (
+                lib.DDMPC_NOT_AT_REST,
+                f"finished {c.distance:.3f} m from the end, not at rest within {finish.timeout} s",
+            ),
+        ]
+
+    def _note(self, note: Any) -> str:  # noqa: ANN401
+        lib, a, b = self._lib, note.a, note.b
+        pose, wheels = note.subject == lib.DDMPC_OF_POSE, note.subject == lib.DDMPC_OF_WHEELS
+        not_numbers = "it is not three finite numbers" if pose else "not 2 finite numbers" if wheels else "not finite"
+        reasons = {
+            lib.DDMPC_NOT_NUMBERS: not_numbers,
+            lib.DDMPC_BAD_COVARIANCE: "its covariance is not a possible " + ("3 x 3 matrix" if pose else "one"),
+            lib.DDMPC_BAD_STAMP: "its stamp is not a finite number",
+            lib.DDMPC_IN_FUTURE: f"its stamp lies {a:.3f} s in the future",
+            lib.DDMPC_NOT_NEWER: "its stamp is not newer than that of the one before",
+            lib.DDMPC_TOO_OLD: f"it is {a:.2f} s old; the history reaches back {self._config.estimator.history} s",
+            lib.DDMPC_TOO_LARGE: f"{a:.3g} is more than {b:g}",
+            lib.DDMPC_JUMPS: f"it jumps by {a:.2f} m and {b:.2f} rad" if pose else f"it jumps from {a:.2f} to {b:.2f}",
+            lib.DDMPC_TOO_MANY: "more arrived for one sample than is kept",
+        }
+        return f"{self._subjects[note.subject]} rejected: {reasons[note.fault]}"
+
+
+def _repeated(c: Any) -> str:  # noqa: ANN401
+    return f"called {1e3 * c.gap:.1f} ms after the last tick; its command is repeated"
+
+
+def _faulty_time(c: Any) -> str:  # noqa: ANN401
+    if c.gap < 0:
+        return f"time ran backwards by {-c.gap:.3f} s; call start again if the clock was set"
+    return f"the time of this tick is {c.gap}; it was not used"

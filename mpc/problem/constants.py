@@ -1,0 +1,244 @@
+"""The numbers of one controller, by the names of their fields in C (`mpc/core/core.h`).
+
+They go into memory for use from Python, or as text into an exported library: in both by name.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.config.thresholds import AHEAD, BEHIND, STANDING, TURNING
+from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
+from diffdrive_mpc.mpc.problem.prediction import Prediction, build_prediction
+from diffdrive_mpc.mpc.problem.terms import Term
+
+Constants = dict[str, object]
+"""Numbers and arrays by the name of their field."""
+
+SHIPPED_SOFT = ("v", "omega", "right", "left", "across")
+"""Kinds of soft limit that every controller has, in their order."""
+LANES = 8
+"""Columns that the core works on at once, DDMPC_LANES: rows of commands are padded to a multiple of it."""
+SLACK = 0.1
+"""By this share of the solver's tolerance a limit may be exceeded and still count as kept [-]."""
+HARD_KINDS = 4
+"""Kinds of hard limit: v_ref, omega_ref, and their increments."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What one controller is about: its configuration, its sampled model, and the user's terms.
+
+    Raises
+    ------
+    ValueError
+        If the horizon is too short for the dead time: no command could act within it.
+    """
+
+    config: ControllerConfig
+    model: DiscreteModel | NonlinearModel
+    feed_forward: FeedForward
+    terms: tuple[Term, ...] = ()
+    prediction: Prediction | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Roll a linear model out once."""
+        model, horizon = self.model, self.config.horizon
+        if horizon < model.memory:
+            raise ValueError(
+                f"horizon = {horizon}: with its dead time the robot answers to a command after {model.memory} "
+                f"steps; set horizon to {model.memory} or more"
+            )
+        prediction = build_prediction(model, horizon) if isinstance(model, DiscreteModel) else None
+        object.__setattr__(self, "prediction", prediction)
+
+    @property
+    def history(self) -> int:
+        """Ticks that the estimator looks back."""
+        return int(np.ceil(self.config.estimator.history / self.model.dt)) + 1
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Fields of `ddmpc_sizes`."""
+        model, terms = self.model, self.terms
+        v, omega = (int(delay) for delay in model.delay)
+        lag_v, lag_omega = (int(lag) for lag in self.feed_forward.whole)
+        return {
+            "steps": self.config.horizon,
+            "states": model.order,
+            "delay_v": v,
+            "delay_omega": omega,
+            "window": model.memory,
+            "history": self.history,
+            "lag_v": lag_v,
+            "lag_omega": lag_omega,
+            "residuals": sum(term.rows for term in terms if not term.soft),
+            "soft": len(SHIPPED_SOFT) + sum(term.rows for term in terms if term.soft),
+            "terms": len(terms),
+            "parameters": sum(term.parameters for term in terms),
+            "nonlinear": int(self.prediction is None),
+        }
+
+    def constants(self) -> Constants:
+        """Fields of `ddmpc_constants`."""
+        longest_pause = self.history * self.model.dt
+        times: Constants = {"sample_time": self.model.dt, "longest_pause": longest_pause}
+        parts = (times, self._velocity(), self._estimation(), self._prediction(), self._cost(), self._limits())
+        merged: Constants = {}
+        for part in (*parts, self._solution(), self._ladder()):
+            merged |= part
+        return merged
+
+    def _velocity(self) -> Constants:
+        model = self.model
+        if isinstance(model, NonlinearModel):
+            n = model.order
+            empty = {"A": (n, n), "B0": (n, 2), "B1": (n, 2), "C": (2, n), "mean_output": (2, n)}
+            return {**{name: np.zeros(shape) for name, shape in empty.items()}, "settled": model.settled}
+        return {
+            "A": model.A,
+            "B0": model.B0,
+            "B1": model.B1,
+            "C": model.C,
+            "mean_output": 0.5 * model.C @ (np.eye(model.order) + model.A),
+            "settled": np.column_stack([model.settled_state(unit) for unit in np.eye(2)]),
+        }
+
+    def _estimation(self) -> Constants:
+        model, s, on, wheels = self.model, self.config.estimator, self.config.compensation, self.config.wheels
+        estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, on.side_slip, True])
+        slips = ("v_offset", "omega_gain", "longitudinal_gain", "yaw_gain", "side_slip", "gyro_bias")
+        uncertainty = estimated * np.array([getattr(s, f"{name}_uncertainty") for name in slips])
+        drift = estimated * np.array([getattr(s, f"{name}_drift") for name in slips])
+        drive = model.drive
+        inputs = np.array([s.v_input_noise, s.omega_input_noise])
+        pose_drift = np.square([s.position_drift, s.position_drift, s.heading_drift])
+        return {
+            "noise": (drive * inputs**2) @ drive.T,
+            "pose_noise": pose_drift * model.dt,
+            "uncertainty": uncertainty,
+            "drift": model.dt * np.square(drift),
+            # Per unit of omega_ref the wheels turn with the ratio of the tracks, and the model with its steady gain.
+            "wheel_yaw_ratio": wheels.track / wheels.encoder_track / float(model.dc_gain[1, 1]),
+            "surprise": s.surprise,
+            "patience": round(s.lasting_surprise / model.dt),
+            "least_yaw_rate": s.least_yaw_rate,
+            "least_speed": s.least_speed,
+            "least_gain": s.least_gain,
+            "most_gain": s.most_gain,
+            "stamp_history": s.history,
+            "pose_variance": np.square([s.position_noise, s.position_noise, s.heading_noise]),
+            "twist_variance": np.square([s.wheel_speed_noise, s.wheel_yaw_rate_noise, s.yaw_rate_noise]),
+            "largest_twist": [s.max_wheel_speed, s.max_yaw_rate, s.max_yaw_rate],
+            "largest_twist_jump": [s.max_wheel_speed_jump, s.max_yaw_rate_jump, s.max_yaw_rate_jump],
+            "largest_position_jump": s.max_position_jump,
+            "largest_heading_jump": s.max_heading_jump,
+        }
+
+    def _prediction(self) -> Constants:
+        N, found, n, W = self.config.horizon, self.prediction, self.model.order, self.model.memory
+        width = whole_lanes(2 * N)
+        if found is None:
+            empty = {
+                "from_state": (N + 1, 2, n),
+                "from_past": (N + 1, 2, W, 2),
+                "response": (2, 2, N + 1),
+                "twist_row": (2, 2 * width),
+                "mean_row": (2, 2 * width),
+                "heading_row": (2 * width,),
+                "heading_hessian": (2 * N, 2 * N),
+            }
+            return {name: np.zeros(shape) for name, shape in empty.items()}
+        weighted_heading = self._pose_weights()[:, 2:] * found.heading_from_plan[1:]
+        return {
+            "from_state": found.from_state.reshape(N + 1, 2, -1),
+            "from_past": found.from_past.reshape(N + 1, 2, -1, 2),
+            "response": found.from_plan[:, :2].reshape(N + 1, 2, 2).transpose(1, 2, 0),
+            "twist_row": [_longest_row(found.from_plan[channel::2]) for channel in (0, 1)],
+            "mean_row": [_longest_row(found.mean_from_plan[channel::2]) for channel in (0, 1)],
+            "heading_row": _longest_row(found.heading_from_plan),
+            "heading_hessian": found.heading_from_plan[1:].T @ weighted_heading,
+        }
+
+    def _pose_weights(self) -> FloatArray:
+        """(N, 3) weights of the errors along, across and in heading at the samples 1 to N."""
+        w = self.config.weights
+        table = np.tile([w.along, w.across, w.heading], (self.config.horizon, 1))
+        table[-1] *= w.terminal
+        return table
+
+    def _cost(self) -> Constants:
+        w, pose_weights = self.config.weights, self._pose_weights()
+        return {
+            "along": np.sqrt(pose_weights[:, 0]),
+            "across": np.sqrt(pose_weights[:, 1]),
+            "heading": pose_weights[:, 2],
+            "command_weight": [w.v, w.omega],
+            "increment_weight": [w.v_increment, w.omega_increment],
+            "lean_along": w.along,
+            "lean_heading": w.heading,
+            # Column by column.
+            "inverse_gain": self.feed_forward.inverse_gain.T.reshape(-1),
+            "lag_rest": self.feed_forward.rest,
+            "price": w.soft,
+            "price_slope": w.soft_quadratic,
+        }
+
+    def _limits(self) -> Constants:
+        limits, dt = self.config.limits, self.model.dt
+        shipped = [limits.predicted_v, limits.predicted_omega, limits.wheel_speed, limits.wheel_speed, limits.corridor]
+        soft = [term for term in self.terms if term.soft]
+        return {
+            "largest_command": [limits.v, limits.omega],
+            "slew": np.array([limits.v_slew, limits.omega_slew]) * dt,
+            "braking": np.array([limits.v_braking, limits.omega_braking]) * dt,
+            "soft_upper": np.concatenate([shipped, *(term.bounds[1] for term in soft)]),
+            "soft_lower": np.concatenate([np.negative(shipped), *(term.bounds[0] for term in soft)]),
+            "half_track": 0.5 * self.config.wheels.track,
+        }
+
+    def _solution(self) -> Constants:
+        solver = self.config.solver
+        return {
+            "slack": SLACK * solver.tolerance,
+            "active_set": solver.active_set_iterations,
+            "forced": solver.strategy == "backend",
+        }
+
+    def _ladder(self) -> Constants:
+        failure, finish, reentry = self.config.failure, self.config.finish, self.config.reentry
+        return {
+            "max_pose_age": failure.max_pose_age,
+            "max_position_error": failure.max_position_error,
+            "max_reused_ticks": failure.max_reused_ticks,
+            "resume": failure.resume,
+            "finish_position": finish.position,
+            "finish_speed": finish.speed,
+            "finish_timeout": finish.timeout,
+            "reentry": reentry.enabled,
+            "band": reentry.band,
+            "heading_band": reentry.heading_band,
+            "wait": reentry.wait,
+            "heading_wait": reentry.heading_wait,
+            "behind": BEHIND * reentry.wait,
+            "ahead": AHEAD * reentry.wait,
+            "standing": STANDING,
+            "turning": TURNING,
+        }
+
+
+def whole_lanes(count: int) -> int:
+    """The next multiple of `LANES`."""
+    return -(-count // LANES) * LANES
+
+
+def _longest_row(matrix: FloatArray) -> FloatArray:
+    """The last row of a Toeplitz matrix, padded: any other row begins further along it."""
+    row = matrix[-1]
+    return np.concatenate([row, np.zeros(2 * whole_lanes(row.size) - row.size)])

@@ -1,0 +1,166 @@
+"""Functions of the user in the form of the shipped formulas: inputs matched by name, gradients added.
+
+A term is a least-squares residual or a soft limit on pose, twist, command, reference and stage parameters. A nonlinear
+velocity model is a step and an output.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping
+
+import casadi as ca
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc.problem.formulas import TERM_INPUTS, differentiated, term, term_symbols
+
+_C_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
+
+
+def user_term(function: ca.Function, name: str, place: str | None = None) -> ca.Function:
+    """The term of a user's `function`, called `name` in C.
+
+    Parameters
+    ----------
+    function
+        Any of the inputs pose (3), twist (2), command (2), reference (4), parameters (p), by these names in any order,
+        to one column (m). Units and frames are those of `mpc.problem.formulas`.
+    name
+        What it is called in C.
+    place
+        What messages call it; by default "term" and the function's own name.
+
+    Returns
+    -------
+    casadi.Function
+        Of pose, twist, command, reference, parameters (p, 0 where it takes none) to `value` (m) and `gradient` (m x 7)
+        by pose, twist and command.
+
+    Raises
+    ------
+    ConfigError
+        If the function has other inputs or outputs, depends on anything else, or cannot be written as C.
+    """
+    place = _checked_function(function, name, "term", place)
+    known = (*TERM_INPUTS, "parameters")
+    given = _columns_in(function, place)
+    for given_name, length in given.items():
+        if given_name not in known:
+            near = difflib.get_close_matches(given_name, known, 1) or known
+            raise ConfigError(f"{place}: unknown input '{given_name}'; name it {' or '.join(near)}")
+        if length != TERM_INPUTS.get(given_name, length):
+            raise ConfigError(
+                f"{place}: input '{given_name}' has {length} entries, but it has {TERM_INPUTS[given_name]}"
+            )
+    _column_out(function, place)
+    inputs = term_symbols(given.get("parameters", 0))
+    return term(name, inputs, _value(function, [inputs[given_name] for given_name in given], place))
+
+
+def user_step(function: ca.Function, name: str) -> ca.Function:
+    """One sample of a user's nonlinear velocity model, called `name` in C.
+
+    Parameters
+    ----------
+    function
+        Of `x` (n) and `window` (2 W), the commands v_ref [m/s], omega_ref [rad/s] of the last W samples, oldest first,
+        to the state (n) one sample later.
+    name
+        What it is called in C.
+
+    Returns
+    -------
+    casadi.Function
+        Of the same to `x_next` (n) and `gradient` (n x (n + 2 W)).
+
+    Raises
+    ------
+    ConfigError
+        As `user_term`; and if the state changes its length, or the window holds half a command.
+    """
+    place = _checked_function(function, name, "step")
+    given = _columns_in(function, place)
+    if set(given) != {"x", "window"}:
+        raise ConfigError(f"{place}: its inputs are {', '.join(given)}; name them x and window")
+    if given["window"] == 0 or given["window"] % 2:
+        raise ConfigError(f"{place}: window has {given['window']} entries; give it two for each command")
+    if _column_out(function, place) != given["x"]:
+        raise ConfigError(f"{place}: the state after a step has {function.numel_out(0)} entries, x has {given['x']}")
+    symbols = {given_name: ca.SX.sym(given_name, length) for given_name, length in given.items()}
+    inputs = {"x": symbols["x"], "window": symbols["window"]}
+    return differentiated(name, inputs, "x_next", _value(function, list(symbols.values()), place), ("x", "window"))
+
+
+def user_output(function: ca.Function, name: str, states: int) -> ca.Function:
+    """Output of a user's nonlinear velocity model, called `name` in C.
+
+    Parameters
+    ----------
+    function
+        Of `x` (n) to v [m/s], omega [rad/s].
+    name
+        What it is called in C.
+    states
+        n.
+
+    Returns
+    -------
+    casadi.Function
+        Of the same to `y` (2) and `gradient` (2 x n).
+
+    Raises
+    ------
+    ConfigError
+        As `user_term`; and if it does not take `states` states to two numbers.
+    """
+    place = _checked_function(function, name, "output")
+    if _columns_in(function, place) != {"x": states}:
+        raise ConfigError(f"{place}: its one input must be x, with {states} entries as in the step")
+    if _column_out(function, place) != 2:
+        raise ConfigError(f"{place}: it has {function.numel_out(0)} entries; give it two, v and omega")
+    inputs = {"x": ca.SX.sym("x", states)}
+    return differentiated(name, inputs, "y", _value(function, list(inputs.values()), place), ("x",))
+
+
+def _checked_function(function: ca.Function, name: str, what: str, place: str | None = None) -> str:
+    """The words that name the place, if `function` is one and `name` a name in C."""
+    if not isinstance(function, ca.Function):
+        raise ConfigError(
+            f"{place or f'{what} {name}'}: {type(function).__name__} is no casadi.Function; build one with named inputs"
+        )
+    if not _C_NAME.fullmatch(name):
+        raise ConfigError(f"{what} '{name}': letters, digits and underscores only")
+    place = place or f"{what} {function.name()}"
+    if function.has_free():
+        raise ConfigError(f"{place}: it depends on {', '.join(map(str, function.get_free()))}; make it an input")
+    return place
+
+
+def _columns_in(function: ca.Function, place: str) -> Mapping[str, int]:
+    for k in range(function.n_in()):
+        if function.size2_in(k) > 1:
+            raise ConfigError(f"{place}: input '{function.name_in(k)}' is a matrix; make it a column")
+    return {function.name_in(k): function.numel_in(k) for k in range(function.n_in())}
+
+
+def _column_out(function: ca.Function, place: str) -> int:
+    if function.n_out() != 1:
+        raise ConfigError(f"{place}: it has {function.n_out()} outputs; stack them to one column")
+    if function.size2_out(0) != 1 or function.size1_out(0) == 0:
+        raise ConfigError(f"{place}: its output is {function.size1_out(0)} x {function.size2_out(0)}; make it a column")
+    return int(function.size1_out(0))
+
+
+def _value(function: ca.Function, arguments: list[ca.SX], place: str) -> ca.SX:
+    """What the function makes of symbols, all in elementary operations."""
+    fault = ConfigError(
+        f"{place}: CasADi cannot write it in elementary operations; use SX, and call no solver or table"
+    )
+    try:
+        expanded = function.expand()
+    except RuntimeError as error:
+        raise fault from error
+    if any(expanded.instruction_id(k) == ca.OP_CALL for k in range(expanded.n_instructions())):
+        raise fault
+    return expanded.call(arguments, True, False)[0]

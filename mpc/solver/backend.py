@@ -1,0 +1,130 @@
+"""Solvers of the condensed problem beside the core's own: one interface, and the loop that asks them.
+
+A backend is given only the kinds of limit that matter: those that pressed at the last tick or that the minimiser
+without limits breaks. If its solution keeps all others it solves the whole problem; if not, the kinds that it breaks
+are added and it is asked again.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config.schema import Weights
+from diffdrive_mpc.mpc.config.solver import Solver
+from diffdrive_mpc.mpc.core.tick import Tick
+from diffdrive_mpc.mpc.problem.constants import HARD_KINDS as HARD
+from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
+
+Kinds = tuple[int, ...]
+"""Some of the kinds of limit, ascending: v_ref, omega_ref, their increments, and from `HARD` on the soft ones."""
+
+
+class Program:
+    """The tick's quadratic program as it lies in the core's memory, which it shares.
+
+    Minimise U'HU/2 + g'U + penalty(soft rows) subject to lower <= values(U) <= upper, U the commands step by step.
+
+    Attributes
+    ----------
+    H, g
+        (2 N, 2 N), (2 N,).
+    lower, upper
+        (kinds, N) bounds of the commands, of their increments (the first counts from zero) and of the soft limits.
+    guess
+        (2 N,) a plan near the solution.
+    multipliers
+        (kinds, N) of the limits near the solution: positive at upper bounds, negative at lower ones, else zero.
+    last_command, aim, feed_forward
+        (2,) the command that the first increment counts from; (N + 1, 4) poses to aim at and headings to hold; (N, 2)
+        commands from which deviations are penalised.
+    kinds
+        The kinds that pressed last, or that the minimiser without limits breaks.
+    """
+
+    def __init__(self, tick: Tick, steps: int, kinds: int) -> None:
+        c, n = tick.lib.ddmpc_program_of(tick.c), 2 * steps
+        self._tick, self._steps, self._count = tick, steps, kinds
+        self.H, self.g = tick.view(c.H, (n, n)), tick.view(c.g, (n,))
+        self.lower, self.upper = tick.view(c.lower, (kinds, steps)), tick.view(c.upper, (kinds, steps))
+        self.guess, self.multipliers = tick.view(c.guess, (n,)), tick.view(c.multipliers, (kinds, steps))
+        self.last_command, self.aim = tick.view(c.last_command, (2,)), tick.view(c.aim, (steps + 1, 4))
+        self.feed_forward = tick.view(c.feed_forward, (steps, 2))
+        self._soft_value, self._pressing = tick.view(c.soft_value, (kinds - HARD, steps)), c.pressing
+
+    @property
+    def kinds(self) -> Kinds:
+        """See the class."""
+        return tuple(kind for kind in range(self._count) if self._pressing[kind])
+
+    @property
+    def soft_limits(self) -> FloatArray:
+        """(kinds - 4,) upper limits of the soft kinds at this tick, in their own units."""
+        return self.upper[HARD:, 0] + self._soft_value[:, 0]
+
+    def rows(self, kind: int) -> FloatArray:
+        """(N, 2 N) rows of one kind of soft limit."""
+        rows, tick = np.empty((self._steps, 2 * self._steps)), self._tick
+        tick.lib.ddmpc_soft_rows(tick.c, kind, tick.ffi.cast("real *", rows.ctypes.data))
+        return rows
+
+    def broken(self, plan: FloatArray, margin: float) -> Kinds:
+        """Kinds that `plan` (2 N,) exceeds somewhere by more than `margin`."""
+        tick, found = self._tick, np.zeros(self._count, dtype=np.intc)
+        plan = np.ascontiguousarray(plan)
+        cast = tick.ffi.cast
+        tick.lib.ddmpc_broken(tick.c, cast("const real *", plan.ctypes.data), margin, cast("int *", found.ctypes.data))
+        return tuple(np.flatnonzero(found).tolist())
+
+
+class Solved(NamedTuple):
+    """What a backend found.
+
+    Attributes
+    ----------
+    plan
+        (2 N,) the plan; means nothing unless the status is usable.
+    multipliers
+        (kinds, N) of the limits, zero where nothing presses.
+    status, iterations, primal_residual, dual_residual
+        What the solver says of it.
+    """
+
+    plan: FloatArray
+    multipliers: FloatArray
+    status: SolverStatus
+    iterations: int = 0
+    primal_residual: float = float("nan")
+    dual_residual: float = float("nan")
+
+
+class Backend(Protocol):
+    """A solver with its work space. It never raises on numbers."""
+
+    def __init__(self, steps: int, kinds: int, settings: Solver, weights: Weights) -> None: ...
+
+    def solve(self, program: Program, kinds: Kinds, guess: FloatArray, multipliers: FloatArray) -> Solved:
+        """Solve with these kinds of limit, from a plan (2 N,) and multipliers (kinds, N) near the solution."""
+        ...
+
+
+def ask(backend: Backend, program: Program, path: str, slack: float) -> tuple[Solved, SolverReport]:
+    """The solution of the whole problem by a backend called `path`; `slack` is what counts as kept."""
+    kinds = tuple(sorted({*range(HARD), *program.kinds}))
+    guess, multipliers, iterations = program.guess, program.multipliers, 0
+    while True:
+        solved = backend.solve(program, kinds, guess, multipliers)
+        iterations += solved.iterations
+        if not np.isfinite(solved.plan).all():
+            solved = solved._replace(status=SolverStatus.NOT_FINITE)
+        missed = program.broken(solved.plan, slack) if solved.status.usable else ()
+        if set(missed) <= set(kinds):
+            break
+        kinds = tuple(sorted({*kinds, *missed}))
+        guess, multipliers = solved.plan, solved.multipliers
+    soft = any(kind >= HARD for kind in kinds)
+    return solved, SolverReport(
+        solved.status, path, iterations, solved.primal_residual, solved.dual_residual, soft_limits=soft
+    )

@@ -1,0 +1,93 @@
+"""Solve with DAQP, a dual active-set method, from the limits that are taken to be active.
+
+Soft limits are its own: an exact and a quadratic price on each row, without slack variables.
+"""
+
+from __future__ import annotations
+
+from ctypes import c_int
+
+import daqp
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config.schema import Weights
+from diffdrive_mpc.mpc.config.solver import Solver
+from diffdrive_mpc.mpc.problem.constants import HARD_KINDS as HARD
+from diffdrive_mpc.mpc.solver.backend import Kinds, Program, Solved
+from diffdrive_mpc.mpc.solver.report import SolverStatus
+
+_STATUS = {
+    2: SolverStatus.SOLVED,  # with a soft limit exceeded
+    1: SolverStatus.SOLVED,
+    -1: SolverStatus.INFEASIBLE,
+    -2: SolverStatus.MAX_ITERATIONS,  # it cycles: no more progress
+    -3: SolverStatus.UNBOUNDED,
+    -4: SolverStatus.MAX_ITERATIONS,
+    -5: SolverStatus.NOT_CONVEX,
+    -7: SolverStatus.TIME_LIMIT,
+}
+# The active set that it was given is not one of independent rows.
+_DEPENDENT = -6
+# Flags of a row; the last says of a soft limit that it is kept, though it presses.
+_ACTIVE, _LOWER, _SOFT, _KEPT = 1, 2, 8, 32
+
+
+class DaqpBackend:
+    """Implements `mpc.solver.backend.Backend`."""
+
+    def __init__(self, steps: int, kinds: int, settings: Solver, weights: Weights) -> None:
+        self._steps, self._count, self._weights = steps, kinds, weights
+        self._settings = {"primal_tol": settings.tolerance, "iter_limit": settings.max_iterations}
+        if settings.time_limit is not None:
+            self._settings["time_limit"] = settings.time_limit
+        commands = np.eye(2 * steps)
+        increments = commands.copy()
+        increments[2:] -= commands[:-2]
+        self._hard = [commands[0::2], commands[1::2], increments[0::2], increments[1::2]]
+
+    def solve(self, program: Program, kinds: Kinds, guess: FloatArray, multipliers: FloatArray) -> Solved:
+        """See `mpc.solver.backend.Backend`; the plan that is guessed has no part in it."""
+        rows = np.concatenate([self._hard[kind] if kind < HARD else program.rows(kind) for kind in kinds])
+        chosen = list(kinds)
+        near = multipliers[chosen].reshape(-1)
+        soft = np.repeat([kind >= HARD for kind in kinds], self._steps)
+        flag, solved = self._run(program, rows, chosen, soft, near)
+        if flag == _DEPENDENT:
+            flag, solved = self._run(program, rows, chosen, soft, np.zeros_like(near))
+        status = _STATUS.get(flag, SolverStatus.NOT_RUN)
+        if solved is None:
+            return Solved(guess, np.zeros((self._count, self._steps)), status)
+        plan, pressing, iterations = solved
+        found = np.zeros((self._count, self._steps))
+        found[chosen] = pressing.reshape(-1, self._steps)
+        dual = program.H @ plan + program.g + rows.T @ pressing
+        values = rows @ plan
+        excess = np.maximum(values - program.upper[chosen].reshape(-1), program.lower[chosen].reshape(-1) - values)
+        worst = float(np.max(excess[~soft], initial=0.0))
+        return Solved(plan, found, status, iterations, max(worst, 0.0), float(np.abs(dual).max()))
+
+    def _run(
+        self, program: Program, rows: FloatArray, kinds: list[int], soft: FloatArray, near: FloatArray
+    ) -> tuple[int, tuple[FloatArray, FloatArray, int] | None]:
+        """Solve from the multipliers `near`; nothing is found where DAQP refuses the numbers."""
+        price = self._weights.soft
+        sense = np.where(near > 0, _ACTIVE, np.where(near < 0, _ACTIVE | _LOWER, 0)) | np.where(soft, _SOFT, 0)
+        sense |= np.where(soft & (near != 0) & (np.abs(near) < price), _KEPT, 0)
+        model = daqp.Model()
+        flag, _ = model.setup(
+            np.array(program.H),
+            np.array(program.g),
+            rows,
+            program.upper[kinds].reshape(-1),
+            program.lower[kinds].reshape(-1),
+            np.ascontiguousarray(sense, dtype=c_int),
+        )
+        if flag < 0:
+            return int(flag), None
+        model.settings = self._settings
+        if soft.any():
+            looseness, prices = np.full(len(near), 1 / self._weights.soft_quadratic), np.full(len(near), price)
+            model.soft_weights(looseness, looseness, prices, prices)
+        plan, _, flag, info = model.solve()
+        return int(flag), (np.array(plan), np.array(info["lam"]), int(info["iterations"]))

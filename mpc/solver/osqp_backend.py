@@ -1,0 +1,167 @@
+"""Solve with OSQP, an operator-splitting method, driven directly and warm-started.
+
+Variables are (U, p, m): p, m >= 0 take up what exceeds the soft limits upwards and downwards. The work space of the
+hard limits is set up with the controller; one for each set of soft limits when it first matters.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+
+import numpy as np
+import osqp
+from numpy.typing import NDArray
+from scipy import sparse
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config.schema import Weights
+from diffdrive_mpc.mpc.config.solver import Solver
+from diffdrive_mpc.mpc.problem.constants import HARD_KINDS as HARD
+from diffdrive_mpc.mpc.solver.backend import Kinds, Program, Solved
+from diffdrive_mpc.mpc.solver.report import SolverStatus
+
+_STATUS = {
+    osqp.SolverStatus.OSQP_SOLVED: SolverStatus.SOLVED,
+    osqp.SolverStatus.OSQP_SOLVED_INACCURATE: SolverStatus.SOLVED_INACCURATELY,
+    osqp.SolverStatus.OSQP_MAX_ITER_REACHED: SolverStatus.MAX_ITERATIONS,
+    osqp.SolverStatus.OSQP_TIME_LIMIT_REACHED: SolverStatus.TIME_LIMIT,
+    osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE: SolverStatus.INFEASIBLE,
+    osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE_INACCURATE: SolverStatus.INFEASIBLE,
+    osqp.SolverStatus.OSQP_DUAL_INFEASIBLE: SolverStatus.UNBOUNDED,
+    osqp.SolverStatus.OSQP_DUAL_INFEASIBLE_INACCURATE: SolverStatus.UNBOUNDED,
+    osqp.SolverStatus.OSQP_NON_CVX: SolverStatus.NOT_CONVEX,
+}
+# A multiplier below this is what is left of one: its limit is not active.
+_NO_PRESSURE = 1e-6
+# Few sets of soft limits come up in practice.
+_MOST_WORKSPACES = 16
+
+
+class OsqpBackend:
+    """Implements `mpc.solver.backend.Backend`."""
+
+    def __init__(self, steps: int, kinds: int, settings: Solver, weights: Weights) -> None:
+        self._count = kinds
+        self._workspace = lru_cache(_MOST_WORKSPACES)(partial(_Workspace, steps, kinds, settings, weights))
+        self._workspace(())
+
+    def solve(self, program: Program, kinds: Kinds, guess: FloatArray, multipliers: FloatArray) -> Solved:
+        """See `mpc.solver.backend.Backend`."""
+        soft = tuple(kind for kind in kinds if kind >= HARD)
+        return self._workspace(soft).solve(program, guess, multipliers)
+
+
+class _Workspace:
+    """One OSQP instance of fixed sparsity: rows of the hard limits, of some soft ones, and bounds of their slacks."""
+
+    def __init__(self, steps: int, count: int, settings: Solver, weights: Weights, soft: Kinds) -> None:
+        self._n, self._steps, self._count, self._weights = 2 * steps, steps, count, weights
+        self._soft, self._kinds = list(soft), [*range(HARD), *soft]
+        # The rows of U are the hard kinds', then the soft ones'.
+        n, self._rows, rows = self._n, steps * len(self._kinds), steps * len(soft)
+        # Commands are interleaved and rows go by kind: the commands of one channel are every second one.
+        channels = [sparse.identity(n, format="csr")[i::2] for i in (0, 1)]
+        difference = sparse.identity(steps) - sparse.eye(steps, k=-1)
+        hard = [[rows_of, None, None] for rows_of in (*channels, *(difference @ channel for channel in channels))]
+        pattern, unit = np.ones((rows, n)), sparse.identity(rows)
+        slacks = [[pattern, -unit, unit], [None, unit, None], [None, None, unit]] if rows else []
+        blocks = [*hard, *slacks] if rows else [row[:1] for row in hard]
+        self._A = _sorted_csc(sparse.bmat(blocks))
+        # Where the changing block of A lies among its stored values: the columns of U hold it below the hard rows.
+        self._soft_place = _positions(self._A, self._rows - rows, rows, n) if rows else np.empty((0, n), dtype=np.intp)
+        slack = np.full(2 * rows, weights.soft_quadratic)
+        # Entries off the diagonal are stored, and nothing to begin with: numbers come with each tick.
+        triangle = sparse.csc_matrix(np.triu(np.ones((n, n))))
+        self._P = _sorted_csc(sparse.block_diag([triangle, sparse.diags(slack)]) if rows else triangle)
+        # Column by column of the upper triangle, as places in the flattened matrix.
+        column = np.repeat(np.arange(n), np.arange(1, n + 1))
+        self._triangle = n * np.concatenate([np.arange(k + 1) for k in range(n)]) + column
+        self._gradient = np.full(n + 2 * rows, weights.soft)
+        self._lower = np.zeros(self._rows + 2 * rows)
+        self._upper = np.full(self._rows + 2 * rows, np.inf)
+        self._P.data[: len(self._triangle)] = np.eye(n).reshape(-1)[self._triangle]
+        self._solver = self._set_up(settings)
+
+    def _set_up(self, settings: Solver) -> osqp.OSQP:
+        solver = osqp.OSQP()
+        solver.setup(
+            self._P,
+            self._gradient,
+            self._A,
+            self._lower,
+            self._upper,
+            verbose=False,
+            eps_abs=settings.tolerance,
+            eps_rel=settings.tolerance,
+            max_iter=settings.max_iterations,
+            check_termination=settings.check_every,
+            # By iterations, not by time: a run must not depend on how fast the machine is.
+            adaptive_rho=1,
+            adaptive_rho_interval=50,
+            polishing=False,
+            **({} if settings.time_limit is None else {"time_limit": settings.time_limit}),
+        )
+        return solver
+
+    def solve(self, program: Program, guess: FloatArray, multipliers: FloatArray) -> Solved:
+        """Solve with the limits of this work space."""
+        self._load(program)
+        nothing = np.zeros((self._count, self._steps))
+        try:
+            changed = {"Ax": self._A.data} if self._soft else {}
+            self._solver.update(q=self._gradient, l=self._lower, u=self._upper, Px=self._P.data, **changed)
+        except (osqp.OSQPException, ValueError):
+            return Solved(guess, nothing, SolverStatus.REFUSED)
+        self._solver.warm_start(x=self._primal(program, guess), y=self._dual(multipliers))
+        result = self._solver.solve(raise_error=False)
+        info = result.info
+        return Solved(
+            np.array(result.x)[: self._n],
+            self._multipliers(np.array(result.y)),
+            _STATUS.get(info.status_val, SolverStatus.NOT_RUN),
+            int(info.iter),
+            float(info.prim_res),
+            float(info.dual_res),
+        )
+
+    def _load(self, program: Program) -> None:
+        self._P.data[: len(self._triangle)] = program.H.reshape(-1)[self._triangle]
+        self._gradient[: self._n] = program.g
+        self._upper[: self._rows] = program.upper[self._kinds].reshape(-1)
+        self._lower[: self._rows] = program.lower[self._kinds].reshape(-1)
+        if self._soft:
+            self._A.data[self._soft_place] = np.concatenate([program.rows(kind) for kind in self._soft])
+
+    def _primal(self, program: Program, guess: FloatArray) -> FloatArray:
+        if not self._soft:
+            return guess
+        values = np.stack([program.rows(kind) @ guess for kind in self._soft])
+        over = np.maximum(values - program.upper[self._soft], 0)
+        under = np.maximum(program.lower[self._soft] - values, 0)
+        return np.concatenate([guess, over.reshape(-1), under.reshape(-1)])
+
+    def _dual(self, multipliers: FloatArray) -> FloatArray:
+        """Multipliers of all rows; a slack's bound presses with what its limit leaves of the price."""
+        pressing, soft = multipliers[self._kinds].reshape(-1), multipliers[self._soft].reshape(-1)
+        price = self._weights.soft
+        return np.concatenate([pressing, np.minimum(soft - price, 0), np.minimum(-soft - price, 0)])
+
+    def _multipliers(self, dual: FloatArray) -> FloatArray:
+        found = np.zeros((self._count, self._steps))
+        pressing = dual[: self._rows]
+        found[self._kinds] = np.where(np.abs(pressing) < _NO_PRESSURE, 0.0, pressing).reshape(-1, self._steps)
+        return found
+
+
+def _sorted_csc(matrix: FloatArray | sparse.spmatrix) -> sparse.csc_matrix:
+    """Compressed columns with ascending rows: the order in which new values are written."""
+    result = sparse.csc_matrix(matrix)
+    result.sort_indices()
+    return result
+
+
+def _positions(matrix: sparse.csc_matrix, first_row: int, rows: int, columns: int) -> NDArray[np.intp]:
+    """(rows, columns) places in `matrix.data` of the dense block that starts at `first_row` in the first column."""
+    numbered = matrix.copy()
+    numbered.data = np.arange(1, matrix.nnz + 1, dtype=float)
+    return np.asarray(numbered[first_row : first_row + rows, :columns].toarray() - 1, dtype=np.intp)

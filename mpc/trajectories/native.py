@@ -1,0 +1,104 @@
+"""References in closed form, as the compiled core takes and samples them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
+from diffdrive_mpc.mpc.core.library import load_core
+
+
+class NativeTrajectory:
+    """A table of pieces in the core's memory, turned and then moved by `motion` (3,).
+
+    Parameters
+    ----------
+    breaks
+        (pieces,) or (pieces + 1,) instants at which the pieces begin [s].
+    table
+        (10, pieces) of arcs or (16, pieces) of cubics, see `mpc.problem.formulas`.
+    duration
+        [s].
+    """
+
+    def __init__(self, breaks: FloatArray, table: FloatArray, duration: float, motion: ArrayLike = (0, 0, 0)) -> None:
+        ffi, self._lib = load_core()
+        self._ffi = ffi
+        self._kept = np.ascontiguousarray(breaks, dtype=float), np.ascontiguousarray(table, dtype=float)
+        rows, pieces = table.shape
+        if rows not in (10, 16) or len(breaks) not in (pieces, pieces + 1) or pieces < 1:
+            raise ValueError(f"a table of shape {table.shape} with {len(breaks)} breaks is no trajectory")
+        self.struct = ffi.new(
+            "ddmpc_trajectory *",
+            {
+                "breaks": ffi.cast("const double *", self._kept[0].ctypes.data),
+                "table": ffi.cast("const real *", self._kept[1].ctypes.data),
+                "pieces": pieces,
+                "cubic": rows == 16,
+                "duration": float(duration),
+                "motion": np.asarray(motion, dtype=float).tolist(),
+            },
+        )
+
+    def moved(self, motion: ArrayLike) -> NativeTrajectory:
+        """The same elsewhere."""
+        breaks, table = self._kept
+        return NativeTrajectory(breaks, table, self.struct.duration, motion)
+
+    def sample(self, times: ArrayLike) -> ReferenceSample:
+        """Evaluate at `times` (n,) [s]; see `Trajectory.sample`."""
+        wanted = np.ascontiguousarray(np.asarray(times, dtype=float).reshape(-1))
+        count = wanted.size
+        block = np.empty(6 * count)
+        pose, twist, arc_length = block[: 3 * count], block[3 * count : 5 * count], block[5 * count :]
+        cast = self._ffi.cast
+        begin = block.ctypes.data
+        self._lib.ddmpc_sample(
+            self.struct,
+            cast("const double *", wanted.ctypes.data),
+            count,
+            cast("real *", begin),
+            cast("real *", begin + 24 * count),
+            cast("real *", begin + 40 * count),
+        )
+        return ReferenceSample(pose.reshape(count, 3), twist.reshape(count, 2), arc_length)
+
+
+class NativeReference:
+    """A `ddmpc_reference` of any reference.
+
+    Attributes
+    ----------
+    struct
+        For the core.
+    complete
+        Whether the core can sample all of it; else it knows duration and end only, and Python has to say what to track.
+    """
+
+    def __init__(self, reference: Reference) -> None:
+        found = _native(reference)
+        self.complete = found is not None
+        self._trajectory = found or _rest(reference)
+        ffi, lib = load_core()
+        self.struct = ffi.new(
+            "ddmpc_reference *",
+            {
+                "sample": ffi.addressof(lib, "ddmpc_sample_one"),
+                "context": ffi.cast("const void *", self._trajectory.struct),
+                "duration": float(reference.duration),
+            },
+        )
+
+
+def _native(reference: Reference) -> NativeTrajectory | None:
+    """What samples it in C, where there is such a thing."""
+    found = getattr(reference, "native", None)
+    return found if isinstance(found, NativeTrajectory) else None
+
+
+def _rest(reference: Reference) -> NativeTrajectory:
+    """Standing at the end of a reference."""
+    table = np.zeros((10, 1))
+    table[1:4, 0] = reference.sample([reference.duration]).pose[0]
+    return NativeTrajectory(np.zeros(1), table, reference.duration)

@@ -1,0 +1,61 @@
+"""One table of dimensions, from which options, settings, cases and rows follow."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+from bench_parts import quick_outcome
+from typer.testing import CliRunner
+
+from diffdrive_mpc.bench.case import DIMENSIONS, Case, Dimension, combinations
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.outcomes import Outcome, by_driver
+from diffdrive_mpc.bench.studies.comparison.plan import default_settings, read_options
+
+NAMES = ["controller", "model", "trajectory", "plant", "surface", "sensors", "scenario", "seed"]
+PLACES = [one for one in DIMENSIONS if one.place]
+
+
+def test_the_dimensions_are_the_fields_of_a_case() -> None:
+    assert [one.name for one in DIMENSIONS] == NAMES
+    assert list(Case().as_row()) == NAMES
+
+
+@pytest.mark.parametrize("of", DIMENSIONS, ids=lambda of: of.name)
+def test_every_dimension_has_its_options_and_its_default(of: Dimension) -> None:
+    options = {command: set(re.findall(r"--[\w-]+", help_of(command))) for command in ("simulate", "bench")}
+    assert of.option in options["simulate"]
+    assert of.list_option in options["bench"]
+    assert default_settings().values(of.several) == of.compared
+    assert getattr(Case(), of.name) == of.default
+
+
+def help_of(command: str) -> str:
+    return CliRunner().invoke(app, [command, "--help"]).stdout
+
+
+@pytest.mark.parametrize("of", DIMENSIONS, ids=lambda of: of.name)
+def test_an_option_chooses_its_values(of: Dimension) -> None:
+    text = {"controller": "mpc,kanayama", "seed": "3,7"}.get(of.name, "a,b")
+    chosen = read_options({of.several: text}).values(of.several)
+    assert [str(value) for value in chosen] == text.split(",")
+
+
+@pytest.mark.parametrize("of", PLACES, ids=lambda of: of.name)
+def test_a_place_is_part_of_the_name_where_it_varies(of: Dimension) -> None:
+    outcome = quick_outcome(trajectory="cane", controller="kanayama", model="none")
+    other = Outcome(replace(outcome.case, **{of.name: "elsewhere"}), outcome.run)
+    assert list(by_driver([outcome, other])) == [f"kanayama, {outcome.case.labels[of.name]}", "kanayama, elsewhere"]
+
+
+def test_combinations_vary_the_last_field_fastest() -> None:
+    cases = combinations(surface=["default", "slippery"], seed=[0, 1])
+    assert [(case.surface, case.seed) for case in cases] == [
+        ("default", 0),
+        ("default", 1),
+        ("slippery", 0),
+        ("slippery", 1),
+    ]
+    assert {case.plant for case in cases} == {"mujoco"}

@@ -1,0 +1,71 @@
+"""The process pool: order, what a task raises, and a process that is ended from outside."""
+
+from __future__ import annotations
+
+import os
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.errors import WorkerDiedError
+from diffdrive_mpc.bench.runner import run_tasks
+
+
+def slow_square(number: int) -> int:
+    time.sleep(0.02 * (5 - number))
+    return number**2
+
+
+def refuse() -> int:
+    raise ValueError("no such plant")
+
+
+def die() -> int:
+    os._exit(9)
+
+
+def threads() -> str | None:
+    return os.environ.get("OPENBLAS_NUM_THREADS")
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_results_come_in_the_order_of_the_tasks(jobs: int) -> None:
+    done: list[int] = []
+    assert run_tasks([partial(slow_square, k) for k in range(5)], jobs, lambda: done.append(1)) == [0, 1, 4, 9, 16]
+    assert len(done) == 5
+
+
+def test_every_process_has_one_thread() -> None:
+    assert run_tasks([threads, threads], 2, lambda: None) == ["1", "1"]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_a_task_raises_is_raised(jobs: int) -> None:
+    with pytest.raises(ValueError, match="no such plant"):
+        run_tasks([refuse, refuse], jobs, lambda: None)
+
+
+def test_a_process_that_dies_is_one_line_with_a_remedy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with pytest.raises(WorkerDiedError, match="ended from outside; try a smaller --jobs"):
+        run_tasks([die, die], 2, lambda: None)
+    monkeypatch.setattr("diffdrive_mpc.bench.outcomes._recorded", lambda case: die())
+    arguments = "--quick --models ssm --trajectories cane,s --plant model:ssm --jobs 2"
+    result = CliRunner().invoke(app, ["bench", "--out", str(tmp_path / "out"), *arguments.split()])
+    assert result.exit_code == 1
+    assert result.stderr.startswith("error: one of 2 processes was ended from outside")
+    assert result.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_interruption_ends_the_processes_at_once() -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        run_tasks([partial(slow_square, 5), partial(time.sleep, 60.0)], 2, interrupted)
+    assert time.monotonic() - began < 30.0

@@ -1,0 +1,202 @@
+"""The active-set method in C (`mpc/core/active_set.c`) against conditions of optimality and another solver."""
+
+import subprocess
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+
+import cffi
+import daqp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+CORE = Path(__file__).parents[2] / "mpc" / "core"
+SOURCES = [str(CORE / name) for name in ("active_set.c", "active_rows.c")]
+PROVEN, NOT_PROVEN, INFEASIBLE = range(3)
+
+DENSE = """
+#include "active_set.h"
+typedef struct { int n, m; const real *rows; } dense;
+static void values(const void *context, const real *plan, real *values)
+{
+    const dense *all = context;
+    for (int i = 0; i < all->m; i++) {
+        values[i] = 0;
+        for (int k = 0; k < all->n; k++)
+            values[i] += all->rows[i * all->n + k] * plan[k];
+    }
+}
+static void row(const void *context, int row, real *out, int *first, int *last)
+{
+    const dense *all = context;
+    const real *own = all->rows + row * all->n;
+    int begin = 0, end = all->n;
+    while (begin < end && own[begin] == 0)
+        begin++;
+    while (end > begin && own[end - 1] == 0)
+        end--;
+    for (int k = begin; k < end; k++)
+        out[k] = own[k];
+    *first = begin;
+    *last = end;
+}
+ddmpc_limited_result solve_dense(int n, int m, int hard, const real *factor, const real *minimiser, const real *rows,
+                                 const real *lower, const real *upper, const real *numbers, int most_iterations,
+                                 int most_active, real *reals, int *ints, real *multipliers, real *plan)
+{
+    const dense all = {n, m, rows};
+    const ddmpc_limited_memory memory = {most_active, reals, ints};
+    const ddmpc_limited_problem problem = {
+        .inputs = n, .rows = m, .hard = hard, .factor = factor, .minimiser = minimiser, .lower = lower, .upper = upper,
+        .price = numbers[0], .slope = numbers[1], .values = values, .row = row, .context = &all,
+        .slack = numbers[2], .most_iterations = most_iterations};
+    return ddmpc_solve_limited(&problem, &memory, multipliers, plan);
+}
+"""
+DECLARED = """
+typedef {real} real;
+typedef struct {{ int status, iterations, active; real primal, dual; }} ddmpc_limited_result;
+unsigned long ddmpc_limited_reals(int inputs, int rows, int most_active);
+unsigned long ddmpc_limited_ints(int inputs, int rows, int most_active);
+ddmpc_limited_result solve_dense(int n, int m, int hard, const real *factor, const real *minimiser, const real *rows,
+                                 const real *lower, const real *upper, const real *numbers, int most_iterations,
+                                 int most_active, real *reals, int *ints, real *multipliers, real *plan);
+"""
+
+
+@cache
+def library(number="double"):
+    """The C functions and the NumPy type of their numbers."""
+    folder = Path(mkdtemp())
+    (folder / "ddmpc_sizes.h").write_text("#define DDMPC_FLOAT\n" if number == "float" else "")
+    (folder / "dense.c").write_text(DENSE)
+    built = folder / "library.so"
+    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", f"-I{folder}", f"-I{CORE}"]
+    subprocess.run(
+        ["gcc", *flags, str(folder / "dense.c"), *SOURCES, "-o", str(built), "-lm"], check=True
+    )
+    ffi = cffi.FFI()
+    ffi.cdef(DECLARED.format(real=number))
+    return ffi, ffi.dlopen(str(built)), {"double": np.float64, "float": np.float32}[number]
+
+
+@dataclass
+class Problem:
+    H: np.ndarray
+    g: np.ndarray
+    A: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    hard: int
+    price: float = 50.0
+    slope: float = 50.0
+
+
+@dataclass
+class Solution:
+    status: int
+    iterations: int
+    active: int
+    primal: float
+    dual: float
+    multipliers: np.ndarray
+    plan: np.ndarray
+
+
+def solve(p, warm=None, number="double", slack=1e-6, most_iterations=2000, most_active=None):
+    ffi, functions, kind = library(number)
+    m, n = p.A.shape
+    most_active = most_active or n + m
+    factor = np.linalg.cholesky(p.H).T if np.isfinite(p.H).all() else p.H
+    minimiser = -np.linalg.solve(p.H, p.g) if np.isfinite(p.H).all() else p.g
+
+    def given_as(array):
+        array = np.ascontiguousarray(array, dtype=kind)
+        return array, ffi.cast("real *", array.ctypes.data)
+
+    held = [given_as(a) for a in (factor, minimiser, p.A, p.lower, p.upper, [p.price, p.slope, slack])]
+    # Garbage, which nobody may read.
+    reals, at_reals = given_as(np.full(functions.ddmpc_limited_reals(n, m, most_active), np.nan))
+    ints = np.full(functions.ddmpc_limited_ints(n, m, most_active), 2**30, dtype=np.intc)
+    multipliers, at_multipliers = given_as(np.zeros(m) if warm is None else warm.copy())
+    plan, at_plan = given_as(np.zeros(n))
+    result = functions.solve_dense(
+        n, m, p.hard, *(pointer for _, pointer in held), most_iterations, most_active, at_reals,
+        ffi.cast("int *", ints.ctypes.data), at_multipliers, at_plan,
+    )  # fmt: skip
+    return Solution(
+        result.status, result.iterations, result.active, result.primal, result.dual,
+        multipliers.astype(float), plan.astype(float),
+    )  # fmt: skip
+
+
+def excess(p, plan):
+    values = p.A @ plan
+    return np.maximum(values - p.upper, p.lower - values)
+
+
+def cost(p, plan):
+    beyond = np.maximum(excess(p, plan)[p.hard :], 0)
+    return plan @ p.H @ plan / 2 + p.g @ plan + (p.price * beyond + p.slope * beyond**2 / 2).sum()
+
+
+def assert_optimal(p, found, tolerance=1e-6):
+    """All conditions under which a convex program is solved."""
+    values, pressing = p.A @ found.plan, found.multipliers
+    beyond = excess(p, found.plan)
+    # Hard limits are kept, rows press at their bounds only, and on the right side.
+    assert beyond[: p.hard].max(initial=0.0) <= tolerance
+    upper, lower = pressing > 0, pressing < 0
+    reach = np.zeros(len(pressing))
+    soft = np.arange(len(pressing)) >= p.hard
+    over = soft & (np.abs(pressing) > p.price)
+    reach[over] = (np.abs(pressing[over]) - p.price) / p.slope
+    assert values[upper] == pytest.approx((p.upper + reach)[upper], abs=tolerance)
+    assert values[lower] == pytest.approx((p.lower - reach)[lower], abs=tolerance)
+    # Where a soft limit is exceeded its price is paid.
+    exceeded = soft & (beyond > tolerance)
+    assert np.abs(pressing[exceeded]) == pytest.approx(p.price + p.slope * beyond[exceeded], abs=p.slope * tolerance)
+    gradient = p.H @ found.plan + p.g + pressing @ p.A
+    scale = 1 + np.abs(pressing[:, None] * p.A).max(initial=0.0) + np.abs(p.H).max() * np.abs(found.plan).max()
+    assert np.abs(gradient).max() <= tolerance * scale
+
+
+def random_problem(rng, n, m, hard_share=0.5, tight=1.0):
+    """Rows in any direction; a point keeps the hard ones."""
+    root = rng.normal(size=(n, n))
+    H = root @ root.T / n + rng.uniform(0.01, 1) * np.eye(n)
+    A = rng.normal(size=(m, n)) * rng.integers(0, 2, (m, n))
+    if m > 3:
+        A[m // 2] = A[0]
+        A[m // 3] = A[0] - A[1]
+    middle = A @ rng.normal(size=n)
+    width = tight * rng.exponential(size=(2, m))
+    return Problem(H, rng.normal(size=n) * 3, A, middle - width[0], middle + width[1], int(round(hard_share * m)),
+                   price=float(10 ** rng.uniform(-1, 1.5)), slope=float(10 ** rng.uniform(-1, 2)))  # fmt: skip
+
+
+def with_daqp(p):
+    m, n = p.A.shape
+    model = daqp.Model()
+    sense = np.zeros(m, dtype=np.intc)
+    sense[p.hard :] = 8
+    model.setup(p.H, p.g, p.A, p.upper, p.lower, sense)
+    model.soft_weights(np.full(m, 1 / p.slope), np.full(m, 1 / p.slope), np.full(m, p.price), np.full(m, p.price))
+    model.settings = {"primal_tol": 1e-9, "iter_limit": 10000}
+    x, _, flag, info = model.solve()
+    return x, flag, info
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(1, 90), st.floats(0, 1), st.floats(-2, 1))
+def test_random_problems_are_solved(seed, n, m, hard_share, tightness):
+    p = random_problem(np.random.default_rng(seed), n, m, hard_share, 10**tightness)
+    found = solve(p)
+    assert found.status == PROVEN
+    assert_optimal(p, found)
+    x, flag, _ = with_daqp(p)
+    assert flag > 0
+    assert cost(p, found.plan) == pytest.approx(cost(p, x), rel=1e-6, abs=1e-5)

@@ -1,0 +1,167 @@
+"""Every backend of the registry, against conditions of optimality that do not care how a solution was found."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc.mpc.solver.backend import ask
+from diffdrive_mpc.mpc.solver.backends import BACKENDS
+from diffdrive_mpc.mpc.solver.report import SolverStatus
+from diffdrive_mpc.sim import make_plant
+
+STEPS, HARD, KINDS = 6, 4, 9
+# Cheap enough that some soft limits are exceeded, dear enough that others are kept.
+WEIGHTS = load_config("ssm", {"weights.soft": 3.0, "weights.soft_quadratic": 20.0}).weights
+every_backend = pytest.mark.parametrize("backend", BACKENDS)
+
+
+@dataclass
+class PlainProgram:
+    """A program in arrays of its own, as `mpc.solver.backend.Program` has it in the core's memory."""
+
+    H: np.ndarray
+    g: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    soft: np.ndarray
+    kinds: tuple = ()
+
+    def __post_init__(self):
+        self.guess, self.multipliers = np.zeros(2 * STEPS), np.zeros((KINDS, STEPS))
+
+    def rows(self, kind):
+        return self.soft[kind - HARD]
+
+    def all_rows(self):
+        commands = np.eye(2 * STEPS)
+        increments = commands.copy()
+        increments[2:] -= commands[:-2]
+        hard = [commands[0::2], commands[1::2], increments[0::2], increments[1::2]]
+        return np.stack([*hard, *self.soft])
+
+    def excess(self, plan):
+        values = self.all_rows() @ plan
+        return np.maximum(values - self.upper, self.lower - values)
+
+    def broken(self, plan, margin):
+        return tuple(np.flatnonzero(self.excess(plan).max(axis=1) > margin).tolist())
+
+
+def random_program(seed, tightness=0.5, softness=1.0):
+    """Strictly convex; about `tightness` of the limits matter."""
+    rng = np.random.default_rng(seed)
+    n = 2 * STEPS
+    root = rng.normal(size=(n, n))
+    last, box, slew = (
+        rng.uniform(-0.2, 0.2, 2),
+        rng.uniform(0.2, 0.4, 2) / tightness,
+        rng.uniform(0.2, 0.4, 2) / tightness,
+    )
+    middle = rng.normal(scale=0.3, size=(5, STEPS))
+    width = rng.uniform(0.5, 2.0, (5, STEPS)) / tightness
+    upper = np.concatenate([np.tile(np.concatenate([box, slew])[:, None], STEPS), middle + width])
+    lower = np.concatenate([-upper[:HARD], middle - width])
+    upper[2:HARD, 0] += last
+    lower[2:HARD, 0] += last
+    H = root @ root.T + 5 * np.eye(n)
+    return PlainProgram(H, rng.normal(scale=12.0, size=n), lower, upper, softness * rng.normal(size=(5, STEPS, n)))
+
+
+def solver_settings(backend, **changes):
+    values = {"backend": backend, "tolerance": 1e-8, "max_iterations": 100_000, **changes}
+    return load_config("ssm", {f"solver.{key}": value for key, value in values.items()}).solver
+
+
+def solve(program, backend, kinds=tuple(range(KINDS))):
+    chosen = BACKENDS[backend](STEPS, KINDS, solver_settings(backend), WEIGHTS)
+    return chosen.solve(program, kinds, program.guess, program.multipliers)
+
+
+def assert_optimal(program, plan, pressing, within):
+    rows, price, slope = program.all_rows(), WEIGHTS.soft, WEIGHTS.soft_quadratic
+    force = np.einsum("ks,ksu->u", pressing, rows)
+    assert program.H @ plan + program.g + force == pytest.approx(np.zeros(2 * STEPS), abs=within)
+    values = rows @ plan
+    over, under = values - program.upper, program.lower - values
+    assert np.maximum(over, under)[:HARD].max() <= within
+    # Only a limit that is reached presses, and towards the inside.
+    assert over[pressing > 10 * within].min(initial=0.0) >= -within
+    assert under[pressing < -10 * within].min(initial=0.0) >= -within
+    # A soft limit presses with up to its price while it is kept, and with what its excess costs where it is not.
+    excess, size = np.maximum(np.maximum(over, under)[HARD:], 0), np.abs(pressing[HARD:])
+    exceeded = excess > 10 * within
+    assert (size <= price + slope * excess + 100 * within).all()
+    assert size[exceeded] == pytest.approx(price + slope * excess[exceeded], abs=100 * within)
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 10_000), st.floats(0.2, 2.0))
+def test_daqps_solution_is_optimal(seed, tightness):
+    program = random_program(seed, tightness)
+    found = solve(program, "daqp")
+    assert found.status is SolverStatus.SOLVED
+    assert_optimal(program, found.plan, found.multipliers, 1e-7)
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 10_000))
+def test_osqps_solution_is_optimal(seed):
+    program = random_program(seed)
+    found = solve(program, "osqp")
+    assume(found.status is SolverStatus.SOLVED)
+    assert_optimal(program, found.plan, found.multipliers, 1e-5)
+
+
+def test_the_random_programs_have_limits_of_all_sorts():
+    """Else the conditions above would hold of problems without limits only."""
+    programs = [random_program(seed) for seed in range(40)]
+    found = [solve(program, "daqp") for program in programs]
+    pressing = np.array([np.abs(one.multipliers).max(axis=1) > 0 for one in found])
+    assert (pressing.mean(axis=0) > 0.1).all()
+    exceeded = [(program.excess(one.plan)[HARD:] > 1e-6).any() for program, one in zip(programs, found, strict=True)]
+    assert 0.2 < np.mean(exceeded) < 1.0
+
+
+@every_backend
+@settings(max_examples=20)
+@given(seed=st.integers(0, 10_000), tightness=st.floats(0.02, 0.6))
+def test_adding_limits_as_they_are_broken_gives_the_solution_with_all_of_them(backend, seed, tightness):
+    program = random_program(seed, tightness, softness=0.3)
+    whole = solve(program, "daqp")
+    asked, report = ask(BACKENDS[backend](STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9)
+    assume(report.status is SolverStatus.SOLVED)
+    assert asked.plan == pytest.approx(whole.plan, abs=1e-5)
+    assert report.path == backend
+
+
+@every_backend
+def test_numbers_that_are_none_are_reported(backend):
+    program = random_program(0)
+    program.g = np.full_like(program.g, np.nan)
+    _, report = ask(BACKENDS[backend](STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9)
+    assert not report.status.usable
+
+
+@every_backend
+def test_with_limits_active_it_finds_the_plan_of_the_active_set(backend):
+    """On the problems of a drive, solved again from the core's memory."""
+    limits = {"limits.v_slew": 0.9, "limits.omega_slew": 1.5, "limits.omega": 0.51, "limits.predicted_v": 0.48}
+    controller = Controller(load_config("ssm", limits | {"horizon": 15}))
+    plant, reference = make_plant("model:ssm", "ideal", "perfect"), load_trajectory("circle")
+    plant.reset(reference.sample([0.0]).pose[0])
+    controller.start(reference, plant.time)
+    exact = BACKENDS[backend](15, KINDS, solver_settings(backend), controller.config.weights)
+    compared = 0
+    for _ in range(120):
+        step = controller.step(plant.time, plant.measure())
+        plant.advance(step.command)
+        if step.solver.path == "active_set":
+            asked, report = ask(exact, controller.program, backend, 1e-9)
+            assert report.status is SolverStatus.SOLVED
+            assert asked.plan == pytest.approx(step.planned_commands.reshape(-1), abs=2e-5)
+            compared += 1
+    assert compared > 20

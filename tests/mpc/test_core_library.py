@@ -1,0 +1,594 @@
+"""The compiled core: never loaded unless it is whole and our own, made anew where it is not, or refused in one line."""
+
+import json
+import os
+import shutil
+import stat
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import casadi as ca
+import pytest
+
+from diffdrive_mpc.mpc.core import cache, compiler, library, packaged, sources
+from diffdrive_mpc.mpc.core.compiler import NotCompiledError
+from diffdrive_mpc.mpc.core.generate import generate
+from diffdrive_mpc.mpc.problem.user_functions import user_term
+
+ROOT = Path(__file__).parents[2]
+# A core as small as can be.
+STAND_IN = {
+    "real.h": "#ifndef REAL_H\n#define REAL_H\n#include <math.h>\n"
+    "typedef double real;\ntypedef double ddmpc_time;\n#define R(number) number\n#endif\n",
+    "core.h": '#include "real.h"\ntypedef struct { real v, omega; } ddmpc_speed;\n'
+    "int ddmpc_answer(void); /* 42 */\nreal ddmpc_length(const ddmpc_speed *speed);\n",
+    "answer.c": '#include "core.h"\nint ddmpc_answer(void) { return 42; }\n'
+    "real ddmpc_length(const ddmpc_speed *s) { return s->v * s->v + s->omega; }\n",
+}
+
+
+def write(folder, texts):
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+
+
+def forget():
+    for cached in (library.load_core, library.load_functions, compiler.find_compiler, cache._process_folder):
+        cached.cache_clear()
+
+
+@pytest.fixture
+def core(tmp_path, monkeypatch):
+    """Folder of a small core's sources."""
+    folder = tmp_path / "core"
+    write(folder, STAND_IN)
+    monkeypatch.setattr(sources, "CORE", folder)
+    monkeypatch.setattr(packaged, "CORE", folder)
+    forget()
+    yield folder
+    forget()
+
+
+@pytest.fixture
+def folder(core, tmp_path, monkeypatch):
+    """The cache, and another folder for temporary files."""
+    monkeypatch.setenv(cache.CACHE_VARIABLE, str(tmp_path / "cache"))
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(cache.tempfile, "tempdir", str(temporary))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def no_compiler(folder, monkeypatch):
+    monkeypatch.setattr(compiler, "_COMPILERS", ("no-such-compiler",))
+    forget()
+
+
+@pytest.fixture
+def compilations(monkeypatch):
+    """Counts them."""
+    made = []
+    build = compiler.build_library
+
+    def counted(*arguments):
+        made.append(arguments)
+        return build(*arguments)
+
+    monkeypatch.setattr(library, "build_library", counted)
+    return made
+
+
+def answer():
+    """What a freshly loaded core says."""
+    library.load_core.cache_clear()
+    _, lib = library.load_core()
+    return lib.ddmpc_answer()
+
+
+def make():
+    """Compile the core into the cache without loading it, as another process would have."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(library.cffi.FFI, "dlopen", lambda self, name: None)
+        library.load_core()
+    library.load_core.cache_clear()
+
+
+def only(folder):
+    (path,) = folder.iterdir()
+    return path
+
+
+def private(tmp_path):
+    return tmp_path / "temporary" / f"diffdrive-mpc-{os.geteuid()}"
+
+
+def test_the_core_is_compiled_once_and_found_again(folder, compilations):
+    assert answer() == 42
+    written = only(folder).stat().st_mtime_ns
+    assert answer() == 42
+    assert len(compilations) == 1
+    assert only(folder).stat().st_mtime_ns == written
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+
+
+def test_names_cross_the_border_by_name(folder):
+    ffi, lib = library.load_core()
+    speed = ffi.new("ddmpc_speed *", {"omega": 1.0, "v": 3.0})
+    assert lib.ddmpc_length(speed) == 10.0
+
+
+def test_a_field_swapped_in_the_header_is_swapped_in_both(folder, core):
+    before = library.load_core()[0].offsetof("ddmpc_speed", "v")
+    (core / "core.h").write_text(STAND_IN["core.h"].replace("v, omega", "omega, v"))
+    forget()
+    ffi, lib = library.load_core()
+    assert ffi.offsetof("ddmpc_speed", "v") != before
+    assert lib.ddmpc_length(ffi.new("ddmpc_speed *", {"omega": 1.0, "v": 3.0})) == 10.0
+
+
+def test_other_sources_are_another_library(folder, core, compilations):
+    answer()
+    (core / "answer.c").write_text(STAND_IN["answer.c"].replace("42", "43"))
+    assert answer() == 43
+    assert len(compilations) == 2
+
+
+# Libraries that must never be loaded.
+
+
+def empty(path):
+    path.write_bytes(b"")
+
+
+def truncated(path):
+    path.write_bytes(path.read_bytes()[:4096])
+
+
+def no_library(path):
+    path.write_bytes(b"no library")
+
+
+def foreign(path):
+    """A sound library that is another one."""
+    other = path.with_suffix(".c")
+    other.write_text("int ddmpc_answer(void) { return 666; }")
+    subprocess.run(["cc", "-shared", "-fPIC", other, "-o", path], check=True)
+    other.unlink()
+
+
+def one_bit(path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("damage", [empty, truncated, no_library, foreign, one_bit])
+def test_a_library_that_is_not_ours_is_made_anew(folder, compilations, damage):
+    make()
+    damage(only(folder))
+    assert answer() == 42
+    assert len(compilations) == 2
+    # What took its place is found again.
+    assert answer() == 42
+    assert len(compilations) == 2
+
+
+def test_each_flipped_byte_is_seen(folder):
+    make()
+    path = only(folder)
+    content = path.read_bytes()
+    assert cache._intact(path)
+    with path.open("r+b", buffering=0) as file:
+        for place, byte in enumerate(content):
+            os.pwrite(file.fileno(), bytes([byte ^ 0xFF]), place)
+            assert not cache._intact(path), place
+            os.pwrite(file.fileno(), bytes([byte]), place)
+    assert cache._intact(path)
+
+
+LOADS = """
+import sys
+from pathlib import Path
+from diffdrive_mpc.mpc.core import library, packaged, sources
+sources.CORE = packaged.CORE = Path(sys.argv[1])
+print(library.load_core()[1].ddmpc_answer())
+"""
+
+
+def load_in_process(core, **more):
+    return subprocess.Popen(
+        [sys.executable, "-c", LOADS, core], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more
+    )
+
+
+def test_a_truncated_library_does_not_kill_the_process(folder, core):
+    make()
+    truncated(only(folder))
+    process = load_in_process(core)
+    said, complaint = process.communicate()
+    assert (process.returncode, said) == (0, "42\n")
+    assert "damaged" in complaint
+
+
+def test_processes_that_compile_at_once_do_not_collide(folder, core):
+    running = [load_in_process(core) for _ in range(2)]
+    assert [process.communicate()[0] for process in running] == ["42\n", "42\n"]
+    assert only(folder).suffix == ".so"
+
+
+def test_a_library_that_cannot_be_read_is_made_elsewhere(folder, tmp_path, compilations):
+    make()
+    path = only(folder)
+    path.unlink()
+    path.mkdir()
+    assert answer() == 42
+    assert only(private(tmp_path)).name == path.name
+    assert len(compilations) == 3  # one in vain: the name was taken
+
+
+def test_a_library_that_cannot_be_loaded_is_made_elsewhere(folder, tmp_path, monkeypatch):
+    """As in a folder from which nothing may be executed."""
+    ffi_class = library.cffi.FFI
+    dlopen = ffi_class.dlopen
+
+    def refused(self, name, *flags):
+        if name.startswith(str(folder)):
+            raise OSError("failed to map segment from shared object")
+        return dlopen(self, name, *flags)
+
+    monkeypatch.setattr(ffi_class, "dlopen", refused)
+    assert answer() == 42
+    assert only(private(tmp_path)).suffix == ".so"
+
+
+# Folders that must not be used.
+
+
+def test_a_folder_that_others_can_write_to_is_not_used(folder, tmp_path, caplog):
+    make()
+    planted = only(folder)
+    foreign(planted)
+    planted.rename(planted.with_name(f"{planted.stem.rpartition('-')[0]}-{cache.content_digest(planted)}.so"))
+    folder.chmod(0o777)
+    assert answer() == 42
+    assert f"others can write to {folder}" in caplog.text
+    assert cache.CACHE_VARIABLE in caplog.text
+    assert stat.S_IMODE(private(tmp_path).stat().st_mode) == 0o700
+
+
+def give_to_somebody_else(path, monkeypatch):
+    if os.geteuid() == 0:
+        os.chown(path, 12345, 12345)
+    else:
+        mine = os.geteuid()
+        monkeypatch.setattr(cache.os, "geteuid", lambda: mine + 1)
+
+
+def test_a_folder_of_somebody_else_is_not_used(folder, tmp_path, monkeypatch, caplog):
+    folder.mkdir(0o700)
+    give_to_somebody_else(folder, monkeypatch)
+    assert answer() == 42
+    assert list(folder.iterdir()) == []
+    assert f"{folder} belongs to somebody else" in caplog.text
+
+
+@pytest.mark.parametrize("trap", ["open", "link", "file"])
+def test_a_trap_among_the_temporary_files_is_avoided(folder, tmp_path, trap):
+    """What somebody else has put where the private folder would be."""
+    folder.mkdir()
+    folder.chmod(0o777)
+    other = private(tmp_path)
+    if trap == "open":
+        other.mkdir()
+        other.chmod(0o777)
+    elif trap == "link":
+        (tmp_path / "elsewhere").mkdir(0o700)
+        other.symlink_to(tmp_path / "elsewhere")
+    else:
+        other.write_text("in the way")
+    assert answer() == 42
+    assert list(folder.iterdir()) == []
+    if trap != "file":
+        assert list(other.iterdir()) == []
+
+
+def test_a_folder_that_may_not_be_made_is_no_fault(folder, tmp_path, monkeypatch, caplog):
+    mkdir = Path.mkdir
+
+    def refused(self, *arguments, **options):
+        if self == folder:
+            raise PermissionError(13, "Permission denied")
+        mkdir(self, *arguments, **options)
+
+    monkeypatch.setattr(Path, "mkdir", refused)
+    assert answer() == 42
+    assert only(private(tmp_path)).suffix == ".so"
+    assert "Permission denied" in caplog.text
+
+
+def test_a_file_in_the_way_of_the_folder_is_no_fault(folder, tmp_path):
+    folder.write_text("in the way")
+    assert answer() == 42
+    assert only(private(tmp_path)).suffix == ".so"
+
+
+def test_without_a_home_there_is_a_private_folder(folder, tmp_path, monkeypatch):
+    for name in (cache.CACHE_VARIABLE, "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(Path, "home", classmethod(lambda cls: (_ for _ in ()).throw(RuntimeError("no home"))))
+    assert answer() == 42
+    assert only(private(tmp_path)).suffix == ".so"
+
+
+@pytest.mark.parametrize("named", [".", "cache", "beside/me"])
+def test_a_relative_folder_works(folder, tmp_path, monkeypatch, named):
+    here = tmp_path / "here"
+    here.mkdir(0o700)
+    monkeypatch.chdir(here)
+    monkeypatch.setenv(cache.CACHE_VARIABLE, named)
+    assert answer() == 42
+    assert only(here / named).suffix == ".so"
+    assert not private(tmp_path).exists()
+
+
+def test_file_and_folder_are_on_the_disk_before_the_name_counts(folder, monkeypatch):
+    order = []
+    fsync, replace = os.fsync, Path.replace
+
+    def synced(handle):
+        order.append("folder" if stat.S_ISDIR(os.fstat(handle).st_mode) else "file")
+        fsync(handle)
+
+    def replaced(self, target):
+        order.append("rename")
+        return replace(self, target)
+
+    monkeypatch.setattr(cache.os, "fsync", synced)
+    monkeypatch.setattr(Path, "replace", replaced)
+    answer()
+    assert order == ["file", "rename", "folder"]
+
+
+# The compiler.
+
+
+def fake_compiler(tmp_path, monkeypatch, script):
+    path = tmp_path / "bin" / "cc"
+    path.parent.mkdir()
+    path.write_text(f"#!/bin/sh\n{script}\n")
+    path.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{path.parent}:{os.environ['PATH']}")
+    forget()
+
+
+def test_a_compiler_that_hangs_is_ended_with_its_children(folder, tmp_path, monkeypatch):
+    fake_compiler(
+        tmp_path, monkeypatch, '[ "$1" = --version ] && echo fake && exit 0; sleep 60 & echo $! >> $0.children; wait'
+    )
+    monkeypatch.setattr(compiler, "_PATIENCE", 0.3)
+    begin = time.monotonic()
+    with pytest.raises(NotCompiledError, match=r"cc did not finish within 0.3 s; install gcc"):
+        library.load_core()
+    assert time.monotonic() - begin < 20
+    children = (tmp_path / "bin" / "cc.children").read_text().split()
+    assert children
+    # A process that is killed takes a moment to go; left alone, these would sleep a minute.
+    while any(runs(int(child)) for child in children):
+        assert time.monotonic() - begin < 30
+        time.sleep(0.05)
+
+
+def runs(process):
+    """Whether it does, rather than being gone or waiting to be collected."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def test_a_compiler_that_does_not_say_its_version_is_passed_over(folder, tmp_path, monkeypatch):
+    fake_compiler(tmp_path, monkeypatch, "sleep 30")
+    monkeypatch.setattr(compiler, "_ANSWER_PATIENCE", 0.3)
+    assert answer() == 42
+    assert compiler.find_compiler()[0].endswith("gcc")
+
+
+def test_a_compiler_that_fails_is_quoted_in_one_line(folder, core):
+    (core / "answer.c").write_text("this is no C")
+    with pytest.raises(NotCompiledError, match=r"answer\.c:1.*error.*; install gcc") as refused:
+        library.load_core()
+    assert "\n" not in str(refused.value)
+
+
+def test_without_a_compiler_the_wheel_is_named(no_compiler):
+    with pytest.raises(NotCompiledError) as refused:
+        library.load_core()
+    said = str(refused.value)
+    assert "no C compiler (no-such-compiler) was found" in said
+    assert "install gcc, or diffdrive-mpc from a wheel (pip install diffdrive_mpc-*.whl)" in said
+    assert "\n" not in said
+
+
+# The package's own library.
+
+
+@pytest.fixture
+def wheel_core(core, folder):
+    """The small core as a wheel brings it."""
+    packaged.write_packaged(core)
+    forget()
+    return core
+
+
+def test_the_package_s_library_needs_no_compiler_and_no_cache(wheel_core, no_compiler, folder):
+    assert answer() == 42
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize("damage", [empty, truncated, no_library, foreign, one_bit])
+def test_a_damaged_library_of_the_package_is_not_loaded(wheel_core, folder, caplog, compilations, damage):
+    for path in wheel_core.glob("*.so"):
+        damage(path)
+    assert answer() == 42
+    assert "is damaged; reinstall diffdrive-mpc" in caplog.text
+    assert len(compilations) == 1
+
+
+def test_a_damaged_library_of_the_package_without_a_compiler_is_refused(wheel_core, no_compiler):
+    for path in wheel_core.glob("*.so"):
+        one_bit(path)
+    with pytest.raises(NotCompiledError, match="from a wheel"):
+        library.load_core()
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"origin": 1, "machine": 2, "libraries": 3}', "\0"])
+def test_a_damaged_manifest_counts_as_none(wheel_core, compilations, text):
+    (wheel_core / "ddmpc_core.json").write_text(text)
+    assert answer() == 42
+    assert len(compilations) == 1
+
+
+def test_a_manifest_of_this_machine_with_nonsense_inside_counts_as_none(wheel_core, compilations):
+    path = wheel_core / "ddmpc_core.json"
+    for nonsense in (3, {"baseline": {}}, {"baseline": {"file": 3, "sha256": 4}}):
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"libraries": nonsense}))
+        assert answer() == 42
+    assert len(compilations) == 1
+
+
+def test_a_package_whose_header_was_changed_is_compiled_anew(wheel_core, compilations):
+    """Declarations and library must be of one text, or fields are read where they are not."""
+    header = wheel_core / "core.h"
+    header.write_text(header.read_text().replace("v, omega", "omega, v"))
+    ffi, lib = library.load_core()
+    assert lib.ddmpc_length(ffi.new("ddmpc_speed *", {"omega": 1.0, "v": 3.0})) == 10.0
+    assert len(compilations) == 1
+
+
+def test_the_best_level_that_the_processor_has_is_taken(wheel_core, monkeypatch):
+    def levels(flags):
+        monkeypatch.setattr(packaged, "processor_lines", lambda: (f"flags\t\t: {' '.join(flags)}",) * 2)
+        return [path.stem.removeprefix("ddmpc_core-") for path in packaged.packaged_libraries()]
+
+    written = set(json.loads((wheel_core / "ddmpc_core.json").read_text())["libraries"])
+    assert "baseline" in written
+    for level, (_, needs) in packaged._LEVELS.items():
+        expected = [name for name, (_, less) in packaged._LEVELS.items() if name in written and less <= needs]
+        assert levels(needs) == expected, level
+        for missing in needs:
+            assert level not in levels(needs - {missing})
+    assert levels([]) == ["baseline"]
+
+
+def test_each_level_computes(wheel_core):
+    ffi = library.load_core()[0]
+    for path in packaged.packaged_libraries():
+        assert ffi.dlopen(str(path)).ddmpc_answer() == 42
+
+
+# Declarations.
+
+
+def test_declarations_keep_what_cffi_reads():
+    header = (
+        "#ifndef A_H /* guard */\n#define A_H\n#include <math.h>\n"
+        '#ifdef __cplusplus\nextern "C" {\n#endif\n'
+        "#define MOST 12\n#define LONG(x) \\\n    (x + 1)\n"
+        "// a line; int no(void);\nenum { FEW = 3 };\n"
+        "typedef struct { real x[MOST], y[FEW]; /* int no; \n int no; */ ddmpc_time t; } thing;\n"
+        "int yes(const thing *thing);\n"
+        "#ifdef __cplusplus\n}\n#endif\n#endif\n"
+    )
+    ffi = library.cffi.FFI()
+    ffi.cdef(sources.declarations(header))
+    assert ffi.sizeof("thing") == 8 * 16
+    assert [name for name, _ in ffi.typeof("thing").fields] == ["x", "y", "t"]
+    assert ffi.typeof("int(*)(const thing *)") is not None
+
+
+# Functions of the user.
+
+
+def faster(limit):
+    twist = ca.SX.sym("twist", 2)
+    return user_term(ca.Function("fast", [twist], [twist[0] - limit], ["twist"], ["value"]), "user_fast")
+
+
+def value_of(function):
+    ffi, _ = library.load_core()
+    lib = library.load_functions(generate([function], "user", "a test"))
+    columns = [ffi.new("real[]", max(function.numel_in(k), 1)) for k in range(function.n_in())]
+    columns[1][0] = 2.0
+    value = ffi.new("real[1]")
+    lib.user_fast(ffi.new("const real *[]", columns), ffi.new("real *[]", [value, ffi.NULL]), ffi.NULL, ffi.NULL, 0)
+    return value[0]
+
+
+def test_functions_of_the_user_are_compiled_by_their_content(folder):
+    assert value_of(faster(0.5)) == 1.5
+    assert value_of(faster(0.75)) == 1.25
+    assert value_of(faster(0.5)) == 1.5
+    assert len(list(folder.glob("user-*.so"))) == 2
+
+
+def test_functions_of_the_user_need_a_compiler_and_say_so(wheel_core, no_compiler):
+    with pytest.raises(NotCompiledError, match=r"functions of the user are compiled.*install gcc$"):
+        value_of(faster(0.5))
+
+
+# The wheel.
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """A wheel of the sources as they are, built beside them."""
+    folder = tmp_path_factory.mktemp("wheel")
+    tree = folder / "tree"
+    tree.mkdir()
+    for name in ("models", "mpc", "sim", "bench", "src"):
+        skipped = shutil.ignore_patterns("__pycache__", "*.egg-info")
+        shutil.copytree(ROOT / name, tree / name, symlinks=True, ignore=skipped)
+    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, tree)
+    if not (tree / "mpc" / "core" / "core.h").exists():
+        write(tree / "mpc" / "core", STAND_IN)
+    command = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--no-index", "-w", folder]
+    done = subprocess.run([*command, tree], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (path,) = folder.glob("*.whl")
+    return path
+
+
+def test_the_wheel_holds_the_package_and_nothing_else(wheel):
+    assert wheel.name.startswith("diffdrive_mpc-")
+    assert wheel.name.split("-")[2:4] == ["py3", "none"]
+    assert "linux" in wheel.name or "macosx" in wheel.name
+    names = zipfile.ZipFile(wheel).namelist()
+    assert {Path(name).parts[0] for name in names if ".dist-info/" not in name} == {"diffdrive_mpc"}
+    rooms = {Path(name).parts[1] for name in names if ".dist-info/" not in name}
+    assert rooms == {"__init__.py", "py.typed", "models", "mpc", "sim", "bench"}
+    for name in ("ddmpc_core-baseline.so", "ddmpc_core.json", "core.h", "real.h"):
+        assert f"diffdrive_mpc/mpc/core/{name}" in names
+
+
+def test_the_wheel_s_core_runs_without_a_compiler(wheel, tmp_path):
+    installed = tmp_path / "installed"
+    zipfile.ZipFile(wheel).extractall(installed)
+    code = (
+        "import diffdrive_mpc; from diffdrive_mpc.mpc.core import compiler, library\n"
+        "compiler._COMPILERS = ()\n"
+        "ffi, lib = library.load_core(); print(diffdrive_mpc.__file__)"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(installed), cache.CACHE_VARIABLE: str(tmp_path / "cache")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, cwd=tmp_path, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert done.stdout.strip() == str(installed / "diffdrive_mpc" / "__init__.py")
+    assert not (tmp_path / "cache").exists()

@@ -1,0 +1,524 @@
+"""The formulas: against the controller's own Python, against finite differences, and their C against CasADi."""
+
+import subprocess
+
+import casadi as ca
+import cffi
+import numpy as np
+import pytest
+from diffdrive_mpc.mpc.belief import Belief
+from diffdrive_mpc.mpc.feed_forward import FeedForward
+from diffdrive_mpc.mpc.kalman import SlipFilter
+from diffdrive_mpc.mpc.lean import lean
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from diffdrive_mpc.models import integrate_pose, load_model
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.pose import linearised_arc
+from diffdrive_mpc.mpc import load_config, load_trajectory
+from diffdrive_mpc.mpc.config.schema import Weights
+from diffdrive_mpc.mpc.core.generate import generate, generate_formulas
+from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.problem import TrackingProblem
+from diffdrive_mpc.mpc.problem.formulas import formulas
+from diffdrive_mpc.mpc.problem.user_functions import user_output, user_step, user_term
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+
+FORMULAS = {function.name().removeprefix("ddmpc_f_"): function for function in formulas()}
+# Numbers that a robot can have; gains keep off zero, and yaw rates dwell where the arc changes its form.
+RANGES = {
+    "y": [(-2, 2), (-3, 3)],
+    "slip": [(-0.3, 0.3), (0.3, 2), (0.3, 2), (0.3, 2), (-0.2, 0.2)],
+    "pose": [(-5, 5), (-5, 5), (-7, 7)],
+    "twist": [(-2, 2), (-3, 3)],
+    "command": [(-2, 2), (-3, 3)],
+    "wanted": [(-2, 2), (-3, 3)],
+    "reference": [(-5, 5), (-5, 5), (-7, 7), (-7, 7)],
+    "parameters": [(-0.3, 0.3), (0.3, 2), (0.3, 2), (0.3, 2), (-0.2, 0.2), (0.1, 1)],
+    "theta": [(-7, 7)],
+    "dt": [(1e-3, 0.5)],
+    "tau": [(0, 2)],
+    "gyro_bias": [(-0.1, 0.1)],
+    "wheel_yaw_ratio": [(0.3, 3)],
+    "side_slip": [(-0.2, 0.2)],
+    "along_weight": [(0, 100)],
+    "heading_weight": [(0, 100)],
+    "inverse_gain": [(-2, 2)] * 4,
+    "v": [(-2, 2)],
+    "omega": [(-3, 3)],
+    "row": [(0, 9), (-5, 5), (-5, 5), (-7, 7), (0, 50), (-1, 1), (-2, 2), (0, 3), (-2, 2), (-1, 1)],
+    "coefficients": [(-2, 2)] * 16,
+}
+
+
+def entry(low, high):
+    near_zero = [st.floats(-1e-6, 1e-6), st.just(0.0)] if low < 0 < high else []
+    return st.one_of(st.floats(low, high), *near_zero)
+
+
+def argument(function, k):
+    ranges = RANGES[function.name_in(k)][: function.numel_in(k)]
+    return st.tuples(*(entry(low, high) for low, high in ranges)).map(lambda column: np.array(column, dtype=float))
+
+
+def arguments(function):
+    return st.tuples(*(argument(function, k) for k in range(function.n_in())))
+
+
+def call(function, values):
+    """Results as arrays, columns flat."""
+    shaped = [np.reshape(value, function.size_in(k), order="F") for k, value in enumerate(values)]
+    results = function.call([ca.DM(value) for value in shaped])
+    return [np.array(result).ravel() if result.shape[1] == 1 else np.array(result) for result in results]
+
+
+WITH_GRADIENT = [function for function in formulas() if function.name_out(function.n_out() - 1) == "gradient"]
+# In the order of the gradient's columns.
+VARIED = {
+    "twist": ["y", "slip"],
+    "move": ["y", "slip", "theta"],
+    "sensors": ["y", "slip", "gyro_bias"],
+    "arc": ["v", "omega", "theta"],
+    "errors": ["pose", "twist", "command"],
+    "soft": ["pose", "twist", "command"],
+}
+
+
+@pytest.mark.parametrize("function", WITH_GRADIENT, ids=lambda function: function.name())
+@given(data=st.data())
+def test_gradients_agree_with_finite_differences(function, data):
+    values = list(data.draw(arguments(function)))
+    _, gradient = call(function, values)
+    step, columns = 1e-6, []
+    for name in VARIED[function.name().removeprefix("ddmpc_f_")]:
+        place = function.index_in(name)
+        for direction in step * np.eye(values[place].size):
+            ends = [
+                call(function, [*values[:place], values[place] + sign * direction, *values[place + 1 :]])[0]
+                for sign in (1, -1)
+            ]
+            columns.append((ends[0] - ends[1]) / (2 * step))
+    assert np.isfinite(gradient).all()
+    assert gradient == pytest.approx(np.column_stack(columns), abs=2e-7)
+
+
+slips = st.builds(Slip, *(st.floats(low, high) for low, high in RANGES["slip"]))
+
+
+def as_column(slip):
+    return np.array([slip.v_offset, slip.omega_gain, slip.longitudinal_gain, slip.yaw_gain, slip.side_slip])
+
+
+class Filter:
+    """The estimator's present Python at one state."""
+
+    def __init__(self, y, slip, gyro_bias, pose):
+        config = load_config("ssm")
+        self.model = load_model("ssm").discretise(config.sample_time)
+        self.filter = SlipFilter(self.model, config.estimator, config.compensation, 1.3)
+        state = np.linalg.solve(self.model.C, y)
+        self.mean = np.concatenate([state, as_column(slip), [gyro_bias], pose])
+
+
+@given(argument(FORMULAS["twist"], 0), slips, argument(FORMULAS["errors"], 0), st.floats(-0.1, 0.1))
+def test_the_body_s_twist_and_its_gradient_are_the_filter_s(y, slip, pose, bias):
+    now = Filter(y, slip, bias, pose)
+    twist, gradient = call(FORMULAS["twist"], [y, as_column(slip)])
+    assert twist == pytest.approx(now.filter.twist(now.mean), abs=1e-12)
+    expected = now.filter._twist_gradient(now.mean, now.model.C)
+    n = now.model.order
+    assert gradient[:, :2] @ now.model.C == pytest.approx(expected[:, :n], abs=1e-12)
+    assert gradient[:, 2:] == pytest.approx(expected[:, n : n + 5], abs=1e-12)
+
+
+@given(arguments(FORMULAS["move"]))
+def test_the_move_is_the_arc_of_the_body(values):
+    y, slip, theta, dt = values
+    moved, gradient = call(FORMULAS["move"], values)
+    twist, by_motion = call(FORMULAS["twist"], [y, slip])
+    start = np.array([0.0, 0.0, theta[0]])
+    after, by_pose, by_twist = linearised_arc(start, *twist, dt[0], slip[4])
+    assert moved == pytest.approx(after - start, abs=1e-12)
+    assert moved == pytest.approx(integrate_pose(start, *twist, dt[0], slip[4]) - start, abs=1e-12)
+    expected = by_twist[:, :2] @ by_motion
+    expected[:, 6] += by_twist[:, 2]
+    assert gradient[:, :7] == pytest.approx(expected, abs=1e-12)
+    assert gradient[:, 7] == pytest.approx(by_pose[:, 2] - [0, 0, 1], abs=1e-12)
+
+
+@given(argument(FORMULAS["sensors"], 0), slips, st.floats(-0.1, 0.1), argument(FORMULAS["errors"], 0))
+def test_the_sensors_read_what_the_filter_corrects_with(y, slip, bias, pose):
+    now = Filter(y, slip, bias, pose)
+    sensed, gradient = call(FORMULAS["sensors"], [y, as_column(slip), [bias], [1.3]])
+    size = now.mean.size
+    belief = Belief(now.mean, np.eye(size))
+    corrections = [now.filter.correct_wheel_speed, now.filter.correct_wheel_yaw_rate, now.filter.correct_yaw_rate]
+    n = now.model.order
+    rows = np.zeros((3, size))
+    rows[:, :n], rows[:, n : n + 6] = gradient[:, :2] @ now.model.C, gradient[:, 2:]
+    for correct, reading, row in zip(corrections, sensed, rows, strict=True):
+        # What was expected leaves no innovation; with a covariance of 1 its variance tells the gradient's length.
+        assert correct(belief, reading, 1.0)[1] == pytest.approx(0.0, abs=1e-20)
+        assert correct(belief, reading + 0.1, 1.0)[1] == pytest.approx(0.01 / (row @ row + 1), abs=1e-12)
+
+
+@given(arguments(FORMULAS["arc"]))
+def test_the_prediction_s_arc_is_the_same(values):
+    theta, v, omega, side_slip, dt = (value[0] for value in values)
+    moved, gradient = call(FORMULAS["arc"], values)
+    after, by_pose, by_twist = linearised_arc(np.array([0, 0, theta]), v, omega, dt, side_slip)
+    assert moved == pytest.approx(after[:2], abs=1e-12)
+    assert gradient == pytest.approx(np.column_stack([by_twist[:2, :2], by_pose[:2, 2]]), abs=1e-12)
+
+
+@given(arguments(FORMULAS["aim"]))
+def test_the_aim_is_that_of_the_lean(values):
+    pose, twist, side_slip, along, heading = values
+    (aim,) = call(FORMULAS["aim"], values)
+    weights = Weights(along=along[0], heading=heading[0])
+    expected, held = lean(pose[None], twist[None], side_slip[0], weights)
+    assert aim == pytest.approx([*expected[0], held[0]], abs=1e-12)
+
+
+@pytest.mark.parametrize("twist", [(0.0, 0.0), (0.0, 0.5), (0.5, 0.0)])
+@pytest.mark.parametrize("weights", [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0)])
+def test_an_aim_that_costs_nothing_stays_on_the_reference(twist, weights):
+    (aim,) = call(FORMULAS["aim"], [[1, 2, 0.3], twist, [0.1], [weights[0]], [weights[1]]])
+    assert np.isfinite(aim).all()
+    assert aim[3] - aim[2] == pytest.approx(np.arctan(0.1 * twist[1]), abs=1e-15)
+    if weights[1] == 0 or twist[1] == 0:
+        assert aim[:3] == pytest.approx([1, 2, 0.3], abs=1e-15)
+
+
+@given(slips, st.floats(0.05, 1.5), st.floats(-2, 2))
+def test_the_feed_forward_is_the_present_one_and_keeps_the_twist_that_is_wanted(slip, v, omega):
+    model = load_model("ssm")
+    feed_forward = FeedForward(model, 0.02, 1)
+    wanted = np.array([v, omega])
+    steady = np.tile(wanted, (feed_forward.samples, 1))
+    (command,) = call(FORMULAS["feed_forward"], [wanted, as_column(slip), feed_forward.inverse_gain.ravel(order="F")])
+    assert command == pytest.approx(feed_forward.commands(steady, slip)[0], abs=1e-12)
+    reached, _ = call(FORMULAS["twist"], [model.dc_gain @ command, as_column(slip)])
+    assert reached == pytest.approx(wanted, abs=1e-12)
+
+
+@given(arguments(FORMULAS["errors"]))
+def test_errors_have_the_length_of_the_distance(values):
+    pose, _, _, reference, _ = values
+    (along, across, heading), _ = call(FORMULAS["errors"], values)
+    assert np.hypot(along, across) == pytest.approx(np.hypot(*(pose - reference[:3])[:2]), abs=1e-12)
+    tangent = np.array([np.cos(reference[2]), np.sin(reference[2])])
+    left = np.array([-tangent[1], tangent[0]])
+    assert reference[:2] + along * tangent + across * left == pytest.approx(pose[:2], abs=1e-12)
+    assert heading == pytest.approx(pose[2] - reference[3], abs=1e-15)
+
+
+@given(arguments(FORMULAS["soft"]))
+def test_soft_limits_act_on_what_the_problem_limits(values):
+    pose, twist, command, reference, parameters = values
+    limited, _ = call(FORMULAS["soft"], values)
+    config = load_config("ssm")
+    problem = TrackingProblem(config, load_model("ssm").discretise(config.sample_time))
+    parameters = np.append(parameters[:5], 0.5 * config.wheels.track)
+    limited, _ = call(FORMULAS["soft"], [pose, twist, command, reference, parameters])
+    gains = Slip(*parameters[:5]).gains
+    assert limited[:4] == pytest.approx(problem.twist_rows(gains) @ twist, abs=1e-12)
+    errors, _ = call(FORMULAS["errors"], [pose, twist, command, reference, []])
+    assert limited[4] == pytest.approx(errors[1], abs=1e-15)
+
+
+def test_without_slip_the_wheels_differ_by_the_turn_of_the_track():
+    limited, _ = call(FORMULAS["soft"], [np.zeros(3), [1.0, 0.5], [0, 0], np.zeros(4), [0, 1, 1, 1, 0, 0.3]])
+    assert limited == pytest.approx([1.0, 0.5, 1.15, 0.85, 0.0], abs=1e-15)
+
+
+@pytest.mark.parametrize("name", ["circle", "square", "s", "cane"])
+def test_pieces_are_those_of_the_trajectories(name):
+    trajectory = load_trajectory(name)
+    kind = "spline_piece" if isinstance(trajectory, SplineTrajectory) else "arc_piece"
+    starts = trajectory.breaks[:-1] if kind == "spline_piece" else trajectory.breaks
+    times = np.linspace(0, trajectory.duration, 301)[:-1]
+    sample = trajectory.sample(times)
+    for k, time in enumerate(times):
+        piece = np.searchsorted(starts, time, side="right") - 1
+        pose, twist, arc_length = call(FORMULAS[kind], [[time - starts[piece]], trajectory.table[:, piece]])
+        assert pose == pytest.approx(sample.pose[k], abs=1e-12)
+        assert twist == pytest.approx(sample.twist[k], abs=1e-12)
+        assert arc_length == pytest.approx(sample.arc_length[k], abs=1e-12)
+
+
+@given(arrays(float, 16, elements=st.floats(-2, 2)), st.floats(0, 2))
+def test_a_cubic_piece_s_twist_is_its_motion(coefficients, tau):
+    spline = SplineTrajectory("any", 2.0, np.array([0.0, 2.0]), coefficients[:, None])
+    sample = spline.sample([tau])
+    pose, twist, arc_length = call(FORMULAS["spline_piece"], [[tau], coefficients])
+    assert pose == pytest.approx(sample.pose[0], abs=1e-12)
+    assert twist == pytest.approx(sample.twist[0], abs=1e-12)
+    assert arc_length == pytest.approx(sample.arc_length, abs=1e-12)
+
+
+@given(st.floats(-1e-3, 1e-3), st.floats(-1, 1), st.floats(-3, 3), st.floats(-0.2, 0.2))
+def test_the_arc_is_smooth_through_straight_ahead(omega, v, theta, side_slip):
+    """Beside omega = 0 the arc is the Taylor series about it, gradient included."""
+    dt = 0.1
+    moved, gradient = call(FORMULAS["arc"], [[theta], [v], [omega], [side_slip], [dt]])
+    straight, slope = call(FORMULAS["arc"], [[theta], [v], [0.0], [side_slip], [dt]])
+    assert moved == pytest.approx(straight + slope[:, 1] * omega, abs=1e-7)
+    assert gradient[:, 1] == pytest.approx(slope[:, 1], abs=1e-3 * dt)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_the_arc_and_its_gradient_meet_where_its_series_ends(side):
+    beside = [call(FORMULAS["arc"], [[0.3], [1.0], [side * 0.4 * (1 + e)], [0.1], [1.0]]) for e in (-1e-15, 1e-15)]
+    for below, above in zip(*beside, strict=True):
+        assert below == pytest.approx(above, abs=3e-15)
+
+
+# The C that is generated.
+
+REAL_H = """
+#ifndef REAL_H
+#define REAL_H
+#include <math.h>
+#ifdef DDMPC_FLOAT
+typedef float real;
+#define R(number) number##f
+#else
+typedef double real;
+#define R(number) number
+#endif
+#endif
+"""
+STRICT = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wdouble-promotion", "-Wfloat-conversion"]
+STRICT.append("-Wno-unused-but-set-variable")  # CasADi loads what the compiler then drops
+
+
+def compiled(generated, folder, precision):
+    (folder / "real.h").write_text(REAL_H)
+    (folder / f"{generated.stem}.h").write_text(generated.header)
+    source, library = folder / f"{generated.stem}.c", folder / f"{generated.stem}-{precision}.so"
+    source.write_text(generated.source)
+    single = ["-DDDMPC_FLOAT"] if precision == "float" else []
+    subprocess.run(["cc", *STRICT, *single, "-O2", "-shared", "-fPIC", source, "-o", library, "-lm"], check=True)
+    ffi = cffi.FFI()
+    lines = [line for line in generated.header.splitlines() if line.startswith("int ")]
+    ffi.cdef(f"typedef {precision} real;" + "\n".join(lines))
+    return ffi, ffi.dlopen(str(library))
+
+
+def call_compiled(ffi, library, precision, function, values):
+    given = [ffi.new(f"{precision}[]", np.ravel(value).tolist() or 1) for value in values]
+    room = [
+        np.zeros(function.numel_out(k), np.float32 if precision == "float" else float) for k in range(function.n_out())
+    ]
+    results = [ffi.from_buffer(f"{precision}[]", memory) for memory in room]
+    pointers = ffi.new("const real *[]", given), ffi.new("real *[]", results)
+    assert getattr(library, function.name())(*pointers, ffi.NULL, ffi.NULL, 0) == 0
+    shaped = [memory.reshape(function.size_out(k), order="F") for k, memory in enumerate(room)]
+    return [memory.ravel() if memory.shape[1] == 1 else memory for memory in shaped]
+
+
+@pytest.fixture(scope="module", params=["double", "float"])
+def precision(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def library(precision, tmp_path_factory):
+    return compiled(generate_formulas(), tmp_path_factory.mktemp("formulas"), precision)
+
+
+@pytest.mark.parametrize("function", formulas(), ids=lambda function: function.name())
+@given(data=st.data())
+def test_the_c_says_what_casadi_says(library, precision, function, data):
+    values = data.draw(arguments(function))
+    if precision == "float":
+        values = [value.astype(np.float32).astype(float) for value in values]
+    expected = call(function, values)
+    computed = call_compiled(*library, precision, function, values)
+    for one, other in zip(computed, expected, strict=True):
+        rounding = 1e-13 if precision == "double" else 2e-5
+        assert one == pytest.approx(other, abs=rounding * max(1.0, np.abs(other).max()))
+
+
+def test_results_that_are_not_wanted_are_left_out(library, precision):
+    ffi, lib = library
+    y, slip = ffi.new("real[]", [0.5, 0.2]), ffi.new("real[]", [0, 1, 1, 1, 0])
+    twist = ffi.new("real[2]")
+    lib.ddmpc_f_twist(
+        ffi.new("const real *[]", [y, slip]), ffi.new("real *[]", [twist, ffi.NULL]), ffi.NULL, ffi.NULL, 0
+    )
+    assert list(twist) == pytest.approx([0.5, 0.2], abs=1e-7)
+
+
+def test_single_precision_computes_no_double(tmp_path):
+    """Not one instruction on doubles, and no function of doubles called."""
+    generated = generate_formulas()
+    compiled(generated, tmp_path, "float")
+    listing = subprocess.run(
+        ["objdump", "-d", "-r", tmp_path / f"{generated.stem}-float.so"], capture_output=True, text=True, check=True
+    ).stdout
+    assert "sinf" in listing
+    for doubled in ("cvtss2sd", "mulsd", "addsd", "<sin@plt>", "<cos@plt>", "<atan@plt>"):
+        assert doubled not in listing
+
+
+def test_two_runs_write_the_same_text():
+    assert generate_formulas() == generate_formulas()
+
+
+# Functions of the user.
+
+
+def point_distance():
+    """A residual of a user: distance to a point that moves, beyond which nothing counts."""
+    pose, parameters = ca.SX.sym("pose", 3), ca.SX.sym("parameters", 3)
+    distance = ca.sqrt(ca.sumsqr(pose[:2] - parameters[:2]) + 1e-6)
+    return ca.Function(
+        "keep_off", [parameters, pose], [ca.fmax(parameters[2] - distance, 0)], ["parameters", "pose"], ["r"]
+    )
+
+
+def test_a_user_s_term_gets_the_shipped_form(tmp_path, precision):
+    function = user_term(point_distance(), "user_keep_off")
+    assert [function.name_in(k) for k in range(5)] == ["pose", "twist", "command", "reference", "parameters"]
+    assert function.size_out(1) == (1, 7)
+    values = [[1.0, 2.0, 0.3], [0, 0], [0, 0], [0, 0, 0, 0], [1.5, 2.0, 0.8]]
+    value, gradient = call_compiled(
+        *compiled(generate([function], "user", "a test"), tmp_path, precision), precision, function, values
+    )
+    rounding = 1e-9 if precision == "double" else 1e-6
+    assert value == pytest.approx(0.8 - np.sqrt(0.25 + 1e-6), abs=rounding)
+    assert gradient[0] == pytest.approx([1, 0, 0, 0, 0, 0, 0], abs=1e-5)
+
+
+def test_every_operation_of_c99_is_written(tmp_path, precision):
+    x = ca.SX.sym("pose", 3)
+    a, b, c = ca.vertsplit(x)
+    values = [ca.sin(a), ca.cos(a), ca.tan(a), ca.asin(a), ca.acos(a), ca.atan(a), ca.sinh(a), ca.cosh(a), ca.tanh(a)]
+    values += [
+        ca.asinh(a),
+        ca.acosh(b),
+        ca.atanh(a),
+        ca.exp(a),
+        ca.log(b),
+        ca.sqrt(b),
+        ca.log1p(a),
+        ca.expm1(a),
+        ca.erf(a),
+    ]
+    values += [ca.floor(b), ca.ceil(b), ca.fmod(b, a), ca.fabs(c), ca.sign(c), ca.copysign(a, c), ca.atan2(a, c)]
+    values += [ca.fmin(a, b), ca.fmax(a, b), ca.hypot(a, b), b**2.5, b**3, 1 / b, ca.remainder(b, a), c**2]
+    values += [ca.if_else(a > b, a, b), ca.logic_and(a > 0, c != 0), ca.logic_or(a >= b, c == 0), ca.logic_not(a)]
+    values += [ca.fmin(a, ca.inf), a * 1e-30, a + 1e5]
+    function = user_term(ca.Function("many", [x], [ca.vertcat(*values)], ["pose"], ["value"]), "many")
+    numbers = [[0.5, 1.75, -0.25], [0, 0], [0, 0], [0, 0, 0, 0], []]
+    expected = call(function, numbers)[0]
+    computed = call_compiled(
+        *compiled(generate([function], "many", "a test"), tmp_path, precision), precision, function, numbers
+    )[0]
+    assert computed == pytest.approx(expected, rel=1e-14 if precision == "double" else 3e-6)
+
+
+def test_an_mx_function_will_do():
+    twist = ca.MX.sym("twist", 2)
+    function = user_term(ca.Function("fast", [twist], [ca.norm_2(twist)], ["twist"], ["value"]), "fast")
+    value, gradient = call(function, [np.zeros(3), [3.0, 4.0], np.zeros(2), np.zeros(4), []])
+    assert value == pytest.approx(5.0)
+    assert gradient[0] == pytest.approx([0, 0, 0, 0.6, 0.8, 0, 0])
+
+
+def lag():
+    """First-order lag of both speeds after one sample of delay, with an acceleration that saturates."""
+    x, window = ca.SX.sym("x", 2), ca.SX.sym("window", 4)
+    step = x + 0.2 * ca.tanh((window[:2] - x) / 0.4)
+    return ca.Function("step", [x, window], [step], ["x", "window"], ["next"])
+
+
+def test_a_nonlinear_model_gets_its_gradients(tmp_path, precision):
+    functions = [user_step(lag(), "lag_step")]
+    x = ca.SX.sym("x", 2)
+    functions.append(user_output(ca.Function("output", [x], [x], ["x"], ["y"]), "lag_output", 2))
+    library = compiled(generate(functions, "lag", "a test"), tmp_path, precision)
+    rounding = 1e-14 if precision == "double" else 1e-6
+    for function, values in zip(functions, [[[0.3, 0.1], [0.5, 0.2, 9.0, 9.0]], [[0.3, 0.1]]], strict=True):
+        for one, other in zip(
+            call_compiled(*library, precision, function, values), call(function, values), strict=True
+        ):
+            assert one == pytest.approx(other, abs=rounding)
+    _, gradient = call(functions[0], [[0.3, 0.1], [0.5, 0.2, 9.0, 9.0]])
+    slope = 0.5 * (1 - np.tanh((np.array([0.5, 0.2]) - [0.3, 0.1]) / 0.4) ** 2)
+    assert gradient[:, :2] == pytest.approx(np.eye(2) - np.diag(slope))
+    assert gradient[:, 2:4] == pytest.approx(np.diag(slope))
+    assert (gradient[:, 4:] == 0).all()
+
+
+def a_function(names, sizes, outputs=1, kind=ca.SX):
+    symbols = [kind.sym(name, size) for name, size in zip(names, sizes, strict=True)]
+    value = ca.vertcat(*symbols)
+    return ca.Function("mine", symbols, [value] * outputs, names, [f"out{k}" for k in range(outputs)])
+
+
+@pytest.mark.parametrize(
+    ("function", "said"),
+    [
+        (a_function(["posee"], [3]), "term mine: unknown input 'posee'; name it pose"),
+        (a_function(["pose"], [2]), "term mine: input 'pose' has 2 entries, but it has 3"),
+        (a_function(["twist"], [2], outputs=2), "term mine: it has 2 outputs; stack them to one column"),
+        (lambda pose: pose, "term t: function is no casadi.Function; build one with named inputs"),
+        (
+            ca.Function("mine", [], [ca.SX.sym("forgotten")], {"allow_free": True}),
+            "term mine: it depends on forgotten; make it an input",
+        ),
+    ],
+)
+def test_a_term_that_does_not_fit_is_refused_in_one_line(function, said):
+    with pytest.raises(ConfigError) as refused:
+        user_term(function, "t")
+    assert str(refused.value) == said
+
+
+def test_what_c_cannot_do_is_refused():
+    twist = ca.SX.sym("twist", 2)
+    function = ca.Function("mine", [twist], [ca.erfinv(twist)], ["twist"], ["value"])
+    with pytest.raises(ConfigError, match="erfinv"):
+        generate([user_term(function, "t")], "user", "a test")
+
+
+class Callback(ca.Callback):
+    def __init__(self):
+        ca.Callback.__init__(self)
+        self.construct("callback", {})
+
+    def eval(self, given):
+        return given
+
+
+def test_a_function_that_calls_what_is_no_formula_is_refused():
+    twist = ca.MX.sym("twist", 2)
+    callback = Callback()
+    table = ca.interpolant("table", "linear", [[0.0, 1.0]], [0.0, 2.0])
+    for value in (callback(twist[0]), table(twist[0])):
+        with pytest.raises(ConfigError, match="term mine: .* use SX"):
+            user_term(ca.Function("mine", [twist], [value], ["twist"], ["value"]), "t")
+
+
+@pytest.mark.parametrize(
+    ("names", "sizes", "said"),
+    [
+        (["x", "u"], [2, 2], "name them x and window"),
+        (["x", "window"], [2, 3], "give it two for each command"),
+        (["x", "window"], [2, 2], "has 4 entries, x has 2"),
+    ],
+)
+def test_a_step_that_does_not_fit_is_refused(names, sizes, said):
+    with pytest.raises(ConfigError, match=said):
+        user_step(a_function(names, sizes), "step")
+
+
+@pytest.mark.parametrize(("names", "sizes", "said"), [(["x"], [3], "two, v and omega"), (["u"], [3], "with 3 entries")])
+def test_an_output_that_does_not_fit_is_refused(names, sizes, said):
+    with pytest.raises(ConfigError, match=said):
+        user_output(a_function(names, sizes), "output", 3)

@@ -1,0 +1,200 @@
+"""Which measurements may be believed: stamps, numbers, ranges, single spikes, and poses that jump."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
+from diffdrive_mpc.mpc.config.schema import Estimator
+from oracle.motion import wrapped
+
+_LARGEST_VARIANCE = 1e6
+_ASYMMETRY = 1e-6
+_FUTURE = 1e-3
+# So many poses in a row that contradict the estimate but agree with each other are no outliers.
+_AGREEING = 3
+
+
+def numbers(value: Any, count: int) -> FloatArray | None:
+    """`value` as `count` finite numbers, or None if it is anything else."""
+    try:
+        array = np.asarray(value, dtype=float).ravel()
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return array if len(array) == count and bool(np.isfinite(array).all()) else None
+
+
+def covariance(value: Any, size: int) -> FloatArray | None:
+    """`value` as a symmetric positive definite (size, size) matrix with possible entries, or None."""
+    entries = numbers(value, size * size)
+    if entries is None or np.abs(entries).max() > _LARGEST_VARIANCE:
+        return None
+    matrix = entries.reshape(size, size)
+    if (np.abs(matrix - matrix.T) > _ASYMMETRY * np.abs(matrix)).any():
+        return None
+    try:
+        np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        return None
+    return matrix
+
+
+def stamp_fault(stamp: object, t: float, last: float, history: float) -> str:
+    """What is wrong with a stamp at tick `t` [s], after one at `last` [s]; empty if nothing is."""
+    time = numbers(stamp, 1)
+    if time is None:
+        return "its stamp is not a finite number"
+    age = t - float(time[0])
+    if age < -_FUTURE:
+        return f"its stamp lies {-age:.3f} s in the future"
+    if time[0] <= last:
+        return "its stamp is not newer than that of the one before"
+    return f"it is {age:.2f} s old; the history reaches back {history} s" if age > history else ""
+
+
+def sent_command(sent: object, settings: Estimator) -> FloatArray | None:
+    """What the robot says it got (2,), or None where that cannot be."""
+    value = numbers(sent, 2)
+    if value is None or (np.abs(value) > [settings.max_wheel_speed, settings.max_yaw_rate]).any():
+        return None
+    return value
+
+
+@dataclass(frozen=True)
+class CheckedPose:
+    """A pose of finite numbers with a believable stamp: value (3,), covariance (3, 3), stamp [s]."""
+
+    value: FloatArray
+    covariance: FloatArray
+    stamp: float
+
+
+class PoseGate:
+    """Checks poses and remembers those that jumped."""
+
+    def __init__(self, settings: Estimator) -> None:
+        self.settings = settings
+        self.last_stamp = self.accepted_stamp = -np.inf
+        self.jumped: list[CheckedPose] = []
+
+    def check(self, t: float, pose: Stamped | None, rejected: list[str]) -> CheckedPose | None:
+        """The pose in checked form; None, and a sentence in `rejected`, if it cannot be used."""
+        if pose is None:
+            return None
+        s = self.settings
+        assumed = np.diag([s.position_noise**2, s.position_noise**2, s.heading_noise**2])
+        value, matrix = numbers(pose.value, 3), assumed if pose.covariance is None else covariance(pose.covariance, 3)
+        fault = stamp_fault(pose.time, t, self.last_stamp, s.history)
+        if value is None:
+            fault = "it is not three finite numbers"
+        elif matrix is None:
+            fault = "its covariance is not a possible 3 x 3 matrix"
+        if fault:
+            rejected.append(f"pose rejected: {fault}")
+            return None
+        self.last_stamp = float(pose.time)
+        return CheckedPose(value, matrix, self.last_stamp)
+
+    def passes(self, pose: CheckedPose, expected: FloatArray, rejected: list[str]) -> bool:
+        """Whether `pose` lies near the `expected` one (3,); if not it is remembered, and named in `rejected`."""
+        if self._near(pose.value, expected):
+            self.accept(pose)
+            return True
+        if self.jumped and not self._near(pose.value, self.jumped[-1].value):
+            self.jumped = []
+        self.jumped.append(pose)
+        distance, turn = _apart(pose.value, expected)
+        rejected.append(f"pose rejected: it jumps by {distance:.2f} m and {turn:.2f} rad")
+        return False
+
+    def accept(self, pose: CheckedPose) -> None:
+        """Count `pose` as believed, which clears the memory of jumps."""
+        self.accepted_stamp, self.jumped = pose.stamp, []
+
+    @property
+    def elsewhere(self) -> CheckedPose | None:
+        """The newest of several poses that agree with each other but not with the estimate: the robot was moved."""
+        return self.jumped[-1] if len(self.jumped) >= _AGREEING else None
+
+    def _near(self, value: FloatArray, expected: FloatArray) -> bool:
+        distance, turn = _apart(value, expected)
+        return distance <= self.settings.max_position_jump and turn <= self.settings.max_heading_jump
+
+
+def _apart(one: FloatArray, other: FloatArray) -> tuple[float, float]:
+    return float(np.hypot(*(one - other)[:2])), abs(float(wrapped(one[2] - other[2])))
+
+
+@dataclass(frozen=True)
+class CheckedTwist:
+    """One number of a measured twist; `message` names what it came with."""
+
+    message: str
+    sensor: str
+    value: float
+    variance: float
+    stamp: float
+
+
+class TwistGate:
+    """Checks one message that has a number for each of `sensors`: largest values, and jumps from the last one."""
+
+    def __init__(self, message: str, sensors: dict[str, tuple[float, float, float]], history: float) -> None:
+        self.message, self.sensors, self.history = message, tuple(sensors), history
+        noise, self.largest, self.jump = np.array(list(sensors.values())).T
+        self.variances = noise**2
+        self.stamp, self.last = -np.inf, np.zeros(len(sensors))
+
+    def check(self, t: float, stamped: Stamped | None, rejected: list[str]) -> list[CheckedTwist]:
+        """What can be used, or a sentence in `rejected`."""
+        if stamped is None:
+            return []
+        size, last = len(self.sensors), self.last
+        values, variances = numbers(stamped.value, size), self.variances
+        fault = stamp_fault(stamped.time, t, self.stamp, self.history)
+        if values is None:
+            fault = "not finite" if size == 1 else f"not {size} finite numbers"
+        elif (np.abs(values) > self.largest).any():
+            at = int(np.argmax(np.abs(values) > self.largest))
+            fault = f"{values[at]:.3g} is more than {self.largest[at]:g}"
+        elif stamped.covariance is not None:
+            matrix = covariance(stamped.covariance, size)
+            if matrix is None:
+                fault = "its covariance is not a possible one"
+            else:
+                variances = np.diag(matrix)
+        if not fault:
+            self.stamp, self.last = float(stamped.time), values
+            # A wheel that hits a wall does jump, and stays where it is: the next sample confirms it.
+            jumps = np.abs(values - last) > self.jump
+            if jumps.any():
+                at = int(np.argmax(jumps))
+                fault = f"it jumps from {last[at]:.2f} to {values[at]:.2f}"
+        if fault:
+            rejected.append(f"{self.message} rejected: {fault}")
+            return []
+        return [
+            CheckedTwist(self.message, *part, self.stamp)
+            for part in zip(self.sensors, values.tolist(), variances.tolist(), strict=True)
+        ]
+
+
+class TwistGates:
+    """Checks encoders and gyro."""
+
+    def __init__(self, settings: Estimator) -> None:
+        s = settings
+        wheels = {
+            "wheel_speed": (s.wheel_speed_noise, s.max_wheel_speed, s.max_wheel_speed_jump),
+            "wheel_yaw_rate": (s.wheel_yaw_rate_noise, s.max_yaw_rate, s.max_yaw_rate_jump),
+        }
+        gyro = {"yaw_rate": (s.yaw_rate_noise, s.max_yaw_rate, s.max_yaw_rate_jump)}
+        self.wheels, self.gyro = TwistGate("wheel speed", wheels, s.history), TwistGate("yaw rate", gyro, s.history)
+
+    def check(self, t: float, measurement: Measurement, rejected: list[str]) -> list[CheckedTwist]:
+        """What can be used; a sentence in `rejected` for each message that cannot."""
+        wheels = self.wheels.check(t, measurement.wheel_twist, rejected)
+        return wheels + self.gyro.check(t, measurement.yaw_rate, rejected)

@@ -1,0 +1,54 @@
+"""The times at which the controller is called, and what may be wrong with them."""
+
+from __future__ import annotations
+
+import math
+from enum import Enum, auto
+
+
+class TickKind(Enum):
+    """What a call of the controller is."""
+
+    NEW = auto()
+    """The next tick, perhaps after some that were missed."""
+    REPEATED = auto()
+    """Less than half a sample after the last tick: too soon for a new command."""
+    LEAPT = auto()
+    """Long after the last tick: a pause, or a glitch of the clock; the next tick will tell."""
+    PAUSED = auto()
+    """A pause so long that nothing is known any more."""
+    FAULTY = auto()
+    """Its time cannot be used."""
+
+
+class TickClock:
+    """Judges the time of each call; a pause of up to `longest_pause` [s] can be made up for."""
+
+    def __init__(self, dt: float, longest_pause: float) -> None:
+        self.dt, self.longest_pause = dt, longest_pause
+        self.restart()
+
+    def restart(self) -> None:
+        """Take the next tick as the first."""
+        self.last: float | None = None
+        self.leap: float | None = None
+
+    def judge(self, t: float) -> tuple[TickKind, str]:
+        """What the call at `t` [s] is, and in words what is wrong with it."""
+        leap, self.leap = self.leap, None
+        if not math.isfinite(t):
+            return TickKind.FAULTY, f"the time of this tick is {t}; it was not used"
+        gap = self.dt if self.last is None else t - self.last
+        if gap < 0:
+            return TickKind.FAULTY, f"time ran backwards by {-gap:.3f} s; call start again if the clock was set"
+        if gap < 0.5 * self.dt:
+            return TickKind.REPEATED, f"called {1e3 * gap:.1f} ms after the last tick; its command is repeated"
+        if gap > self.longest_pause:
+            # One leap may be a glitch of the clock; a second tick right after it shows that it was none.
+            if leap is None or not 0 < t - leap <= self.longest_pause:
+                self.leap = t
+                return TickKind.LEAPT, f"no tick for {gap:.2f} s"
+            self.last = t
+            return TickKind.PAUSED, f"no tick for {gap:.2f} s; the estimate starts anew"
+        self.last = t
+        return TickKind.NEW, ""

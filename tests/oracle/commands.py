@@ -1,0 +1,47 @@
+"""The commands already sent: what still travels through the dead time."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.interface import FloatArray
+
+
+class PastCommands:
+    """Past commands, newest last, back to where a history of `oldest` ticks and the dead time need them."""
+
+    def __init__(self, model: DiscreteModel, oldest: int) -> None:
+        self.model, self.oldest = model, oldest
+        self.clear()
+
+    def clear(self) -> None:
+        """As after a long rest."""
+        length = self.model.memory + self.oldest + 2
+        self._sent = deque([np.zeros(2)] * length, maxlen=length)
+
+    def append(self, command: FloatArray) -> None:
+        """The command (2,) sent at this tick."""
+        self._sent.append(np.array(command, dtype=float))
+
+    def correct_last(self, sent: FloatArray) -> None:
+        """Replace the newest by what the robot really got (2,)."""
+        self._sent[-1] = np.array(sent, dtype=float)
+
+    @property
+    def last(self) -> FloatArray:
+        """(2,) the newest command."""
+        return self._sent[-1].copy()
+
+    @property
+    def recent(self) -> FloatArray:
+        """(memory, 2) the commands that still act on the future, oldest first."""
+        return np.array(self._sent)[-self.model.memory :]
+
+    def acting(self, ticks_ago: int) -> tuple[FloatArray, FloatArray]:
+        """u[k - delay] and u[k - delay - 1] (2,) for the interval that the command sent `ticks_ago` began."""
+        v, omega = (len(self._sent) - 1 - ticks_ago - int(delay) for delay in self.model.delay)
+        recent, older = (np.array([self._sent[v - i][0], self._sent[omega - i][1]]) for i in (0, 1))
+        return recent, older

@@ -1,0 +1,259 @@
+"""The controller: one tick straight down from measurement to command, and the ladder where a part of it fails."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
+from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.estimation.estimate import Estimate
+from diffdrive_mpc.mpc.hold import Hold
+from diffdrive_mpc.mpc.reentry import Pursuit, Target, TooFar
+from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
+from diffdrive_mpc.mpc.step_result import Mode, StepResult
+from oracle.clock import TickClock, TickKind
+from oracle.estimator import StateEstimator
+from oracle.problem import TrackingProblem, command_box
+from oracle.solver import solve
+from oracle.tick import FeedForward, begin_tick
+from oracle.trajectories import sampled
+
+_NOT_RUN = SolverReport(SolverStatus.NOT_RUN)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Commands (N, 2), the poses (N + 1, 3) that they lead to, and those (N + 1, 3) that they track."""
+
+    commands: FloatArray
+    poses: FloatArray
+    reference: FloatArray
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one tick decided."""
+
+    command: FloatArray
+    mode: Mode
+    solver: SolverReport = _NOT_RUN
+    plan: Plan | None = None
+    blocked_for: float = 0.0
+
+
+class OracleController:
+    """Does as `mpc.Controller` does, in its own way; the same constructor, start, reset, step and update."""
+
+    def __init__(self, config: ControllerConfig, model: VelocityModel | str | None = None) -> None:
+        extra = config.extra_dead_time
+        if model is None:
+            self.model = load_model(config.model).with_extra_dead_time([extra.v, extra.omega])
+        else:
+            self.model = model if isinstance(model, VelocityModel) else load_model(model)
+        if not config.compensation.dead_time:
+            self.model = replace(self.model, dead_time=np.zeros(2))
+        self.sampled_model = self.model.discretise(config.sample_time)
+        self.estimator = StateEstimator(self.sampled_model, config.estimator, config.compensation, config.wheels)
+        self.feed_forward = FeedForward(self.model, config.sample_time, config.horizon)
+        self.ahead = np.arange(self.feed_forward.samples) * config.sample_time
+        self.pursuit = Pursuit(config)
+        self.clock = TickClock(config.sample_time, self.estimator.longest_pause)
+        self.reference: Reference | None = None
+        self.pending: ControllerConfig | None = None
+        self._configure(config)
+        self.reset()
+
+    def _configure(self, config: ControllerConfig) -> None:
+        self.config = config
+        self.problem = TrackingProblem(config, self.sampled_model)
+        self.guess: FloatArray | None = None
+        self.pursuit.configure(config)
+
+    def start(self, reference: Reference, t0: float) -> None:
+        """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`."""
+        self._forget()
+        self.reference, self.t0 = sampled(reference), t0
+        self.pursuit.start(self.reference)
+
+    def reset(self) -> None:
+        """Be as new, for a robot that stands still. The reference stays."""
+        self._forget()
+        self.estimator.commands.clear()
+        self.last = np.zeros(2)
+
+    def _forget(self) -> None:
+        self.estimator.forget()
+        self.pursuit.restart()
+        self.clock.restart()
+        self.guess = None
+        self.plan: Plan | None = None
+        self.plan_age = 0
+        self.result: StepResult | None = None
+        self.has_driven = self.latched = self.finished = False
+
+    def update(
+        self, weights: Mapping[str, float] | None = None, limits: Mapping[str, float] | None = None
+    ) -> ControllerConfig:
+        """Change weights and limits while driving; they take effect at the start of the next step."""
+        groups = {"weights": weights or {}, "limits": limits or {}}
+        changes = {f"{group}.{key}": value for group, values in groups.items() for key, value in values.items()}
+        self.pending = replace_values(self.pending or self.config, changes)
+        return self.pending
+
+    def step(self, t: float, measurement: Measurement, hold: Hold | None = None) -> StepResult:
+        """Decide the command for the tick at `t` [s] from what arrived since the last one."""
+        assert self.reference is not None, "call start first"
+        if self.pending is not None:
+            self._configure(self.pending)
+            self.pending = None
+        notes: list[str] = []
+        kind, fault = self.clock.judge(t)
+        notes += [fault] if fault else []
+        if kind is TickKind.REPEATED and self.result is not None:
+            notes += self.estimator.update(t, measurement)
+            return replace(self.result, message="; ".join(notes))
+        if kind is TickKind.NEW:
+            outcome = self._tick(t, measurement, notes, hold)
+            self.estimator.commands.append(outcome.command)
+        else:
+            outcome = self._lost_time(kind, notes)
+            # No interval of the model begins here: the command in force since the last tick has changed.
+            self.estimator.commands.correct_last(outcome.command)
+        self.last = outcome.command
+        self.has_driven |= outcome.mode is Mode.TRACKING
+        plan = outcome.plan
+        self.result = StepResult(
+            command=outcome.command,
+            mode=outcome.mode,
+            message="; ".join(notes),
+            solver=outcome.solver,
+            plan=plan and plan.poses,
+            planned_commands=plan and plan.commands,
+            reference=plan and plan.reference,
+            progress=self.pursuit.progress,
+            reference_delay=self.pursuit.delay,
+            estimate=self.estimator.estimate if self.estimator.ready else None,
+            blocked_for=outcome.blocked_for,
+            step_time=0.0,
+        )
+        return self.result
+
+    def _lost_time(self, kind: TickKind, notes: list[str]) -> Outcome:
+        """Brake: this tick tells nothing. Where the clock leapt, stand: a base without commands has stopped itself."""
+        outcome = self._brake(notes)
+        if kind is TickKind.PAUSED:
+            self.estimator.forget()
+            self.estimator.commands.clear()
+        return outcome if kind is TickKind.FAULTY else Outcome(np.zeros(2), Mode.STOPPED)
+
+    def _tick(self, t: float, measurement: Measurement, notes: list[str], hold: Hold | None) -> Outcome:
+        estimator, failure = self.estimator, self.config.failure
+        reference_time = self.pursuit.advance(t - self.t0)
+        notes += estimator.correct_sent(measurement.sent)
+        if measurement.sent is not None:
+            # What the robot really got, as far as it lies inside the limits: from outside them there is no slew back.
+            top = np.maximum([self.config.limits.v, self.config.limits.omega], np.abs(self.last))
+            self.last = np.clip(estimator.commands.last, -top, top)
+        estimator.advance(t)
+        notes += estimator.update(t, measurement)
+        if hold is not None:
+            return self._brake(notes, hold.reason, failure=hold.failure)
+        if not estimator.ready:
+            return self._brake(notes, "no pose has arrived yet")
+        if estimator.moved and not self._restart():
+            return self._brake(notes, "poses agree that the robot is somewhere else")
+        estimate = estimator.estimate
+        if not np.isfinite(estimate.pose).all():
+            estimator.forget()
+            return self._brake(notes, "the estimate is not finite; it starts anew")
+        if estimate.pose_age > failure.max_pose_age:
+            return self._brake(notes, f"no pose was accepted for {estimate.pose_age:.2f} s")
+        if self.latched:
+            return self._brake(notes, "stopped after a failure; call start or reset to drive on")
+        if self._at_the_end(estimate, reference_time, notes):
+            return Outcome(self._ramp(), Mode.FINISHED)
+        target = self.pursuit.target(t - self.t0, reference_time, estimate, self.ahead)
+        if isinstance(target, TooFar):
+            limit = failure.max_position_error
+            return self._brake(notes, f"{target.distance:.2f} m from the reference; the limit is {limit} m")
+        notes += [target.message] if target.message else []
+        return self._track(estimate, target, notes)
+
+    def _restart(self) -> bool:
+        """Take the robot to be where its rejected poses agree it is, once it has been told to stand."""
+        standing = not self.estimator.commands.recent.any()
+        return standing and self.config.failure.resume and self.estimator.restart_elsewhere()
+
+    def _at_the_end(self, estimate: Estimate, time: float, notes: list[str]) -> bool:
+        """Whether the robot rests at the end of its reference, or has had the time to; what is finished stays so."""
+        settings, reference = self.config.finish, self.reference
+        assert reference is not None
+        if self.finished or time < reference.duration:
+            return self.finished
+        distance = float(np.hypot(*(estimate.pose - reference.sample([reference.duration]).pose[0])[:2]))
+        settled = distance <= settings.position and bool((np.abs(estimate.twist) <= settings.speed).all())
+        late = time >= reference.duration + settings.timeout
+        if late and not settled:
+            notes.append(f"finished {distance:.3f} m from the end, not at rest within {settings.timeout} s")
+        self.finished = settled or late
+        return self.finished
+
+    def _track(self, estimate: Estimate, target: Target, notes: list[str]) -> Outcome:
+        limits, failure = self.config.limits, self.config.failure
+        slew = np.array([limits.v_slew, limits.omega_slew])
+        plan, status = self._plan(estimate, target)
+        report = SolverReport(status)
+        if plan is not None:
+            self.plan, self.plan_age = plan, 0
+            # A base that is held must not be asked for more and more: let go, it would leap.
+            share = self.config.reentry.blocked_share if target.blocked_for else 1.0
+            command = self._inside(plan.commands[0], slew, share)
+            return Outcome(command, Mode.TRACKING, report, plan, target.blocked_for)
+        notes.append(f"solve failed: {status}")
+        self.plan_age += 1
+        if self.plan is not None and self.plan_age <= min(failure.max_reused_ticks, self.config.horizon - 1):
+            command = self._inside(self.plan.commands[self.plan_age], slew)
+            return Outcome(command, Mode.REUSED_PLAN, report, self.plan)
+        return replace(self._brake(notes), solver=report)
+
+    def _plan(self, estimate: Estimate, target: Target) -> tuple[Plan | None, SolverStatus]:
+        """One real-time iteration: linearise along the shifted plan, solve, keep the plan."""
+        config, sample = self.config, target.sample or target.reference.sample(target.time + self.ahead)
+        tick = begin_tick(
+            self.feed_forward, config.weights, estimate, self.estimator.commands.recent, self.last, sample
+        )
+        if self.guess is None:
+            box = command_box(config.limits, config.sample_time, self.last, config.horizon)
+            self.guess = np.clip(tick.feed_forward, -box, box)
+        answer = solve(self.problem.quadratic_program(tick, self.guess))
+        if not answer.status.usable:
+            self.guess = None
+            return None, answer.status
+        commands = answer.x.reshape(-1, 2)
+        self.guess = np.vstack([commands[1:], commands[-1:]])
+        poses = self.problem.poses(tick, commands[:, :, None])[:, :, 0]
+        return Plan(commands, poses, tick.aim), answer.status
+
+    def _brake(self, notes: list[str], *reasons: str, failure: bool = True) -> Outcome:
+        notes += reasons
+        self.plan = self.guess = None
+        # Waiting for the first pose is no failure to be latched.
+        self.latched |= failure and self.has_driven and not self.config.failure.resume
+        command = self._ramp()
+        return Outcome(command, Mode.BRAKING if command.any() else Mode.STOPPED)
+
+    def _ramp(self) -> FloatArray:
+        limits = self.config.limits
+        return self._inside(np.zeros(2), np.array([limits.v_braking, limits.omega_braking]))
+
+    def _inside(self, command: FloatArray, rate: FloatArray, share: float = 1.0) -> FloatArray:
+        """The nearest command inside `share` of range, and no faster than `rate` (2,) away from the last one."""
+        limits, step = self.config.limits, rate * self.config.sample_time
+        box = np.maximum(np.abs(self.last) - step, share * np.array([limits.v, limits.omega]))
+        return np.clip(command, np.maximum(self.last - step, -box), np.minimum(self.last + step, box))

@@ -1,0 +1,169 @@
+"""Estimate pose, twist and slip from measurements that arrive at several rates and late.
+
+A history of beliefs is kept. A late measurement is entered at its stamp and everything after it is computed again, so
+that it counts as if it had come in time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.interface import Measurement
+from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, Wheels
+from diffdrive_mpc.mpc.estimation.estimate import SENSORS, Estimate
+from oracle.checks import CheckedPose, CheckedTwist, PoseGate, TwistGates, sent_command
+from oracle.commands import PastCommands
+from oracle.kalman import Belief, build_filter
+
+_TOO_MANY = "more arrived for one sample than is kept"
+# What one tick of the history holds at most: numbers of wheels and gyro, and poses.
+_MOST_TWISTS, _MOST_POSES = 12, 4
+
+
+@dataclass
+class _Node:
+    """One tick of the history: the belief before and after its measurements."""
+
+    time: float
+    prior: Belief
+    posterior: Belief
+    twists: list[CheckedTwist] = field(default_factory=list)
+    poses: list[CheckedPose] = field(default_factory=list)
+
+
+class StateEstimator:
+    """Extended Kalman filter with a history; never raises on data."""
+
+    def __init__(
+        self,
+        model: DiscreteModel,
+        settings: Estimator,
+        compensation: Compensation | None = None,
+        wheels: Wheels | None = None,
+    ) -> None:
+        self.model, self.settings = model, settings
+        self.length = int(np.ceil(settings.history / model.dt)) + 1
+        self.filter = build_filter(model, settings, compensation, wheels)
+        self.commands = PastCommands(model, self.length)
+        self.forget()
+
+    def forget(self) -> None:
+        """Drop the estimate, as before the first pose. Commands on their way stay: they are still on their way."""
+        self.nodes: list[_Node] = []
+        self.innovations = dict.fromkeys(SENSORS, np.nan)
+        self.pose_gate, self.twist_gates = PoseGate(self.settings), TwistGates(self.settings)
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is an estimate: a pose has been received."""
+        return bool(self.nodes)
+
+    @property
+    def moved(self) -> bool:
+        """Whether poses agree with each other but not with the estimate: the robot is somewhere else."""
+        return self.pose_gate.elsewhere is not None
+
+    @property
+    def longest_pause(self) -> float:
+        """Time without a tick [s] that the history can make up for."""
+        return self.length * self.model.dt
+
+    @property
+    def estimate(self) -> Estimate:
+        """The newest estimate; only once `ready`."""
+        node = self.nodes[-1]
+        belief = node.posterior
+        values = [
+            [node.time, node.time - self.pose_gate.accepted_stamp],
+            belief.mean,
+            np.sqrt(np.maximum(np.diag(belief.covariance), 0.0)),
+            self.filter.twist(belief.mean),
+            self.filter.twist_deviation(belief),
+            list(self.innovations.values()),
+        ]
+        return Estimate(np.concatenate(values), self.model.order)
+
+    def correct_sent(self, sent: tuple[float, float] | None) -> list[str]:
+        """Believe what the robot says it got at the last tick, unless it cannot be; then returns why not."""
+        if sent is None:
+            return []
+        value = sent_command(sent, self.settings)
+        if value is None:
+            return ["sent command rejected: it is not one that a robot can have got"]
+        self.commands.correct_last(value)
+        return []
+
+    def advance(self, t: float) -> None:
+        """Predict to the tick at `t` [s]; ticks that were missed are made up for with the last command."""
+        if not self.nodes:
+            return
+        steps = max(1, round((t - self.nodes[-1].time) / self.model.dt))
+        for missing in range(steps - 1, -1, -1):
+            if missing < steps - 1:
+                self.commands.append(self.commands.last)
+            belief = self.filter.predict(self.nodes[-1].posterior, *self.commands.acting(0))
+            self.nodes.append(_Node(t - missing * self.model.dt, belief, belief))
+        self.nodes = self.nodes[-self.length :]
+
+    def update(self, t: float, measurement: Measurement) -> list[str]:
+        """Take in what arrived; returns a sentence for each part that was rejected."""
+        rejected: list[str] = []
+        pose = self.pose_gate.check(t, measurement.pose, rejected)
+        twists = self.twist_gates.check(t, measurement, rejected)
+        if not self.nodes:
+            if pose is not None:
+                self._start(t, pose, self.filter.moving(self.commands))
+            return rejected
+        first = len(self.nodes)
+        for twist in twists:
+            # At the nearest tick: within half a sample a twist changes little.
+            index = self._node_before(twist.stamp + 0.5 * self.model.dt)
+            if len(self.nodes[index].twists) == _MOST_TWISTS:
+                rejected.append(f"{twist.message} rejected: {_TOO_MANY}")
+            else:
+                self.nodes[index].twists.append(twist)
+                first = min(first, index)
+        if pose is not None:
+            index = self._node_before(pose.stamp)
+            node = self.nodes[index]
+            if len(node.poses) == _MOST_POSES:
+                rejected.append(f"pose rejected: {_TOO_MANY}")
+            elif self.pose_gate.passes(pose, self.filter.pose(node.posterior.mean, pose.stamp - node.time), rejected):
+                node.poses.append(pose)
+                first = min(first, index)
+        self._filter_from(first)
+        return rejected
+
+    def restart_elsewhere(self) -> bool:
+        """Believe that the robot is where the poses that jumped agree it is. Its motion stays as estimated."""
+        pose = self.pose_gate.elsewhere
+        if pose is not None:
+            self._start(self.nodes[-1].time, pose, self.nodes[-1].posterior)
+        return pose is not None
+
+    def _start(self, t: float, pose: CheckedPose, motion: Belief) -> None:
+        belief = self.filter.placed(motion, pose.value, pose.covariance)
+        self.nodes = [_Node(t, belief, belief)]
+        self.pose_gate.accept(pose)
+
+    def _node_before(self, time: float) -> int:
+        """Index of the last node not after `time`; the first where the history does not reach back so far."""
+        return max((i for i, node in enumerate(self.nodes) if node.time <= time + 1e-9), default=0)
+
+    def _filter_from(self, first: int) -> None:
+        """Filter again from the node `first` to the newest."""
+        for index in range(first, len(self.nodes)):
+            node = self.nodes[index]
+            if index > first:
+                acting = self.commands.acting(len(self.nodes) - 1 - index)
+                node.prior = self.filter.predict(self.nodes[index - 1].posterior, *acting)
+            belief, seen = node.prior, self.innovations
+            for twist in node.twists:
+                belief, seen[twist.sensor] = self.filter.correct(belief, twist.sensor, twist.value, twist.variance)
+            for pose in node.poses:
+                ahead = pose.stamp - node.time
+                belief, seen["pose"] = self.filter.correct_pose(belief, pose.value, pose.covariance, ahead)
+            node.posterior = belief

@@ -1,0 +1,191 @@
+"""The extended Kalman filter: z = (x, v_offset, omega_gain, longitudinal_gain, yaw_gain, side_slip, gyro_bias, pose).
+
+x are the n states of the velocity model; then what lies between its twist and the body's (`mpc.estimation.slip`),
+the gyro's bias [rad/s] and x, y [m], theta [rad]. Functions of z take one state (n + 9,) or many, one to a column.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, Wheels
+from diffdrive_mpc.mpc.estimation.estimate import SENSORS
+from diffdrive_mpc.mpc.estimation.slip import Slip
+from oracle.commands import PastCommands
+from oracle.motion import arc, jacobian, wrapped
+
+
+class Belief(NamedTuple):
+    """Mean (n + 9,), covariance, and for each sensor the samples for which it has contradicted them; 0: it agrees."""
+
+    mean: FloatArray
+    covariance: FloatArray
+    surprised: tuple[int, ...] = (0,) * len(SENSORS)
+
+
+class SlipFilter:
+    """Prediction and correction over one sample.
+
+    `wheel_yaw_ratio` is the yaw rate by encoders and geometric track over that of the model, where omega_gain is 1.
+    """
+
+    def __init__(
+        self, model: DiscreteModel, settings: Estimator, compensation: Compensation, wheel_yaw_ratio: float
+    ) -> None:
+        self.model, self.settings, self.wheel_yaw_ratio = model, settings, wheel_yaw_ratio
+        n, s, on = model.order, settings, compensation
+        self.slip_places, self.pose_places = np.arange(n, n + 6), np.arange(n + 6, n + 9)
+        self.gains = np.array([n + 1, n + 2, n + 3])
+        estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, on.side_slip, True])
+        names = ("v_offset", "omega_gain", "longitudinal_gain", "yaw_gain", "side_slip", "gyro_bias")
+        self.uncertainty = estimated * [getattr(s, f"{name}_uncertainty") for name in names]
+        self.drift = estimated * [getattr(s, f"{name}_drift") for name in names]
+        self.patience = round(s.lasting_surprise / model.dt)
+
+    # What happens to the robot.
+
+    def twist(self, z: FloatArray, output: FloatArray | None = None) -> FloatArray:
+        """(2, ...) v, omega of the body, where the model says `output` (2, ...) or what follows from the state."""
+        v, omega = self.model.C @ z[: self.model.order] if output is None else output
+        v_offset, omega_gain, longitudinal_gain, yaw_gain = z[self.slip_places[:4]]
+        return np.stack([longitudinal_gain * (v + v_offset), omega_gain * yaw_gain * omega])
+
+    def process(self, z: FloatArray, recent: FloatArray, older: FloatArray) -> FloatArray:
+        """z one sample later: the states by the model, the pose along the arc of the mean twist, slip as it was."""
+        model, n = self.model, self.model.order
+        x = ((model.A @ z[:n]).T + model.B0 @ recent + model.B1 @ older).T
+        v, omega = self.twist(z, 0.5 * model.C @ (z[:n] + x))
+        return np.concatenate([x, z[self.slip_places], self._moved(z, v, omega, model.dt)])
+
+    def _moved(self, z: FloatArray, v: FloatArray, omega: FloatArray, dt: float) -> FloatArray:
+        pose = z[self.pose_places]
+        return pose + np.stack(arc(pose[2], v, omega, dt, z[self.slip_places[4]]))
+
+    # What sensors see of it.
+
+    def wheel_speed(self, z: FloatArray) -> FloatArray:
+        """Forward speed of the wheels [m/s]."""
+        return (self.model.C @ z[: self.model.order])[0] + z[self.slip_places[0]]
+
+    def wheel_yaw_rate(self, z: FloatArray) -> FloatArray:
+        """Yaw rate by encoders and geometric track [rad/s]."""
+        return self.wheel_yaw_ratio * z[self.slip_places[1]] * (self.model.C @ z[: self.model.order])[1]
+
+    def yaw_rate(self, z: FloatArray) -> FloatArray:
+        """Yaw rate by the gyro [rad/s]."""
+        return self.twist(z)[1] + z[self.slip_places[5]]
+
+    def pose(self, z: FloatArray, ahead: float) -> FloatArray:
+        """(3, ...) the pose `ahead` seconds later, at constant twist."""
+        return self._moved(z, *self.twist(z), ahead)
+
+    # The filter.
+
+    def moving(self, commands: PastCommands) -> Belief:
+        """A robot that obeys the commands sent so far as the model says, somewhere; it might as well stand."""
+        model, n = self.model, self.model.order
+        x = model.settled_state(commands.acting(commands.oldest)[1])
+        for ticks_ago in range(commands.oldest, -1, -1):
+            recent, older = commands.acting(ticks_ago)
+            x = model.A @ x + model.B0 @ recent + model.B1 @ older
+        settled = np.column_stack([model.settled_state(unit) for unit in np.eye(2)])
+        P = np.zeros((n + 9, n + 9))
+        P[:n, :n] = settled @ np.diag((model.C @ x) ** 2) @ settled.T
+        P[self.slip_places, self.slip_places] = self.uncertainty**2
+        return Belief(np.concatenate([x, [0, 1, 1, 1, 0, 0], np.zeros(3)]), P)
+
+    def placed(self, motion: Belief, pose: FloatArray, covariance: FloatArray) -> Belief:
+        """The motion of `motion` at another `pose` (3,), known to `covariance` (3, 3)."""
+        mean, P, at = motion.mean.copy(), motion.covariance.copy(), self.pose_places
+        mean[at] = pose
+        P[at, :] = P[:, at] = 0.0
+        P[np.ix_(at, at)] = covariance
+        return Belief(mean, P)
+
+    def slip(self, z: FloatArray) -> Slip:
+        """The slip in a state."""
+        return Slip(*z[self.slip_places[:5]].tolist())
+
+    def twist_deviation(self, belief: Belief) -> FloatArray:
+        """(2,) standard deviations of v [m/s] and omega [rad/s]."""
+        T = jacobian(self.twist, belief.mean)
+        return np.sqrt(np.maximum(np.diag(T @ belief.covariance @ T.T), 0.0))
+
+    def predict(self, belief: Belief, recent: FloatArray, older: FloatArray) -> Belief:
+        """One sample ahead under the delayed commands `recent` and `older` (2,)."""
+        model, s, n, z = self.model, self.settings, self.model.order, belief.mean
+        after = self.process(z, recent, older)
+        F = jacobian(lambda points: self.process(points, recent, older), z)
+        drive = model.B0 + model.B1
+        Q = np.zeros_like(F)
+        Q[:n, :n] = drive @ np.diag([s.v_input_noise**2, s.omega_input_noise**2]) @ drive.T
+        # A gain shows only while its channel moves: without news its uncertainty must not grow.
+        v, omega = np.abs(self.twist(z, 0.5 * model.C @ (z[:n] + after[:n])))
+        driving, turning = v >= s.least_speed, omega >= s.least_yaw_rate
+        moving = [True, turning, driving, turning, driving and turning, True]
+        Q[self.slip_places, self.slip_places] = self.drift**2 * model.dt * moving
+        walk = np.array([s.position_drift, s.position_drift, s.heading_drift])
+        Q[self.pose_places, self.pose_places] = walk**2 * model.dt
+        counts = tuple(count + (count > 0) for count in belief.surprised)
+        return Belief(after, F @ belief.covariance @ F.T + Q, counts)
+
+    def correct(self, belief: Belief, sensor: str, value: float, variance: float) -> tuple[Belief, float]:
+        """Take in one number; returns the squared innovation over its variance too."""
+        function = {"wheel_speed": self.wheel_speed, "wheel_yaw_rate": self.wheel_yaw_rate, "yaw_rate": self.yaw_rate}
+        h = function[sensor]
+        H = jacobian(lambda z: h(z)[None], belief.mean)
+        innovation = np.array([value - float(h(belief.mean))])
+        # A push is one of the velocity that the sensor sees, with the states that go with it.
+        n, channel = self.model.order, np.eye(2)[0 if sensor == "wheel_speed" else 1]
+        push = np.zeros_like(belief.covariance)
+        settled = self.model.settled_state(channel)
+        push[:n, :n] = innovation**2 * np.outer(settled, settled)
+        return self._correct(belief, sensor, H, innovation, np.array([[variance]]), push)
+
+    def correct_pose(
+        self, belief: Belief, value: FloatArray, covariance: FloatArray, ahead: float
+    ) -> tuple[Belief, float]:
+        """Take in a pose (3,) that was true `ahead` seconds after the belief."""
+        H = jacobian(lambda z: self.pose(z, ahead), belief.mean)
+        innovation = value - self.pose(belief.mean, ahead)
+        innovation[2] = wrapped(innovation[2])
+        push = np.zeros_like(belief.covariance)
+        push[self.pose_places, self.pose_places] = innovation**2
+        return self._correct(belief, "pose", H, innovation, covariance, push)
+
+    def _correct(
+        self, belief: Belief, sensor: str, H: FloatArray, innovation: FloatArray, R: FloatArray, push: FloatArray
+    ) -> tuple[Belief, float]:
+        """The correction; a surprise, unless it goes on for long, is a push: it tells nothing of slip."""
+        s, z, P = self.settings, belief.mean, belief.covariance
+        normalised = float(innovation @ np.linalg.solve(H @ P @ H.T + R, innovation)) / len(innovation)
+        surprising, at = normalised > s.surprise, SENSORS.index(sensor)
+        counts = list(belief.surprised)
+        counts[at] = max(1, counts[at]) if surprising else 0
+        pushed = surprising and counts[at] <= self.patience
+        P = P + push if pushed else P
+        S = H @ P @ H.T + R
+        K = np.linalg.solve(S, H @ P).T
+        if pushed:
+            K[self.slip_places] = 0.0
+        elif abs(self.twist(z)[1]) < s.least_yaw_rate:
+            K[self.gains[[0, 2]]] = 0.0
+        mean = z + K @ innovation
+        mean[self.gains] = np.clip(mean[self.gains], s.least_gain, s.most_gain)
+        # Joseph's form holds for any gain.
+        I_KH = np.eye(len(z)) - K @ H
+        P = I_KH @ P @ I_KH.T + K @ R @ K.T
+        return Belief(mean, 0.5 * (P + P.T), tuple(counts)), normalised
+
+
+def build_filter(
+    model: DiscreteModel, settings: Estimator, compensation: Compensation | None = None, wheels: Wheels | None = None
+) -> SlipFilter:
+    """The filter of a robot with these tracks: per unit of omega_ref its wheels turn with their ratio."""
+    wheels = wheels or Wheels()
+    ratio = wheels.track / wheels.encoder_track / float(model.dc_gain[1, 1])
+    return SlipFilter(model, settings, compensation or Compensation(), ratio)

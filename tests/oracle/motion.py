@@ -1,0 +1,54 @@
+"""The arc of a constant twist, and derivatives by complex steps. Functions here take real and complex numbers alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+
+# No difference is taken, so the step may be so small that its square is nothing beside 1.
+_STEP = 1e-30
+_SMALL = 1e-2
+
+
+def wrapped(angle: FloatArray) -> FloatArray:
+    """`angle` [rad] in [-pi, pi)."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def sinc(x: FloatArray) -> FloatArray:
+    """sin(x) / x; its series where the quotient or its derivative would lose digits."""
+    small = np.abs(x) < _SMALL
+    square = x * x
+    series = 1 - square / 6 + square**2 / 120 - square**3 / 5040
+    safe = np.where(small, 1.0, x)
+    return np.where(small, series, np.sin(safe) / safe)
+
+
+def arc(
+    theta: FloatArray, v: FloatArray, omega: FloatArray, dt: float, side_slip: FloatArray
+) -> tuple[FloatArray, ...]:
+    """Displacement dx, dy [m], dtheta [rad] over `dt` from the heading `theta`.
+
+    The body goes along the chord of its arc, v dt sinc(omega dt / 2) in the direction of its mean heading, and
+    side_slip omega times as far to the outside.
+    """
+    mean, along = theta + 0.5 * omega * dt, v * dt * sinc(0.5 * omega * dt)
+    outward = side_slip * omega * along
+    return (
+        along * np.cos(mean) + outward * np.sin(mean),
+        along * np.sin(mean) - outward * np.cos(mean),
+        omega * dt,
+    )
+
+
+def jacobian(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
+    """(m, n) derivative of `function` at `at` (n,); it maps points (n, k), one to a column, to values (m, k).
+
+    f(x + i h) = f(x) + i h f'(x) + O(h^2): the imaginary part is the derivative, without a difference (Squire, Trapp,
+    SIAM Review 40(1), 1998).
+    """
+    points = at[:, None] + 1j * _STEP * np.eye(len(at))
+    return np.asarray(np.imag(function(points)) / _STEP)

@@ -1,0 +1,153 @@
+"""The tracking problem: its errors as functions of the commands, and the quadratic program along a plan.
+
+With U = (u_0, ..., u_{N-1}), u = (v_ref, omega_ref), the cost is half the weighted sum of squares of
+
+* the position error along and across the path and the error of the heading at the samples 1 to N, the last one weighted
+  `terminal` times,
+* the deviation of each u_k from its feed-forward, and the increments u_k - u_{k-1}, u_{-1} being the last command,
+
+plus an exact penalty on each soft limit that is exceeded. Functions take plans (N, 2, k), k of them at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
+from oracle.motion import arc, jacobian
+from oracle.tick import Tick
+
+
+@dataclass(frozen=True)
+class QuadraticProgram:
+    """Minimise x'Hx/2 + g'x + price |excess|_1 + quadratic |excess|^2 / 2 subject to lower <= rows x <= upper.
+
+    The excess is that of soft_rows x over soft_lower and soft_upper. x are the commands of N steps, (2 N,).
+    """
+
+    H: FloatArray
+    g: FloatArray
+    rows: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    soft_rows: FloatArray
+    soft_lower: FloatArray
+    soft_upper: FloatArray
+    price: float
+    quadratic: float
+
+
+def roll_out(model: DiscreteModel, state: FloatArray, past: FloatArray, plan: FloatArray) -> FloatArray:
+    """(N + 1, 2, k) the model's twist at the samples 0 to N, from `state` (n,) under `past` (memory, 2) and `plan`."""
+    steps, _, k = plan.shape
+    sent = np.concatenate([np.repeat(past[:, :, None], k, axis=2), plan])
+    now = len(past) + np.arange(steps)[:, None] - model.delay
+    recent, older = sent[now, [0, 1]], sent[now - 1, [0, 1]]
+    x = np.repeat(state[:, None], k, axis=1).astype(plan.dtype)
+    outputs = [model.C @ x]
+    for step in range(steps):
+        x = model.A @ x + model.B0 @ recent[step] + model.B1 @ older[step]
+        outputs.append(model.C @ x)
+    return np.stack(outputs)
+
+
+def command_box(limits: Limits, dt: float, last_command: FloatArray, steps: int) -> FloatArray:
+    """(steps, 2) bounds on |command|: one that was tightened below the last command is reached at the slew limit."""
+    slew = dt * np.array([limits.v_slew, limits.omega_slew])
+    reachable = np.abs(last_command) - slew * np.arange(1, steps + 1)[:, None]
+    return np.maximum(reachable, [limits.v, limits.omega])
+
+
+class TrackingProblem:
+    """One controller's problem; raises ValueError if the horizon is too short for the dead time."""
+
+    def __init__(self, config: ControllerConfig, model: DiscreteModel) -> None:
+        if config.horizon < model.memory:
+            raise ValueError(f"horizon = {config.horizon}: set horizon to {model.memory} or more")
+        self.config, self.model, self.steps = config, model, config.horizon
+
+    def twists(self, tick: Tick, plan: FloatArray) -> FloatArray:
+        """(N + 1, 2, k) twists of the body."""
+        says = roll_out(self.model, tick.state, tick.past, plan)
+        return tick.slip.gains[:, None] * (says + tick.slip.offset[:, None])
+
+    def poses(self, tick: Tick, plan: FloatArray) -> FloatArray:
+        """(N + 1, 3, k) poses: an arc over each sample with the mean of the twists at its ends."""
+        twist = self.twists(tick, plan)
+        v, omega = (0.5 * (twist[:-1] + twist[1:])).swapaxes(0, 1)
+        theta = tick.pose[2] + self.model.dt * np.cumsum(omega, axis=0)
+        before = np.concatenate([np.full_like(theta[:1], tick.pose[2]), theta[:-1]])
+        dx, dy, _ = arc(before, v, omega, self.model.dt, tick.slip.side_slip)
+        after = np.stack([tick.pose[0] + np.cumsum(dx, axis=0), tick.pose[1] + np.cumsum(dy, axis=0), theta], axis=1)
+        return np.concatenate([np.broadcast_to(tick.pose[:, None], after[:1].shape), after])
+
+    def errors(self, tick: Tick, poses: FloatArray) -> FloatArray:
+        """(N + 1, 3, k) errors along, across and in heading."""
+        c, s = np.cos(tick.aim[:, 2, None]), np.sin(tick.aim[:, 2, None])
+        dx, dy, _ = (poses - tick.aim[:, :, None]).swapaxes(0, 1)
+        return np.stack([c * dx + s * dy, c * dy - s * dx, poses[:, 2] - tick.heading[:, None]], axis=1)
+
+    def residuals(self, tick: Tick, plan: FloatArray) -> FloatArray:
+        """(m, k) errors, deviations and increments, each times the root of its weight."""
+        w, before = self.config.weights, np.repeat(tick.last_command[None, :, None], plan.shape[2], axis=2)
+        pose_weights = np.tile([w.along, w.across, w.heading], (self.steps, 1))
+        pose_weights[-1] *= w.terminal
+        errors = self.errors(tick, self.poses(tick, plan))[1:] * np.sqrt(pose_weights)[:, :, None]
+        deviations = (plan - tick.feed_forward[:, :, None]) * np.sqrt([[w.v], [w.omega]])
+        increments = (plan - np.concatenate([before, plan[:-1]])) * np.sqrt([[w.v_increment], [w.omega_increment]])
+        return np.concatenate([errors, deviations, increments], axis=1).reshape(-1, plan.shape[2])
+
+    def soft_values(self, tick: Tick, plan: FloatArray) -> FloatArray:
+        """(5, N + 1, k) what has soft limits: v, omega, right and left speed at the rim, distance across the path.
+
+        The wheels do not slip as the body does: their speeds are those of the twist without the gains of slip.
+        """
+        twist = self.twists(tick, plan)
+        v, omega = twist.swapaxes(0, 1)
+        wheels_v, wheels_omega = (twist / tick.slip.gains[:, None]).swapaxes(0, 1)
+        rim = 0.5 * self.config.wheels.track * wheels_omega
+        across = self.errors(tick, self.poses(tick, plan))[:, 1]
+        return np.stack([v, omega, wheels_v + rim, wheels_v - rim, across])
+
+    def soft_limits(self, tick: Tick) -> FloatArray:
+        """(5,) limits of the same; where the robot is already beyond one, it is that it may not get worse."""
+        lim = self.config.limits
+        now = self.soft_values(tick, np.zeros((self.steps, 2, 1)))[:, 0, 0]
+        configured = [lim.predicted_v, lim.predicted_omega, lim.wheel_speed, lim.wheel_speed, lim.corridor]
+        return np.maximum(configured, np.abs(now))
+
+    def hard_limits(self, tick: Tick) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Rows (4 N, 2 N) of commands and increments, with their lower and upper bounds."""
+        n, limits, dt = 2 * self.steps, self.config.limits, self.model.dt
+        box = command_box(limits, dt, tick.last_command, self.steps).ravel()
+        slew = np.tile([limits.v_slew, limits.omega_slew], self.steps) * dt
+        first = np.concatenate([tick.last_command, np.zeros(n - 2)])
+        rows = np.vstack([np.eye(n), np.eye(n) - np.eye(n, k=-2)])
+        return rows, np.concatenate([-box, first - slew]), np.concatenate([box, first + slew])
+
+    def quadratic_program(self, tick: Tick, plan: FloatArray) -> QuadraticProgram:
+        """Gauss-Newton along `plan` (N, 2): errors and soft limits to first order in the commands."""
+
+        def of_columns(function):  # type: ignore[no-untyped-def]
+            return lambda U: function(tick, U.reshape(self.steps, 2, -1))
+
+        residuals, soft = of_columns(self.residuals), of_columns(lambda *a: self.soft_values(*a)[:, 1:])
+        U = plan.ravel()
+        r, J = residuals(U)[:, 0], jacobian(residuals, U)
+        s, S = soft(U).reshape(-1), jacobian(lambda U: soft(U).reshape(-1, U.shape[1]), U)
+        limit = np.repeat(self.soft_limits(tick), self.steps)
+        w = self.config.weights
+        return QuadraticProgram(
+            J.T @ J,
+            J.T @ (r - J @ U),
+            *self.hard_limits(tick),
+            soft_rows=S,
+            soft_lower=-limit - (s - S @ U),
+            soft_upper=limit - (s - S @ U),
+            price=w.soft,
+            quadratic=w.soft_quadratic,
+        )

@@ -1,0 +1,90 @@
+"""The quadratic program with all its limits, solved to rounding from nothing, and the proof that it is solved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import daqp
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.solver.report import SolverStatus
+from oracle.problem import QuadraticProgram
+
+# Numbers beyond this are no robot's.
+_LARGEST = 1e15
+_ACCURACY = 1e-9
+_SOFT = 8
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was found: x (n,), multipliers of the hard and of the soft rows, positive at upper bounds."""
+
+    status: SolverStatus
+    x: FloatArray
+    hard: FloatArray
+    soft: FloatArray
+
+
+def solve(qp: QuadraticProgram) -> Answer:
+    """The solution, proven; or why there is none.
+
+    Raises
+    ------
+    AssertionError
+        If what the solver gives is not the solution: nothing may be compared with it then.
+    """
+    nothing = Answer(
+        SolverStatus.NOT_FINITE, np.zeros(len(qp.g)), np.zeros(len(qp.lower)), np.zeros(len(qp.soft_lower))
+    )
+    data = (qp.H, qp.g, qp.rows, qp.upper, qp.soft_rows, qp.soft_upper)
+    if not all(np.vdot(part, part) < _LARGEST**2 for part in data):
+        return nothing
+    # One metre is one in units of the cost: rows are normalised by DAQP, the cost here.
+    scale = np.abs(qp.H).max()
+    hard, soft = len(qp.lower), len(qp.soft_lower)
+    rows = np.vstack([qp.rows, qp.soft_rows])
+    lower, upper = np.concatenate([qp.lower, qp.soft_lower]), np.concatenate([qp.upper, qp.soft_upper])
+    sense = np.repeat([0, _SOFT], [hard, soft]).astype(np.intc)
+    model = daqp.Model()
+    model.setup(qp.H / scale, qp.g / scale, rows, upper, lower, sense)
+    model.settings = {"primal_tol": 1e-12, "dual_tol": 1e-13, "zero_tol": 1e-13, "iter_limit": 100_000}
+    looseness, price = np.full(hard + soft, scale / qp.quadratic), np.full(hard + soft, qp.price / scale)
+    model.soft_weights(looseness, looseness, price, price)
+    x, _, flag, info = model.solve()
+    assert flag in (1, 2), f"DAQP says {flag}"
+    multipliers = scale * info["lam"]
+    answer = Answer(SolverStatus.SOLVED, x, multipliers[:hard], multipliers[hard:])
+    worst = optimality(qp, answer)
+    assert worst < _ACCURACY, f"off the optimum by {worst:.1e}"
+    return answer
+
+
+def optimality(qp: QuadraticProgram, answer: Answer) -> float:
+    """How far an answer is from the optimality conditions, in units of x [m/s, rad/s, m]; 0 at the solution.
+
+    They are: the cost is stationary, hard limits are kept, a limit presses only where it is reached, and a soft limit
+    with its price and what its excess costs beside it where it is exceeded, with no more than that where it is not.
+    """
+    x, soft_values, values = answer.x, qp.soft_rows @ answer.x, qp.rows @ answer.x
+    force = qp.H @ x + qp.g + answer.hard @ qp.rows + answer.soft @ qp.soft_rows
+    found = [np.linalg.solve(qp.H, force), _beyond(values, qp.lower, qp.upper)]
+    found += [_gap(answer.hard, values, qp.lower, qp.upper)]
+    over, under = np.maximum(soft_values - qp.soft_upper, 0), np.maximum(qp.soft_lower - soft_values, 0)
+    # With its excess given back, a soft limit is a hard one whose multiplier is bounded by its price.
+    found += [_gap(answer.soft, soft_values - over + under, qp.soft_lower, qp.soft_upper)]
+    stiffness = np.abs(qp.H).max()
+    price = qp.price + qp.quadratic * (over + under)
+    short = np.where(over + under > _ACCURACY, price - np.abs(answer.soft), np.maximum(np.abs(answer.soft) - price, 0))
+    return float(max(np.abs(part).max() for part in [*found, short / stiffness]))
+
+
+def _beyond(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    return np.maximum(np.maximum(values - upper, lower - values), 0)
+
+
+def _gap(pressing: FloatArray, values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Distance from the bound that each row presses on; 0 where it does not press."""
+    gap = np.where(pressing > 0, upper - values, values - lower)
+    return np.where(np.abs(pressing) > 1e-9 * (1 + np.abs(pressing).max()), gap, 0.0)
