@@ -45,7 +45,7 @@ def parameter_tables() -> str:
     advice: dict[str, str] = read_yaml(_ADVICE)
     own = schema_rows(NodeSettings)
     # A list comes by file only, and its items with it.
-    controller = [row for row in schema_rows(ControllerConfig) if row.key.partition("[")[0].partition(".")[0] != "terms"]
+    controller = [row for row in schema_rows(ControllerConfig) if not row.key.startswith("terms")]
     keys = [row.key for row in own + controller]
     known = {*keys, *(key.partition(".")[0] for key in keys)}
     for name in advice:
