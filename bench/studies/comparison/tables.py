@@ -107,7 +107,7 @@ def time_table(outcomes: Group) -> Table:
         "not solved": lambda group: str(sum(one.shares.not_solved for one in group)),
     }
     note = (
-        "Whole step, serial replay on one core with one BLAS thread. Ways of the solver, as shares of the solved steps: "
+        "Whole step, serial replay on one core with one BLAS thread. Ways of the solver, in shares of solved steps: "
         "no limit active; the active set guessed and proven; OSQP or DAQP."
     )
     return Table.of("Step time", ("controller",), columns, _by_driver(outcomes), note)
