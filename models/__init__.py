@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from diffdrive_mpc.models.identification.from_logs import Identification, identify
     from diffdrive_mpc.models.interface import Measurement, Reference, ReferenceSample, Stamped
     from diffdrive_mpc.models.load import load_model
+    from diffdrive_mpc.models.nonlinear_model import NonlinearModel
     from diffdrive_mpc.models.pose import integrate_pose
     from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
     from diffdrive_mpc.models.wheels import WheelKinematics
@@ -22,6 +23,7 @@ _HOMES = {
     "Identification": "identification.from_logs",
     "Measurement": "interface",
     "ModelError": "velocity_model",
+    "NonlinearModel": "nonlinear_model",
     "Reference": "interface",
     "ReferenceSample": "interface",
     "Stamped": "interface",
@@ -37,6 +39,7 @@ __all__ = [
     "Identification",
     "Measurement",
     "ModelError",
+    "NonlinearModel",
     "Reference",
     "ReferenceSample",
     "Stamped",

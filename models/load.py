@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from diffdrive_mpc.models.base_effects.response import BaseEffects
+from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model

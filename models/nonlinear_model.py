@@ -10,34 +10,40 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.velocity_model import ModelError
+from diffdrive_mpc.models.velocity_model import CHANNELS, ModelError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NonlinearModel:
     """x[k+1] = step(x[k], window), y[k] = output(x[k]); window = (u[k - memory], ..., u[k]), oldest first.
 
-    u = (v_ref [m/s], omega_ref [rad/s]), y = (v [m/s], omega [rad/s]). A model without states of its own, such as a
-    network on past commands, keeps its last output as its state: step gives that from the window alone. It has to rest
-    at x = 0 under u = 0.
+    u = (v_ref [m/s], omega_ref [rad/s]), y = (v [m/s], omega [rad/s]). Dead time lies in the window: a step that reads
+    its older commands answers late. A model without states of its own, such as a network on past commands, keeps its
+    last output as its state: step gives that from the window alone. It has to rest at x = 0 under u = 0.
+
+    The controller linearises it at every tick along its plan, and the estimator along what was sent.
 
     Attributes
     ----------
     name
         Name for tables and messages.
     step
-        CasADi function (x (n), window (2 (memory + 1))) -> x (n), over one sample.
+        CasADi function of `x` (n) and `window` (2 (memory + 1)), in this order, to x (n) one sample later.
     output
-        CasADi function (x (n)) -> y (2).
+        CasADi function of `x` (n) to y (2).
     dt
-        Sample time that `step` is for [s].
+        Sample time that `step` is for [s]; the configuration's `sample_time` has to be the same.
     memory
         Number of past commands that still act on the future, at least 1.
+    known_lag
+        (2,) mean delay of each channel [s], if it is known better than from samples; see `lag`.
+    delay
+        (2,) zero: no channel's dead time is taken off beforehand.
 
     Raises
     ------
     ModelError
-        If shapes do not fit, or it does not rest, or its linearisation at rest is unstable or has no gain.
+        If names or shapes do not fit, or it does not rest, or its linearisation at rest is unstable or has no gain.
     """
 
     name: str
@@ -45,30 +51,53 @@ class NonlinearModel:
     output: ca.Function
     dt: float
     memory: int = 1
-    delay: NDArray[np.int64] = field(default_factory=lambda: np.zeros(2, dtype=np.int64), repr=False)
-    """(2,) zero: dead time lies in the window."""
+    known_lag: ArrayLike | None = None
+    delay: NDArray[np.int64] = field(default_factory=lambda: np.zeros(2, dtype=np.int64), init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Check shapes, rest and stability."""
-        where, n = f"model '{self.name}'", self.order
-        shapes = {
-            "step, x": (self.step.size1_in(0), n),
-            "step, window": (self.step.size1_in(1), 2 * (self.memory + 1)),
-            "step, result": (self.step.size1_out(0), n),
-            "output, result": (self.output.size1_out(0), 2),
-        }
-        for place, (found, wanted) in shapes.items():
-            if found != wanted:
-                raise ModelError(f"{where}: {place} has {found} numbers, expected {wanted}")
-        rest = np.concatenate([np.array(self.step(np.zeros(n), 0)).ravel(), np.array(self.output(np.zeros(n))).ravel()])
+        """Check names, shapes, rest and stability."""
+        where = f"model '{self.name}'"
+        if not (np.isfinite(self.dt) and self.dt > 0):
+            raise ModelError(f"{where}: dt = {self.dt} s; give the positive sample time that step is for")
+        if self.memory < 1:
+            raise ModelError(f"{where}: memory = {self.memory}; give 1 or more, the window holds a past command")
+        self._check_function("step", self.step, {"x": self.order, "window": 2 * (self.memory + 1)}, self.order)
+        self._check_function("output", self.output, {"x": self.order}, 2)
+        if self.known_lag is not None and not (
+            np.shape(self.known_lag) == (2,) and np.isfinite(np.asarray(self.known_lag, dtype=float)).all()
+        ):
+            raise ModelError(f"{where}: known_lag = {self.known_lag}; give a time in seconds for v and for omega")
+        try:
+            rest = np.concatenate([self.step(0, 0).full(), self.output(0).full()])
+            A, B, C = self.linearised
+        except RuntimeError as error:
+            raise ModelError(
+                f"{where}: CasADi cannot differentiate step and output; use SX, and call no solver or table"
+            ) from error
         if not (np.isfinite(rest).all() and np.abs(rest).max() < 1e-9):
             raise ModelError(f"{where}: it must rest at x = 0 under commands of zero; shift its states")
-        A = self.linearised[0]
+        if not (np.isfinite(A).all() and np.isfinite(B).all() and np.isfinite(C).all()):
+            raise ModelError(f"{where}: its derivatives at rest are not finite; write it smooth there")
         radius = np.abs(np.linalg.eigvals(A)).max()
         if not radius < 1:
             raise ModelError(f"{where}: unstable at rest, a state grows by {radius:.3g} each sample")
-        if not (np.isfinite(self.dc_gain).all() and np.diag(self.dc_gain).min() > 0):
-            raise ModelError(f"{where}: steady-state gains {np.diag(self.dc_gain)} at rest; they must be positive")
+        for channel, gain in zip(CHANNELS, np.diag(self.dc_gain), strict=True):
+            if not gain > 0:
+                raise ModelError(f"{where}: gain {gain:.4g} from {channel}_ref to {channel} at rest; check the sign")
+
+    def _check_function(self, role: str, function: object, inputs: dict[str, int], rows: int) -> None:
+        where = f"model '{self.name}': {role}"
+        if not isinstance(function, ca.Function):
+            raise ModelError(f"{where} is a {type(function).__name__}; give a casadi.Function")
+        if function.has_free():
+            raise ModelError(f"{where} depends on {', '.join(map(str, function.get_free()))}; make that a number")
+        if function.name_in() != list(inputs):
+            raise ModelError(f"{where} has the inputs {', '.join(function.name_in())}; name them {', '.join(inputs)}")
+        for name, length in inputs.items():
+            if function.size_in(name) != (length, 1):
+                raise ModelError(f"{where} has {function.numel_in(name)} numbers in {name}, expected {length}")
+        if function.n_out() != 1 or function.size_out(0) != (rows, 1):
+            raise ModelError(f"{where} gives {function.numel_out(0)} numbers, expected one column of {rows}")
 
     @property
     def order(self) -> int:
@@ -76,15 +105,19 @@ class NonlinearModel:
         return int(self.output.size1_in(0))
 
     @cached_property
-    def linearised(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """A (n, n), B (n, 2) summed over the window, and C (2, n), at rest."""
+    def _jacobians(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """A (n, n), B (n, memory + 1, 2) by the window's commands, and C (2, n), at rest."""
         x, window = ca.SX.sym("x", self.order), ca.SX.sym("window", 2 * (self.memory + 1))
         after, y = self.step(x, window), self.output(x)
-        jacobians = ca.Function(
-            "jacobians", [x, window], [ca.jacobian(after, x), ca.jacobian(after, window), ca.jacobian(y, x)]
-        )
-        A, by_window, C = (np.array(part) for part in jacobians(0, 0))
-        return A, by_window.reshape(self.order, -1, 2).sum(axis=1), C
+        by = [ca.jacobian(after, x), ca.jacobian(after, window), ca.jacobian(y, x)]
+        A, B, C = (part.full() for part in ca.Function("jacobians", [x, window], by)(0, 0))
+        return A, B.reshape(self.order, self.memory + 1, 2), C
+
+    @property
+    def linearised(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """A (n, n), B (n, 2) summed over the window, and C (2, n), at rest."""
+        A, B, C = self._jacobians
+        return A, B.sum(axis=1), C
 
     @property
     def drive(self) -> FloatArray:
@@ -102,25 +135,46 @@ class NonlinearModel:
         """(2, 2) steady-state gain at rest."""
         return np.asarray(self.linearised[2] @ self.settled)
 
-    @cached_property
+    @property
     def lag(self) -> FloatArray:
-        """(2,) mean delay of each channel [s] for small commands: how long a step's answer stays behind."""
-        missing = np.zeros(2)
-        for channel in (0, 1):
-            step = np.zeros(2)
-            step[channel] = 1e-4
-            answers = self.simulate(np.tile(step, (2000, 1)))[:, channel] / (
-                step[channel] * self.dc_gain[channel, channel]
-            )
-            missing[channel] = self.dt * (np.sum(1.0 - answers[1:]) + 0.5)
-        return missing
+        """(2,) mean delay of each channel [s] for small commands: `known_lag`, or what its samples say.
 
-    def simulate(self, commands: ArrayLike) -> FloatArray:
-        """Free run from rest: (K, 2) v [m/s], omega [rad/s] at the samples of `commands` (K, 2)."""
+        That is the area between a step and its answer, with straight lines between the samples: dt (m - 1/2), m being
+        the mean of the impulse response in samples. It is exact for the controller, which drives arcs with the mean of
+        v at both ends; the lag of a continuous model differs from it by some dt^2 over its time constant.
+        """
+        if self.known_lag is not None:
+            return np.array(self.known_lag, dtype=float)
+        A, B, C = self._jacobians
+        ages = np.arange(self.memory, -1, -1.0)
+        late = np.einsum("nwj,w->nj", B, ages)
+        moment = C @ np.linalg.solve(np.eye(self.order) - A, self.settled + late)
+        return np.asarray(self.dt * (np.diag(moment) / np.diag(self.dc_gain) - 0.5))
+
+    def simulate(
+        self, commands: ArrayLike, state: ArrayLike | None = None, past: ArrayLike | None = None
+    ) -> FloatArray:
+        """Free run from commands alone.
+
+        Parameters
+        ----------
+        commands
+            (K, 2) v_ref [m/s], omega_ref [rad/s].
+        state
+            (n,) state at sample 0; zero (at rest) by default.
+        past
+            (memory, 2) commands before sample 0, oldest first; zero by default.
+
+        Returns
+        -------
+        FloatArray
+            (K, 2) v [m/s] and omega [rad/s] at samples 0 to K - 1.
+        """
         commands = np.asarray(commands, dtype=float)
-        line = np.vstack([np.zeros((self.memory, 2)), commands])
-        x, outputs = np.zeros(self.order), np.empty((len(commands), 2))
+        before = np.zeros((self.memory, 2)) if past is None else np.asarray(past, dtype=float)
+        x = np.zeros(self.order) if state is None else np.array(state, dtype=float)
+        line, outputs = np.vstack([before, commands]), np.empty((len(commands), 2))
         for k in range(len(commands)):
-            outputs[k] = np.array(self.output(x)).ravel()
-            x = np.array(self.step(x, line[k : k + self.memory + 1].ravel())).ravel()
+            outputs[k] = self.output(x).full().ravel()
+            x = self.step(x, line[k : k + self.memory + 1].ravel()).full().ravel()
         return outputs

@@ -9,16 +9,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
-from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.config_file import replace_values
@@ -28,9 +26,10 @@ from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import Words
+from diffdrive_mpc.mpc.problem.build import chosen_model, sampled_model
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, SLACK, Problem
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
-from diffdrive_mpc.mpc.problem.terms import Term, load_terms
+from diffdrive_mpc.mpc.problem.terms import Term, all_terms
 from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
 from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask
 from diffdrive_mpc.mpc.solver.backends import BACKENDS
@@ -81,10 +80,10 @@ class Controller:
         terms: Sequence[Term] = (),
     ) -> None:
         self._config, self._given = config, (model, tuple(terms))
-        self._model = _model_of(config, model)
-        self._terms = (*load_terms(config.terms), *terms)
+        self._model = chosen_model(config, model)
+        self._terms = all_terms(config.terms, terms)
         dt = config.sample_time
-        self._sampled = _sampled(self._model, dt)
+        self._sampled = sampled_model(self._model, dt)
         self._feed_forward = FeedForward.of(self._model, dt)
         problem = self._problem(config)
         sizes = problem.sizes
@@ -119,11 +118,18 @@ class Controller:
 
     def __getstate__(self) -> dict[str, object]:
         """What a process pool needs to make it anew: configuration, model, terms, reference; no drive under way."""
-        return {"config": self._config, "given": self._given, "reference": self._reference, "t0": self._t0}
+        return {
+            "config": self._pending.config if self._pending else self._config,
+            "given": self._given,
+            "parameters": self._tick.parameters.copy(),
+            "reference": self._reference,
+            "t0": self._t0,
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Build it in another process, as it is after `start`."""
         Controller.__init__(self, state["config"], *state["given"])
+        self._tick.parameters[:] = state["parameters"]
         if state["reference"] is not None:
             self.start(state["reference"], state["t0"])
 
@@ -353,26 +359,3 @@ class Controller:
             times[1],
             (layout, block) if c.has_plan else None,
         )
-
-
-def _model_of(
-    config: ControllerConfig, given: VelocityModel | NonlinearModel | str | None
-) -> VelocityModel | NonlinearModel:
-    """The model to predict with, extra dead time included where it is the configuration's."""
-    extra = config.extra_dead_time
-    model: VelocityModel | NonlinearModel
-    if given is None:
-        model = load_model(config.model).with_extra_dead_time([extra.v, extra.omega])
-    else:
-        model = load_model(given) if isinstance(given, str) else given
-    if isinstance(model, NonlinearModel) or config.compensation.dead_time:
-        return model
-    return replace(model, dead_time=np.zeros(2))
-
-
-def _sampled(model: VelocityModel | NonlinearModel, dt: float) -> DiscreteModel | NonlinearModel:
-    if isinstance(model, VelocityModel):
-        return model.discretise(dt)
-    if model.dt != dt:
-        raise ConfigError(f"sample_time = {dt} s: model '{model.name}' is for {model.dt} s; set sample_time to that")
-    return model

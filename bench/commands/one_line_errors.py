@@ -8,9 +8,6 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from diffdrive_mpc.bench.errors import StudyFailedError
-from diffdrive_mpc.models.errors import DiffdriveMpcError
-
 BAD_INPUT = 2
 """Exit code for input that cannot be used."""
 FAILED = 1
@@ -43,9 +40,6 @@ class OneLineErrors(TyperGroup):
             code = super().main(*args, **kwargs)
         except typer.Abort:
             code = INTERRUPTED  # how older versions of typer pass on Ctrl-C; newer ones return the exit code
-        except StudyFailedError as error:
-            _complain(str(error))
-            sys.exit(FAILED)
         except ModuleNotFoundError as error:
             if error.name not in OPTIONAL_PACKAGES:
                 raise
@@ -54,13 +48,15 @@ class OneLineErrors(TyperGroup):
         except (ValueError, OSError) as error:
             _complain(str(error))
             sys.exit(BAD_INPUT)
-        except DiffdriveMpcError as error:
-            _complain(str(error))
-            sys.exit(FAILED)
         except Exception as error:
             # The parser's own errors have no public base class that all versions of typer share.
             if not hasattr(error, "format_message"):
-                raise
+                from diffdrive_mpc.models.errors import DiffdriveMpcError  # noqa: PLC0415 - loads what --help needs not
+
+                if not isinstance(error, DiffdriveMpcError):
+                    raise
+                _complain(str(error))
+                sys.exit(FAILED)
             if type(error).__name__ == "NoArgsIsHelpError":
                 typer.echo(error.format_message())
             else:

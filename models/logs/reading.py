@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.logs.bag_log import is_bag, read_bag
+from diffdrive_mpc.models.logs.bags import is_bag, read_bag
 from diffdrive_mpc.models.logs.check_settings import CheckSettings, check_settings
 from diffdrive_mpc.models.logs.clock_checks import check_timing, gap_finding
 from diffdrive_mpc.models.logs.csv_log import read_csv

@@ -14,6 +14,8 @@ from diffdrive_mpc.models.logs.record import BoolArray, Finding, Record
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 _UNITS = {"v": "m/s", "omega": "rad/s"}
+_LEAST_LEFT = 0.5
+"""Of the readings, at a lag that counts."""
 _REMEDY = "drive steps of both signs in v and in omega, each for a second or more"
 
 
@@ -86,6 +88,13 @@ class Response:
     channel: int
     measured: tuple[FloatArray, ...]
 
+    @property
+    def changes(self) -> bool:
+        """Whether any two readings differ."""
+        readings = np.concatenate(self.measured)
+        readings = readings[np.isfinite(readings)]
+        return len(readings) > 1 and bool(np.ptp(readings) > 0)
+
 
 def largest_command(records: Sequence[Record]) -> FloatArray:
     """(2,) largest |v| [m/s] and |omega| [rad/s] that are commanded anywhere."""
@@ -100,7 +109,7 @@ def responses(records: Sequence[Record], pose_window: float) -> list[Response]:
             found.append(Response("encoders", channel, tuple(_twist(record)[:, channel] for record in records)))
         if channel == 1 and all(record.yaw_rate is not None for record in records):
             found.append(Response("gyro", channel, tuple(_yaw_rate(record) for record in records)))
-        if all(record.pose is not None for record in records):
+        if all(record.pose is not None for record in records) and _long_enough(records, pose_window):
             speeds = tuple(pose_speeds(record, pose_window)[:, channel] for record in records)
             found.append(Response("pose", channel, speeds))
     return found
@@ -116,6 +125,11 @@ def pose_speeds(record: Record, window: float) -> FloatArray:
         theta = record.pose[reach:-reach, 2]
         speeds[reach:-reach] = np.column_stack([np.cos(theta) * dx + np.sin(theta) * dy, turn])
     return speeds
+
+
+def _long_enough(records: Sequence[Record], window: float) -> bool:
+    """Whether any record holds two windows: in a shorter one poses hardly tell speeds, and that is no fault."""
+    return any(record.end - record.start >= 2 * window for record in records)
 
 
 def _twist(record: Record) -> FloatArray:
@@ -193,7 +207,11 @@ def check_responses(log: str, records: Sequence[Record], settings: CheckSettings
         commands = [record.command[:, response.channel] for record in records]
         if np.ptp(np.concatenate(commands)) > 0:
             lags = _lags(records[0].dt, settings.longest_lag)
-            findings += _judge(log, response, *follow(commands, response.measured, lags), settings)
+            correlation, gain = follow(commands, response.measured, lags)
+            # Where it changes and the command does not, nothing can be said: the log is too short for that.
+            if np.isnan(correlation) and response.changes:
+                continue
+            findings += _judge(log, response, correlation, gain, settings)
     return findings
 
 
@@ -203,14 +221,16 @@ def follow(commands: Sequence[FloatArray], measured: Sequence[FloatArray], lags:
     Returns
     -------
     tuple
-        Correlation and gain (slope of the response over the command); NaN where the response is constant or empty.
+        Correlation and gain (slope of the response over the command); NaN where at no lag both change.
     """
     best = (float("nan"), float("nan"))
+    readings = sum(int(np.isfinite(response).sum()) for response in measured)
     for lag in lags:
         u = np.concatenate([command[: max(len(command) - lag, 0)] for command in commands])  # or shorter than the lag
         y = np.concatenate([response[lag:] for response in measured])
         u, y = u[np.isfinite(y)], y[np.isfinite(y)]
-        if len(y) < 2 or np.ptp(y) == 0 or np.ptp(u) == 0:
+        # What is left of a short log at a long lag is too little to go by.
+        if len(y) < max(2.0, _LEAST_LEFT * readings) or np.ptp(y) == 0 or np.ptp(u) == 0:
             continue
         covariance = np.cov(u, y)
         correlation = float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, signal
+from scipy import linalg
 
 from diffdrive_mpc.models.interface import FloatArray
 
@@ -119,6 +119,8 @@ class StateResponse:
         start
             (n, S) states at sample 0; zero by default.
         """
+        from scipy import signal  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+
         adjoint, triangle = self._basis.conj().T, self._triangle
         states = np.tensordot(adjoint, drive, 1)
         first = np.tensordot(adjoint, np.zeros(drive.shape[:2]) if start is None else start, 1)

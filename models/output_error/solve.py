@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.models.interface import FloatArray
@@ -133,6 +132,8 @@ def fit_output_error(
 def _solve(
     layout: Layout, start: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray], evaluations: int
 ) -> tuple[Layout, FloatArray, float]:
+    from scipy.optimize import least_squares  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+
     parametrisation, own = layout.parametrisation.recentred(start[: layout.counts[0]])
     layout = layout.around(parametrisation)
     start = np.concatenate([own, start[len(own) :]])

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import Experiment
@@ -36,6 +35,8 @@ def spike_weights(residuals: Sequence[FloatArray]) -> list[FloatArray]:
     A spike is the difference from the median of five readings around; its scale is the median of all that differ. (The
     quantised readings of a robot that stands do not, and say nothing about noise.)
     """
+    from scipy import ndimage  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+
     spikes = [np.full_like(rows, np.nan) for rows in residuals]
     for spike, rows in zip(spikes, residuals, strict=True):
         for column in range(rows.shape[1]):

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
@@ -45,7 +44,8 @@ def pooled_fit_percent(measured: Sequence[FloatArray], simulated: Sequence[Float
     return 100.0 * (1.0 - float(np.linalg.norm(y - yhat)) / spread)
 
 
-_BOUND = float(stats.norm.ppf(0.975))
+# 97.5 % quantile of the normal distribution.
+_BOUND = 1.959963984540054
 
 
 @dataclass(frozen=True)
@@ -89,6 +89,8 @@ def check_residuals(errors: Sequence[FloatArray], experiments: Sequence[Experime
     Nothing is correlated across experiments. Where the sensors are slower than the log, lags between two readings have
     no pairs and count as zero.
     """
+    from scipy import stats  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+
     dt = experiments[0].dt
     lags = min(round(estimator_settings().residual_lag / dt), min(map(len, errors)) - 1)
     outputs, inputs = errors[0].shape[1], experiments[0].inputs.shape[1]

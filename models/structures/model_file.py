@@ -6,7 +6,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field, model_validator
 
-from diffdrive_mpc.models.base_effects.response import BaseEffects
+from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.velocity_model import VelocityModel

@@ -14,14 +14,17 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 PARAMETERS = Path(__file__).parent / "parameters"
 
 
-def load_config(source: str | Path = "ssm", overrides: Mapping[str, object] | None = None) -> ControllerConfig:
+def load_config(
+    source: str | Path | Mapping[str, object] = "ssm", overrides: Mapping[str, object] | None = None
+) -> ControllerConfig:
     """Read and check a configuration.
 
     Parameters
     ----------
     source
         "mbm", "sm" or "ssm" for the shipped configuration of that model, or the path of a YAML file. A relative
-        path of a model or of a term inside that file is taken from the folder of the file.
+        path of a model or of a term inside that file is taken from the folder of the file. Or keys and values as such a
+        file holds them, for instance those that `identify` found.
     overrides
         Values by dotted key, for instance ``{"horizon": 20, "weights.across": 200.0}``.
 
@@ -30,28 +33,31 @@ def load_config(source: str | Path = "ssm", overrides: Mapping[str, object] | No
     models.checked_yaml.ConfigError
         With one line that names the file, the key, the mistake and the remedy.
     """
-    name = str(source)
-    path = named_file("configuration", PARAMETERS, source, MODEL_NAMES)
+    if isinstance(source, Mapping):
+        return check(ControllerConfig, _replaced(source, overrides), "configuration")
+    path = named_file("configuration", PARAMETERS, source)
     data = read_yaml(path)
     if not isinstance(data, Mapping):
         raise ConfigError(f"{path}: expected keys and values; an example: diffdrive-mpc config show ssm")
-    merged: dict[str, Any] = {**data}
-    for key, value in (overrides or {}).items():
-        merged = _with_value(merged, key.split("."), value, key)
-    config = check(ControllerConfig, merged, name if name in MODEL_NAMES else str(path))
+    shipped = path.parent == PARAMETERS
+    config = check(ControllerConfig, _replaced(data, overrides), path.stem if shipped else str(path))
     beside = path.parent / config.model
     if config.model not in MODEL_NAMES and not Path(config.model).is_absolute() and beside.is_file():
         config = config.model_copy(update={"model": str(beside)})
-    terms = [term.model_copy(update={"file": str(path.parent / term.file)}) for term in config.terms]
+    terms = [term.model_copy(update={"file": str((path.parent / term.file).absolute())}) for term in config.terms]
     return config.model_copy(update={"terms": terms}) if terms else config
 
 
 def replace_values(config: ControllerConfig, overrides: Mapping[str, object]) -> ControllerConfig:
     """A copy of `config` with values replaced by dotted key, checked anew; raises ConfigError."""
-    data = config.model_dump()
-    for key, value in overrides.items():
-        data = _with_value(data, key.split("."), value, key)
-    return check(ControllerConfig, data, "configuration")
+    return check(ControllerConfig, _replaced(config.model_dump(), overrides), "configuration")
+
+
+def _replaced(data: Mapping[str, Any], overrides: Mapping[str, object] | None) -> dict[str, Any]:
+    replaced = dict(data)
+    for key, value in (overrides or {}).items():
+        replaced = _with_value(replaced, key.split("."), value, key)
+    return replaced
 
 
 def _with_value(data: Mapping[str, Any], keys: list[str], value: object, whole: str) -> dict[str, Any]:

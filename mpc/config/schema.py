@@ -216,11 +216,16 @@ class TermConfig(Group):
 
     file: str = Field(min_length=1, description="Python file that defines it, from the folder of the configuration [-]")
     function: str = Field(min_length=1, description="name of a casadi.Function in that file [-]")
+    name: str = Field("", description="what the term is called; empty: as its function [-]")
     kind: Literal["residual", "soft"] = Field(
         "residual", description="residual: half its square is added to the cost; soft: its value is limited [-]"
     )
-    upper: list[float] | None = Field(None, description="soft: upper limits of its values; none: no limit [its own]")
-    lower: list[float] | None = Field(None, description="soft: lower limits of its values; none: no limit [its own]")
+    upper: list[float | None] | None = Field(
+        None, description="soft: upper limits of its value, row by row; null: no limit [its own]"
+    )
+    lower: list[float | None] | None = Field(
+        None, description="soft: lower limits of its value, row by row; null: no limit [its own]"
+    )
     parameters: list[float] = Field([], description="stage parameters until others are set [its own]")
 
 

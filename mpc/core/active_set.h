@@ -13,7 +13,7 @@
 #ifndef DDMPC_ACTIVE_SET_H
 #define DDMPC_ACTIVE_SET_H
 
-#include "real.h"
+#include "tile.h"
 
 /* Numbers are SI or the problem's own; the library looks at sizes only to tell rounding errors. */
 typedef struct {
@@ -52,10 +52,10 @@ typedef struct {
     int *ints;   /* (DDMPC_LIMITED_INTS) */
 } ddmpc_limited_memory;
 
-#define DDMPC_LIMITED_SLOTS(most_active) (((most_active) + 7) / 8 * 8)
+#define DDMPC_LIMITED_SLOTS(most_active) (((most_active) + DDMPC_LANES - 1) / DDMPC_LANES * DDMPC_LANES)
 #define DDMPC_LIMITED_REALS(n, m, most_active)                                                                         \
-    ((n) * (DDMPC_LIMITED_SLOTS(most_active) + 8 + 4) + 2 * (m) +                                                      \
-     DDMPC_LIMITED_SLOTS(most_active) * (2 * DDMPC_LIMITED_SLOTS(most_active) + 6) + 8 * 16)
+    ((n) * (DDMPC_LIMITED_SLOTS(most_active) + DDMPC_LANES + 3) + 3 * DDMPC_LANES + 2 * (m) +                          \
+     DDMPC_LIMITED_SLOTS(most_active) * (2 * DDMPC_LIMITED_SLOTS(most_active) + 6) + 16)
 #define DDMPC_LIMITED_INTS(n, m, most_active) (2 * (m) + 3 * DDMPC_LIMITED_SLOTS(most_active))
 
 /* How many reals and ints that is. */

@@ -500,17 +500,20 @@ static void soft_at(const ddmpc_controller *c, const soft_group *group, int k)
               group->term ? parameters_at(c, k + 1, group->term) : shipped, p->term);
 }
 
-/* Soft limits of one function. Where the robot is beyond a limit already, its present value is the limit. */
+/* Soft limits of one function. Where the robot is beyond a shipped limit already, its present value is the limit: back
+   inside leads the reference. Nothing else may lead back inside a limit of the user, so those stand as they are given. */
 static void limit_softly(ddmpc_controller *c, const soft_group *group, const real *moves, const real *headings)
 {
     ddmpc_problem *p = &c->problem;
     const int N = STEPS(c), rows = group->rows;
-    soft_at(c, group, -1);
+    if (!group->term)
+        soft_at(c, group, -1);
     for (int r = 0; r < rows; r++) {
         const int kind = group->first + r;
-        const real now = p->term[r], up = group->term ? now : ddmpc_fabs(now), down = group->term ? now : -up;
-        p->upper[(HARD + kind) * N] = ddmpc_max(c->constants->soft_upper[kind], up);
-        p->lower[(HARD + kind) * N] = ddmpc_min(c->constants->soft_lower[kind], down);
+        const real up = c->constants->soft_upper[kind], down = c->constants->soft_lower[kind];
+        const real now = ddmpc_fabs(p->term[r]);
+        p->upper[(HARD + kind) * N] = group->term ? up : ddmpc_max(up, now);
+        p->lower[(HARD + kind) * N] = group->term ? down : ddmpc_min(down, -now);
     }
     for (int k = 0; k < N; k++) {
         soft_at(c, group, k);

@@ -198,8 +198,8 @@ class Problem:
             "largest_command": [limits.v, limits.omega],
             "slew": np.array([limits.v_slew, limits.omega_slew]) * dt,
             "braking": np.array([limits.v_braking, limits.omega_braking]) * dt,
-            "soft_upper": np.concatenate([shipped, *(np.asarray(term.upper) for term in soft)]),
-            "soft_lower": np.concatenate([np.negative(shipped), *(np.asarray(term.lower) for term in soft)]),
+            "soft_upper": np.concatenate([shipped, *(term.bounds[1] for term in soft)]),
+            "soft_lower": np.concatenate([np.negative(shipped), *(term.bounds[0] for term in soft)]),
             "half_track": 0.5 * self.config.wheels.track,
         }
 

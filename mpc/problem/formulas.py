@@ -12,14 +12,15 @@ reference      4     x, y [m], theta [rad] of the path where the robot should be
 dt             1     duration [s]
 =============  ====  ============================================================================================
 
-Sources: Guffanti et al., Sensors 2025, 25(11), 3553 (odometry, slip of a skid-steer); Pavlov et al. and Klancar and
-Skrjanc for the errors in the reference's frame; the rest is derived where it stands.
+Source of the odometry: Guffanti et al., Sensors 2025, 25(11), 3553. The rest is derived where it stands.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from inspect import signature
+from typing import Any
 
 import casadi as ca
 
@@ -31,7 +32,17 @@ TERM_INPUTS: Mapping[str, int] = {"pose": 3, "twist": 2, "command": 2, "referenc
 VARIED = ("pose", "twist", "command")
 """Inputs by which a term is differentiated."""
 
-_SLIP = ("v_offset", "omega_gain", "longitudinal_gain", "yaw_gain", "side_slip")
+# Arguments of the formulas by name; the others are scalars.
+_SHAPES = {
+    "y": (2, 1),
+    "slip": (5, 1),
+    "pose": (3, 1),
+    "twist": (2, 1),
+    "wanted": (2, 1),
+    "inverse_gain": (2, 2),
+    "row": (10, 1),
+    "coefficients": (16, 1),
+}
 
 
 def body_twist(y: ca.SX, slip: ca.SX) -> ca.SX:
@@ -142,40 +153,26 @@ def spline_piece(tau: ca.SX, coefficients: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     return value[:3], ca.vertcat(v, rate[2]), value[3]
 
 
+def arc_move(theta: ca.SX, v: ca.SX, omega: ca.SX, side_slip: ca.SX, dt: ca.SX) -> ca.SX:
+    """Displacement (2) dx, dy [m] over `dt` along the same arc as in `displacement`, for a twist that includes slip."""
+    return arc_displacement(theta, v, omega, dt, side_slip)[:2]
+
+
 @cache
 def formulas() -> tuple[ca.Function, ...]:
     """The controller's formulas as SX functions, named as they are in C. Those that vary carry their gradient."""
-    y, slip, pose, twist = ca.SX.sym("y", 2), ca.SX.sym("slip", 5), ca.SX.sym("pose", 3), ca.SX.sym("twist", 2)
-    theta, v, omega, dt, tau = (ca.SX.sym(name) for name in ("theta", "v", "omega", "dt", "tau"))
-    side_slip, gyro_bias, wheel_yaw_ratio = (ca.SX.sym(name) for name in ("side_slip", "gyro_bias", "wheel_yaw_ratio"))
-    weights = {name: ca.SX.sym(name) for name in ("along_weight", "heading_weight")}
-    wanted, inverse_gain = ca.SX.sym("wanted", 2), ca.SX.sym("inverse_gain", 2, 2)
-    row, coefficients = ca.SX.sym("row", 10), ca.SX.sym("coefficients", 16)
     sampled = ("pose", "twist", "arc_length")
-    motion = {"y": y, "slip": slip}
-
-    turned = {**motion, "theta": theta, "dt": dt}
-    moved = displacement(y, slip, theta, dt)
-    read = {**motion, "gyro_bias": gyro_bias, "wheel_yaw_ratio": wheel_yaw_ratio}
-    along_arc = {"theta": theta, "v": v, "omega": omega, "side_slip": side_slip, "dt": dt}
-    on_arc = arc_displacement(theta, v, omega, dt, side_slip)[:2]
-    aimed = {"pose": pose, "twist": twist, "side_slip": side_slip, **weights}
-    fed = {"wanted": wanted, "slip": slip, "inverse_gain": inverse_gain}
     return (
-        differentiated("ddmpc_f_twist", motion, "twist", body_twist(y, slip), ("y", "slip")),
-        differentiated("ddmpc_f_move", turned, "displacement", moved, ("y", "slip", "theta")),
-        differentiated("ddmpc_f_sensors", read, "sensed", sensed(*read.values()), ("y", "slip", "gyro_bias")),
-        differentiated("ddmpc_f_arc", along_arc, "move", on_arc, ("v", "omega", "theta")),
-        _function("ddmpc_f_aim", aimed, {"aim": aim(*aimed.values())}),
-        _function("ddmpc_f_feed_forward", fed, {"command": feed_forward(*fed.values())}),
-        _errors(),
-        _soft(),
-        _function("ddmpc_f_arc_piece", {"tau": tau, "row": row}, dict(zip(sampled, arc_piece(tau, row), strict=True))),
-        _function(
-            "ddmpc_f_spline_piece",
-            {"tau": tau, "coefficients": coefficients},
-            dict(zip(sampled, spline_piece(tau, coefficients), strict=True)),
-        ),
+        _varied("ddmpc_f_twist", body_twist, "twist", ("y", "slip")),
+        _varied("ddmpc_f_move", displacement, "displacement", ("y", "slip", "theta")),
+        _varied("ddmpc_f_sensors", sensed, "sensed", ("y", "slip", "gyro_bias")),
+        _varied("ddmpc_f_arc", arc_move, "move", ("v", "omega", "theta")),
+        _plain("ddmpc_f_aim", aim, "aim"),
+        _plain("ddmpc_f_feed_forward", feed_forward, "command"),
+        _term("ddmpc_f_errors", tracking_errors, 0),
+        _term("ddmpc_f_soft", softly_limited, 6),
+        _plain("ddmpc_f_arc_piece", arc_piece, *sampled),
+        _plain("ddmpc_f_spline_piece", spline_piece, *sampled),
     )
 
 
@@ -195,15 +192,27 @@ def differentiated(name: str, inputs: Mapping[str, ca.SX], output: str, value: c
     return _function(name, inputs, {output: value, "gradient": gradient})
 
 
-def _errors() -> ca.Function:
-    inputs = term_symbols(0)
-    return term("ddmpc_f_errors", inputs, tracking_errors(inputs["pose"], inputs["reference"]))
+_Formula = Callable[..., Any]
 
 
-def _soft() -> ca.Function:
-    inputs = term_symbols(len(_SLIP) + 1)
-    limited = softly_limited(*(inputs[name] for name in ("pose", "twist", "reference", "parameters")))
-    return term("ddmpc_f_soft", inputs, limited)
+def _symbols(formula: _Formula) -> dict[str, ca.SX]:
+    return {name: ca.SX.sym(name, *_SHAPES.get(name, (1, 1))) for name in signature(formula).parameters}
+
+
+def _varied(name: str, formula: _Formula, output: str, by: Sequence[str]) -> ca.Function:
+    inputs = _symbols(formula)
+    return differentiated(name, inputs, output, formula(**inputs), by)
+
+
+def _plain(name: str, formula: _Formula, *outputs: str) -> ca.Function:
+    inputs = _symbols(formula)
+    values = formula(**inputs)
+    return _function(name, inputs, dict(zip(outputs, values if len(outputs) > 1 else [values], strict=True)))
+
+
+def _term(name: str, formula: _Formula, parameters: int) -> ca.Function:
+    inputs = term_symbols(parameters)
+    return term(name, inputs, formula(**{given: inputs[given] for given in signature(formula).parameters}))
 
 
 def _function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX]) -> ca.Function:

@@ -1,77 +1,108 @@
 """Terms of the user: residuals that are squared and added to the cost, and values with soft limits.
 
-A term is one CasADi function of what the plan does at a sample. It is differentiated, generated as C and compiled like the
-shipped ones.
+A term is one CasADi function of what the plan does at a sample. It is differentiated, generated as C and compiled like
+the shipped ones.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import math
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import TermConfig
-from diffdrive_mpc.mpc.problem.formulas import TERM_INPUTS
+from diffdrive_mpc.mpc.problem.user_functions import user_term
 
 MOST_SOFT_ROWS = 24
 """Rows of soft limits that all terms may have together at a sample."""
+
+Limits = Sequence[float | None] | float | None
+"""Limits of a value, row by row; None: no limit."""
+
+_KINDS = ("residual", "soft")
 _NO_LIMIT = 1e14
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Term:
     """A function of the plan at each of the samples 1 to N.
 
     Attributes
     ----------
     name
-        Name for messages and tables.
+        Name for messages and for `Controller.set_parameters`.
     function
-        CasADi function of some of `pose` (3) [m, m, rad], `twist` (2) of the body [m/s, rad/s], `command` (2) before the
-        sample, `reference` (4): x, y [m], theta [rad] to aim at and the heading [rad] to hold there, and `parameters` (p);
-        inputs go by name. Its only output is the value (m).
+        CasADi function of some of `pose` (3) [m, m, rad] in the frame of the reference, `twist` (2) of the body
+        [m/s, rad/s], `command` (2) before the sample [m/s, rad/s], `reference` (4): x, y [m], theta [rad] to aim at and
+        the heading [rad] to hold there, and `parameters` (p); inputs go by name. Its only output is the value (m).
     kind
         "residual": half the value's square is added to the cost, so a weight w enters as its root; "soft": the value is
-        kept between `lower` and `upper` (m,), at the price of the shipped soft limits (`weights.soft`).
+        kept between `lower` and `upper`. One unit beyond them costs `weights.soft`, and half its square
+        `weights.soft_quadratic`, so a value that is scaled up is kept more strictly.
+    upper, lower
+        (m,) limits of a soft term; None, for all of it or in a row: no limit.
     defaults
         (p,) stage parameters until others are set.
+
+    Raises
+    ------
+    ConfigError
+        If any of these does not fit. The message is one line: term, mistake, remedy.
     """
 
     name: str
     function: ca.Function
     kind: Literal["residual", "soft"] = "residual"
-    upper: ArrayLike | None = None
-    lower: ArrayLike | None = None
+    upper: Limits = None
+    lower: Limits = None
     defaults: Sequence[float] = ()
+    bounds: FloatArray = field(init=False, repr=False)
+    """(2, m) lower and upper limits as numbers, of a residual too."""
 
     def __post_init__(self) -> None:
-        """Check names and shapes, and fill in limits that are not given."""
-        function, where = self.function, f"term '{self.name}'"
-        known = {**TERM_INPUTS, "parameters": len(self.defaults)}
-        for index, name in enumerate(function.name_in()):
-            if name not in known:
-                raise ConfigError(f"{where}: unknown input '{name}'; known inputs: {', '.join(known)}")
-            if function.size1_in(index) != known[name] or function.size2_in(index) != 1:
-                raise ConfigError(
-                    f"{where}: input '{name}' has {function.numel_in(index)} numbers, expected {known[name]}"
-                )
-        if function.n_out() != 1 or function.size2_out(0) != 1:
-            raise ConfigError(f"{where}: give one output, a column of values")
-        limits = {"upper": (self.upper, _NO_LIMIT), "lower": (self.lower, -_NO_LIMIT)}
-        for name, (given, default) in limits.items():
-            if given is not None and not self.soft:
-                raise ConfigError(f"{where}: {name} is for kind soft; a residual has no limits")
-            values = np.full(self.rows, default) if given is None else np.atleast_1d(np.asarray(given, dtype=float))
-            if values.shape != (self.rows,):
-                raise ConfigError(f"{where}: {name} has {values.size} numbers, expected {self.rows}")
-            object.__setattr__(self, name, np.clip(values, -_NO_LIMIT, _NO_LIMIT))
+        """Check all of it."""
+        where = f"term '{self.name}'"
+        if self.kind not in _KINDS:
+            raise ConfigError(f"{where}: unknown kind '{self.kind}'; give {' or '.join(_KINDS)}")
+        compiled = user_term(self.function, "ddmpc_user_term", where)
+        if compiled.nnz_out("gradient") == 0:
+            raise ConfigError(f"{where}: its value depends on none of pose, twist and command; no plan could change it")
+        taken = compiled.numel_in("parameters")
+        if taken != len(self.defaults):
+            raise ConfigError(
+                f"{where}: its function takes {taken} parameters, and {len(self.defaults)} are given; give as many"
+            )
+        if not all(_is_number(value) for value in self.defaults):
+            raise ConfigError(f"{where}: parameters {list(self.defaults)}; give finite numbers")
+        if self.soft and self.upper is None and self.lower is None:
+            raise ConfigError(f"{where}: kind soft, but no limit; give upper or lower, or make it a residual")
+        bounds = np.stack([self._limits("lower", self.lower, -_NO_LIMIT), self._limits("upper", self.upper, _NO_LIMIT)])
+        for row, (low, high) in enumerate(bounds.T):
+            if low > high:
+                raise ConfigError(f"{where}: lower {low:g} is above upper {high:g} in row {row}; swap them")
+        bounds.flags.writeable = False
+        object.__setattr__(self, "bounds", bounds)
+
+    def _limits(self, name: str, given: Limits, none: float) -> FloatArray:
+        """(m,) one side of the limits."""
+        where = f"term '{self.name}'"
+        if given is not None and not self.soft:
+            raise ConfigError(f"{where}: {name} is for kind soft; a residual has no limits, leave it out")
+        rows = [given] * self.rows if given is None else [given] if isinstance(given, float | int) else list(given)
+        if len(rows) != self.rows:
+            raise ConfigError(f"{where}: {name} has {len(rows)} numbers, its value has {self.rows}; give one for each")
+        if not all(row is None or _is_number(row) for row in rows):
+            raise ConfigError(f"{where}: {name} {rows} holds what is no finite number; for no limit give none")
+        return np.array([none if row is None else row for row in rows], dtype=float)
 
     @property
     def soft(self) -> bool:
@@ -89,34 +120,58 @@ class Term:
         return len(self.defaults)
 
 
-def load_terms(configs: Sequence[TermConfig]) -> tuple[Term, ...]:
-    """Terms that a configuration names. Runs their files.
+def all_terms(configs: Sequence[TermConfig], given: Sequence[Term]) -> tuple[Term, ...]:
+    """Terms that a configuration names, whose files are run, and those given in Python, in this order.
 
     Raises
     ------
-    models.checked_yaml.ConfigError
-        If a file cannot be run, has no such function, or that is none of (pose, twist, command, ...).
+    ConfigError
+        If a file cannot be run, has no such function, or that is none of (pose, twist, command, ...); if two terms have
+        one name, or all of them together more rows of soft limits than a controller holds.
     """
-    return tuple(_load(config) for config in configs)
+    terms = (*(_load(config) for config in configs), *given)
+    for name, count in Counter(term.name for term in terms).items():
+        if count > 1:
+            raise ConfigError(f"term '{name}': {count} terms have this name; give each a name of its own")
+    soft = [term for term in terms if term.soft]
+    rows = sum(term.rows for term in soft)
+    if rows > MOST_SOFT_ROWS:
+        each = ", ".join(f"{term.name} {term.rows}" for term in soft)
+        raise ConfigError(
+            f"terms with soft limits have {rows} rows together ({each}), at most {MOST_SOFT_ROWS} are held; leave some "
+            "out, or make them residuals"
+        )
+    return terms
 
 
 def _load(config: TermConfig) -> Term:
-    path = Path(config.file)
-    function = getattr(_run(path), config.function, None)
-    if not isinstance(function, ca.Function):
-        raise ConfigError(
-            f"{path}: '{config.function}' is no CasADi function there; give the name of a casadi.Function"
-        )
-    return Term(config.function, function, config.kind, config.upper, config.lower, tuple(config.parameters))
+    path, name = Path(config.file), config.name or config.function
+    module = _run(path)
+    found = {key: value for key, value in module.items() if isinstance(value, ca.Function)}
+    if config.function not in found:
+        there = f"there are: {', '.join(found)}" if found else "it defines none"
+        raise ConfigError(f"{path}: term '{name}': no casadi.Function '{config.function}' in that file; {there}")
+    try:
+        return Term(name, found[config.function], config.kind, config.upper, config.lower, tuple(config.parameters))
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
 
 
-def _run(path: Path) -> object:
+def _run(path: Path) -> dict[str, object]:
+    """What a Python file defines."""
     spec = importlib.util.spec_from_file_location(f"diffdrive_mpc_term_{path.stem}", path)
     if not path.is_file() or spec is None or spec.loader is None:
-        raise ConfigError(f"{path}: there is no such Python file; a term names the file of its function")
+        raise ConfigError(
+            f"{path}: no such Python file; a term names the file of its function, seen from the configuration's folder"
+        )
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
     except Exception as error:
-        raise ConfigError(f"{path}: {type(error).__name__}: {error}") from error
-    return module
+        message = " ".join(str(error).split())
+        raise ConfigError(f"{path}: running it ends with {type(error).__name__}: {message}") from error
+    return vars(module)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, float | int | np.integer | np.floating) and math.isfinite(value)

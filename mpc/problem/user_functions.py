@@ -18,7 +18,7 @@ from diffdrive_mpc.mpc.problem.formulas import TERM_INPUTS, differentiated, term
 _C_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 
 
-def user_term(function: ca.Function, name: str) -> ca.Function:
+def user_term(function: ca.Function, name: str, place: str | None = None) -> ca.Function:
     """The term of a user's `function`, called `name` in C.
 
     Parameters
@@ -28,6 +28,8 @@ def user_term(function: ca.Function, name: str) -> ca.Function:
         to one column (m). Units and frames are those of `mpc.problem.formulas`.
     name
         What it is called in C.
+    place
+        What messages call it; by default "term" and the function's own name.
 
     Returns
     -------
@@ -40,7 +42,7 @@ def user_term(function: ca.Function, name: str) -> ca.Function:
     ConfigError
         If the function has other inputs or outputs, depends on anything else, or cannot be written as C.
     """
-    place = _checked_function(function, name, "term")
+    place = _checked_function(function, name, "term", place)
     known = (*TERM_INPUTS, "parameters")
     given = _columns_in(function, place)
     for given_name, length in given.items():
@@ -121,15 +123,15 @@ def user_output(function: ca.Function, name: str, states: int) -> ca.Function:
     return differentiated(name, inputs, "y", _value(function, list(inputs.values()), place), ("x",))
 
 
-def _checked_function(function: ca.Function, name: str, what: str) -> str:
+def _checked_function(function: ca.Function, name: str, what: str, place: str | None = None) -> str:
     """The words that name the place, if `function` is one and `name` a name in C."""
     if not isinstance(function, ca.Function):
         raise ConfigError(
-            f"{what} {name}: {type(function).__name__} is no casadi.Function; build one with named inputs"
+            f"{place or f'{what} {name}'}: {type(function).__name__} is no casadi.Function; build one with named inputs"
         )
     if not _C_NAME.fullmatch(name):
         raise ConfigError(f"{what} '{name}': letters, digits and underscores only")
-    place = f"{what} {function.name()}"
+    place = place or f"{what} {function.name()}"
     if function.has_free():
         raise ConfigError(f"{place}: it depends on {', '.join(map(str, function.get_free()))}; make it an input")
     return place

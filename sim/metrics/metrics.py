@@ -27,13 +27,13 @@ GIVEN_UP_MODES = frozenset({"BRAKING", "STOPPED"})
 
 # Two twists closer than this [m/s, rad/s] are the same: a ramp changes by a hundred times as much in a sample.
 _SAME_TWIST = 1e-6
-# Name and unit in the fields of `Metrics`, by what a cell is multiplied, and how the row is called.
+# Name and unit in the fields of `Metrics`, by what a cell is multiplied, its decimals, and how the row is called.
 _SHOWN = (
-    ("position", "m", 1.0, "position [m]"),
-    ("heading", "rad", 1.0, "heading [rad]"),
-    ("course", "rad", 1.0, "course [rad]"),
-    ("lateral", "m", 1.0, "|lateral| [m]"),
-    ("step_time", "s", 1e3, "step time [ms]"),
+    ("position", "m", 1.0, 4, "position [m]"),
+    ("heading", "rad", 1.0, 4, "heading [rad]"),
+    ("course", "rad", 1.0, 4, "course [rad]"),
+    ("lateral", "m", 1.0, 4, "|lateral| [m]"),
+    ("step_time", "s", 1e3, 2, "step time [ms]"),
 )
 
 
@@ -73,9 +73,9 @@ class Metrics:
         names, values = ("rmse", "mean", "std", "p50", "p95", "p99", "max"), asdict(self)
         values["lateral_mean_m"] = self.lateral_mae_m
         rows: list[tuple[str, ...]] = [("", *names)]
-        for quantity, unit, scale, shown in _SHOWN:
+        for quantity, unit, scale, digits, shown in _SHOWN:
             cells = [values.get(f"{quantity}_{name}_{unit}", math.nan) for name in names]
-            rows.append((shown, *(f"{scale * cell:.4g}" if math.isfinite(cell) else "-" for cell in cells)))
+            rows.append((shown, *(f"{scale * cell:.{digits}f}" if math.isfinite(cell) else "-" for cell in cells)))
         note = (
             f"{self.steps} steps, {'completed' if self.completed else 'not completed'}; in the band "
             f"{self.in_band_percent:.1f} %; deadlines missed {self.deadline_misses}, fall-backs {self.fallbacks}"

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from diffdrive_mpc.models.identification.from_logs import identify
     from diffdrive_mpc.models.interface import Measurement, Stamped
     from diffdrive_mpc.models.load import load_model
+    from diffdrive_mpc.models.nonlinear_model import NonlinearModel
     from diffdrive_mpc.models.pose import integrate_pose
     from diffdrive_mpc.models.velocity_model import ModelError
     from diffdrive_mpc.mpc.config.config_file import load_config
@@ -35,6 +36,7 @@ _HOMES = {
     "Measurement": "models.interface",
     "MissingPackageError": "models.errors",
     "ModelError": "models.velocity_model",
+    "NonlinearModel": "models.nonlinear_model",
     "NotCompiledError": "mpc.core.compiler",
     "RobotLostError": "sim.plants.plant",
     "Stamped": "models.interface",
@@ -56,6 +58,7 @@ __all__ = [
     "Measurement",
     "MissingPackageError",
     "ModelError",
+    "NonlinearModel",
     "NotCompiledError",
     "RobotLostError",
     "Stamped",

@@ -14,7 +14,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from diffdrive_mpc import MissingPackageError, NotCompiledError
 from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.errors import NotReproducibleError
 from diffdrive_mpc.sim import Run, simulate
 
 COMMANDS = [
@@ -225,6 +227,18 @@ def test_without_mujoco_the_remedy_is_named() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert re.fullmatch(r"error: the package 'mujoco' is not installed; [^\n]*--plant model:ssm\n", done.stderr)
+
+
+@pytest.mark.parametrize("kind", [NotCompiledError, NotReproducibleError, MissingPackageError])
+def test_an_error_of_the_project_that_is_not_bad_input_has_an_exit_code_of_its_own(
+    kind: type[Exception], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail() -> None:
+        raise kind("no compiler;\n  get one")
+
+    monkeypatch.setattr("diffdrive_mpc.bench.model_report.print_models", fail)
+    result = runner.invoke(app, ["models", "list"])
+    assert (result.exit_code, result.stderr) == (1, "error: no compiler; get one\n")
 
 
 def test_the_console_command_runs_as_a_program() -> None:

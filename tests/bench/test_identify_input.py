@@ -143,7 +143,9 @@ def test_the_old_name_of_the_structure_works_and_warns_in_one_line(folder, tmp_p
     ]
     result = runner.invoke(app, [*words, "--model", "sm"])
     assert result.exit_code == 0, result.stderr
-    assert result.stderr == "warning: --model goes with the next release; write --structure sm\n"
+    assert (
+        result.stderr == "warning: --model is now --structure, and goes with the next release; write --structure sm\n"
+    )
     assert runner.invoke(app, [*words, "--structure", "sm"]).stderr == ""
 
 

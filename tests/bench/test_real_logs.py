@@ -5,8 +5,7 @@ import pytest
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.studies.real_logs.protocol import divide
-from diffdrive_mpc.bench.studies.real_logs.settings import load_protocol
+from diffdrive_mpc.bench.studies.real_logs.protocol import divide, load_protocol
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs import Record
 

@@ -7,9 +7,15 @@ from hypothesis import strategies as st
 from identification_parts import DT, set_points
 
 from diffdrive_mpc.models import integrate_pose
-from diffdrive_mpc.models.identification.pose_calibration import calibrate_gyro, calibrate_wheels, displacement
-from diffdrive_mpc.models.identification.pose_drift import rotation_centre
-from diffdrive_mpc.models.identification.slip_laws import ConstantTrack, SlipPolynomial, VirtualTrack
+from diffdrive_mpc.models.identification.pose_calibration import (
+    ConstantTrack,
+    SlipPolynomial,
+    VirtualTrack,
+    calibrate_gyro,
+    calibrate_wheels,
+    displacement,
+)
+from diffdrive_mpc.models.identification.poses import rotation_centre
 from diffdrive_mpc.models.logs.record import Record
 
 RADIUS, TRACK = 0.07, 0.4

@@ -13,7 +13,7 @@ from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.disturbances.disturbance_types import Payload, Slope
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.chassis import WHEELS, Chassis
-from diffdrive_mpc.sim.plants.disturbed_physics import Disturbances
+from diffdrive_mpc.sim.plants.disturbed_physics import DisturbedPhysics
 from diffdrive_mpc.sim.plants.drivetrain import VelocityLoops
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
@@ -146,12 +146,12 @@ def test_a_weak_motor_gives_its_share_while_it_is_weak() -> None:
         np.testing.assert_allclose(torques, [1.0, -2.0, 3.0 * share, 4.0])
 
 
-def _disturbances(**parts: Any) -> tuple[Disturbances, VelocityLoops]:
+def _disturbances(**parts: Any) -> tuple[DisturbedPhysics, VelocityLoops]:
     scenario = check(Scenario, {"description": "test", **parts}, "test")
     chassis = Chassis(ROBOT, TWIN, FLOOR, STEP)
     loops = VelocityLoops(TWIN.driver, TWIN.motor, 2 * np.pi / ROBOT.encoder_pulses, STEP)
     base, torque = TWIN.chassis.wheel_base, TWIN.motor.stall_torque
-    return Disturbances(scenario, chassis, loops, FLOOR, base, torque), loops
+    return DisturbedPhysics(scenario, chassis, loops, FLOOR, base, torque), loops
 
 
 def test_a_slipping_wheel_pushes_no_harder_than_its_friction() -> None:

@@ -8,15 +8,40 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive_mpc.bench.studies.real_logs.robot_files import SURFACE
+from diffdrive_mpc.bench.studies.real_logs.protocol import Proof
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.identification.configuration import MODEL_FILE
 from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE
+from diffdrive_mpc.models.identification.from_logs import FILES as IDENTIFIED
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import Limits
 from diffdrive_mpc.sim import make_plant, simulate
+
+SURFACE = "surface.yaml"
+FILES = (*IDENTIFIED, SURFACE)
+
+
+def write_robot_files(proof: Proof, folder: Path) -> None:
+    """Write `FILES` into `folder`; raises OSError if that cannot be done."""
+    proof.found.write(folder)
+    (folder / SURFACE).write_text(surface(proof), encoding="utf-8")
+
+
+def surface(proof: Proof) -> str:
+    """Text of a surface file: what encoders count against what the body does, for a stand-in of this robot."""
+    base = proof.base
+    travel = base.pose.value("pose.travel") if base.pose else 1.0
+    return (
+        f"# {proof.log.robot}: for `model:` plants of the model file beside it, which has the yaw rate of the body.\n"
+        "slip:\n"
+        "  yaw_gain: 1.0\n"
+        f"  wheel_yaw_gain: {1 / base.point['encoders.yaw_ratio']:.5g}   # true yaw rate over that of the encoders\n"
+        f"  longitudinal_gain: {travel:.5g}   # true forward speed over that of the encoders\n"
+        "  side_slip: 0.0   # s, not identified: poses cannot tell it from the sensor's place ahead\n"
+    )
+
 
 TRAJECTORIES = ("circle", "square", "s", "cane")
 

@@ -1,4 +1,4 @@
-"""A log of a real robot, identified from its first rows and scored on the others.
+"""Logs of real robots: which there are, and each identified from its first rows and scored on the others.
 
 Each stretch is simulated once from its commands, from its first readings on, and never restarted; FIT is pooled over
 stretches. Pose errors start every second inside one stretch, about the centre of rotation.
@@ -8,22 +8,66 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
-from diffdrive_mpc.bench.studies.real_logs.settings import RealLog, load_protocol
 from diffdrive_mpc.models.base_effects import PoseMount
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.identification.effects import IdentifiedBase
 from diffdrive_mpc.models.identification.from_logs import Identification, identify_data
 from diffdrive_mpc.models.identification.log_data import LogData
-from diffdrive_mpc.models.identification.pose_drift import PoseDrift, pose_drift
+from diffdrive_mpc.models.identification.poses import PoseDrift, pose_drift
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record, read_log
 from diffdrive_mpc.models.output_error.validation import simulate_records, validate
+from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.sm import identify_sm
+
+
+class Stated(StrictModel):
+    """Figures that stand beside a log."""
+
+    fit_percent: tuple[float | None, float | None, float | None] = Field(
+        description="v, omega of encoders, of gyro [%]"
+    )
+    position: tuple[Positive, ...] = Field(default=(), description="open-loop error at the horizons [m]")
+    heading: tuple[Positive, ...] = Field(default=(), description="open-loop error at the horizons [rad]")
+
+
+class RealLog(StrictModel):
+    """One log of a real robot."""
+
+    robot: str
+    file: str = Field(description="inside the folder of the data")
+    mapping: str
+    stated: Stated
+
+
+class Protocol(StrictModel):
+    """How all of them are divided and scored."""
+
+    share: Annotated[float, Field(gt=0, lt=1)] = Field(description="of the rows, to fit [-]")
+    horizons: tuple[Positive, ...] = Field(description="of the open-loop pose error [s]")
+    logs: dict[str, RealLog]
+
+    def log(self, name: str) -> RealLog:
+        """One log; raises ConfigError where there is none of that name."""
+        if name not in self.logs:
+            raise ConfigError(f"unknown log '{name}': give one of {', '.join(self.logs)}")
+        return self.logs[name]
+
+
+@cache
+def load_protocol() -> Protocol:
+    """Read `protocol.yaml`; raises ConfigError on a mistake in it."""
+    return load_checked(Protocol, Path(__file__).with_name("protocol.yaml"))
+
 
 _FEWEST_READINGS = 20
 

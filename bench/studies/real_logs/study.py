@@ -6,10 +6,14 @@ from pathlib import Path
 
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
-from diffdrive_mpc.bench.studies.real_logs.closed_loop import TRAJECTORIES, drive, tracking_table
-from diffdrive_mpc.bench.studies.real_logs.protocol import Proof, prove
-from diffdrive_mpc.bench.studies.real_logs.robot_files import FILES, write_robot_files
-from diffdrive_mpc.bench.studies.real_logs.settings import load_protocol
+from diffdrive_mpc.bench.studies.real_logs.closed_loop import (
+    FILES,
+    TRAJECTORIES,
+    drive,
+    tracking_table,
+    write_robot_files,
+)
+from diffdrive_mpc.bench.studies.real_logs.protocol import Proof, load_protocol, prove
 from diffdrive_mpc.bench.studies.real_logs.tables import effect_table, parameter_table, score_table
 
 REPORT = "proof.md"

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from diffdrive_mpc.bench.studies.real_logs.protocol import Proof
-from diffdrive_mpc.bench.studies.real_logs.settings import load_protocol
+from diffdrive_mpc.bench.studies.real_logs.protocol import Proof, load_protocol
 from diffdrive_mpc.bench.table import Table
 
 

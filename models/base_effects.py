@@ -1,0 +1,330 @@
+"""What a real base does around its linear dynamics: limits on the way in, slip on the way out.
+
+On the way in, `TwistSlew` then `WheelCommand`; then the velocity model; on the way out, `YawRelaxation` and `Veer`.
+`PoseMount` is where the pose sensor sits. Each is optional; `BaseEffects` is their group in a model file, and `respond`
+puts them in a row.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, model_validator
+
+from diffdrive_mpc.models.checked_yaml import StrictModel
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.velocity_model import VelocityModel
+
+
+class TwistSlew(StrictModel):
+    """Slope limits of the commanded twist inside the base, each channel on its own.
+
+    A controller whose own slew limits are no wider never meets them, and its linear model then holds.
+    """
+
+    v: float = Field(gt=0, description="largest slope of v_ref that the base follows [m/s^2]")
+    omega: float = Field(gt=0, description="largest slope of omega_ref that the base follows [rad/s^2]")
+
+    def step(self, previous: ArrayLike, command: ArrayLike, dt: float) -> FloatArray:
+        """Twist (..., 2) that the base has reached `dt` seconds after `previous` on its way to `command`."""
+        before = np.asarray(previous, dtype=float)
+        reach = np.array([self.v, self.omega]) * dt
+        return np.asarray(before + np.clip(np.asarray(command, dtype=float) - before, -reach, reach))
+
+    def follow(self, commands: ArrayLike, dt: float, start: ArrayLike) -> FloatArray:
+        """Twists (K, 2) inside the base after each sample of `dt` [s] under `commands` (K, 2), from `start` (2,)."""
+        commands = np.asarray(commands, dtype=float)
+        columns = [
+            _ramps(column, limit * dt, float(first))
+            for column, limit, first in zip(
+                commands.T, (self.v, self.omega), np.asarray(start, dtype=float), strict=True
+            )
+        ]
+        return np.stack(columns, axis=-1)
+
+
+def _ramps(commands: FloatArray, reach: float, start: float) -> FloatArray:
+    """(K,) what follows `commands` (K,) by at most `reach` a sample: one ramp for each run of equal commands."""
+    if not len(commands):
+        return np.empty(0)
+    first = np.flatnonzero(np.concatenate([[True], np.diff(commands) != 0]))
+    counts = np.diff(np.append(first, len(commands)))
+    missing = np.empty(len(first))
+    last = start
+    # Plain numbers: a log may well change its command at every sample.
+    for run, (target, count) in enumerate(zip(commands[first].tolist(), counts.tolist(), strict=True)):
+        gap = last - target
+        missing[run] = gap
+        left = abs(gap) - reach * count
+        last = target + (left if gap > 0 else -left) if left > 0 else target
+    passed = np.arange(len(commands)) - np.repeat(first, counts) + 1
+    gap = np.repeat(missing, counts)
+    return np.asarray(commands + np.sign(gap) * np.maximum(np.abs(gap) - reach * passed, 0.0))
+
+
+# A speed this close below a step, in steps, counts as on it: it came from rounded decimals.
+_ON_STEP = 1e-9
+
+
+class WheelCommand(StrictModel):
+    """Static map of a base that turns (v, omega) into one rim speed for each side.
+
+    Rim speeds are cut to `top_speed` and towards zero to whole steps of `resolution`. A side asked for less than one
+    step is not held: it rolls along with the other side, up to `coasting_speed`. Observed on a Husky A200: with one
+    side asked for less than 0.01 m/s, its wheels turned with the other side's up to 0.5 rad/s.
+    """
+
+    track: float = Field(gt=0, description="track by which the base turns omega_ref into rim speeds [m]")
+    resolution: float = Field(default=0.0, ge=0, description="step of the commanded rim speed, cut towards zero [m/s]")
+    coasting_speed: float = Field(
+        default=0.0, ge=0, description="rim speed up to which an unheld side rolls along [m/s]"
+    )
+    top_speed: float | None = Field(default=None, gt=0, description="rim speed that the motors can reach [m/s]")
+
+    @model_validator(mode="after")
+    def _reachable(self) -> WheelCommand:
+        if self.top_speed is not None and self.top_speed < self.resolution:
+            raise ValueError(
+                f"top_speed {self.top_speed} m/s is less than one step of resolution ({self.resolution} m/s)"
+            )
+        return self
+
+    def sides(self, twist: ArrayLike) -> FloatArray:
+        """Rim speeds (..., 2) left, right [m/s] of twists (..., 2) v [m/s], omega [rad/s]."""
+        v, omega = np.moveaxis(np.asarray(twist, dtype=float), -1, 0)
+        half = 0.5 * self.track * omega
+        return np.stack([v - half, v + half], axis=-1)
+
+    def twist(self, sides: ArrayLike) -> FloatArray:
+        """Twists (..., 2) of rim speeds (..., 2): the exact inverse of `sides`."""
+        left, right = np.moveaxis(np.asarray(sides, dtype=float), -1, 0)
+        return np.stack([0.5 * (left + right), (right - left) / self.track], axis=-1)
+
+    def apply(self, twist: ArrayLike) -> FloatArray:
+        """Twists (..., 2) that the motors are asked for, in the units of the command."""
+        held = self._held(self.sides(twist))
+        along = np.clip(held[..., ::-1], -self.coasting_speed, self.coasting_speed)
+        return self.twist(np.where(self.coasts(twist), along, held))
+
+    def coasts(self, twist: ArrayLike) -> NDArray[np.bool_]:
+        """Whether the left, right side (..., 2) is asked for less than one step while the other is driven."""
+        held = self._held(self.sides(twist))
+        return np.asarray((held == 0.0) & (held[..., ::-1] != 0.0), dtype=np.bool_)
+
+    def invert(self, twist: ArrayLike) -> FloatArray:
+        """Commands (..., 2) for which the motors are asked for `twist`, to half a step on each side.
+
+        A twist made of whole steps is met exactly. Speeds above `top_speed` become it; coasting cannot be inverted.
+        """
+        sides = self._cut(self.sides(twist))
+        # The middle of the step whose cut value is nearest.
+        return self.twist(sides + 0.5 * self.resolution * np.sign(sides))
+
+    def slope(self, twist: ArrayLike) -> FloatArray:
+        """(..., 2, 2) derivative of `apply` with the steps smoothed out, for a linearisation at `twist`."""
+        speeds = self.sides(twist)
+        free = np.ones(speeds.shape) if self.top_speed is None else (np.abs(speeds) < self.top_speed).astype(float)
+        coasts = self.coasts(twist)
+        along = coasts * free[..., ::-1] * (np.abs(self._held(speeds)[..., ::-1]) < self.coasting_speed)
+        by_side = np.zeros((*speeds.shape, 2))
+        for side, other in ((0, 1), (1, 0)):
+            by_side[..., side, side] = np.where(coasts[..., side], 0.0, free[..., side])
+            by_side[..., side, other] = along[..., side]
+        half = 0.5 * self.track
+        into, out = np.array([[1.0, -half], [1.0, half]]), np.array([[0.5, 0.5], [-1 / self.track, 1 / self.track]])
+        return np.asarray(out @ by_side @ into)
+
+    def _cut(self, sides: FloatArray) -> FloatArray:
+        return sides if self.top_speed is None else np.clip(sides, -self.top_speed, self.top_speed)
+
+    def _held(self, sides: FloatArray) -> FloatArray:
+        """Rim speeds cut to top speed and to whole steps towards zero."""
+        cut = self._cut(sides)
+        if self.resolution == 0.0:
+            return cut
+        return np.sign(cut) * np.floor(np.abs(cut) / self.resolution + _ON_STEP) * self.resolution
+
+
+class YawRelaxation(StrictModel):
+    """First-order relaxation over the angle through which the wheels turn, not over time.
+
+    With the wheels' yaw rate omega (as it is once settled) and the strain z of the tyres, -1 to 1:
+
+        z' = (omega - |omega| z) / angle,     yaw rate of the body = |omega| z = omega - angle z'.
+
+    So the body's heading is that of the wheels less `angle` times z, and each reversal costs twice `angle`. It is
+    Dahl's friction model ("A solid friction model", 1968) between the wheels' heading and the body's.
+    """
+
+    angle: float = Field(gt=0, description="turn of the wheels over which the tyres twist [rad of yaw]")
+
+    def advance(self, strain: float, yaw_rate: float, dt: float) -> tuple[float, float]:
+        """One sample under a constant yaw rate of the wheels, exactly.
+
+        Parameters
+        ----------
+        strain
+            z at the start, -1 to 1.
+        yaw_rate
+            Yaw rate of the wheels [rad/s].
+        dt
+            Sample time [s].
+
+        Returns
+        -------
+        tuple
+            z at the end, and the mean yaw rate of the body over the sample [rad/s].
+        """
+        side = float(np.sign(yaw_rate))
+        end = side + (strain - side) * float(np.exp(-abs(yaw_rate) * dt / self.angle))
+        return end, yaw_rate - self.angle * (end - strain) / dt
+
+    def gain(self, strain: float, yaw_rate: float) -> float:
+        """Yaw rate of the body over that of the wheels: 1 once settled, negative just after a reversal."""
+        return strain * float(np.sign(yaw_rate))
+
+    def follow(self, yaw_rates: ArrayLike, dt: float, strain: float) -> FloatArray:
+        """Yaw rates (K,) of the body [rad/s] for those of the wheels (K,), straight lines between samples of `dt` [s].
+
+        `strain` is z at the first sample; 0 for tyres without twist, the sign of the yaw rate for a settled turn.
+        """
+        rates = np.asarray(yaw_rates, dtype=float)
+        if not len(rates):
+            return rates
+        mean = 0.5 * (rates[1:] + rates[:-1])
+        turned = np.concatenate([[0.0], np.cumsum(np.abs(mean))]) * dt / self.angle
+        moving = np.flatnonzero(mean)
+        side = np.sign(mean[moving])
+        # Between two reversals the strain decays towards its side with the angle turned.
+        first = moving[np.flatnonzero(np.concatenate([[True], side[1:] != side[:-1]]))] if len(moving) else moving
+        edges = np.concatenate([[0], first, [len(mean)]])
+        sides = np.concatenate([[0.0], np.sign(mean[first])])
+        begin = np.empty(len(sides))
+        for run, (low, high) in enumerate(pairwise(edges)):
+            begin[run] = strain
+            strain = sides[run] + (strain - sides[run]) * float(np.exp(turned[low] - turned[high]))
+        counts = np.diff(edges)
+        towards, since = np.repeat(sides, counts), np.repeat(turned[edges[:-1]], counts)
+        after = towards + (np.repeat(begin, counts) - towards) * np.exp(since - turned[1:])
+        return np.asarray(np.abs(rates) * np.concatenate([begin[:1], after]))
+
+
+class Veer(StrictModel):
+    """Yaw rate in proportion to forward speed: omega = omega_wheels + yaw_per_metre v, wheels of unequal radius.
+
+    Source: coefficient a31 of Ordonez et al., 2017 (their omega = w_c + a31 v_c + ...).
+    """
+
+    yaw_per_metre: float = Field(description="yaw for each metre driven forward, left positive [rad/m]")
+
+    def body(self, wheels: ArrayLike) -> FloatArray:
+        """Twists (..., 2) of the body for twists (..., 2) by the wheels."""
+        v, omega = np.moveaxis(np.asarray(wheels, dtype=float), -1, 0)
+        return np.stack([v, omega + self.yaw_per_metre * v], axis=-1)
+
+    def wheels(self, body: ArrayLike) -> FloatArray:
+        """Twists (..., 2) by the wheels for twists (..., 2) of the body: the exact inverse of `body`."""
+        v, omega = np.moveaxis(np.asarray(body, dtype=float), -1, 0)
+        return np.stack([v, omega - self.yaw_per_metre * v], axis=-1)
+
+
+class PoseMount(StrictModel):
+    """Lever arm and heading of a pose sensor on the robot, in the sensor's own axes.
+
+    A velocity model describes the centre of rotation. Poses of another point, taken for it, look like side-slip.
+    """
+
+    ahead: float = Field(default=0.0, description="sensor ahead of the centre of rotation [m]")
+    left: float = Field(default=0.0, description="sensor left of the centre of rotation [m]")
+    heading: float = Field(
+        default=0.0, ge=-np.pi, le=np.pi, description="direction of travel less sensor's heading [rad]"
+    )
+
+    def centre(self, sensor: ArrayLike) -> FloatArray:
+        """Poses (..., 3) of the centre of rotation for poses (..., 3) of the sensor: x, y [m], theta [rad]."""
+        pose = np.asarray(sensor, dtype=float)
+        theta = pose[..., 2]
+        return self._moved(pose, theta, -1.0, theta + self.heading)
+
+    def sensor(self, centre: ArrayLike) -> FloatArray:
+        """Poses (..., 3) of the sensor for poses (..., 3) of the centre: the exact inverse of `centre`."""
+        pose = np.asarray(centre, dtype=float)
+        theta = pose[..., 2] - self.heading
+        return self._moved(pose, theta, 1.0, theta)
+
+    def _moved(self, pose: FloatArray, axes: FloatArray, sign: float, theta: FloatArray) -> FloatArray:
+        """`pose` shifted by the lever arm along the sensor's `axes` [rad], with heading `theta`."""
+        dx = np.cos(axes) * self.ahead - np.sin(axes) * self.left
+        dy = np.sin(axes) * self.ahead + np.cos(axes) * self.left
+        return np.stack([pose[..., 0] + sign * dx, pose[..., 1] + sign * dy, theta], axis=-1)
+
+
+class BaseEffects(StrictModel):
+    """What the base does around the linear model of the same file; an effect left out is not there."""
+
+    twist_slew: TwistSlew | None = Field(default=None, description="acceleration limits inside the base")
+    wheel_command: WheelCommand | None = Field(default=None, description="steps, coasting and top speed of the motors")
+    yaw_relaxation: YawRelaxation | None = Field(default=None, description="twist of the tyres at changes of direction")
+    veer: Veer | None = Field(default=None, description="yaw of the body while the wheels drive straight")
+    pose_mount: PoseMount | None = Field(default=None, description="where the pose sensor sits")
+
+
+PARTS = 4
+"""Inside a sample the base ramps; its limited command is held over this fraction of a sample."""
+
+
+class Response(NamedTuple):
+    """Twists at the samples of the commands."""
+
+    wheels: FloatArray
+    """(K, 2) v [m/s], omega [rad/s] that encoders with the effective track see."""
+    body: FloatArray
+    """(K, 2) v [m/s], omega [rad/s] of the body, which gyro and poses see."""
+
+
+def respond(
+    model: VelocityModel, effects: BaseEffects, commands: ArrayLike, dt: float, start: ArrayLike = (0.0, 0.0)
+) -> Response:
+    """Simulate from commands alone: slew, wheel commands, linear dynamics, twist of the tyres, veer.
+
+    Parameters
+    ----------
+    model
+        The linear dynamics, from what the motors are asked for to the settled twist of the body.
+    effects
+        What the base does around them.
+    commands
+        (K, 2) v_ref [m/s], omega_ref [rad/s], each held from its sample to the next.
+    dt
+        Sample time [s].
+    start
+        (2,) the command under which the robot is settled at sample 0.
+
+    Raises
+    ------
+    ValueError
+        If the commands are not K rows of two finite numbers.
+    models.velocity_model.ModelError
+        If `dt` is not positive and finite.
+    """
+    commands = np.asarray(commands, dtype=float)
+    if commands.ndim != 2 or commands.shape[1] != 2 or not np.isfinite(commands).all():
+        raise ValueError(f"commands of shape {commands.shape}: expected K rows of finite v_ref, omega_ref")
+    start = np.asarray(start, dtype=float)
+    sampled = model.discretise(dt / PARTS)
+    asked = np.repeat(commands, PARTS, axis=0)
+    if effects.twist_slew is not None:
+        asked = effects.twist_slew.follow(asked, dt / PARTS, start)
+    if effects.wheel_command is not None:
+        asked, start = effects.wheel_command.apply(asked), effects.wheel_command.apply(start)
+    past = np.tile(start, (sampled.memory, 1))
+    wheels = sampled.simulate(asked, sampled.settled_state(start), past)
+    body = wheels.copy()
+    if effects.yaw_relaxation is not None and len(body):
+        body[:, 1] = effects.yaw_relaxation.follow(wheels[:, 1], dt / PARTS, float(np.sign(wheels[0, 1])))
+    if effects.veer is not None:
+        body = effects.veer.body(body)
+    return Response(wheels[::PARTS], body[::PARTS])

@@ -1,0 +1,437 @@
+#include "active_rows.h"
+
+#include <string.h>
+
+enum { LANES = DDMPC_LANES };
+
+/* From how many columns on it pays to find them side by side: never where a block does not fit into registers. */
+#if defined(__ARM_ARCH_PROFILE) && __ARM_ARCH_PROFILE == 'M'
+enum { SIDE_BY_SIDE = LANES + 1 };
+#else
+enum { SIDE_BY_SIDE = 3 };
+#endif
+
+#ifdef DDMPC_FLOAT
+/* A row is taken to depend on others where less than this part of its square is left. */
+#define DEPENDENT R(4e-6)
+#else
+#define DEPENDENT R(1e-12)
+#endif
+
+int ddmpc_begin_rows(ddmpc_rows *rows, const ddmpc_limited_problem *problem, const ddmpc_limited_memory *memory)
+{
+    const int n = problem->inputs, m = problem->rows, slots = DDMPC_LIMITED_SLOTS(memory->most_active);
+    const int whole = ddmpc_whole_lanes(n);
+    /* Blocks begin at whole lines of the cache. */
+    real *next = memory->reals + (64 - (size_t)memory->reals % 64) % 64 / sizeof(real);
+    memset(rows, 0, sizeof *rows);
+    rows->problem = problem;
+    rows->n = n;
+    rows->m = m;
+    rows->slots = slots;
+    rows->most_active = memory->most_active;
+    rows->columns = next;
+    rows->gram = rows->columns + n * slots;
+    rows->factor = rows->gram + slots * slots;
+    rows->batch = rows->factor + slots * slots;
+    rows->inverse = rows->batch + n * LANES;
+    rows->z = rows->inverse + whole;
+    rows->line = rows->z + whole;
+    rows->pivot = rows->line + whole;
+    rows->partial = rows->pivot + slots;
+    rows->wanted = rows->partial + slots;
+    rows->multiplier = rows->wanted + slots;
+    rows->step = rows->multiplier + slots;
+    rows->spread = rows->step + slots;
+    rows->start = rows->spread + slots;
+    rows->now = rows->start + m;
+    rows->slot_of = memory->ints;
+    rows->state = rows->slot_of + m;
+    rows->row_in = rows->state + m;
+    rows->order = rows->row_in + slots;
+    rows->entering = rows->order + slots;
+    memset(rows->slot_of, 0, (size_t)m * sizeof(int));
+    memset(rows->state, 0, (size_t)m * sizeof(int));
+    memset(rows->z, 0, (size_t)whole * sizeof(real));
+    for (int i = 0; i < n; i++) {
+        const real diagonal = problem->factor[i * n + i];
+        /* Not the other way round, here and below: NaN must fail. */
+        if (!(diagonal > R(0.0) && diagonal < DDMPC_LARGEST &&
+              ddmpc_fabs(problem->minimiser[i]) < DDMPC_LARGEST))
+            return 0;
+        rows->inverse[i] = R(1.0) / diagonal;
+        rows->largest_input = ddmpc_max(rows->largest_input, ddmpc_fabs(problem->minimiser[i]));
+    }
+    problem->values(problem->context, problem->minimiser, rows->start);
+    int sound = 1;
+    for (int i = 0; i < m; i++)
+        sound &= ddmpc_fabs(rows->start[i]) < DDMPC_LARGEST;
+    return sound;
+}
+
+static real sum_of_lanes(const real sum[LANES])
+{
+    real half[LANES / 2];
+    for (int lane = 0; lane < LANES / 2; lane++)
+        half[lane] = sum[lane] + sum[lane + LANES / 2];
+    for (int count = LANES / 4; count > 0; count /= 2)
+        for (int lane = 0; lane < count; lane++)
+            half[lane] += half[lane + count];
+    return half[0];
+}
+
+/* a'b for whole lanes of numbers, in several sums side by side, which one order of adding would forbid. */
+static real dot(const real *restrict a, const real *restrict b, int count)
+{
+    real sum[LANES] = {R(0.0)};
+    for (int i = 0; i < count; i += LANES)
+#pragma GCC unroll 8
+        for (int lane = 0; lane < LANES; lane++)
+            sum[lane] += a[i + lane] * b[i + lane];
+    return sum_of_lanes(sum);
+}
+
+real ddmpc_long_dot(const real *restrict a, const real *restrict b, int count)
+{
+    real sum[LANES] = {R(0.0)};
+    int i = 0;
+    for (; i + LANES <= count; i += LANES)
+#pragma GCC unroll 8
+        for (int lane = 0; lane < LANES; lane++)
+            sum[lane] += a[i + lane] * b[i + lane];
+    for (int lane = 0; i < count; i++, lane++)
+        sum[lane] += a[i] * b[i];
+    return sum_of_lanes(sum);
+}
+
+/* row -= weight other, over LANES. */
+static inline void subtract(real *restrict row, real weight, const real *restrict other)
+{
+    /* Left as a loop it is vectorised as one. */
+#pragma GCC unroll 1
+    for (int lane = 0; lane < LANES; lane++)
+        row[lane] -= weight * other[lane];
+}
+
+static inline void scale(real *restrict row, real weight)
+{
+#pragma GCC unroll 1
+    for (int lane = 0; lane < LANES; lane++)
+        row[lane] *= weight;
+}
+
+/* sum = left' right for blocks of LANES columns. */
+static void cross(const real *restrict left, int left_stride, const real *restrict right, int right_stride, int rows,
+                  real sum[LANES][LANES])
+{
+    real own[LANES][LANES];
+    memset(own, 0, sizeof own);
+    for (int row = 0; row < rows; row++, left += left_stride, right += right_stride)
+#pragma GCC unroll 8
+        for (int a = 0; a < LANES; a++)
+#pragma GCC unroll 8
+            for (int b = 0; b < LANES; b++)
+                own[a][b] += left[a] * right[b];
+    memcpy(sum, own, sizeof own);
+}
+
+/* x = U'^-1 x for an upper triangular U of `count` rows, with the inverses of its diagonal. Before `zero` x is zero, and
+ * before `known`, whole lanes, it is solved already. */
+static void substitute(const real *restrict U, int stride, const real *restrict inverse, int count, int zero, int known,
+                       real *restrict x)
+{
+    for (int i = known; i < count; i += LANES) {
+        const int width = count - i < LANES ? count - i : LANES;
+        real sum[2][LANES] = {{R(0.0)}};
+        /* Beyond a last block that is not whole this reads on into the next row; nobody looks at the result. */
+        for (int k = zero / LANES * LANES; k < i; k += 2)
+#pragma GCC unroll 2
+            for (int half = 0; half < 2; half++)
+#pragma GCC unroll 8
+                for (int lane = 0; lane < LANES; lane++)
+                    sum[half][lane] += x[k + half] * U[(k + half) * stride + i + lane];
+        for (int a = 0; a < width; a++) {
+            const real *row = U + (i + a) * stride + i;
+            const real now = x[i + a] = (x[i + a] - sum[0][a] - sum[1][a]) * inverse[i + a];
+            for (int c = a + 1; c < width; c++)
+                sum[0][c] += row[c] * now;
+        }
+    }
+}
+
+/* The same for LANES of them side by side, (n, LANES). */
+static void substitute_batch(const ddmpc_rows *rows, int first, real *x)
+{
+    const int n = rows->n, begin = first / LANES * LANES;
+    const real *factor = rows->problem->factor;
+    for (int i = begin; i < n; i += LANES) {
+        const int width = n - i < LANES ? n - i : LANES;
+        real sum[LANES][LANES];
+        /* Beyond a last block that is not whole this reads on into the next row; nobody looks at the result. */
+        cross(factor + begin * n + i, n, x + begin * LANES, LANES, i - begin, sum);
+        for (int a = 0; a < width; a++) {
+            real *own = x + (i + a) * LANES;
+            const real *row = factor + (i + a) * n + i;
+            subtract(own, R(1.0), sum[a]);
+            scale(own, rows->inverse[i + a]);
+            for (int c = a + 1; c < width; c++)
+                subtract(sum[c], -row[c], own);
+        }
+    }
+}
+
+/* x = U^-1 x for the first `count` rows of an upper triangular U, with the inverses of its diagonal. x has whole lanes. */
+static void substitute_back(const real *U, int stride, const real *inverse, int count, real *x)
+{
+    const int whole = ddmpc_whole_lanes(count);
+    /* Beyond the last row x is zero; what U has there is read, but does not count. */
+    for (int k = count; k < whole; k++)
+        x[k] = R(0.0);
+    /* In blocks: what depends on blocks that are known does not wait. */
+    for (int begin = whole - LANES; begin >= 0; begin -= LANES) {
+        const int end = begin + LANES, last = end < count ? end : count;
+        if (end < whole)
+            for (int k = begin; k < last; k++)
+                x[k] -= dot(U + k * stride + end, x + end, whole - end);
+        for (int k = last - 1; k >= begin; k--) {
+            x[k] *= inverse[k];
+            for (int i = begin; i < k; i++)
+                x[i] -= U[i * stride + k] * x[k];
+        }
+    }
+}
+
+void ddmpc_plan_of_rows(ddmpc_rows *rows, real *plan)
+{
+    const int n = rows->n;
+    memset(rows->spread, 0, (size_t)rows->used * sizeof(real));
+    for (int i = 0; i < rows->active; i++)
+        rows->spread[rows->order[i]] = rows->multiplier[i];
+    for (int k = 0; k < n; k++)
+        rows->z[k] = dot(rows->columns + k * rows->slots, rows->spread, rows->used);
+    substitute_back(rows->problem->factor, n, rows->inverse, n, rows->z);
+    for (int k = 0; k < n; k++)
+        plan[k] = rows->problem->minimiser[k] - rows->z[k];
+    rows->problem->values(rows->problem->context, plan, rows->now);
+}
+
+/* A slot for `row`: a new one, else that of a row which does not press. */
+static int take_slot(ddmpc_rows *rows, int row)
+{
+    int slot = rows->taken;
+    if (slot < rows->slots) {
+        rows->taken++;
+    } else {
+        for (slot = 0; slot < rows->slots - 1 && rows->state[rows->row_in[slot]] != DDMPC_FREE; slot++)
+            ;
+        rows->slot_of[rows->row_in[slot]] = 0;
+    }
+    if (slot == rows->used) {
+        for (int k = 0; k < rows->n; k++)
+            memset(rows->columns + k * rows->slots + slot, 0, LANES * sizeof(real));
+        rows->used += LANES;
+    }
+    rows->row_in[slot] = row;
+    rows->slot_of[row] = slot + 1;
+    return slot;
+}
+
+/* Columns and products of one row that has got a slot. */
+static void bring_one(ddmpc_rows *rows, int slot)
+{
+    const int n = rows->n, slots = rows->slots;
+    int first = 0, last = n;
+    real *restrict x = rows->z;
+    rows->problem->row(rows->problem->context, rows->row_in[slot], rows->line, &first, &last);
+    memset(x, 0, (size_t)n * sizeof(real));
+    memcpy(x + first, rows->line + first, (size_t)(last - first) * sizeof(real));
+    substitute(rows->problem->factor, n, rows->inverse, n, first, first / LANES * LANES, x);
+    for (int k = 0; k < n; k++)
+        rows->columns[k * slots + slot] = x[k];
+    for (int block = 0; block < rows->used; block += LANES) {
+        real sum[LANES] = {R(0.0)};
+        const real *restrict column = rows->columns + first * slots + block;
+        for (int k = first; k < n; k++, column += slots)
+#pragma GCC unroll 8
+            for (int lane = 0; lane < LANES; lane++)
+                sum[lane] += x[k] * column[lane];
+        for (int lane = 0; lane < LANES; lane++)
+            rows->gram[(block + lane) * slots + slot] = rows->gram[slot * slots + block + lane] = sum[lane];
+    }
+}
+
+/* The same for several at once. */
+static void bring_batch(ddmpc_rows *rows, const int *chosen, int count)
+{
+    const int n = rows->n, slots = rows->slots;
+    int earliest = n;
+    memset(rows->batch, 0, (size_t)(n * LANES) * sizeof(real));
+    for (int lane = 0; lane < count; lane++) {
+        int first = 0, last = n;
+        rows->problem->row(rows->problem->context, rows->row_in[chosen[lane]], rows->line, &first, &last);
+        for (int k = first; k < last; k++)
+            rows->batch[k * LANES + lane] = rows->line[k];
+        earliest = first < earliest ? first : earliest;
+    }
+    substitute_batch(rows, earliest, rows->batch);
+    for (int k = 0; k < n; k++)
+        for (int lane = 0; lane < count; lane++)
+            rows->columns[k * slots + chosen[lane]] = rows->batch[k * LANES + lane];
+    for (int block = 0; block < rows->used; block += LANES) {
+        real sum[LANES][LANES];
+        cross(rows->columns + earliest * slots + block, slots, rows->batch + earliest * LANES, LANES, n - earliest, sum);
+        for (int a = 0; a < LANES; a++)
+            for (int lane = 0; lane < count; lane++) {
+                const int own = chosen[lane];
+                rows->gram[own * slots + block + a] = rows->gram[(block + a) * slots + own] = sum[a][lane];
+            }
+    }
+}
+
+static void bring_columns(ddmpc_rows *rows, const int *chosen, int count)
+{
+    if (count >= SIDE_BY_SIDE)
+        bring_batch(rows, chosen, count);
+    else
+        for (int i = 0; i < count; i++)
+            bring_one(rows, chosen[i]);
+}
+
+void ddmpc_enter_rows(ddmpc_rows *rows, int count)
+{
+    int chosen[LANES], waiting = 0;
+    for (int i = 0; i < count; i++) {
+        const int row = rows->entering[i];
+        if (rows->slot_of[row] == 0) {
+            chosen[waiting++] = take_slot(rows, row);
+            if (waiting == LANES) {
+                bring_columns(rows, chosen, waiting);
+                waiting = 0;
+            }
+        }
+        rows->multiplier[rows->active] = R(0.0);
+        rows->order[rows->active++] = rows->slot_of[row] - 1;
+    }
+    bring_columns(rows, chosen, waiting);
+}
+
+static void touch(ddmpc_rows *rows, int position)
+{
+    rows->factored = rows->factored < position ? rows->factored : position;
+}
+
+void ddmpc_leave_row(ddmpc_rows *rows, int position)
+{
+    rows->state[ddmpc_row_at(rows, position)] = DDMPC_FREE;
+    const size_t after = (size_t)(--rows->active - position);
+    memmove(rows->order + position, rows->order + position + 1, after * sizeof(int));
+    memmove(rows->multiplier + position, rows->multiplier + position + 1, after * sizeof(real));
+    touch(rows, position);
+}
+
+void ddmpc_switch_piece(ddmpc_rows *rows, int position)
+{
+    int *state = rows->state + ddmpc_row_at(rows, position);
+    const int piece = ddmpc_is_exceeded(rows, position) ? DDMPC_KEPT : DDMPC_EXCEEDED;
+    *state = *state > 0 ? piece : -piece;
+    touch(rows, position);
+}
+
+/* U'U = S in one block; rows that depend on those before them, by the diagonal before, become zero if `skip`, else end
+ * it. Returns how many rows it got through; -1 where numbers are none. */
+static int factorise_block(real S[LANES][LANES], const real *before, int count, int skip, real *inverse)
+{
+    for (int p = 0; p < count; p++) {
+        if (!(S[p][p] < DDMPC_LARGEST))
+            return -1;
+        if (!(S[p][p] > DEPENDENT * before[p])) {
+            if (!skip)
+                return p;
+            inverse[p] = R(0.0);
+        } else {
+            inverse[p] = R(1.0) / ddmpc_sqrt(S[p][p]);
+        }
+        scale(S[p], inverse[p]);
+        for (int i = p + 1; i < count; i++)
+            subtract(S[i], S[p][i], S[p]);
+    }
+    return count;
+}
+
+int ddmpc_factorise_rows(ddmpc_rows *rows, int skip)
+{
+    const int k = rows->active, from = rows->factored / LANES * LANES, slots = rows->slots;
+    real *U = rows->factor, *before = rows->step;
+    /* Blocks that are not whole are filled up with any row. */
+    for (int i = k; i < ddmpc_whole_lanes(k); i++)
+        rows->order[i] = rows->order[0];
+    for (int i = from; i < k; i++) {
+        before[i] = rows->gram[rows->order[i] * (slots + 1)];
+        if (ddmpc_is_exceeded(rows, i))
+            before[i] += R(1.0) / rows->problem->slope;
+        rows->partial[i] = -ddmpc_room(rows, i);
+        if (!(before[i] < DDMPC_LARGEST && ddmpc_fabs(rows->partial[i]) < DDMPC_LARGEST))
+            return -1;
+    }
+    for (int i = 0; i < k; i += LANES) {
+        const int height = k - i < LANES ? k - i : LANES;
+        real corner[LANES][LANES];
+        for (int a = 0; a < height; a++)
+            memcpy(corner[a], U + (i + a) * slots + i, sizeof corner[a]);
+        for (int j = i > from ? i : from; j < k; j += LANES) {
+            real sum[LANES][LANES];
+            int through = height;
+            cross(U + i, slots, U + j, slots, i, sum);
+            for (int a = 0; a < height; a++) {
+                const real *restrict gram = rows->gram + rows->order[i + a] * slots;
+                const int *restrict order = rows->order + j;
+                for (int b = 0; b < LANES; b++)
+                    sum[a][b] = gram[order[b]] - sum[a][b];
+            }
+            if (i == j) {
+                for (int a = 0; a < height; a++)
+                    sum[a][a] += before[i + a] - rows->gram[rows->order[i + a] * (slots + 1)];
+                through = factorise_block(sum, before + i, height, skip, rows->pivot + i);
+                memcpy(corner, sum, sizeof corner);
+            } else {
+                for (int a = 0; a < height; a++) {
+                    for (int p = 0; p < a; p++)
+                        subtract(sum[a], corner[p][a], sum[p]);
+                    scale(sum[a], rows->pivot[i + a]);
+                }
+            }
+            for (int a = 0; a < height; a++)
+                memcpy(U + (i + a) * slots + j, sum[a], sizeof sum[a]);
+            if (through < height) {
+                substitute(U, slots, rows->pivot, i, 0, from, rows->partial);
+                rows->factored = i;
+                return through < 0 ? -1 : i + through;
+            }
+        }
+    }
+    substitute(U, slots, rows->pivot, k, 0, from, rows->partial);
+    rows->factored = k;
+    return k;
+}
+
+void ddmpc_solve_rows(ddmpc_rows *rows)
+{
+    memcpy(rows->wanted, rows->partial, (size_t)rows->active * sizeof(real));
+    substitute_back(rows->factor, rows->slots, rows->pivot, rows->active, rows->wanted);
+}
+
+void ddmpc_null_step(ddmpc_rows *rows, int position)
+{
+    real *step = rows->step;
+    for (int i = 0; i < position; i++)
+        step[i] = -rows->factor[i * rows->slots + position];
+    substitute_back(rows->factor, rows->slots, rows->pivot, position, step);
+    for (int i = position; i < rows->active; i++)
+        step[i] = i == position ? R(1.0) : R(0.0);
+}
+
+void ddmpc_solve_step(ddmpc_rows *rows)
+{
+    substitute(rows->factor, rows->slots, rows->pivot, rows->active, 0, 0, rows->step);
+    substitute_back(rows->factor, rows->slots, rows->pivot, rows->active, rows->step);
+}

@@ -1,0 +1,131 @@
+"""The public call from logs to a controller, without the command line."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from log_parts import drive, write_csv, write_mapping
+
+import diffdrive_mpc
+from diffdrive_mpc import Controller, identify, load_config, load_model
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.identification import Identification
+from diffdrive_mpc.models.robot import SampleTime
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    write_mapping(folder / "map.yaml")
+    for name, seed in (("one", 0), ("two", 1)):
+        write_csv(folder / f"{name}.csv", drive(seconds=20.0, seed=seed))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def found(folder):
+    return identify([folder / "one.csv"], mapping=folder / "map.yaml", structure="sm", validate=[folder / "two.csv"])
+
+
+def test_the_call_is_public_and_lazy():
+    assert "identify" in diffdrive_mpc.__all__
+    assert identify is diffdrive_mpc.models.identify
+
+
+def test_the_model_is_the_robot_and_drives(found):
+    assert np.diag(found.model.dc_gain) == pytest.approx([1.0, 1.0], abs=0.02)
+    assert found.model.name == "SM from one"
+    controller = Controller(load_config(found.config), model=found.model)
+    assert controller.config.limits.v == found.config["limits"]["v"]
+    assert controller.config.sample_time == pytest.approx(0.02)
+
+
+def test_what_is_written_is_what_was_found(found, tmp_path):
+    found.write(tmp_path / "new" / "mine")
+    folder = tmp_path / "new" / "mine"
+    assert sorted(path.name for path in folder.iterdir()) == ["config.yaml", "model.yaml", "report.json", "report.md"]
+    written, held = load_config(folder / "config.yaml"), load_config(found.config)
+    assert written.model_copy(update={"model": held.model}) == held
+    assert written.model == str(folder / "model.yaml")
+    loaded = load_model(folder / "model.yaml")
+    for name in ("A", "B", "C", "dead_time"):
+        assert getattr(loaded, name).tolist() == getattr(found.model, name).tolist()
+    found.write(folder)  # and again, over itself
+
+
+def test_the_configuration_without_its_model_is_refused_and_not_driven_with_another(found, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match=r"model 'model\.yaml'"):
+        Controller(load_config(found.config))
+
+
+def test_the_report_prints_as_tables_and_is_data(found):
+    text = str(found.report)
+    assert text == str(found)
+    assert "FIT validation [%]" in text
+    assert "v.natural_frequency" in text
+    assert all(f"warning: {warning}" in text for warning in found.report.warnings)
+    report = found.report.as_json()
+    assert report["validation_fit_percent"]["v"] == found.report.fitted.validation.fit_percent[0]
+    assert report["parameters"]["v.gain"]["value"] == found.report.fitted.identified.parameters.value("v.gain")
+
+
+def arrays(value):
+    if isinstance(value, np.ndarray):
+        yield value
+    elif dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            yield from arrays(getattr(value, field.name))
+    elif isinstance(value, (list, tuple)):
+        for part in value:
+            yield from arrays(part)
+
+
+def test_no_array_of_the_result_can_be_written_to(found):
+    held = list(arrays(found))
+    assert len(held) > 30
+    assert not any(array.flags.writeable for array in held)
+
+
+def test_one_path_is_a_log_and_progress_is_told(folder):
+    told, findings = [], []
+    one = identify(
+        str(folder / "one.csv"),
+        str(folder / "map.yaml"),
+        fit_share=0.5,
+        name="mine",
+        on_progress=told.append,
+        on_findings=findings.extend,
+    )
+    assert isinstance(one, Identification)
+    assert one.model.name == "mine"
+    assert told[0] == "reading"
+    assert told[1].startswith("identification")
+    assert "the last 50 %" in one.content.provenance.notes
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"structure": "smm"}, "structure 'smm': give one of mbm, sm, ssm"),
+        ({"structure": "ssm", "order": 7}, "order '7': give auto, or 1 to 5"),
+        ({"order": 2}, "order 2: only ssm has a choice of order"),
+        ({"structure": "ssm", "effects": True}, "effects: they stand around an sm, not an ssm"),
+        ({"fit_share": 1.0}, "fit_share 1: give 0.1 to 0.9"),
+        ({"name": " "}, "name: it is empty"),
+    ],
+)
+def test_an_argument_that_cannot_be_used_is_named(folder, options, message):
+    with pytest.raises(ConfigError, match=message):
+        identify([folder / "one.csv"], folder / "map.yaml", **options)
+
+
+def test_no_logs_are_no_logs():
+    with pytest.raises(ConfigError, match="no logs"):
+        identify([])
+
+
+def test_a_log_is_refused_where_no_controller_could_run_at_its_rate():
+    """The rule stands once, and the controller's schema uses it."""
+    assert ControllerConfig.model_fields["sample_time"].metadata == list(SampleTime.__metadata__[0].metadata)

@@ -1,0 +1,70 @@
+"""The examples run as they stand, from any folder, and do what they say."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+MOST_LINES = 60
+RUN = re.compile(r"position \[m\] +(0\.\d+).*steps, completed; in the band 100\.0 %", re.DOTALL)
+
+
+def run(name, folder):
+    command = [sys.executable, str(EXAMPLES / name)]
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"  # as in an activated environment
+    result = subprocess.run(
+        command, capture_output=True, text=True, cwd=folder, check=False, timeout=300, env={**os.environ, "PATH": path}
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def test_no_example_is_left_out():
+    tested = set(re.findall(r"\w+\.py", Path(__file__).read_text(encoding="utf-8")))
+    assert {path.name for path in EXAMPLES.glob("*.py")} <= tested
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.name)
+def test_an_example_is_short(path):
+    assert len(path.read_text(encoding="utf-8").splitlines()) < MOST_LINES
+
+
+def test_track_a_circle(tmp_path):
+    said = run("track_a_circle.py", tmp_path)
+    assert float(RUN.search(said)[1]) < 0.01
+    assert "ways the solver took: {" in said
+
+
+def test_identify_and_drive(tmp_path):
+    shipped, found = map(float, re.findall(r"position RMSE (\S+) mm", run("identify_and_drive.py", tmp_path)))
+    assert found < 0.75 * shipped
+    assert (tmp_path / "identified" / "model.yaml").exists()
+
+
+def test_own_plant(tmp_path):
+    assert float(RUN.search(run("own_plant.py", tmp_path))[1]) < 0.015
+
+
+def test_loop_without_ros(tmp_path):
+    x, y = map(float, re.search(r"x = (\S+) m, y = (\S+) m", run("loop_without_ros.py", tmp_path)).groups())
+    # The end of the cane, as its wheels and gyro have it.
+    assert abs(x - 2.0) < 0.03 and abs(y - 1.43) < 0.03
+
+
+def test_interrupted_the_loop_without_ros_sends_zero_last(tmp_path):
+    command = [sys.executable, "-u", str(EXAMPLES / "loop_without_ros.py")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "driving\n"
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        said, complained = process.communicate(timeout=60)
+    assert process.returncode == 0, complained
+    assert "interrupted" in said
+    assert re.search(r"last command \(0\.0, 0\.0\), at x = 0\.\d+ m", said)
