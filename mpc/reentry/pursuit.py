@@ -105,6 +105,8 @@ class Pursuit:
     @property
     def progress(self) -> float:
         """Rate of the reference's clock [-]."""
+        if not self._settings.enabled:
+            return 1.0
         return self._clock.rate if self._driving else 0.0
 
     @property
