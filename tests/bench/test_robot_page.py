@@ -19,7 +19,8 @@ def test_the_page_shows_the_parameters_as_they_are():
 
 def test_every_parameter_has_its_row_with_unit_default_and_advice():
     lines = [line for line in robot_page.parameter_tables().splitlines() if line.startswith("| `")]
-    rows = schema_rows(NodeSettings) + schema_rows()
+    # Lists come by file only.
+    rows = [row for row in schema_rows(NodeSettings) + schema_rows() if not row.key.startswith("terms")]
     assert [line.split("`")[1] for line in lines] == [row.key for row in rows]
     for line in lines:
         _, _, unit, default, _, what, when, _ = line.replace("\\|", "¦").split("|")
