@@ -1,0 +1,541 @@
+/* Drives the core with whatever may happen, under AddressSanitizer and UndefinedBehaviorSanitizer: `fuzz_core SEED`.
+ *
+ * Sizes go from the smallest to the largest that the core holds. Numbers that are none, huge ones, clocks that repeat,
+ * leap and run backwards, restarts in the middle of a tick, targets and answers that are nonsense: every command has to
+ * be finite, inside its range and inside slew or braking all the same. Between the arrays that the core lays out are
+ * gaps that nobody may touch, see DDMPC_GUARD in memory.c. */
+#include <float.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "internal.h"
+
+static uint64_t state;
+
+/* Marsaglia's xorshift, Journal of Statistical Software 8(14), 2003. */
+static uint64_t draw(void)
+{
+    state ^= state << 13;
+    state ^= state >> 7;
+    state ^= state << 17;
+    return state;
+}
+
+static int below(int count) { return (int)(draw() % (uint64_t)count); }
+
+static int once_in(int count) { return below(count) == 0; }
+
+static double uniform(double low, double high) { return low + (high - low) * (double)(draw() >> 11) / 9007199254740992.0; }
+
+/* Mostly `value`; else a number that nobody expects. */
+static double spoilt(double value, int seldom)
+{
+    const double odd[] = {NAN,     INFINITY, -INFINITY, DBL_MAX, -DBL_MAX, 1e300, -1e154, 1e30,
+                          -1e15,   1e9,      4e3,       -50.0,   DBL_MIN,  5e-324, 0.0,    -0.0};
+    return once_in(seldom) ? odd[below(sizeof odd / sizeof odd[0])] : value;
+}
+
+static void fail(const char *what, const ddmpc_result *result)
+{
+    fprintf(stderr, "%s: command %g %g, mode %d, reasons %u\n", what, (double)result->command[0],
+            (double)result->command[1], result->mode, result->reasons);
+    abort();
+}
+
+/* One set of sizes, with terms of the user. */
+typedef struct {
+    const char *name;
+    ddmpc_sizes sizes;
+    ddmpc_term term[4];
+    int ticks;
+} subject;
+
+static int nonlinear_states, nonlinear_window;
+
+/* Values of a term of `rows` rows: how far the robot is from points, what it does, the parameters. */
+static int term_of(int rows, const real **arguments, real **results)
+{
+    const real *pose = arguments[0], *twist = arguments[1], *command = arguments[2], *parameters = arguments[4];
+    real *value = results[0], *gradient = results[1];
+    memset(gradient, 0, (size_t)(rows * TERM_INPUTS) * sizeof(real));
+    for (int r = 0; r < rows; r++) {
+        const real lever = R(0.1) * (real)(r + 1);
+        value[r] = parameters[0] + ddmpc_sin(pose[0] + lever) + lever * pose[2] * twist[1] + command[r % 2];
+        gradient[r] = ddmpc_cos(pose[0] + lever);
+        gradient[r + 2 * rows] = lever * twist[1];
+        gradient[r + 4 * rows] = lever * pose[2];
+        gradient[r + (5 + r % 2) * rows] = R(1.0);
+    }
+    return 0;
+}
+
+static int one_row(const real **a, real **r, long long *iw, real *w, int m) { return (void)iw, (void)w, (void)m, term_of(1, a, r); }
+
+static int three_rows(const real **a, real **r, long long *iw, real *w, int m) { return (void)iw, (void)w, (void)m, term_of(3, a, r); }
+
+static int many_rows(const real **a, real **r, long long *iw, real *w, int m) { return (void)iw, (void)w, (void)m, term_of(24, a, r); }
+
+/* A lag that saturates in all states, on the oldest and the newest command of the window. */
+static int step(const real **arguments, real **results, long long *iw, real *w, int m)
+{
+    const int n = nonlinear_states, W = nonlinear_window;
+    const real *x = arguments[0], *oldest = arguments[1], *newest = oldest + 2 * W;
+    real *after = results[0], *gradient = results[1];
+    (void)iw, (void)w, (void)m;
+    memset(gradient, 0, (size_t)(n * (n + 2 * (W + 1))) * sizeof(real));
+    for (int i = 0; i < n; i++) {
+        const int channel = i % 2;
+        const real push = tanh(R(0.5) * (oldest[channel] + newest[channel]) - x[i]);
+        const real slope = R(0.2) * (R(1.0) - push * push);
+        after[i] = x[i] + R(0.2) * push;
+        gradient[i + n * i] = R(1.0) - slope;
+        gradient[i + n * (n + channel)] += R(0.5) * slope;
+        gradient[i + n * (n + 2 * W + channel)] += R(0.5) * slope;
+    }
+    return 0;
+}
+
+static int output(const real **arguments, real **results, long long *iw, real *w, int m)
+{
+    const int n = nonlinear_states;
+    (void)iw, (void)w, (void)m;
+    memset(results[1], 0, (size_t)(2 * n) * sizeof(real));
+    for (int i = 0; i < 2; i++) {
+        const int from = i < n ? i : 0;
+        results[0][i] = arguments[0][from];
+        results[1][i + 2 * from] = R(1.0);
+    }
+    return 0;
+}
+
+static real *array(long count) { return calloc((size_t)(count ? count : 1), sizeof(real)); }
+
+/* A linear model of lags, and all that is rolled out from it: what mpc/problem/prediction.py does for real ones. */
+static void fill_model(const ddmpc_sizes *s, ddmpc_constants *k)
+{
+    const int n = s->states, N = s->steps, W = s->window, width = (2 * N + PADDING - 1) / PADDING * PADDING;
+    const int delay[2] = {s->delay_v, s->delay_omega};
+    real *A = array(n * n), *B0 = array(2 * n), *B1 = array(2 * n), *C = array(2 * n), *mean = array(2 * n);
+    real *settled = array(2 * n), *noise = array(n * n), *from_state = array((N + 1) * 2 * n);
+    real *from_past = array((long)(N + 1) * 4 * W), *response = array(4 * (N + 1)), *twist_row = array(4 * width);
+    real *mean_row = array(4 * width), *heading_row = array(2 * width), *hessian = array(4 * N * N);
+    real *weight = array(N);
+    for (int i = 0; i < n; i++) {
+        const int channel = i % 2;
+        const real pole = A[i * n + i] = (real)uniform(0.5, 0.95);
+        B0[2 * i + channel] = R(0.4) * (R(1.0) - pole);
+        B1[2 * i + channel] = R(0.6) * (R(1.0) - pole);
+        settled[2 * i + channel] = R(1.0);
+        noise[i * n + i] = R(1e-4);
+        C[(n > 1 ? channel : 0) * n + i] += R(2.0) / (real)(n > 1 ? n : 2);
+        if (n == 1)
+            C[1] = R(0.3);
+    }
+    for (int i = 0; i < 2; i++)
+        for (int j = 0; j < n; j++)
+            mean[i * n + j] = R(0.5) * C[i * n + j] * (R(1.0) + A[j * n + j]);
+    for (int channel = 0; channel < 2; channel++)
+        for (int j = 0; j < n; j++) {
+            real power = R(1.0), after = R(0.0), past = R(0.0), before = R(0.0);
+            for (int m = 0; m <= N; m++) {
+                from_state[(2 * m + channel) * n + j] = C[channel * n + j] * power;
+                power *= A[j * n + j];
+            }
+            /* m samples after a command for one sample in each input, from the dead time on. */
+            for (int input = 0; input < 2; input++) {
+                after = before = R(0.0);
+                for (int m = 0; m <= N + W; m++) {
+                    const int since = m - 1 - delay[input];
+                    past = since == 0 ? B0[2 * j + input] : since == 1 ? B1[2 * j + input] : R(0.0);
+                    after = A[j * n + j] * before + past;
+                    if (m <= N)
+                        response[(2 * channel + input) * (N + 1) + m] += C[channel * n + j] * after;
+                    /* of those on their way only the rest acts from the state now on */
+                    before = after;
+                }
+                for (int w = 0; w < W; w++) {
+                    before = R(0.0);
+                    for (int m = 1; m <= N; m++) {
+                        const int since = m - 1 - delay[input] + (W - w);
+                        past = since == 0 ? B0[2 * j + input] : since == 1 ? B1[2 * j + input] : R(0.0);
+                        before = A[j * n + j] * before + past;
+                        from_past[((2 * m + channel) * W + w) * 2 + input] += C[channel * n + j] * before;
+                    }
+                }
+            }
+        }
+    k->sample_time = 0.02;
+    for (int j = 0; j < N; j++)
+        for (int input = 0; input < 2; input++) {
+            real heading = R(0.0);
+            for (int channel = 0; channel < 2; channel++) {
+                const real *r = response + (2 * channel + input) * (N + 1);
+                twist_row[channel * 2 * width + 2 * j + input] = r[N - j];
+                mean_row[channel * 2 * width + 2 * j + input] = R(0.5) * (r[N - j] + r[N - 1 - j]);
+            }
+            for (int m = 1; m <= N - j; m++)
+                heading += R(0.01) * (response[(2 + input) * (N + 1) + m] + response[(2 + input) * (N + 1) + m - 1]);
+            heading_row[2 * j + input] = heading;
+        }
+    for (int i = 0; i < N; i++)
+        weight[i] = i == N - 1 ? R(200.0) : R(20.0);
+    for (int m = 1; m <= N; m++)
+        for (int i = 0; i < 2 * m; i++)
+            for (int j = 0; j < 2 * m; j++)
+                hessian[i * 2 * N + j] += weight[m - 1] * heading_row[2 * (N - m) + i] * heading_row[2 * (N - m) + j];
+    k->A = A, k->B0 = B0, k->B1 = B1, k->C = C, k->mean_output = mean, k->settled = settled, k->noise = noise;
+    k->from_state = from_state, k->from_past = from_past, k->response = response, k->twist_row = twist_row;
+    k->mean_row = mean_row, k->heading_row = heading_row, k->heading_hessian = hessian;
+    k->along = k->across = k->heading = weight;
+}
+
+static void free_model(const ddmpc_constants *k)
+{
+    const real *arrays[] = {k->A,         k->B0,       k->B1,          k->C,        k->mean_output,     k->settled,
+                            k->noise,     k->from_state, k->from_past, k->response, k->twist_row,       k->mean_row,
+                            k->heading_row, k->heading_hessian, k->along, k->soft_upper, k->soft_lower};
+    for (size_t i = 0; i < sizeof arrays / sizeof arrays[0]; i++)
+        free((void *)arrays[i]);
+}
+
+static ddmpc_constants make_constants(const ddmpc_sizes *s)
+{
+    ddmpc_constants k;
+    real *upper = array(s->soft), *lower = array(s->soft);
+    memset(&k, 0, sizeof k);
+    fill_model(s, &k);
+    k.longest_pause = s->history * k.sample_time;
+    for (int i = 0; i < 6; i++) {
+        k.drift[i] = R(1e-5);
+        k.uncertainty[i] = R(0.1);
+    }
+    for (int i = 0; i < 3; i++) {
+        k.pose_noise[i] = R(1e-6);
+        k.pose_variance[i] = k.twist_variance[i] = R(1e-4);
+        k.largest_twist[i] = R(4.0);
+        k.largest_twist_jump[i] = R(2.0);
+    }
+    k.wheel_yaw_ratio = R(1.2);
+    k.surprise = R(9.0);
+    k.patience = R(10.0);
+    k.least_yaw_rate = k.least_speed = R(0.05);
+    k.least_gain = R(0.3);
+    k.most_gain = R(1.5);
+    k.stamp_history = (real)(0.8 * k.longest_pause);
+    k.largest_position_jump = k.largest_heading_jump = R(0.5);
+    for (int i = 0; i < 2; i++) {
+        k.command_weight[i] = R(5.0);
+        k.increment_weight[i] = R(10.0);
+        k.inverse_gain[3 * i] = R(1.0);
+        k.lag_rest[i] = R(0.3);
+        k.largest_command[i] = (real)uniform(0.5, 1.0 + i);
+        k.slew[i] = (real)uniform(0.001, 0.1);
+        k.braking[i] = (real)uniform(0.01, 0.1);
+    }
+    k.lean_along = R(100.0);
+    k.lean_heading = R(20.0);
+    k.price = k.price_slope = R(50.0);
+    for (int i = 0; i < s->soft; i++) {
+        upper[i] = (real)uniform(0.1, 1.5);
+        lower[i] = -upper[i];
+    }
+    k.soft_upper = upper, k.soft_lower = lower;
+    k.half_track = R(0.3);
+    k.slack = R(1e-6);
+    k.active_set = once_in(4) ? below(5) : 400;
+    k.forced = once_in(8);
+    k.max_pose_age = R(0.5);
+    k.max_position_error = R(5.0);
+    k.finish_position = k.finish_speed = R(0.02);
+    k.finish_timeout = R(2.0);
+    k.max_reused_ticks = below(6);
+    k.resume = !once_in(4);
+    k.reentry = once_in(2);
+    k.band = R(0.3), k.heading_band = R(1.0), k.wait = R(0.1), k.heading_wait = R(0.5);
+    k.behind = k.ahead = R(0.2);
+    k.standing = k.turning = R(0.01);
+    return k;
+}
+
+static void sample_reference(const void *context, ddmpc_time time, real pose[3], real twist[2], real *arc_length)
+{
+    const double t = time < 0.0 ? 0.0 : time > 1e6 ? 1e6 : time;
+    (void)context;
+    pose[0] = (real)spoilt(0.4 * t, 3000);
+    pose[1] = (real)spoilt(0.3 * sin(t), 3000);
+    pose[2] = (real)atan2(0.3 * cos(t), 0.4);
+    twist[0] = (real)spoilt(0.5, 3000);
+    twist[1] = (real)(0.3 * cos(t));
+    *arc_length = (real)(0.5 * t);
+}
+
+/* A message with `count` values near `value`. */
+static void fill_message(ddmpc_stamped *message, ddmpc_time t, const double *value, int count, double noise)
+{
+    memset(message, 0, sizeof *message);
+    message->present = !once_in(5);
+    message->stamp = spoilt(t - (once_in(3) ? uniform(0.0, 0.4) : 0.0), 60);
+    message->has_covariance = once_in(3);
+    for (int i = 0; i < count; i++)
+        message->value[i] = (real)spoilt(value[i] + uniform(-noise, noise) + (once_in(80) ? 3.0 : 0.0), 80);
+    for (int i = 0; i < 9; i++)
+        message->covariance[i] = (real)spoilt(i % (count + 1) == 0 ? 1e-3 : 0.0, 80);
+}
+
+/* What the command may be, from what is known before the tick. */
+typedef struct {
+    real base[2], kept[2];
+} before_tick;
+
+static before_tick look_before(const ddmpc_controller *c, const ddmpc_constants *k, const ddmpc_input *input)
+{
+    before_tick before;
+    const real *last = ddmpc_last_command(c), *newest = ddmpc_commands(c) + 2 * (WINDOW(c) - 1);
+    int taken = input->has_sent;
+    for (int i = 0; i < 2; i++)
+        taken &= ddmpc_fabs(input->sent[i]) <= k->largest_twist[i];
+    for (int i = 0; i < 2; i++) {
+        const real got = taken ? input->sent[i] : newest[i];
+        const real largest = ddmpc_max(k->largest_command[i], ddmpc_fabs(last[i]));
+        before.kept[i] = last[i];
+        before.base[i] = input->has_sent ? ddmpc_min(ddmpc_max(got, -largest), largest) : last[i];
+    }
+    return before;
+}
+
+static void check(const ddmpc_result *result, const ddmpc_constants *k, const before_tick *before)
+{
+    const unsigned int odd_time = DDMPC_TIME_FAULTY | DDMPC_TIME_LEAPT | DDMPC_TIME_PAUSED;
+    for (int i = 0; i < 2; i++) {
+        const real command = result->command[i], rounding = R(1e-12);
+        const real base = result->reasons & odd_time ? before->kept[i] : before->base[i];
+        const int brakes = result->mode == DDMPC_BRAKING || result->mode == DDMPC_FINISHED;
+        const real step = brakes ? k->braking[i] : k->slew[i];
+        const real reachable = ddmpc_fabs(base) - step;
+        if (!isfinite(command))
+            fail("not finite", result);
+        if (result->reasons & DDMPC_TIME_REPEATED) {
+            if (command != before->kept[i])
+                fail("a repeated tick changes the command", result);
+            continue;
+        }
+        if (result->mode == DDMPC_STOPPED) {
+            if (command != R(0.0))
+                fail("stopped, and moves", result);
+            continue;
+        }
+        if (ddmpc_fabs(command) > ddmpc_max(k->largest_command[i], reachable) + rounding)
+            fail("outside its range", result);
+        if (ddmpc_fabs(command - base) > step + rounding)
+            fail("faster than slew or braking", result);
+        if (brakes && ddmpc_fabs(command) > ddmpc_fabs(base))
+            fail("brakes, and speeds up", result);
+    }
+    if (result->mode < DDMPC_TRACKING || result->mode > DDMPC_FINISHED || result->notes > DDMPC_NOTES)
+        fail("no such mode", result);
+}
+
+/* What is asked for in the middle of a tick; returns whether the tick is done. */
+static int go_on(ddmpc_controller *c, const ddmpc_sizes *s, int pending)
+{
+    const int rows = (HARD + s->soft) * s->steps, choice = below(12);
+    const int samples = ddmpc_samples(c);
+    if (choice == 0)
+        return 0;
+    if (choice == 1)
+        return ddmpc_give_up(c) == DDMPC_DONE;
+    if (pending == DDMPC_NEEDS_TARGET) {
+        real *poses = array(3 * samples), *twists = array(2 * samples), arc_length;
+        const int seldom = once_in(3) ? 10 : 100000;
+        if (choice == 2) {
+            pending = ddmpc_too_far(c, (real)spoilt(2.0, 3));
+        } else {
+            for (int i = 0; i < samples; i++) {
+                sample_reference(0, c->last_tick + 0.02 * i, poses + 3 * i, twists + 2 * i, &arc_length);
+                poses[3 * i] = (real)spoilt(poses[3 * i], seldom);
+            }
+            pending = ddmpc_track(c, poses, twists, (real)uniform(0.0, 1.0));
+        }
+        free(poses);
+        free(twists);
+    }
+    if (pending == DDMPC_NEEDS_BACKEND) {
+        const int seldom = once_in(2) ? 20 : 100000;
+        const ddmpc_report report = {below(DDMPC_QP_NOT_RUN + 1), DDMPC_BACKEND, 7, 1, R(0.0), R(0.0)};
+        real *plan = array(2 * s->steps), *multipliers = array(rows);
+        int *broken = calloc((size_t)(HARD + s->soft), sizeof(int));
+        real *soft = array((long)2 * s->steps * s->steps);
+        for (int i = 0; i < 2 * s->steps; i++)
+            plan[i] = (real)spoilt(uniform(-1.0, 1.0), seldom);
+        for (int i = 0; i < rows; i++)
+            multipliers[i] = once_in(20) ? (real)spoilt(uniform(-60.0, 60.0), seldom) : R(0.0);
+        ddmpc_broken(c, plan, R(1e-6), broken);
+        ddmpc_soft_rows(c, HARD + below(s->soft), soft);
+        pending = ddmpc_answer(c, plan, multipliers, &report);
+        free(plan);
+        free(multipliers);
+        free(broken);
+        free(soft);
+    }
+    return pending == DDMPC_DONE;
+}
+
+typedef struct {
+    double t, reference_time, pose[3], twist[2];
+} robot;
+
+static void fill_input(ddmpc_input *input, const robot *r)
+{
+    const double wheels[2] = {r->twist[0], 1.2 * r->twist[1]};
+    fill_message(&input->pose, r->t, r->pose, 3, 0.01);
+    fill_message(&input->wheels, r->t, wheels, 2, 0.02);
+    fill_message(&input->yaw_rate, r->t, r->twist + 1, 1, 0.02);
+    input->has_sent = once_in(6);
+    for (int i = 0; i < 2; i++)
+        input->sent[i] = (real)spoilt(r->twist[i], 6);
+    input->request = once_in(40) ? 1 + below(2) : DDMPC_DRIVE;
+    input->reference_time = spoilt(r->reference_time, 200);
+    input->on_time = !once_in(8);
+}
+
+/* The time of the next tick: mostly one sample on. */
+static double next_time(double t)
+{
+    switch (below(60)) {
+    case 0: return t;
+    case 1: return t + 0.003;
+    case 2: return t - uniform(0.0, 0.1);
+    case 3: return t + uniform(0.02, 0.6);
+    case 4: return t + 100.0;
+    case 5: return spoilt(t, 1);
+    default: return t + uniform(0.018, 0.022);
+    }
+}
+
+/* At the start of the reference. */
+static void put_at_start(robot *r)
+{
+    r->reference_time = r->pose[0] = r->pose[1] = r->twist[0] = r->twist[1] = 0.0;
+    r->pose[2] = 0.6;
+}
+
+static void disturb(ddmpc_controller *c, const ddmpc_sizes *s, const ddmpc_constants *constants, robot *r)
+{
+    const ddmpc_reference reference = {sample_reference, 0, spoilt(20.0, 4)};
+    const double t0 = spoilt(r->t, 4);
+    real *parameters = ddmpc_parameters(c);
+    switch (below(200)) {
+    case 0: ddmpc_reset(c); break;
+    case 1: ddmpc_forget(c); break;
+    case 2:
+        if (ddmpc_start(c, &reference, t0) != (isfinite(t0) && isfinite(reference.duration)))
+            abort();
+        put_at_start(r);
+        break;
+    case 3: ddmpc_configure(c, constants + below(2)); break;
+    case 4:
+        for (int i = 0; i < (s->steps + 1) * s->parameters; i++)
+            parameters[i] = (real)spoilt(uniform(-1.0, 1.0), 30);
+        break;
+    default: break;
+    }
+}
+
+static void drive(const subject *one)
+{
+    const ddmpc_sizes *s = &one->sizes;
+    const ddmpc_constants constants[2] = {make_constants(s), make_constants(s)};
+    const ddmpc_functions functions = {step, output, one->term};
+    const ddmpc_reference reference = {sample_reference, 0, 20.0};
+    /* Exactly as much as the core asks for. */
+    real *reals = malloc((size_t)ddmpc_reals(s) * sizeof(real));
+    int *ints = malloc((size_t)ddmpc_ints(s) * sizeof(int)), counts[5] = {0}, ways[4] = {0};
+    void *nodes = calloc((size_t)s->history, ddmpc_node_bytes());
+    ddmpc_controller *c = malloc(ddmpc_controller_bytes());
+    robot r = {0.0, 0.0, {0.0, 0.0, 0.0}, {0.0, 0.0}};
+    ddmpc_input input;
+    nonlinear_states = s->states;
+    nonlinear_window = s->window;
+    memset(&input, 0, sizeof input);
+    if (!ddmpc_init(c, s, constants, &functions, reals, ints, nodes))
+        abort();
+    ddmpc_step(c, 0.0, &input);
+    check(ddmpc_result_of(c), constants, &(before_tick){{0, 0}, {0, 0}});
+    ddmpc_start(c, &reference, 0.0);
+    put_at_start(&r);
+    for (int k = 0; k < one->ticks; k++) {
+        const double t = next_time(r.t), dt = isfinite(t) && fabs(t - r.t) < 1.0 ? t - r.t : 0.0;
+        disturb(c, s, constants, &r);
+        /* A clock that leaps stays there, or is set right again. */
+        r.t = fabs(t) < 1e10 && (fabs(t - r.t) < 1.0 || once_in(2)) ? t : r.t;
+        r.reference_time += dt;
+        for (int i = 0; i < 2; i++)
+            r.twist[i] += 0.2 * (ddmpc_last_command(c)[i] - r.twist[i]);
+        r.pose[0] += dt * r.twist[0] * cos(r.pose[2]);
+        r.pose[1] += dt * r.twist[0] * sin(r.pose[2]);
+        r.pose[2] += dt * r.twist[1];
+        fill_input(&input, &r);
+        /* A tick that nobody went on with ends when the next begins, and that is checked with it. */
+        const int open = c->pending != DDMPC_DONE;
+        if (open)
+            ddmpc_give_up(c);
+        const before_tick before = look_before(c, c->constants, &input);
+        int pending = ddmpc_step(c, t, &input);
+        int done = pending == DDMPC_DONE || go_on(c, s, pending);
+        if (!done)
+            continue;
+        const ddmpc_result *result = ddmpc_result_of(c);
+        check(result, c->constants, &before);
+        counts[result->mode]++;
+        ways[result->solver.path]++;
+    }
+    printf("%-20s %5d ticks: tracking %d, reused %d, braking %d, stopped %d, finished %d; unlimited %d, active set %d, "
+           "backend %d\n", one->name, one->ticks, counts[0], counts[1], counts[2], counts[3], counts[4], ways[1], ways[2],
+           ways[3]);
+    for (int i = 0; i < 2; i++)
+        free_model(constants + i);
+    DDMPC_RELEASE(reals, (size_t)ddmpc_reals(s) * sizeof(real));
+    free(reals);
+    free(ints);
+    free(nodes);
+    free(c);
+}
+
+static void check_bounds(void)
+{
+    const ddmpc_sizes good = {3, 2, 0, 1, 2, 4, 1, 0, 0, SHIPPED_SOFT, 0, 0, 0};
+    ddmpc_controller *c = malloc(ddmpc_controller_bytes());
+    for (int field = 0; field < 11; field++)
+        for (int bad = 0; bad < 3; bad++) {
+            ddmpc_sizes sizes = good;
+            (&sizes.steps)[field] = bad == 0 ? -1 : bad == 1 ? 100000 : -2147483647;
+            /* How far it looks back or ahead is bounded by memory alone. */
+            if (bad == 1 && (field == 5 || field == 6 || field == 7 || field == 8 || field == 10))
+                continue;
+            if (ddmpc_reals(&sizes) != 0 || ddmpc_init(c, &sizes, 0, 0, 0, 0, 0))
+                abort();
+        }
+    free(c);
+}
+
+int main(int count, char **words)
+{
+    const subject subjects[] = {
+        {"smallest", {1, 1, 0, 0, 1, 2, 0, 0, 0, 5, 0, 0, 0}, {{0, 0, 0, 0}}, 3000},
+        {"smallest, function", {1, 1, 0, 0, 1, 2, 0, 0, 1, 6, 2, 2, 1}, {{one_row, 1, 0, 0}, {one_row, 1, 1, 1}}, 2000},
+        {"usual", {15, 2, 1, 2, 4, 16, 4, 3, 0, 5, 0, 0, 0}, {{0, 0, 0, 0}}, 3000},
+        {"eight states, terms", {9, 8, 3, 2, 5, 16, 0, 9, 3, 8, 2, 2, 0}, {{three_rows, 3, 0, 0}, {three_rows, 3, 1, 1}}, 1500},
+        {"function, terms", {12, 3, 0, 0, 4, 10, 2, 2, 1, 8, 2, 3, 1}, {{one_row, 1, 0, 1}, {three_rows, 3, 1, 2}}, 800},
+        {"more window than horizon", {4, 2, 20, 30, 32, 40, 1, 1, 0, 5, 0, 0, 0}, {{0, 0, 0, 0}}, 1000},
+        {"largest", {200, 64, 500, 510, 512, 16, 60, 3, 3, 29, 2, 2, 0}, {{three_rows, 3, 0, 0}, {many_rows, 24, 1, 1}}, 14},
+        {"largest, function", {200, 64, 0, 0, 512, 16, 3, 60, 3, 29, 2, 2, 1}, {{three_rows, 3, 0, 0}, {many_rows, 24, 1, 1}}, 5},
+    };
+    state = count > 1 ? strtoull(words[1], 0, 10) : 1;
+    state = state * 0x9E3779B97F4A7C15u + 1;
+    check_bounds();
+    for (size_t i = 0; i < sizeof subjects / sizeof subjects[0]; i++)
+        drive(subjects + i);
+    return 0;
+}
