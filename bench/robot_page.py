@@ -37,14 +37,15 @@ _TITLES = {
 def parameter_tables() -> str:
     """Every parameter of the node in a table for each group, from the schemas and the advice file.
 
-    Raises ConfigError if a parameter has no advice, or an advice no parameter.
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If a parameter has no advice, or an advice no parameter.
     """
     advice: dict[str, str] = read_yaml(_ADVICE)
     own = schema_rows(NodeSettings)
     # A list comes by file only, and its items with it.
-    controller = [
-        row for row in schema_rows(ControllerConfig) if row.key.partition("[")[0].partition(".")[0] != "terms"
-    ]
+    controller = [row for row in schema_rows(ControllerConfig) if not row.key.startswith("terms")]
     keys = [row.key for row in own + controller]
     known = {*keys, *(key.partition(".")[0] for key in keys)}
     for name in advice:

@@ -1,14 +1,13 @@
 """Identify a robot from logs of its drives, and drive it with the model that was found.
 
 The robot here is a simulated one that no shipped model fits: as over a slow radio link it answers 0.2 s later. Of your
-own robot take logs with commands, wheel speeds, gyro and poses, as CSV or ROS 2 bag; `--mapping mine.yaml` says which
+own robot take logs with commands, wheel speeds, gyro and poses, as CSV or ROS 2 bag; `mapping="mine.yaml"` says which
 column is what.
 """
 
-import subprocess
 from pathlib import Path
 
-from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant, simulate
+from diffdrive_mpc import Controller, identify, load_config, load_trajectory, make_plant, simulate
 from diffdrive_mpc.sim.log_csv import write_log
 
 ROBOT = "model:sm+0.2"
@@ -21,8 +20,9 @@ for seed, trajectory in enumerate(("s", "square", "cane")):
 
 # 2. From two logs to a model: "sm" has a transfer function with dead time for v, and one for omega. The third log is
 #    not fitted to: the report says how well the model predicts it, and what the logs do not tell.
-words = "diffdrive-mpc identify s.csv square.csv --validate cane.csv --model sm --out"
-subprocess.run([*words.split(), str(OUT)], check=True)
+found = identify(["s.csv", "square.csv"], structure="sm", validate=["cane.csv"])
+print(found)
+found.write(OUT)
 
 # 3. Drive with it, along a path that it has not seen. The configuration that was written names the model, and has
 #    limits that the logs cover.

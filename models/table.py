@@ -17,7 +17,7 @@ class Table:
     Attributes
     ----------
     title
-        Heading above the table.
+        Heading above the table; empty for none.
     columns
         Heading of each column, with the unit in brackets.
     rows
@@ -69,7 +69,7 @@ class Table:
         """Title, headings, rows and note."""
         widths = [max(map(len, column)) for column in zip(self.columns, *self.rows, strict=True)]
         lines = ["  ".join(self._aligned(cells, widths)).rstrip() for cells in (self.columns, *self.rows)]
-        return "\n".join([self.title, *lines, *([self.note] if self.note else [])])
+        return "\n".join(line for line in (self.title, *lines, self.note) if line)
 
     def markdown(self) -> str:
         """The table as a Markdown section."""

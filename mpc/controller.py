@@ -94,7 +94,7 @@ class Controller:
         self._program = Program(self._tick, config.horizon, self._kinds)
         self._words = Words(self._tick, config)
         self._ahead: FloatArray = np.asarray(np.arange(self._tick.samples) * dt)
-        self._pursuit = Pursuit(config, self._tick)
+        self._pursuit = Pursuit(config, self._tick.stray)
         self._pending: _Prepared | None = None
         self._reference: Reference | None = None
         self._t0 = 0.0

@@ -16,7 +16,7 @@ from diffdrive_mpc.models.identification.configuration import MODEL_FILE, Config
 from diffdrive_mpc.models.identification.fitting import fit
 from diffdrive_mpc.models.identification.log_data import LogData, OptionError, read_data
 from diffdrive_mpc.models.identification.poses import from_poses
-from diffdrive_mpc.models.identification.report import Report
+from diffdrive_mpc.models.identification.report import IdentificationReport
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding
 from diffdrive_mpc.models.structures.identified import model_file, write_model_file
@@ -52,7 +52,7 @@ class Identification:
 
     model: VelocityModel
     config: Mapping[str, Any]
-    report: Report
+    report: IdentificationReport
     content: ModelFile
     configuration: Configuration
 
@@ -188,7 +188,7 @@ def identify_data(
     fitted = fit(
         data, structure, order, effects=effects, on_trial=lambda effect: announce(f"does the base show {effect}?")
     )
-    report = Report(name, data, fitted, from_poses(data, fitted), date.today())
+    report = IdentificationReport(name, data, fitted, from_poses(data, fitted), date.today())
     content = model_file(
         fitted.identified,
         name=name,

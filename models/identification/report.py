@@ -32,7 +32,7 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
 @dataclass(frozen=True)
-class Report:
+class IdentificationReport:
     """One identification: what it was made from and what was found. `str` of it is what a person reads first.
 
     Attributes

@@ -78,7 +78,8 @@ def constant_fields(sizes: Mapping[str, int], values: Constants) -> Iterator[Fie
         if field.type.kind == "pointer":
             yield Field(name, _shaped(name, values[name], shapes[name]))
         elif field.type.kind == "array":
-            yield Field(name, _shaped(name, np.ravel(values[name]), (field.type.length,)).tolist())  # type: ignore[arg-type]
+            flat = np.asarray(values[name], dtype=float).ravel()
+            yield Field(name, _shaped(name, flat, (field.type.length,)).tolist())
         else:
             number: float = values[name]  # type: ignore[assignment]
             yield Field(name, int(number) if field.type.cname == "int" else float(number))

@@ -114,6 +114,12 @@ class Tick:
         shape = (self._sizes["steps"] + 1, self._sizes["parameters"])
         return self.view(self.lib.ddmpc_parameters(self.c), shape) if shape[1] else np.zeros(shape)
 
+    def stray(self, pose: FloatArray, twist: FloatArray) -> Any:  # noqa: ANN401 - cffi has no types
+        """How the estimate lies to a reference pose (3,) with twist (2,): the fields of `ddmpc_stray`."""
+        pose, twist = np.ascontiguousarray(pose), np.ascontiguousarray(twist)
+        at = self._address
+        return self.lib.ddmpc_stray_from(self.c, at("const real *", pose), at("const real *", twist))
+
     def track(self, poses: FloatArray, twists: FloatArray, share: float) -> int:
         """Go on with a target: poses (samples, 3) and twists (samples, 2) from now on."""
         poses, twists = np.ascontiguousarray(poses), np.ascontiguousarray(twists)

@@ -38,7 +38,10 @@ def constants_text(problem: Problem, functions: str | None) -> str:
             tables.append(_table("real", name, value.ravel()))
         constants.append((name, name if isinstance(value, np.ndarray) else _written(value)))
     sizes = [(name, str(value)) for name, value in problem.sizes.items()]
-    terms = ",\n".join(_term(*term) for term in zip(range(99), problem.terms, first_parameters(problem.terms)))
+    terms = ",\n".join(
+        _term(*term)
+        for term in zip(range(len(problem.terms)), problem.terms, first_parameters(problem.terms), strict=True)
+    )
     nonlinear = problem.prediction is None
     members = [("step", STEP if nonlinear else "0"), ("output", OUTPUT if nonlinear else "0")]
     defaults = np.array([value for term in problem.terms for value in term.defaults])

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
@@ -11,7 +12,6 @@ from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSampl
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.config.thresholds import AHEAD, BEHIND, STANDING, TURNING
-from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.reentry.blocked import BlockedWatch
 from diffdrive_mpc.mpc.reentry.options import Course
@@ -28,6 +28,20 @@ _MOST_SAMPLES = 5000
 _NOW = np.zeros(1)
 
 
+class Stray(Protocol):
+    """How the robot lies to a reference pose."""
+
+    @property
+    def outside(self) -> bool:
+        """Whether it is outside the band around its path, or was moved along it."""
+        ...
+
+    @property
+    def late(self) -> float:
+        """By how much it is late, in units of the lag from which the reference waits [-]."""
+        ...
+
+
 class Pursuit:
     """Follows one reference; holds its clock and the way back, if there is one.
 
@@ -35,12 +49,12 @@ class Pursuit:
     ----------
     config
         Limits, and the groups `reentry` and `failure`.
-    tick
-        The core, which says how the robot lies to a pose.
+    stray
+        Says how the robot lies to a reference pose (3,) with twist (2,).
     """
 
-    def __init__(self, config: ControllerConfig, tick: Tick) -> None:
-        self._tick = tick
+    def __init__(self, config: ControllerConfig, stray: Callable[[FloatArray, FloatArray], Stray]) -> None:
+        self._stray_from = stray
         self._clock = ReferenceClock(config.reentry.max_progress, config.reentry.progress_ramp)
         self._blocked = BlockedWatch(config.reentry.blocked_after)
         self._reference: Reference | None = None
@@ -91,6 +105,8 @@ class Pursuit:
     @property
     def progress(self) -> float:
         """Rate of the reference's clock [-]."""
+        if not self._settings.enabled:
+            return 1.0
         return self._clock.rate if self._driving else 0.0
 
     @property
@@ -159,12 +175,10 @@ class Pursuit:
         self._driving = distance <= self._config.failure.max_position_error
         return Target(reference, time) if self._driving else TooFar(distance)
 
-    def _stray(self, sample: ReferenceSample) -> tuple[Any, float]:
-        """How the robot lies to the first pose of `sample` (`ddmpc_stray` of core.h), and its forward speed [m/s]."""
-        tick, cast = self._tick, self._tick.ffi.cast
-        pose, twist = np.ascontiguousarray(sample.pose[0]), np.ascontiguousarray(sample.twist[0])
-        at = cast("const real *", pose.ctypes.data), cast("const real *", twist.ctypes.data)
-        return tick.lib.ddmpc_stray_from(tick.c, *at), float(twist[0])
+    def _stray(self, sample: ReferenceSample) -> tuple[Stray, float]:
+        """How the robot lies to the first pose of `sample`, and the forward speed there [m/s]."""
+        twist = sample.twist[0]
+        return self._stray_from(sample.pose[0], twist), float(twist[0])
 
     def _displaced(self, ahead: float) -> bool:
         """Whether `ahead` [m] along the path, negative behind, is more than the reference's waiting explains."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.models.results import text_table
+from diffdrive_mpc.models.table import Table, number
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings
 
 TIME_TOLERANCE = 1e-9
@@ -72,15 +72,15 @@ class Metrics:
         """A table: a row per error, a column per statistic, "-" where there is none."""
         names, values = ("rmse", "mean", "std", "p50", "p95", "p99", "max"), asdict(self)
         values["lateral_mean_m"] = self.lateral_mae_m
-        rows: list[tuple[str, ...]] = [("", *names)]
+        rows = []
         for quantity, unit, scale, digits, shown in _SHOWN:
             cells = [values.get(f"{quantity}_{name}_{unit}", math.nan) for name in names]
-            rows.append((shown, *(f"{scale * cell:.{digits}f}" if math.isfinite(cell) else "-" for cell in cells)))
+            rows.append((shown, *(number(scale * cell, digits) for cell in cells)))
         note = (
             f"{self.steps} steps, {'completed' if self.completed else 'not completed'}; in the band "
             f"{self.in_band_percent:.1f} %; deadlines missed {self.deadline_misses}, fall-backs {self.fallbacks}"
         )
-        return text_table(rows, note=note)
+        return str(Table("", ("", *names), tuple(rows), note=note))
 
 
 class ScoredRun(Protocol):

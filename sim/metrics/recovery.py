@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.results import text_table
+from diffdrive_mpc.models.table import Table
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,8 @@ class Recovery:
             ("energy of v_ref [m^2/s]", self.command_energy_v),
             ("energy of omega_ref [rad^2/s]", self.command_energy_omega),
         )
-        return text_table([(name, "-" if math.isnan(value) else f"{value:.4g}") for name, value in rows])
+        cells = tuple((name, "-" if math.isnan(value) else f"{value:.4g}") for name, value in rows)
+        return str(Table("", ("recovery", "value"), cells))
 
 
 def compute_recovery(

@@ -8,10 +8,13 @@ import daqp
 import numpy as np
 import osqp
 
+from diffdrive_mpc.mpc import load_config
+
 # A soft limit presses at every tick of a drive at 0.5 m/s, and the backend is asked each time.
 PRESSING = {"limits.predicted_v": 0.4, "solver.strategy": "backend"}
 BACKENDS = {name: {"solver.backend": name} | PRESSING for name in ("osqp", "daqp")}
 
+_TICK = load_config("ssm").sample_time
 _FLAGS = {
     "solved": (osqp.SolverStatus.OSQP_SOLVED, 1),
     "iteration limit": (osqp.SolverStatus.OSQP_MAX_ITER_REACHED, -4),
@@ -67,7 +70,10 @@ class FailingSolver:
 
 
 class SpoiltReference:
-    """A reference that is no number from the next sample on while it is `spoilt`: no problem can be made of it."""
+    """A reference that is no number from the next tick on while it is `spoilt`: no problem can be made of it.
+
+    Only where it is sampled tick by tick, as for a plan: who looks around in it for a way back sees it as it is.
+    """
 
     def __init__(self, original):
         self.original, self.spoilt = original, False
@@ -75,6 +81,6 @@ class SpoiltReference:
 
     def sample(self, times):
         found = self.original.sample(times)
-        if self.spoilt:
+        if self.spoilt and np.diff(times).max(initial=0.0) < 2 * _TICK:
             found.pose[1:] = np.nan
         return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -12,12 +13,13 @@ from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.estimation.estimate import Estimate
+from diffdrive_mpc.mpc.config.thresholds import AHEAD, BEHIND, STANDING, TURNING
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.reentry import Pursuit, Target, TooFar
 from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
-from diffdrive_mpc.mpc.step_result import Mode, StepResult
+from diffdrive_mpc.mpc.step_result import Mode
 from oracle.clock import TickClock, TickKind
+from oracle.estimate import Estimate
 from oracle.estimator import StateEstimator
 from oracle.problem import TrackingProblem, command_box
 from oracle.solver import solve
@@ -47,6 +49,31 @@ class Outcome:
     blocked_for: float = 0.0
 
 
+@dataclass(frozen=True)
+class OracleStep:
+    """What one step says, as `mpc.StepResult`."""
+
+    command: FloatArray
+    mode: Mode
+    message: str
+    solver: SolverReport
+    plan: FloatArray | None
+    planned_commands: FloatArray | None
+    reference: FloatArray | None
+    progress: float
+    reference_delay: float
+    estimate: Estimate | None
+    blocked_for: float
+
+
+@dataclass(frozen=True)
+class Stray:
+    """How the robot lies to a reference pose."""
+
+    outside: bool
+    late: float
+
+
 class OracleController:
     """Does as `mpc.Controller` does, in its own way; the same constructor, start, reset, step and update."""
 
@@ -62,24 +89,24 @@ class OracleController:
         self.estimator = StateEstimator(self.sampled_model, config.estimator, config.compensation, config.wheels)
         self.feed_forward = FeedForward(self.model, config.sample_time, config.horizon)
         self.ahead = np.arange(self.feed_forward.samples) * config.sample_time
-        self.pursuit = Pursuit(config)
+        self.pursuit = Pursuit(config, self._stray)
         self.clock = TickClock(config.sample_time, self.estimator.longest_pause)
         self.reference: Reference | None = None
         self.pending: ControllerConfig | None = None
+        self.guess: FloatArray | None = None
         self._configure(config)
         self.reset()
 
     def _configure(self, config: ControllerConfig) -> None:
         self.config = config
         self.problem = TrackingProblem(config, self.sampled_model)
-        self.guess: FloatArray | None = None
         self.pursuit.configure(config)
 
     def start(self, reference: Reference, t0: float) -> None:
         """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`."""
         self._forget()
         self.reference, self.t0 = sampled(reference), t0
-        self.pursuit.start(self.reference)
+        self.pursuit.start(self.reference, native=False)
 
     def reset(self) -> None:
         """Be as new, for a robot that stands still. The reference stays."""
@@ -94,7 +121,7 @@ class OracleController:
         self.guess = None
         self.plan: Plan | None = None
         self.plan_age = 0
-        self.result: StepResult | None = None
+        self.result: OracleStep | None = None
         self.has_driven = self.latched = self.finished = False
 
     def update(
@@ -106,7 +133,7 @@ class OracleController:
         self.pending = replace_values(self.pending or self.config, changes)
         return self.pending
 
-    def step(self, t: float, measurement: Measurement, hold: Hold | None = None) -> StepResult:
+    def step(self, t: float, measurement: Measurement, hold: Hold | None = None) -> OracleStep:
         """Decide the command for the tick at `t` [s] from what arrived since the last one."""
         assert self.reference is not None, "call start first"
         if self.pending is not None:
@@ -128,7 +155,7 @@ class OracleController:
         self.last = outcome.command
         self.has_driven |= outcome.mode is Mode.TRACKING
         plan = outcome.plan
-        self.result = StepResult(
+        self.result = OracleStep(
             command=outcome.command,
             mode=outcome.mode,
             message="; ".join(notes),
@@ -140,7 +167,6 @@ class OracleController:
             reference_delay=self.pursuit.delay,
             estimate=self.estimator.estimate if self.estimator.ready else None,
             blocked_for=outcome.blocked_for,
-            step_time=0.0,
         )
         return self.result
 
@@ -184,6 +210,22 @@ class OracleController:
             return self._brake(notes, f"{target.distance:.2f} m from the reference; the limit is {limit} m")
         notes += [target.message] if target.message else []
         return self._track(estimate, target, notes)
+
+    def _stray(self, pose: FloatArray, twist: FloatArray) -> Stray:
+        """How the estimate lies to a reference pose (3,) with twist (2,): outside the band, and by how much late."""
+        settings, estimate = self.config.reentry, self.estimator.estimate
+        x, y, theta = estimate.pose - pose
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        along, across, turned = c * x + s * y, c * y - s * x, math.remainder(theta, math.tau)
+        v, omega = twist
+        ahead = math.copysign(along, along * v)
+        near = -BEHIND * settings.wait <= ahead <= AHEAD * settings.wait
+        outside = abs(across) > settings.band or abs(turned) > settings.heading_band or not near
+        if abs(v) > STANDING:
+            return Stray(outside, -ahead / settings.wait)
+        # It stands, or turns on the spot: then the robot has to arrive first.
+        turning = -math.copysign(1.0, omega) * turned if abs(omega) > TURNING else 0.0
+        return Stray(outside, max(math.hypot(along, across) / settings.wait, turning / settings.heading_wait))
 
     def _restart(self) -> bool:
         """Take the robot to be where its rejected poses agree it is, once it has been told to stand."""
@@ -237,7 +279,7 @@ class OracleController:
             return None, answer.status
         commands = answer.x.reshape(-1, 2)
         self.guess = np.vstack([commands[1:], commands[-1:]])
-        poses = self.problem.poses(tick, commands[:, :, None])[:, :, 0]
+        poses = self.problem.poses(tick, self.problem.twists(tick, commands[:, :, None]))[:, :, 0]
         return Plan(commands, poses, tick.aim), answer.status
 
     def _brake(self, notes: list[str], *reasons: str, failure: bool = True) -> Outcome:

@@ -13,9 +13,10 @@ import numpy as np
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, Wheels
-from diffdrive_mpc.mpc.estimation.estimate import SENSORS, Estimate
+from diffdrive_mpc.mpc.estimation.estimate import SENSORS
 from oracle.checks import CheckedPose, CheckedTwist, PoseGate, TwistGates, sent_command
 from oracle.commands import PastCommands
+from oracle.estimate import Estimate
 from oracle.kalman import Belief, build_filter
 
 _TOO_MANY = "more arrived for one sample than is kept"

@@ -1,7 +1,7 @@
 """The extended Kalman filter: z = (x, v_offset, omega_gain, longitudinal_gain, yaw_gain, side_slip, gyro_bias, pose).
 
-x are the n states of the velocity model; then what lies between its twist and the body's (`mpc.estimation.slip`),
-the gyro's bias [rad/s] and x, y [m], theta [rad]. Functions of z take one state (n + 9,) or many, one to a column.
+x are the n states of the velocity model; then what lies between its twist and the body's (`mpc.slip`), the gyro's bias
+[rad/s] and x, y [m], theta [rad]. Functions of z take one state (n + 9,) or many, one to a column.
 """
 
 from __future__ import annotations

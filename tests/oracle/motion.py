@@ -44,11 +44,16 @@ def arc(
     )
 
 
-def jacobian(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
-    """(m, n) derivative of `function` at `at` (n,); it maps points (n, k), one to a column, to values (m, k).
+def linearised(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Value (m,) and derivative (m, n) of `function` at `at` (n,); it maps points (n, k), in columns, to (m, k).
 
     f(x + i h) = f(x) + i h f'(x) + O(h^2): the imaginary part is the derivative, without a difference (Squire, Trapp,
     SIAM Review 40(1), 1998).
     """
-    points = at[:, None] + 1j * _STEP * np.eye(len(at))
-    return np.asarray(np.imag(function(points)) / _STEP)
+    values = function(at[:, None] + 1j * _STEP * np.eye(len(at)))
+    return np.real(values[:, 0]), np.imag(values) / _STEP
+
+
+def jacobian(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
+    """The derivative alone."""
+    return linearised(function, at)[1]

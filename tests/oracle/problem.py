@@ -18,7 +18,7 @@ import numpy as np
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
-from oracle.motion import arc, jacobian
+from oracle.motion import arc, linearised
 from oracle.tick import Tick
 
 
@@ -75,9 +75,8 @@ class TrackingProblem:
         says = roll_out(self.model, tick.state, tick.past, plan)
         return tick.slip.gains[:, None] * (says + tick.slip.offset[:, None])
 
-    def poses(self, tick: Tick, plan: FloatArray) -> FloatArray:
-        """(N + 1, 3, k) poses: an arc over each sample with the mean of the twists at its ends."""
-        twist = self.twists(tick, plan)
+    def poses(self, tick: Tick, twist: FloatArray) -> FloatArray:
+        """(N + 1, 3, k) poses for `twist` (N + 1, 2, k): arcs of the mean of the twists at their ends."""
         v, omega = (0.5 * (twist[:-1] + twist[1:])).swapaxes(0, 1)
         theta = tick.pose[2] + self.model.dt * np.cumsum(omega, axis=0)
         before = np.concatenate([np.full_like(theta[:1], tick.pose[2]), theta[:-1]])
@@ -85,38 +84,42 @@ class TrackingProblem:
         after = np.stack([tick.pose[0] + np.cumsum(dx, axis=0), tick.pose[1] + np.cumsum(dy, axis=0), theta], axis=1)
         return np.concatenate([np.broadcast_to(tick.pose[:, None], after[:1].shape), after])
 
-    def errors(self, tick: Tick, poses: FloatArray) -> FloatArray:
+    def errors(self, tick: Tick, twist: FloatArray) -> FloatArray:
         """(N + 1, 3, k) errors along, across and in heading."""
+        poses = self.poses(tick, twist)
         c, s = np.cos(tick.aim[:, 2, None]), np.sin(tick.aim[:, 2, None])
         dx, dy, _ = (poses - tick.aim[:, :, None]).swapaxes(0, 1)
         return np.stack([c * dx + s * dy, c * dy - s * dx, poses[:, 2] - tick.heading[:, None]], axis=1)
 
-    def residuals(self, tick: Tick, plan: FloatArray) -> FloatArray:
+    def residuals(self, tick: Tick, plan: FloatArray, errors: FloatArray) -> FloatArray:
         """(m, k) errors, deviations and increments, each times the root of its weight."""
         w, before = self.config.weights, np.repeat(tick.last_command[None, :, None], plan.shape[2], axis=2)
         pose_weights = np.tile([w.along, w.across, w.heading], (self.steps, 1))
         pose_weights[-1] *= w.terminal
-        errors = self.errors(tick, self.poses(tick, plan))[1:] * np.sqrt(pose_weights)[:, :, None]
+        weighted = errors[1:] * np.sqrt(pose_weights)[:, :, None]
         deviations = (plan - tick.feed_forward[:, :, None]) * np.sqrt([[w.v], [w.omega]])
         increments = (plan - np.concatenate([before, plan[:-1]])) * np.sqrt([[w.v_increment], [w.omega_increment]])
-        return np.concatenate([errors, deviations, increments], axis=1).reshape(-1, plan.shape[2])
+        return np.concatenate([weighted, deviations, increments], axis=1).reshape(-1, plan.shape[2])
 
-    def soft_values(self, tick: Tick, plan: FloatArray) -> FloatArray:
+    def soft_values(self, tick: Tick, twist: FloatArray, errors: FloatArray) -> FloatArray:
         """(5, N + 1, k) what has soft limits: v, omega, right and left speed at the rim, distance across the path.
 
         The wheels do not slip as the body does: their speeds are those of the twist without the gains of slip.
         """
-        twist = self.twists(tick, plan)
         v, omega = twist.swapaxes(0, 1)
         wheels_v, wheels_omega = (twist / tick.slip.gains[:, None]).swapaxes(0, 1)
         rim = 0.5 * self.config.wheels.track * wheels_omega
-        across = self.errors(tick, self.poses(tick, plan))[:, 1]
-        return np.stack([v, omega, wheels_v + rim, wheels_v - rim, across])
+        return np.stack([v, omega, wheels_v + rim, wheels_v - rim, errors[:, 1]])
 
-    def soft_limits(self, tick: Tick) -> FloatArray:
-        """(5,) limits of the same; where the robot is already beyond one, it is that it may not get worse."""
+    def outcome(self, tick: Tick, plan: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What a plan (N, 2, k) leads to: residuals (m, k) and soft values (5, N + 1, k)."""
+        twist = self.twists(tick, plan)
+        errors = self.errors(tick, twist)
+        return self.residuals(tick, plan, errors), self.soft_values(tick, twist, errors)
+
+    def soft_limits(self, now: FloatArray) -> FloatArray:
+        """(5,) limits, where the values are `now` (5,): beyond a limit already, they may not get worse."""
         lim = self.config.limits
-        now = self.soft_values(tick, np.zeros((self.steps, 2, 1)))[:, 0, 0]
         configured = [lim.predicted_v, lim.predicted_omega, lim.wheel_speed, lim.wheel_speed, lim.corridor]
         return np.maximum(configured, np.abs(now))
 
@@ -130,16 +133,18 @@ class TrackingProblem:
         return rows, np.concatenate([-box, first - slew]), np.concatenate([box, first + slew])
 
     def quadratic_program(self, tick: Tick, plan: FloatArray) -> QuadraticProgram:
-        """Gauss-Newton along `plan` (N, 2): errors and soft limits to first order in the commands."""
+        """Gauss-Newton along `plan` (N, 2): residuals and soft values to first order in the commands."""
 
-        def of_columns(function):  # type: ignore[no-untyped-def]
-            return lambda U: function(tick, U.reshape(self.steps, 2, -1))
+        def all_values(U: FloatArray) -> FloatArray:
+            residuals, soft = self.outcome(tick, U.reshape(self.steps, 2, -1))
+            return np.concatenate([soft.reshape(-1, U.shape[1]), residuals])
 
-        residuals, soft = of_columns(self.residuals), of_columns(lambda *a: self.soft_values(*a)[:, 1:])
-        U = plan.ravel()
-        r, J = residuals(U)[:, 0], jacobian(residuals, U)
-        s, S = soft(U).reshape(-1), jacobian(lambda U: soft(U).reshape(-1, U.shape[1]), U)
-        limit = np.repeat(self.soft_limits(tick), self.steps)
+        U, kinds, nodes = plan.ravel(), 5, self.steps + 1
+        values, slopes = linearised(all_values, U)
+        r, J = values[kinds * nodes :], slopes[kinds * nodes :]
+        s, S = values[: kinds * nodes].reshape(kinds, nodes), slopes[: kinds * nodes].reshape(kinds, nodes, -1)
+        limit = np.repeat(self.soft_limits(s[:, 0]), self.steps)
+        s, S = s[:, 1:].ravel(), S[:, 1:].reshape(-1, len(U))
         w = self.config.weights
         return QuadraticProgram(
             J.T @ J,

@@ -14,7 +14,9 @@ from oracle.problem import QuadraticProgram
 # Numbers beyond this are no robot's.
 _LARGEST = 1e15
 _ACCURACY = 1e-9
-_SOFT = 8
+_NO_BOUND = 1e30
+# DAQP's flags of a row from which it begins.
+_ACTIVE, _LOWER = 1, 2
 
 
 @dataclass(frozen=True)
@@ -41,21 +43,23 @@ def solve(qp: QuadraticProgram) -> Answer:
     data = (qp.H, qp.g, qp.rows, qp.upper, qp.soft_rows, qp.soft_upper)
     if not all(np.vdot(part, part) < _LARGEST**2 for part in data):
         return nothing
-    # One metre is one in units of the cost: rows are normalised by DAQP, the cost here.
-    scale = np.abs(qp.H).max()
-    hard, soft = len(qp.lower), len(qp.soft_lower)
-    rows = np.vstack([qp.rows, qp.soft_rows])
-    lower, upper = np.concatenate([qp.lower, qp.soft_lower]), np.concatenate([qp.upper, qp.soft_upper])
-    sense = np.repeat([0, _SOFT], [hard, soft]).astype(np.intc)
+    # Variables (e, x): e >= 0 is what a soft row is beyond its bounds; a bound of e = 0 presses at first.
+    n, hard, soft = len(qp.g), len(qp.lower), len(qp.soft_lower)
+    scale, unit, none = np.abs(qp.H).max(), np.eye(soft), np.full(soft, _NO_BOUND)
+    H = np.zeros((soft + n, soft + n))
+    H[:soft, :soft], H[soft:, soft:] = qp.quadratic * unit, qp.H
+    f = np.concatenate([np.full(soft, qp.price), qp.g])
+    rows = np.block([[np.zeros((hard, soft)), qp.rows], [-unit, qp.soft_rows], [unit, qp.soft_rows]])
+    lower = np.concatenate([np.zeros(soft), qp.lower, -none, qp.soft_lower])
+    upper = np.concatenate([none, qp.upper, qp.soft_upper, none])
+    sense = np.repeat([_ACTIVE | _LOWER, 0], [soft, hard + 2 * soft]).astype(np.intc)
     model = daqp.Model()
-    model.setup(qp.H / scale, qp.g / scale, rows, upper, lower, sense)
+    model.setup(H / scale, f / scale, rows, upper, lower, sense)
     model.settings = {"primal_tol": 1e-12, "dual_tol": 1e-13, "zero_tol": 1e-13, "iter_limit": 100_000}
-    looseness, price = np.full(hard + soft, scale / qp.quadratic), np.full(hard + soft, qp.price / scale)
-    model.soft_weights(looseness, looseness, price, price)
-    x, _, flag, info = model.solve()
-    assert flag in (1, 2), f"DAQP says {flag}"
-    multipliers = scale * info["lam"]
-    answer = Answer(SolverStatus.SOLVED, x, multipliers[:hard], multipliers[hard:])
+    z, _, flag, info = model.solve()
+    assert flag == 1, f"DAQP says {flag}"
+    _, pressing, over, under = np.split(scale * info["lam"], np.cumsum([soft, hard, soft]))
+    answer = Answer(SolverStatus.SOLVED, z[soft:], pressing, over + under)
     worst = optimality(qp, answer)
     assert worst < _ACCURACY, f"off the optimum by {worst:.1e}"
     return answer
@@ -74,10 +78,11 @@ def optimality(qp: QuadraticProgram, answer: Answer) -> float:
     over, under = np.maximum(soft_values - qp.soft_upper, 0), np.maximum(qp.soft_lower - soft_values, 0)
     # With its excess given back, a soft limit is a hard one whose multiplier is bounded by its price.
     found += [_gap(answer.soft, soft_values - over + under, qp.soft_lower, qp.soft_upper)]
-    stiffness = np.abs(qp.H).max()
     price = qp.price + qp.quadratic * (over + under)
     short = np.where(over + under > _ACCURACY, price - np.abs(answer.soft), np.maximum(np.abs(answer.soft) - price, 0))
-    return float(max(np.abs(part).max() for part in [*found, short / stiffness]))
+    # Within the dead time no command acts on the row, and what it lacks moves nothing.
+    missing = short * np.abs(qp.soft_rows).max(axis=1) / np.abs(qp.H).max()
+    return float(max(np.abs(part).max() for part in [*found, missing]))
 
 
 def _beyond(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:

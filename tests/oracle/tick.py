@@ -9,8 +9,8 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import Weights
-from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.estimation.slip import Slip
+from oracle.estimate import Estimate
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,377 @@
+"""The product's controller against the oracle: the same measurements, the same commands, estimates, modes and messages.
+
+What both compute exactly agrees to 1e-9. Only where OSQP solves with limits active its tolerance is left, and stated.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from failing_solver import SpoiltReference
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from ideal_robot import IdealRobot
+from side_by_side import ACTIVE_SET, Pair, changed
+
+from diffdrive_mpc.models import Measurement, Stamped, load_model
+from diffdrive_mpc.mpc import load_config, load_trajectory
+from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.hold import Hold
+from diffdrive_mpc.mpc.trajectories.moved import starting_at
+from diffdrive_mpc.sim import make_plant
+
+DT = 0.0202
+HARD = {"limits.v": 0.5, "limits.omega": 1.05, "limits.v_slew": 0.5, "limits.omega_slew": 1.5}
+SOFT = {
+    "limits.predicted_v": 0.45,
+    "limits.predicted_omega": 0.5,
+    "limits.wheel_speed": 0.55,
+    "limits.corridor": 0.01,
+}
+# OSQP ends where its residuals, not the commands, are below its tolerance.
+OSQP = {"solver.backend": "osqp", "solver.tolerance": 1e-9, "solver.max_iterations": 100_000}
+BY_OSQP = 1e-6
+# DAQP takes a row that hardly answers to any command for none: that of the corridor at the first steps.
+BY_DAQP = 1e-4
+
+
+def pair(name="ssm", accuracy=1e-9, **changes):
+    return Pair(load_config(name, ACTIVE_SET | changes), accuracy=accuracy)
+
+
+@pytest.mark.parametrize("reference", ["circle", "square", "s", "cane"])
+@pytest.mark.parametrize("name", ["ssm", "sm", "mbm"])
+def test_a_drive(name, reference):
+    """With the configuration as it is shipped."""
+    both = Pair(load_config(name))
+    both.drive(make_plant("mujoco", seed=0), load_trajectory(reference), 150)
+    assert both.modes == ["TRACKING"]
+
+
+@pytest.mark.parametrize(("chosen", "accuracy"), [(ACTIVE_SET, 1e-9), (OSQP, BY_OSQP)], ids=["active set", "osqp"])
+@pytest.mark.parametrize("limits", [HARD, SOFT, HARD | SOFT], ids=["hard", "soft", "both"])
+def test_a_drive_along_its_limits(limits, chosen, accuracy):
+    both = pair("sm", accuracy, **limits | chosen)
+    results = both.drive(make_plant("mujoco", seed=0), load_trajectory("square"), 180)
+    assert both.modes == ["TRACKING"]
+    assert np.mean([r.solver.iterations > 0 for r in results]) > 0.8, "limits must matter"
+    assert any(r.solver.soft_limits for r in results) == (limits is not HARD)
+
+
+# What may happen on the way: each is told tick, time, measurement and the pair.
+
+
+def carried(k, t, m, both):
+    return t, shifted(m, [0.15, 0.1, 0.1]) if k >= 60 else m, None
+
+
+def carried_far(k, t, m, both):
+    return t, shifted(m, [0.0, 0.8, 0.3]) if k >= 60 else m, None
+
+
+def false_pose(k, t, m, both):
+    return t, shifted(m, [2.0, 0.0, 0.0]) if k in (40, 41, 80) or 100 <= k < 112 else m, None
+
+
+def no_pose(k, t, m, both):
+    return t, changed(m, pose=None) if 60 <= k < 110 or k < 3 else m, None
+
+
+def first_pose_wrong(k, t, m, both):
+    return t, shifted(m, [0.0, 0.8, 0.0]) if k == 0 else m, None
+
+
+def nothing(k, t, m, both):
+    return t, Measurement() if 60 <= k < 70 else m, None
+
+
+class Late:
+    """Poses arrive some ticks late, and not in every tick."""
+
+    def __init__(self):
+        self.queue = []
+
+    def __call__(self, k, t, m, both):
+        self.queue.append(m.pose)
+        late = (1, 4, 4, 9, 2)[k % 5]
+        return t, changed(m, pose=self.queue[max(0, k - late)]), None
+
+
+def obeys_by_half(k, t, m, both):
+    """The robot says that it got something else than it was asked for, or nonsense."""
+    if k < 2:
+        return t, m, None
+    v, omega = 0.5 * both.results[-1].command
+    return t, changed(m, sent=(7.0, 0.0) if k % 17 == 0 else (v, omega) if k % 3 else (4.9, -9.0)), None
+
+
+def held(k, t, m, both):
+    return t, m, Hold("pause") if 60 <= k < 110 else None
+
+
+def held_by_a_failure(k, t, m, both):
+    return t, m, Hold("bumper", failure=True) if 60 <= k < 64 else None
+
+
+def updated(k, t, m, both):
+    if k == 40:
+        both.update(limits={"v": 0.35, "v_slew": 0.7, "omega_slew": 2.0, "corridor": 0.01})
+    if k == 80:
+        both.update(weights={"across": 90.0, "omega": 9.0, "soft": 4.0})
+        both.update(limits={"predicted_omega": 0.4})
+    return t, m, None
+
+
+def sensors_gone(k, t, m, both):
+    if k == 60:
+        both.update(limits={"v_slew": 0.001})
+    return t, Measurement() if k >= 60 else m, None
+
+
+def clock_astray(k, t, m, both):
+    times = {30: t - 1.0, 50: math.nan, 70: t + 1e6, 90: t - 0.7 * DT, 100: t + 0.004}
+    return times.get(k, t), m, None
+
+
+def paused(k, t, m, both):
+    return t + (5.0 if k >= 60 else 0.0), restamped(m, 5.0 if k >= 60 else 0.0), None
+
+
+class Blocked:
+    """The robot stands against something: what its sensors say does not change."""
+
+    def __call__(self, k, t, m, both):
+        if k == 50:
+            self.pose = m.pose.value
+        if 50 <= k < 150:
+            still = Stamped([0.0, 0.0], t), Stamped(0.0, t)
+            m = Measurement(Stamped(self.pose, t), *still)
+        return t, m, None
+
+
+def shifted(m, by):
+    return m if m.pose is None else changed(m, pose=Stamped(np.asarray(m.pose.value) + by, m.pose.time))
+
+
+def restamped(m, by):
+    parts = {name: getattr(m, name) for name in ("pose", "wheel_twist", "yaw_rate")}
+    return Measurement(**{n: p and Stamped(p.value, p.time + by, p.covariance) for n, p in parts.items()})
+
+
+EVENTS = {
+    "carried": (carried, {}, ["TRACKING"], "rejoining"),
+    "carried far": (carried_far, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "robot is somewhere else"),
+    "chased": (carried, {"reentry.enabled": False}, ["TRACKING"], ""),
+    "carried too far": (
+        carried_far,
+        {"failure.max_position_error": 0.5, "reentry.enabled": False},
+        ["TRACKING", "BRAKING", "STOPPED"],
+        "m from the reference",
+    ),
+    "false pose": (false_pose, {}, ["TRACKING", "BRAKING", "TRACKING"], "it jumps by"),
+    "no pose": (no_pose, {}, ["STOPPED", "TRACKING", "BRAKING", "STOPPED", "TRACKING"], "no pose was accepted"),
+    "no resuming": (no_pose, {"failure.resume": False}, ["STOPPED", "TRACKING", "BRAKING", "STOPPED"], "call start"),
+    "first pose wrong": (first_pose_wrong, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "jumps"),
+    "nothing": (nothing, {}, ["TRACKING"], ""),
+    "late poses": (Late(), {}, ["TRACKING"], "not newer"),
+    "sent given": (obeys_by_half, {}, ["TRACKING"], "sent command rejected"),
+    "held": (held, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "pause"),
+    "held by a failure": (held_by_a_failure, {"failure.resume": False}, ["TRACKING", "BRAKING", "STOPPED"], "bumper"),
+    "updated": (updated, {}, ["TRACKING"], ""),
+    "sensors gone": (
+        sensors_gone,
+        {"limits.v_braking": 0.7, "limits.omega_braking": 0.9},
+        ["TRACKING", "BRAKING", "STOPPED"],
+        "no pose was accepted",
+    ),
+    "clock astray": (clock_astray, {}, None, "time ran backwards"),
+    "paused": (paused, {"failure.max_position_error": 9.0}, ["TRACKING", "STOPPED", "TRACKING"], "starts anew"),
+    "blocked": (Blocked(), {}, ["TRACKING"], "blocked for"),
+    "no compensation of dead time": (Late(), {"compensation.dead_time": False}, ["TRACKING"], ""),
+    "no v offset": (carried, {"compensation.v_offset": False}, ["TRACKING"], ""),
+    "no yaw gain": (carried, {"compensation.yaw_gain": False}, ["TRACKING"], ""),
+    "no side-slip": (carried, {"compensation.side_slip": False}, ["TRACKING"], ""),
+    "a horizon of the dead time": (carried, {"horizon": 4}, ["TRACKING"], ""),
+    "a long horizon": (carried, {"horizon": 70}, ["TRACKING"], ""),
+    "along its limits": (carried, HARD | SOFT, ["TRACKING"], "rejoining"),
+}
+
+
+@pytest.mark.parametrize("name", EVENTS)
+def test_what_may_happen_on_a_drive(name):
+    event, changes, modes, words = EVENTS[name]
+    model, plant = ("ssm", "mujoco") if len(name) % 2 else ("mbm", "model:sm")
+    both = pair(model, BY_DAQP if name in ("updated", "along its limits") else 1e-9, **{"horizon": 15} | changes)
+    both.drive(make_plant(plant, seed=4), load_trajectory("circle"), 190, event)
+    assert words in both.words
+    assert modes is None or [mode for mode in both.modes if mode in modes][: len(modes)] == modes
+
+
+def test_solves_that_fail():
+    reference = SpoiltReference(load_trajectory("circle"))
+    both = pair(horizon=12, **{"failure.max_reused_ticks": 3})
+
+    def spoil(k, t, m, both):
+        reference.spoilt = k in (40, 41) or 80 <= k < 120
+        return t, m, None
+
+    both.drive(make_plant("mujoco", seed=2), reference, 150, spoil)
+    whole = ["TRACKING", "REUSED_PLAN", "BRAKING", "STOPPED", "TRACKING"]
+    assert both.modes == ["TRACKING", "REUSED_PLAN", *whole]
+
+
+ROUTES = {
+    "segments": "start: [1.0, 2.0, 3.0]\nsegments:\n- {v: 0.4, omega: 1.0, duration: 1.0}\n"
+    "- {v: 0.0, omega: -1.2, duration: 0.8}\n- {v: 0.0, omega: 0.0, duration: 0.3}\n"
+    "- {v: -0.4, omega: 0.3, duration: 0.8}\n",
+    "waypoints": "waypoints: [[0, 0], [0.4, 0.05], [0.7, 0.4], [0.5, 0.8]]\nspeed: 0.5\n",
+}
+
+
+@pytest.mark.parametrize("name", ["ssm", "mbm"])
+@pytest.mark.parametrize("route", ROUTES)
+def test_a_whole_route_with_its_end(route, name, tmp_path):
+    path = tmp_path / "route.yaml"
+    path.write_text(ROUTES[route])
+    reference = load_trajectory(path)
+    moved = starting_at(reference, [-1.0, 0.5, 2.5])
+    both = pair(name, horizon=15)
+    plant = make_plant("mujoco", seed=5)
+    both.drive(plant, moved, math.ceil((reference.duration + 1.5) / DT))
+    assert both.modes[0] == "TRACKING"
+    assert both.modes[-1] == "FINISHED"
+
+
+def test_an_end_that_is_not_reached_is_told():
+    both = pair("ssm", horizon=10, **{"finish.position": 1e-6, "finish.timeout": 0.4})
+    reference = starting_at(load_trajectory("cane"), [0.0, 0.0, 0.0])
+    plant = make_plant("model:ssm", seed=1)
+    plant.reset(reference.sample([reference.duration]).pose[0] + [0.005, 0.0, 0.0])
+    both.start(reference, plant.time - reference.duration + 0.3)
+    for _ in range(60):
+        plant.advance(both.step(plant.time, plant.measure()).command)
+    assert both.modes[-1] == "FINISHED"
+    assert "not at rest within 0.4 s" in both.words
+
+
+def test_starting_again_and_resetting():
+    both, plant = pair("sm", horizon=10), make_plant("model:sm", seed=1)
+    both.drive(plant, load_trajectory("circle"), 60)
+    both.start(load_trajectory("s"), plant.time)
+    for _ in range(60):
+        plant.advance(both.step(plant.time, plant.measure()).command)
+    both.reset()
+    both.drive(plant, load_trajectory("square"), 40)
+
+
+# Faults of single measurements, four ticks each.
+
+SLIP = Slip(v_offset=0.03, longitudinal_gain=0.99, yaw_gain=0.7, side_slip=0.06)
+
+
+def pose(change, **stated):
+    def spoilt(m, queue):
+        value, time = change(m.pose.value, m.pose.time)
+        return changed(m, pose=Stamped(value, time, **stated))
+
+    return spoilt
+
+
+def wheels(value, **stated):
+    return lambda m, queue: changed(m, wheel_twist=Stamped(value, m.wheel_twist.time, **stated))
+
+
+def late(ticks):
+    return lambda m, queue: changed(m, pose=queue[-1 - min(ticks, len(queue) - 1)])
+
+
+SPOILERS = {
+    "nothing": lambda m, queue: Measurement(),
+    "in time": lambda m, queue: m,
+    "pose only": lambda m, queue: Measurement(m.pose),
+    "one tick late": late(1),
+    "five ticks late": late(5),
+    "between ticks": pose(lambda p, t: (p, t - 0.37 * DT)),
+    "in the future": pose(lambda p, t: (p, t + 0.3)),
+    "too old": pose(lambda p, t: (p, t - 3.0)),
+    "not finite": pose(lambda p, t: ([np.nan, 0.0, 0.0], t)),
+    "not numbers": pose(lambda p, t: ("here", t)),
+    "a list": pose(lambda p, t: (p.tolist(), t)),
+    "no stamp": pose(lambda p, t: (p, None)),
+    "false pose": pose(lambda p, t: (p + [3.0, 0.0, 0.0], t)),
+    "pushed": pose(lambda p, t: (p + [0.2, 0.1, 0.3], t)),
+    "turned once more": pose(lambda p, t: (p + [0.0, 0.0, 2 * np.pi], t)),
+    "covariance": pose(lambda p, t: (p, t), covariance=np.diag([1e-4, 2e-4, 3e-4]) + 1e-5),
+    "bad covariance": pose(lambda p, t: (p, t), covariance=np.diag([1e-4, -2e-4, 3e-4])),
+    "singular covariance": pose(lambda p, t: (p, t), covariance=np.ones((3, 3))),
+    "uneven covariance": pose(lambda p, t: (p, t), covariance=[[1.0, 0.5, 0], [0, 1, 0], [0, 0, 1]]),
+    "wheels stopped": wheels([0.0, 0.0]),
+    "wheels too fast": wheels([0.1, 40.0]),
+    "wheels broken": wheels([np.inf, 0.0]),
+    "wheels with covariance": wheels([0.5, 0.1], covariance=np.diag([1e-3, 1e-2])),
+    "wheels with a bad one": wheels([0.5, 0.1], covariance=[[1e-3, 1.0], [1.0, 1e-3]]),
+    "gyro only": lambda m, queue: Measurement(yaw_rate=m.yaw_rate),
+    "gyro jumps": lambda m, queue: Measurement(m.pose, yaw_rate=Stamped(6.0, m.yaw_rate.time)),
+    "gyro as a number of its own": lambda m, queue: Measurement(
+        m.pose, yaw_rate=Stamped([0.5], m.yaw_rate.time, [[1e-4]])
+    ),
+}
+
+
+class Estimating:
+    """Both controllers on a robot that does something else than they ask, and says so."""
+
+    def __init__(self, name="ssm", noise=1.0):
+        model = load_model(name).with_extra_dead_time([0.01, 0.03])
+        self.robot = IdealRobot(model.discretise(DT), np.array([1.0, 2.0, 3.0]), slip=SLIP, noise=noise, seed=3)
+        # So short that solving costs nothing, so lenient that it never brakes for long.
+        config = load_config(name, ACTIVE_SET | {"horizon": 6, "reentry.enabled": False})
+        self.both = Pair(config, model)
+        self.both.start(load_trajectory("circle"), 0.0)
+        self.queue, self.sent = [], (0.0, 0.0)
+
+    def tick(self, spoiler, *, skip=False, told=True):
+        robot, k = self.robot, self.robot.k
+        m = robot.measure()
+        self.queue.append(m.pose)
+        if not skip:
+            m = SPOILERS[spoiler](m, self.queue)
+            self.both.step(robot.time, changed(m, sent=self.sent) if told else m)
+        self.sent = (0.5 + 0.2 * np.sin(k / 15), 0.8 * np.sin(k / 25))
+        robot.advance(np.array(self.sent))
+
+
+@pytest.mark.parametrize("first", [0, 1, 2])
+def test_faults_of_single_measurements(first):
+    drive = Estimating(noise=0.5)
+    for spoiler in sorted(SPOILERS)[first::3]:
+        for k in range(14):
+            drive.tick(spoiler if k < 4 else "in time")
+
+
+@settings(max_examples=8)
+@example([("false pose", 5)] * 40, "ssm")
+@example([("pushed", 5)] * 40, "mbm")
+@given(
+    st.lists(st.tuples(st.sampled_from(sorted(SPOILERS)), st.integers(0, 9)), min_size=40, max_size=40),
+    st.sampled_from(["ssm", "sm", "mbm"]),
+)
+def test_whatever_arrives(events, name):
+    drive = Estimating(name)
+    for spoiler, choice in events:
+        drive.tick(spoiler, skip=choice == 0, told=choice != 1)
+
+
+def test_more_than_is_kept_for_one_sample_is_rejected_and_named():
+    drive = Estimating()
+    for _ in range(20):
+        drive.tick("in time")
+    now = drive.robot.time - DT
+    for part in range(1, 14):
+        stamp = now + 1e-4 * part
+        twist, rate = Stamped([0.5, 0.1], stamp), Stamped(0.3, stamp)
+        drive.both.step(now + 0.005, Measurement(Stamped(drive.queue[-1].value, stamp), twist, rate))
+    for name in ("pose", "wheel speed", "yaw rate"):
+        assert f"{name} rejected: more arrived for one sample than is kept" in drive.both.words
+    for _ in range(5):
+        drive.tick("in time")

@@ -1,0 +1,100 @@
+"""What the oracle believes at one tick."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.estimation.estimate import SENSORS
+from diffdrive_mpc.mpc.estimation.slip import Slip
+
+
+class Estimate:
+    """One vector of numbers, taken apart where it is looked at.
+
+    Parameters
+    ----------
+    values
+        Time, pose age; mean and standard deviations (n + 9,) of the filter's state, see `oracle.kalman`; twist (2,) and
+        its standard deviations (2,); innovations (4,), NaN where there was none.
+    order
+        Order n of the velocity model.
+    """
+
+    __slots__ = ("_order", "values")
+
+    def __init__(self, values: FloatArray, order: int) -> None:
+        self.values, self._order = values, order
+
+    @property
+    def time(self) -> float:
+        """Time of the tick [s]."""
+        return float(self.values[0])
+
+    @property
+    def pose_age(self) -> float:
+        """Time since the stamp of the last accepted pose [s]."""
+        return float(self.values[1])
+
+    @property
+    def mean(self) -> FloatArray:
+        """(n + 9,) mean of the filter's state: states, slip, gyro bias and pose."""
+        return self.values[2 : self._order + 11]
+
+    @property
+    def deviation(self) -> FloatArray:
+        """(n + 9,) standard deviations of the same."""
+        return self.values[self._order + 11 : 2 * self._order + 20]
+
+    @property
+    def pose(self) -> FloatArray:
+        """(3,) x [m], y [m], theta [rad, unwrapped]."""
+        return self.mean[-3:]
+
+    @property
+    def pose_deviation(self) -> FloatArray:
+        """(3,) its standard deviations."""
+        return self.deviation[-3:]
+
+    @property
+    def twist(self) -> FloatArray:
+        """(2,) v [m/s], omega [rad/s] of the body, slip included."""
+        return self.values[-8:-6]
+
+    @property
+    def twist_deviation(self) -> FloatArray:
+        """(2,) its standard deviations."""
+        return self.values[-6:-4]
+
+    @property
+    def slip(self) -> Slip:
+        """What lies between the model's twist and that of the body."""
+        return Slip(*self.mean[self._order : self._order + 5].tolist())
+
+    @property
+    def slip_deviation(self) -> Slip:
+        """Its standard deviations."""
+        return Slip(*self.deviation[self._order : self._order + 5].tolist())
+
+    @property
+    def gyro_bias(self) -> float:
+        """Bias of the gyro [rad/s]."""
+        return float(self.mean[-4])
+
+    @property
+    def gyro_bias_deviation(self) -> float:
+        """Its standard deviation."""
+        return float(self.deviation[-4])
+
+    @property
+    def state(self) -> FloatArray:
+        """(n,) states of the velocity model."""
+        return self.mean[: self._order]
+
+    @property
+    def innovations(self) -> Mapping[str, float]:
+        """By sensor, the newest squared innovation over its variance: 1 on average where the assumptions hold [-]."""
+        found = zip(SENSORS, self.values[-4:].tolist(), strict=True)
+        return {sensor: value for sensor, value in found if not np.isnan(value)}
