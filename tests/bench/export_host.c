@@ -8,14 +8,12 @@
 #include "frames.h"
 #include "trajectory.h"
 
-static ddmpc_controller controller;
-static ddmpc_result result;
 static double spoiled_from;
-static ddmpc_reference table;
+static ddmpc_reference given;
 
-static void sample(const void *context, ddmpc_time time, real pose[3], real twist[2])
+static void sample(const void *context, ddmpc_time time, real pose[3], real twist[2], real *arc_length)
 {
-    table.sample(context, time, pose, twist);
+    given.sample(context, time, pose, twist, arc_length);
     if (time >= spoiled_from)
         pose[0] = pose[1] = pose[2] = (real)NAN;
 }
@@ -23,19 +21,18 @@ static void sample(const void *context, ddmpc_time time, real pose[3], real twis
 int main(void)
 {
     double in[1 + FRAME_IN], out[FRAME_OUT];
-    table = ddmpc_table_reference(&DDMPC_TRAJECTORY);
-    ddmpc_reference reference = {sample, table.context, table.duration};
-    ddmpc_init(&controller);
+    given = ddmpc_reference_of(&DDMPC_TRAJECTORY);
+    const ddmpc_reference reference = {sample, given.context, given.duration};
+    ddmpc_controller *controller = ddmpc_open();
     while (fread(in, sizeof in, 1, stdin) == 1) {
         ddmpc_input input = {0};
         spoiled_from = in[0];
         if (frame_read(in + 1, &input)) {
-            ddmpc_init(&controller);
-            if (!ddmpc_start(&controller, &reference, 0.0))
+            ddmpc_open();
+            if (!ddmpc_follow(controller, &reference, 0.0))
                 return 2;
         }
-        ddmpc_step(&controller, in[1], &input, &result);
-        frame_write(&result, out);
+        frame_write(ddmpc_tick(controller, in[1], &input), out);
         fwrite(out, sizeof out, 1, stdout);
         fflush(stdout);
     }

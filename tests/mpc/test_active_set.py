@@ -117,7 +117,7 @@ def solve(p, warm=None, number="double", slack=1e-6, most_iterations=2000, most_
 
     held = [given_as(a) for a in (factor, minimiser, p.A, p.lower, p.upper, [p.price, p.slope, slack])]
     # Garbage, which nobody may read.
-    reals, at_reals = given_as(np.full(functions.ddmpc_limited_reals(n, m, most_active), np.nan))
+    _reals, at_reals = given_as(np.full(functions.ddmpc_limited_reals(n, m, most_active), np.nan))
     ints = np.full(functions.ddmpc_limited_ints(n, m, most_active), 2**30, dtype=np.intc)
     multipliers, at_multipliers = given_as(np.zeros(m) if warm is None else warm.copy())
     plan, at_plan = given_as(np.zeros(n))
@@ -172,12 +172,12 @@ def random_problem(rng, n, m, hard_share=0.5, tight=1.0):
         A[m // 3] = A[0] - A[1]
     middle = A @ rng.normal(size=n)
     width = tight * rng.exponential(size=(2, m))
-    return Problem(H, rng.normal(size=n) * 3, A, middle - width[0], middle + width[1], int(round(hard_share * m)),
+    return Problem(H, rng.normal(size=n) * 3, A, middle - width[0], middle + width[1], round(hard_share * m),
                    price=float(10 ** rng.uniform(-1, 1.5)), slope=float(10 ** rng.uniform(-1, 2)))  # fmt: skip
 
 
 def with_daqp(p):
-    m, n = p.A.shape
+    m = len(p.A)
     model = daqp.Model()
     sense = np.zeros(m, dtype=np.intc)
     sense[p.hard :] = 8
