@@ -176,6 +176,39 @@ def random_problem(rng, n, m, hard_share=0.5, tight=1.0):
                    price=float(10 ** rng.uniform(-1, 1.5)), slope=float(10 ** rng.uniform(-1, 2)))  # fmt: skip
 
 
+def robot_problem(rng, steps, extra=0, tight=1.0):
+    """Boxes on two inputs, their increments, and soft limits on what lagging outputs do with them, as in the tick.
+
+    A box on u[k], one on u[k + 1] and one on their difference depend on each other.
+    """
+    N, n = steps, 2 * steps
+    index = np.arange(N)
+    lags = rng.uniform(0.5, 0.95, 2)
+    responses = [np.tril((1 - lag) * lag ** np.abs(index[:, None] - index)) for lag in lags]
+    v, omega = np.zeros((N, n)), np.zeros((N, n))
+    v[:, 0::2], omega[:, 1::2] = responses
+    omega[:, 0::2] = 0.05 * responses[0]
+    heading = np.cumsum(omega, axis=0) * 0.05
+    across = np.cumsum(heading * rng.uniform(0.2, 1), axis=0) * 0.05
+    along = np.cumsum(v, axis=0) * 0.05
+    unit = np.eye(n)
+    difference = unit - np.eye(n, k=-2)
+    users = [np.tril(rng.normal(size=(N, N))) @ (v + omega) * 0.1 for _ in range(extra)]
+    soft = [v, omega, v + 0.3 * omega, v - 0.3 * omega, across, *users]
+    A = np.concatenate([unit[0::2], unit[1::2], difference[0::2], difference[1::2], *soft])
+    stack = np.concatenate([10 * along, 10 * across, 2 * heading])
+    H = stack.T @ stack + 0.05 * unit + 0.3 * difference.T @ difference
+    wanted = np.repeat(rng.normal(size=(N // 10 + 1, 2)) * [1.0, 1.5], 10, axis=0)[:N].ravel()
+    g = -H @ wanted + 0.1 * rng.normal(size=n)
+    limit = np.repeat([0.8, 1.0, 0.1, 0.15, 0.75, 0.9, 0.7, 0.7, 0.05, *[0.3] * extra], N) * tight
+    middle = np.zeros(len(A))
+    last = rng.uniform(-0.8, 0.8, 2) * tight
+    middle[2 * N], middle[3 * N] = last
+    offsets = np.repeat(0.1 * rng.normal(size=5 + extra), N)
+    middle[4 * N :] = offsets * tight
+    return Problem(H, g, A, middle - limit, middle + limit, 4 * N)
+
+
 def with_daqp(p):
     m = len(p.A)
     model = daqp.Model()
