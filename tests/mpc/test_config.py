@@ -1,15 +1,11 @@
 """The configuration: shipped defaults load, and every mistake gives one line with place and remedy."""
 
-import numpy as np
 import pytest
-from diffdrive_mpc.mpc.bounds import clip_command, command_box
-from hypothesis import given
-from hypothesis import strategies as st
 from pydantic import BaseModel
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_config
-from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 
 @pytest.mark.parametrize("name", ["mbm", "sm", "ssm"])
@@ -72,21 +68,3 @@ def test_a_model_file_is_found_beside_the_configuration(tmp_path):
     (tmp_path / "mine.yaml").write_text("anything")
     (tmp_path / "c.yaml").write_text("model: mine.yaml\n")
     assert load_config(tmp_path / "c.yaml").model == str(tmp_path / "mine.yaml")
-
-
-numbers = st.floats(-100, 100)
-
-
-@given(st.tuples(numbers, numbers), st.tuples(st.floats(-3, 3), st.floats(-4, 4)))
-def test_clipped_commands_respect_slew_always_and_range_as_soon_as_slew_allows(command, last):
-    limits, dt = Limits(), 0.02
-    slew, bound = (limits.v_slew * dt, limits.omega_slew * dt), (limits.v, limits.omega)
-    clipped = clip_command(list(command), limits, dt, np.array(last))
-    for value, before, step, most in zip(clipped, last, slew, bound, strict=True):
-        assert abs(value - before) <= step + 1e-12
-        assert abs(value) <= max(most, abs(before) - step) + 1e-12
-
-
-def test_the_box_closes_at_the_slew_limit():
-    box = command_box(Limits(v=0.5), 0.1, np.array([1.0, 0.0]), 4)
-    assert box[:, 0] == pytest.approx([0.8, 0.6, 0.5, 0.5])
