@@ -97,7 +97,7 @@ def _soft_limits(problem: TrackingProblem, tick: Tick, rows: _Rows, at: dict[str
         for kind, limit in enumerate(limits):
             value, offset = (by_twist[kind : kind + 1], at["y"][k]), 0.0
             if kind == 4:
-                value, offset = (across, at["pose"][k]), float(across @ tick.aim[k])
+                value, offset = (across, at["pose"][k]), (across @ tick.aim[k]).item()
             excess = at["e"][kind, k - 1]
             rows.add(-none, offset + limit * np.ones(1), value, (-unit, excess))
             rows.add(offset - limit * np.ones(1), none, value, (unit, excess))
