@@ -16,9 +16,6 @@ from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.sweep import sweep_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
 
-_ONLY_OURS = ("models", "config", "settings", "horizons")
-"""What a peer takes none of."""
-
 
 class ComparisonSettings(StrictModel):
     """What is compared: beside what stands here the values of every dimension, under its name in the plural."""
