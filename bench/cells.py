@@ -35,6 +35,11 @@ def total_of(metric: str) -> Cell:
     return lambda group: str(count(group, metric))
 
 
+def share_of(way: str) -> Cell:
+    """Mean share of the solved ticks that one way of the solver took."""
+    return lambda group: number(float(np.mean([getattr(one.shares, way) for one in group])), 1)
+
+
 def completed(group: Sequence[Scored]) -> str:
     """How many runs completed, of how many."""
     return f"{count(group, 'completed')}/{len(group)}"

@@ -45,15 +45,18 @@ def print_schema() -> None:
 
 
 def schema_rows(schema: type[BaseModel] = ControllerConfig, prefix: str = "") -> list[FieldRow]:
-    """Every key of `schema`, groups resolved into dotted keys."""
+    """Every key of `schema`, groups resolved into dotted keys; NAME[].KEY is a key of each item of a list."""
     rows = []
     for name, field in schema.model_fields.items():
-        group = _group(field)
+        group = _group(field.annotation)
         if group is not None:
             rows += schema_rows(group, f"{prefix}{name}.")
-        else:
-            text, unit = _help_and_unit(field)
-            rows.append(FieldRow(prefix + name, _scalar(field.default), unit, _range(field), text))
+            continue
+        text, unit = _help_and_unit(field)
+        default = "required" if field.is_required() else _scalar(field.default)
+        rows.append(FieldRow(prefix + name, default, unit, _range(field), text))
+        for item in filter(None, map(_group, get_args(field.annotation))):
+            rows += schema_rows(item, f"{prefix}{name}[].")
     return rows
 
 
@@ -75,12 +78,13 @@ def _yaml_lines(config: BaseModel, indent: str) -> Iterator[str]:
 
 def _scalar(value: object) -> str:
     """A value as YAML writes it, on one line."""
+    if isinstance(value, list):
+        value = [item.model_dump() if isinstance(item, BaseModel) else item for item in value]
     text = yaml.safe_dump(value, default_flow_style=True, width=10_000, allow_unicode=True)
     return text.removesuffix("\n").removesuffix("\n...")
 
 
-def _group(field: FieldInfo) -> type[BaseModel] | None:
-    kind = field.annotation
+def _group(kind: object) -> type[BaseModel] | None:
     return kind if isinstance(kind, type) and issubclass(kind, BaseModel) else None
 
 

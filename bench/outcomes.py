@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -19,8 +20,34 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import MODEL_NAMES
 from diffdrive_mpc.sim import Metrics, Run
 from diffdrive_mpc.sim.metrics.recovery import Recovery
+from diffdrive_mpc.sim.run import NO_SOLVER
 
 STATISTICS = "true pose against the reference, from t = 0 to the end of the reference, no settling time added"
+
+
+@dataclass(frozen=True)
+class SolverShares:
+    """Which way the solver took, in shares of the solved ticks [%], and at how many ticks nothing was solved.
+
+    Unlimited: no limit was active. Active set: the limits that were guessed were proven. Backend: OSQP or DAQP solved
+    it. NaN where nothing was solved.
+    """
+
+    path_unlimited_percent: float
+    path_active_set_percent: float
+    path_backend_percent: float
+    not_solved: int
+
+    @classmethod
+    def of(cls, run: Run) -> SolverShares:
+        """Over the ticks of `run` that the statistics cover."""
+        paths = Counter(path for path, counted in zip(run.solver_paths, run.counted, strict=True) if counted)
+        solved = paths.total() - paths[NO_SOLVER]
+
+        def share(*ways: str) -> float:
+            return 100.0 * sum(paths[way] for way in ways) / solved if solved else math.nan
+
+        return cls(share("unlimited"), share("active_set"), share("osqp", "daqp"), paths[NO_SOLVER])
 
 
 class Scored(Protocol):
@@ -39,6 +66,11 @@ class Scored(Protocol):
     @property
     def recovery(self) -> Recovery:
         """How it came back after a disturbance."""
+        ...
+
+    @property
+    def shares(self) -> SolverShares:
+        """Which way its solver took."""
         ...
 
 
@@ -62,6 +94,11 @@ class Outcome:
     def recovery(self) -> Recovery:
         """How it came back after a disturbance."""
         return self.run.recovery
+
+    @property
+    def shares(self) -> SolverShares:
+        """Which way its solver took."""
+        return SolverShares.of(self.run)
 
 
 def run_cases(cases: Sequence[Case], jobs: int, on_done: OnDone) -> list[Outcome]:
@@ -169,8 +206,8 @@ def model_name(name: str) -> str:
 
 
 def metrics_row(outcome: Scored) -> dict[str, object]:
-    """Statistics of one run for JSON."""
-    return asdict(outcome.metrics)
+    """Statistics of one run and the ways of its solver, for JSON."""
+    return asdict(outcome.metrics) | asdict(outcome.shares)
 
 
 def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401 - whatever JSON takes

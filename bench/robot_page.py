@@ -43,7 +43,9 @@ def parameter_tables() -> str:
         If a parameter has no advice, or an advice no parameter.
     """
     advice: dict[str, str] = read_yaml(_ADVICE)
-    own, controller = schema_rows(NodeSettings), schema_rows(ControllerConfig)
+    own = schema_rows(NodeSettings)
+    # A list comes by file only, and its items with it.
+    controller = [row for row in schema_rows(ControllerConfig) if not row.key.startswith("terms")]
     keys = [row.key for row in own + controller]
     known = {*keys, *(key.partition(".")[0] for key in keys)}
     for name in advice:

@@ -9,16 +9,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
-from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.config_file import replace_values
@@ -28,6 +26,7 @@ from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import Words
+from diffdrive_mpc.mpc.problem.build import chosen_model, sampled_model
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, SLACK, Problem
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem.terms import Term, all_terms
@@ -81,10 +80,10 @@ class Controller:
         terms: Sequence[Term] = (),
     ) -> None:
         self._config, self._given = config, (model, tuple(terms))
-        self._model = _model_of(config, model)
+        self._model = chosen_model(config, model)
         self._terms = all_terms(config.terms, terms)
         dt = config.sample_time
-        self._sampled = _sampled(self._model, dt)
+        self._sampled = sampled_model(self._model, dt)
         self._feed_forward = FeedForward.of(self._model, dt)
         problem = self._problem(config)
         sizes = problem.sizes
@@ -360,31 +359,3 @@ class Controller:
             times[1],
             (layout, block) if c.has_plan else None,
         )
-
-
-def _model_of(
-    config: ControllerConfig, given: VelocityModel | NonlinearModel | str | None
-) -> VelocityModel | NonlinearModel:
-    """The model to predict with, extra dead time included where it is the configuration's."""
-    extra = config.extra_dead_time
-    model: VelocityModel | NonlinearModel
-    if given is None:
-        model = load_model(config.model).with_extra_dead_time([extra.v, extra.omega])
-    else:
-        model = load_model(given) if isinstance(given, str) else given
-    if config.compensation.dead_time:
-        return model
-    if isinstance(model, NonlinearModel):
-        raise ConfigError(
-            f"compensation.dead_time = false: model '{model.name}' has its dead time in its window; set it to true, or "
-            "give a model without"
-        )
-    return replace(model, dead_time=np.zeros(2))
-
-
-def _sampled(model: VelocityModel | NonlinearModel, dt: float) -> DiscreteModel | NonlinearModel:
-    if isinstance(model, VelocityModel):
-        return model.discretise(dt)
-    if not math.isclose(model.dt, dt, rel_tol=1e-9):
-        raise ConfigError(f"sample_time = {dt} s: model '{model.name}' is for {model.dt} s; set sample_time to that")
-    return model

@@ -9,10 +9,7 @@ import typer
 
 from diffdrive_mpc.bench.commands.options import ConfigFile, Model, Settings, out_option
 
-EXAMPLE = (
-    "Example: diffdrive-mpc export --model ssm --set horizon=15 --set solver.max_iterations=100 --precision float "
-    "--out firmware"
-)
+EXAMPLE = "Example: diffdrive-mpc export --model ssm --set horizon=15 --precision float --out firmware"
 
 
 def export(
@@ -25,10 +22,6 @@ def export(
         str, typer.Option(help="What the table holds: circle, square, s, cane, or the path of a file.")
     ] = "circle",
     precision: Annotated[str, typer.Option(help="Number type: double or float.")] = "double",
-    soft_slots: Annotated[
-        int | None,
-        typer.Option(min=1, help="Soft limits that may matter at one tick.", show_default="one for each step"),
-    ] = None,
     emulated: Annotated[
         bool, typer.Option("--emulate", help="Drive it on QEMU's STM32F4, and count the instructions of each step.")
     ] = False,
@@ -43,6 +36,5 @@ def export(
         settings=settings or [],
         trajectory=trajectory,
         precision=precision,
-        soft_slots=soft_slots,
         emulated=emulated,
     )

@@ -34,7 +34,6 @@ def export_library(
     settings: Sequence[str],
     trajectory: str,
     precision: str,
-    soft_slots: int | None,
     emulated: bool,
 ) -> None:
     """Export a controller into `out`, and print its sizes; parameters as the command's options.
@@ -51,7 +50,7 @@ def export_library(
     values = controller_config(name, None if config is None else str(config), single_settings(settings))
     reference = load_trajectory(trajectory)
     with staged(out, files=(*FILES, README, REPORT), folders=FOLDERS) as folder, ProgressBar("exporting") as bar:
-        exported = export_controller(values, reference, folder, Precision(precision), soft_slots)
+        exported = export_controller(values, reference, folder, Precision(precision))
         sizes = measure_sizes(folder)
         facts = {
             "model": label(name),
@@ -60,10 +59,8 @@ def export_library(
             "sample_time_s": values.sample_time,
             "precision": precision,
             "trajectory": label(trajectory),
-            "soft_slots": exported.slots,
-            "iteration_limit": values.solver.max_iterations,
-            "tolerance": values.solver.tolerance,
-            "osqp": exported.osqp,
+            "terms": list(exported.terms),
+            "iteration_limit": values.solver.active_set_iterations,
             "sizes": [size.as_json() for size in sizes],
         }
         if emulated:

@@ -32,7 +32,7 @@ class Emulation:
     instructions
         (steps,) of each step.
     iterations
-        (steps,) of OSQP.
+        (steps,) of the active set; 0 where no limit is active.
     modes
         How often the controller was in each mode.
     position_rmse

@@ -99,9 +99,18 @@ def _link(target: str, folder: Path, program: Path) -> bool:
         options, main = [], [folder / "examples" / "main.c"]
     else:
         options, main = [*_CORTEX_M4, "-T", str(place / "stm32f4.ld")], sorted(place.glob("*.c"))
-    sources = [*main, *sorted((folder / "ddmpc").glob("*.c")), *sorted((folder / "osqp").glob("**/*.c"))]
-    includes = [f"-I{folder / name}" for name in ("ddmpc", "osqp", "osqp/inc/public", "osqp/inc/private")]
-    command = [compiler, "-std=c99", "-O2", *options, *includes, *map(str, sources), "-lm", "-o", str(program)]
+    sources = [*main, *sorted((folder / "ddmpc").glob("*.c"))]
+    command = [
+        compiler,
+        "-std=c99",
+        "-O2",
+        *options,
+        f"-I{folder / 'ddmpc'}",
+        *map(str, sources),
+        "-lm",
+        "-o",
+        str(program),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode and "overflowed" in done.stderr:
         return False

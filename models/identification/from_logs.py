@@ -16,7 +16,7 @@ from diffdrive_mpc.models.identification.configuration import MODEL_FILE, Config
 from diffdrive_mpc.models.identification.fitting import fit
 from diffdrive_mpc.models.identification.log_data import LogData, OptionError, read_data
 from diffdrive_mpc.models.identification.poses import from_poses
-from diffdrive_mpc.models.identification.report import Report
+from diffdrive_mpc.models.identification.report import IdentificationReport
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding
 from diffdrive_mpc.models.structures.identified import model_file, write_model_file
@@ -31,7 +31,7 @@ FILES = (MODEL_FILE, CONFIG_FILE, "report.json", "report.md")
 """What `Identification.write` writes."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Identification:
     """What was made of logs. `str` of it is the report's summary; arrays in it cannot be written to.
 
@@ -52,9 +52,13 @@ class Identification:
 
     model: VelocityModel
     config: Mapping[str, Any]
-    report: Report
+    report: IdentificationReport
     content: ModelFile
     configuration: Configuration
+
+    def __repr__(self) -> str:
+        """A word: the arrays behind it fill pages."""
+        return f"<Identification '{self.report.name}'>"
 
     def __str__(self) -> str:
         """The report, in short."""
@@ -188,7 +192,7 @@ def identify_data(
     fitted = fit(
         data, structure, order, effects=effects, on_trial=lambda effect: announce(f"does the base show {effect}?")
     )
-    report = Report(name, data, fitted, from_poses(data, fitted), date.today())
+    report = IdentificationReport(name, data, fitted, from_poses(data, fitted), date.today())
     content = model_file(
         fitted.identified,
         name=name,

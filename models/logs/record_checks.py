@@ -17,6 +17,12 @@ _UNITS = {"v": "m/s", "omega": "rad/s"}
 _LEAST_LEFT = 0.5
 """Of the readings, at a lag that counts."""
 _REMEDY = "drive steps of both signs in v and in omega, each for a second or more"
+_SENSORS = {
+    "encoders": ("twist", "fresh_twist", (0, 1)),
+    "gyro": ("yaw_rate", "fresh_yaw_rate", (1,)),
+    "pose": ("pose", "fresh_pose", (0, 1)),
+}
+"""Field, mask, and the channels of the command that the sensor should answer to."""
 
 
 def check_commands(log: str, records: Sequence[Record], settings: CheckSettings) -> list[Finding]:
@@ -71,7 +77,7 @@ def _saturated(log: str, records: Sequence[Record], j: int, settings: CheckSetti
 
 
 @dataclass(frozen=True)
-class Response:
+class MeasuredChannel:
     """One measured channel over several records.
 
     Attributes
@@ -101,17 +107,17 @@ def largest_command(records: Sequence[Record]) -> FloatArray:
     return np.asarray(np.max([np.abs(record.command).max(axis=0) for record in records], axis=0))
 
 
-def responses(records: Sequence[Record], pose_window: float) -> list[Response]:
+def responses(records: Sequence[Record], pose_window: float) -> list[MeasuredChannel]:
     """All channels that the records hold; the pose's as its mean speeds over `pose_window` [s]."""
     found = []
     for channel in (0, 1):
         if all(record.twist is not None for record in records):
-            found.append(Response("encoders", channel, tuple(_twist(record)[:, channel] for record in records)))
+            found.append(MeasuredChannel("encoders", channel, tuple(_twist(record)[:, channel] for record in records)))
         if channel == 1 and all(record.yaw_rate is not None for record in records):
-            found.append(Response("gyro", channel, tuple(_yaw_rate(record) for record in records)))
+            found.append(MeasuredChannel("gyro", channel, tuple(_yaw_rate(record) for record in records)))
         if all(record.pose is not None for record in records) and _long_enough(records, pose_window):
             speeds = tuple(pose_speeds(record, pose_window)[:, channel] for record in records)
-            found.append(Response("pose", channel, speeds))
+            found.append(MeasuredChannel("pose", channel, speeds))
     return found
 
 
@@ -140,14 +146,6 @@ def _twist(record: Record) -> FloatArray:
 def _yaw_rate(record: Record) -> FloatArray:
     assert record.yaw_rate is not None and record.fresh_yaw_rate is not None
     return np.where(record.fresh_yaw_rate, record.yaw_rate, np.nan)
-
-
-_SENSORS = {
-    "encoders": ("twist", "fresh_twist", (0, 1)),
-    "gyro": ("yaw_rate", "fresh_yaw_rate", (1,)),
-    "pose": ("pose", "fresh_pose", (0, 1)),
-}
-"""Field, mask, and the channels of the command that the sensor should answer to."""
 
 
 def check_sensors(records: Sequence[Record], settings: CheckSettings) -> tuple[list[Record], list[Finding]]:
@@ -243,7 +241,9 @@ def _lags(dt: float, longest: float) -> list[int]:
     return sorted({round(lag / dt) for lag in np.linspace(0.0, longest, 21)})
 
 
-def _judge(log: str, response: Response, correlation: float, gain: float, settings: CheckSettings) -> list[Finding]:
+def _judge(
+    log: str, response: MeasuredChannel, correlation: float, gain: float, settings: CheckSettings
+) -> list[Finding]:
     what = f"{CHANNELS[response.channel]} of the {response.sensor}"
     if np.isnan(correlation):
         words = f"{what} never changes although it is commanded to; is it the right column, and the sensor connected?"

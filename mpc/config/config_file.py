@@ -44,7 +44,7 @@ def load_config(
     beside = path.parent / config.model
     if config.model not in MODEL_NAMES and not Path(config.model).is_absolute() and beside.is_file():
         config = config.model_copy(update={"model": str(beside)})
-    terms = [term.model_copy(update={"file": str(path.parent / term.file)}) for term in config.terms]
+    terms = [term.model_copy(update={"file": str((path.parent / term.file).absolute())}) for term in config.terms]
     return config.model_copy(update={"terms": terms}) if terms else config
 
 

@@ -11,7 +11,7 @@
 
 #include "real.h"
 
-/* Sizes of one controller; an export defines them as macros instead, see sizes.h. */
+/* Sizes of one controller; an export defines them as macros, too, in ddmpc_sizes.h. */
 typedef struct {
     int steps;               /* horizon N, at most DDMPC_MOST_STEPS */
     int states;              /* order n of the velocity model, at most DDMPC_MOST_STATES */
@@ -297,6 +297,8 @@ int ddmpc_track(ddmpc_controller *controller, const real *poses, const real *twi
 int ddmpc_too_far(ddmpc_controller *controller, real distance);
 /* Go on with what a backend found: `plan` (2 N) and the multipliers (4 + K, N) of the limits, positive at upper bounds. */
 int ddmpc_answer(ddmpc_controller *controller, const real *plan, const real *multipliers, const ddmpc_report *report);
+/* Go on without a target or an answer: a failed solve, and the ladder acts. */
+int ddmpc_give_up(ddmpc_controller *controller);
 
 /* Number of reference samples that a target has. */
 int ddmpc_samples(const ddmpc_controller *controller);

@@ -4,9 +4,7 @@
 
 #include <math.h>
 
-#ifdef DDMPC_EXPORT
-#include "ddmpc_sizes.h" /* the sizes of one controller, and DDMPC_FLOAT, if it is float */
-#endif
+#include "ddmpc_sizes.h" /* of an export: DDMPC_EXPORT, its sizes, and DDMPC_FLOAT, if it is float; else empty */
 
 #ifdef DDMPC_FLOAT
 typedef float real;

@@ -15,7 +15,9 @@ _PACKAGE = CORE.parents[1]
 # What the generated part comes from.
 _FORMULAS = ("models/pose.py", "mpc/problem/formulas.py", "mpc/core/generate.py")
 # Python has the sizes at run time, and numbers in double precision: an export says otherwise here.
-_SIZES = {"ddmpc_sizes.h": "/* double precision */\n"}
+SIZES = "ddmpc_sizes.h"
+"""The header that says so."""
+_SIZES = {SIZES: "/* double precision, and sizes at run time */\n"}
 
 _COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
 _ONLY_CPP = re.compile(r"^[ \t]*#[ \t]*ifdef[ \t]+__cplusplus\b.*?^[ \t]*#[ \t]*endif[^\n]*$", re.DOTALL | re.MULTILINE)

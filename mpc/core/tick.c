@@ -367,8 +367,7 @@ int ddmpc_step(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
         return DDMPC_DONE;
     }
     /* A tick that nobody went on with has no plan. */
-    if (c->pending != DDMPC_DONE)
-        finish_tick(c, reuse(c), 1);
+    ddmpc_give_up(c);
     const tick_kind kind = judge(c, t);
     if (kind == TICK_REPEATED && c->has_result) {
         c->result.notes = 0;
@@ -416,6 +415,8 @@ int ddmpc_answer(ddmpc_controller *c, const real *plan, const real *multipliers,
     c->result.solver = *report;
     return finish_tick(c, use(c), 1);
 }
+
+int ddmpc_give_up(ddmpc_controller *c) { return c->pending == DDMPC_DONE ? DDMPC_DONE : finish_tick(c, reuse(c), 1); }
 
 int ddmpc_samples(const ddmpc_controller *c)
 {

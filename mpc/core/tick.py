@@ -7,7 +7,6 @@ what they point to stand in it beside each pointer; names that are missing, unkn
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,42 +14,9 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
 from diffdrive_mpc.models.velocity_model import ModelError
+from diffdrive_mpc.mpc.core.layout import constant_fields, pointer_shapes
 from diffdrive_mpc.mpc.core.library import load_core
-from diffdrive_mpc.mpc.core.sources import header_text
-from diffdrive_mpc.mpc.problem.constants import Constants, whole_lanes
-
-_POINTER = re.compile(r"^\s*(?:const )?(?:real|ddmpc_time|int) \*(\w+);\s*/\* ((?:\[[^\]]+\])+)", re.MULTILINE)
-_STRUCT = re.compile(r"typedef struct \{(.*?)\} (\w+);", re.DOTALL)
-
-
-def pointer_shapes(struct: str, sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
-    """Shapes of what the pointers of a struct of core.h point to, by name, for these sizes of a controller."""
-    N, n = sizes["steps"], sizes["states"]
-    symbols = {
-        "N": N,
-        "n": n,
-        "W": sizes["window"],
-        "K": sizes["soft"],
-        "H": sizes["history"],
-        "P": sizes["parameters"],
-        "width": whole_lanes(2 * N),
-    }
-    (body,) = (body for body, name in _STRUCT.findall(header_text()) if name == struct)
-    return {
-        name: tuple(_value(part, symbols) for part in re.findall(r"\[([^\]]+)\]", brackets))
-        for name, brackets in _POINTER.findall(body)
-    }
-
-
-def _value(expression: str, symbols: Mapping[str, int]) -> int:
-    """A sum of products of symbols and numbers."""
-    total = 0
-    for summand in expression.strip("()").replace("(", "").split("+"):
-        product = 1
-        for factor in summand.split("*"):
-            product *= symbols[factor] if factor in symbols else int(factor)
-        total += product
-    return total
+from diffdrive_mpc.mpc.problem.constants import Constants
 
 
 class Tick:
@@ -123,28 +89,13 @@ class Tick:
         ValueError
             If a field is missing, unknown, or of another shape than core.h says.
         """
-        ffi = self.ffi
-        struct, kept = ffi.new("ddmpc_constants *"), []
-        fields = dict(ffi.typeof("ddmpc_constants").fields)
-        shapes = pointer_shapes("ddmpc_constants", self._sizes)
-        odd = set(fields) ^ set(values)
-        if odd:
-            raise ValueError(f"ddmpc_constants and mpc/problem/constants.py differ in {', '.join(sorted(odd))}")
-        for name, field in fields.items():
-            value: Any = values[name]
-            if field.type.kind == "pointer":
-                array = np.ascontiguousarray(value, dtype=float)
-                if array.shape != shapes[name]:
-                    raise ValueError(f"ddmpc_constants.{name} has shape {array.shape}, core.h says {shapes[name]}")
-                kept.append(array)
-                value = self._address("const real *", array)
-            elif field.type.kind == "array":
-                value = np.asarray(value, dtype=float).ravel().tolist()
-                if len(value) != field.type.length:
-                    raise ValueError(f"ddmpc_constants.{name} has {len(value)} numbers, core.h {field.type.length}")
+        struct, kept = self.ffi.new("ddmpc_constants *"), []
+        for name, value in constant_fields(self._sizes, values):
+            if isinstance(value, np.ndarray):
+                kept.append(value)
+                setattr(struct, name, self._address("const real *", value))
             else:
-                value = int(value) if field.type.cname == "int" else float(value)
-            setattr(struct, name, value)
+                setattr(struct, name, value)
         return struct, kept
 
     def configure(self, prepared: tuple[Any, list[FloatArray]]) -> None:

@@ -1,4 +1,4 @@
-"""The controller as C99 for a microcontroller: sources, generated constants, OSQP's embedded code, reference tables."""
+"""The controller as C99 for a microcontroller: the core's sources, with this configuration's sizes and constants."""
 
 from diffdrive_mpc.mpc.export.library import FILES, FOLDERS, ExportedLibrary, Precision, export_controller
 

@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Reference
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.export.constants import constants_text, sizes_text
-from diffdrive_mpc.mpc.export.osqp_workspaces import QpShape, write_osqp
-from diffdrive_mpc.mpc.export.parts import build_parts
-from diffdrive_mpc.mpc.export.reference_table import table_text
+from diffdrive_mpc.mpc.config.solver import Solver
+from diffdrive_mpc.mpc.core.functions import generated_functions
+from diffdrive_mpc.mpc.core.sources import SIZES, core_texts
+from diffdrive_mpc.mpc.export.generated_c import constants_text, sizes_text, trajectory_texts
+from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
+from diffdrive_mpc.mpc.problem.terms import Term, all_terms
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 
-_NATIVE = Path(__file__).parents[1] / "native"
-# Of the sources that Python compiles for itself, those that a controller needs.
-_SHARED = ("real", "arc", "tile", "checks", "filter", "estimator", "condense", "relax")
 _SOURCES = Path(__file__).parent / "sources"
-# Closer than this, the residuals of single precision do not come to zero.
-_FINEST_FLOAT_TOLERANCE = 1e-6
 
-
-FOLDERS, FILES = ("ddmpc", "osqp", "examples", "stm32f4"), ("CMakeLists.txt",)
+FOLDERS, FILES = ("ddmpc", "examples", "stm32f4"), ("CMakeLists.txt",)
 """Names of what is written."""
 
 
@@ -41,17 +40,17 @@ class ExportedLibrary:
 
     Attributes
     ----------
-    osqp
-        Version of the solver.
-    slots
-        Soft limits that may matter at one tick.
+    model
+        Name of the velocity model.
     states
-        Of the velocity model.
+        Its order.
+    terms
+        Names of the user's functions.
     """
 
-    osqp: str
-    slots: int
+    model: str
     states: int
+    terms: tuple[str, ...]
 
 
 def export_controller(
@@ -59,61 +58,58 @@ def export_controller(
     reference: Reference,
     folder: Path,
     precision: Precision = Precision.DOUBLE,
-    slots: int | None = None,
+    *,
+    model: VelocityModel | NonlinearModel | str | None = None,
+    terms: Sequence[Term] = (),
 ) -> ExportedLibrary:
-    """Write the controller of `config` as a C99 library into `folder`, with `reference` as a table.
+    """Write the controller of `config` as a C99 library into `folder`, with `reference` in closed form.
+
+    The sources are those that Python compiles for itself; sizes become macros, and numbers constants.
 
     Parameters
     ----------
-    config
-        Configuration; its model, weights and limits become constants.
+    config, model, terms
+        As of `Controller`; weights and limits become constants. There is no re-entry, and no backend.
     reference
         Trajectory for the table and the examples; the application may track any other.
     folder
         An existing folder; files of the same names are replaced.
     precision
         Number type; instants are double in both.
-    slots
-        Soft limits that may matter at one tick, 1 to 5 N; N by default.
 
     Raises
     ------
     models.checked_yaml.ConfigError, models.velocity_model.ModelError, ValueError
-        If the controller cannot be built, the reference is too fast for its limits, the tolerance is finer than the
-        precision allows, or the number of slots is impossible.
+        If the controller cannot be built, the reference is too fast for its limits, or the configuration wants a
+        backend at every tick.
     """
-    single = precision is Precision.FLOAT
-    if single and config.solver.tolerance < _FINEST_FLOAT_TOLERANCE:
-        raise ConfigError(
-            f"solver.tolerance = {config.solver.tolerance:g}: single precision does not reach it; set it to "
-            f"{_FINEST_FLOAT_TOLERANCE:g} or more, or export in double precision"
-        )
-    if config.solver.formulation != "condensed" or config.solver.backend != "osqp":
-        raise ConfigError(
-            f"solver.formulation = {config.solver.formulation}, solver.backend = {config.solver.backend}: only the "
-            "condensed formulation with osqp can be exported; set them so"
-        )
-    slots = config.horizon if slots is None else slots
-    if not 1 <= slots <= 5 * config.horizon:
-        raise ConfigError(f"--soft-slots {slots}: give 1 to {5 * config.horizon}, five for each step of the horizon")
-    parts = build_parts(config)
+    _check(config.solver)
+    chosen = chosen_model(config, model)
+    everything = all_terms(config.terms, terms)
+    # Off its path an exported controller chases the reference, or brakes.
+    alone = config.model_copy(update={"reentry": config.reentry.model_copy(update={"enabled": False})})
+    problem = build_problem(alone, chosen, everything)
     check_speeds(reference, config.limits, config.sample_time)
-    hessian, soft_rows = parts.typical_program()
-    shape = QpShape(hessian, soft_rows, slots)
+    functions = generated_functions(chosen, everything)
+    texts = {
+        **core_texts(),
+        SIZES: sizes_text(problem, single=precision is Precision.FLOAT),
+        "constants.c": constants_text(problem, functions.stem if functions else None),
+        **trajectory_texts(reference, config.sample_time),
+    }
+    if functions:
+        texts |= {f"{functions.stem}.c": functions.source, f"{functions.stem}.h": functions.header}
     shutil.copytree(_SOURCES / "project", folder, dirs_exist_ok=True)
     ours = folder / "ddmpc"
     shutil.copytree(_SOURCES / "controller", ours, dirs_exist_ok=True)
-    for name in _SHARED:
-        for source in _NATIVE.glob(f"{name}.[ch]"):
-            shutil.copyfile(source, ours / source.name)
-    table, table_header = table_text(reference, config.sample_time)
-    texts = {
-        "ddmpc_sizes.h": sizes_text(parts, slots, single=single),
-        "constants.c": constants_text(parts, shape, single=single),
-        "trajectory.c": table,
-        "trajectory.h": table_header,
-    }
     for name, text in texts.items():
         (ours / name).write_text(text, encoding="utf-8")
-    solver = write_osqp(folder / "osqp", shape, config, single=single)
-    return ExportedLibrary(solver, slots, parts.sampled.order)
+    return ExportedLibrary(chosen.name, problem.model.order, tuple(term.name for term in everything))
+
+
+def _check(solver: Solver) -> None:
+    if solver.strategy == "backend" or solver.active_set_iterations == 0:
+        raise ConfigError(
+            f"solver.strategy = {solver.strategy}, solver.active_set_iterations = {solver.active_set_iterations}: an "
+            "exported controller has no backend; set solver.strategy to auto and leave it iterations"
+        )

@@ -74,6 +74,8 @@ class Term:
         if self.kind not in _KINDS:
             raise ConfigError(f"{where}: unknown kind '{self.kind}'; give {' or '.join(_KINDS)}")
         compiled = user_term(self.function, "ddmpc_user_term", where)
+        if compiled.nnz_out("gradient") == 0:
+            raise ConfigError(f"{where}: its value depends on none of pose, twist and command; no plan could change it")
         taken = compiled.numel_in("parameters")
         if taken != len(self.defaults):
             raise ConfigError(

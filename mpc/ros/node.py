@@ -23,7 +23,7 @@ from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, RefusedError
 from diffdrive_mpc.mpc.ros.diagnostics import diagnostics
 from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.parameter_changes import ParameterChanges
-from diffdrive_mpc.mpc.ros.parameters import declare, fields, read
+from diffdrive_mpc.mpc.ros.parameters import declare, fields, from_file_only, read
 from diffdrive_mpc.mpc.ros.publishers import Publishers
 from diffdrive_mpc.mpc.ros.reference_input import path_reference, trajectory_reference
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
@@ -68,8 +68,10 @@ class TrackingNode(LifecycleNode):
         others = tuple(key for key, _ in fields(NodeSettings) if key != "config")
         declare(self, defaults, read_only=True, skip=others)
         declare(self, defaults, skip=("config",))
-        declare(self, load_config(self.get_parameter("config").value, overrides))
-        self._changes = ParameterChanges(self, lambda: None if self._loop is None else self._controller)
+        config = load_config(self.get_parameter("config").value, overrides)
+        declare(self, config)
+        self._fixed = from_file_only(config)
+        self._changes = ParameterChanges(self, lambda: None if self._loop is None else self._controller, self._fixed)
         self.failure = ""
         self._label = "unconfigured"
         self._controller: Controller | None = None
@@ -170,7 +172,7 @@ class TrackingNode(LifecycleNode):
         return super().on_error(state)
 
     def _build(self) -> None:
-        settings, config = read(self, NodeSettings), read(self, ControllerConfig)
+        settings, config = read(self, NodeSettings), read(self, ControllerConfig, fixed=self._fixed)
         trajectory: Trajectory | None = None
         if settings.trajectory:
             trajectory = load_trajectory(settings.trajectory)

@@ -27,6 +27,8 @@ class ParameterChanges:
         The node.
     running
         The controller that drives; None while the node is not active.
+    fixed
+        What of the controller's configuration is no parameter.
 
     Attributes
     ----------
@@ -34,8 +36,10 @@ class ParameterChanges:
         Whether values have changed since this was last set to False.
     """
 
-    def __init__(self, node: Node, running: Callable[[], Controller | None]) -> None:
-        self._node, self._running = node, running
+    def __init__(
+        self, node: Node, running: Callable[[], Controller | None], fixed: Mapping[str, object] | None = None
+    ) -> None:
+        self._node, self._running, self._fixed = node, running, fixed
         self.pending = False
         node.add_on_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._apply)
@@ -48,7 +52,7 @@ class ParameterChanges:
             return SetParametersResult(successful=False, reason=reason)
         try:
             read(self._node, NodeSettings, changes)
-            config = read(self._node, ControllerConfig, changes)
+            config = read(self._node, ControllerConfig, changes, self._fixed)
             if any(not name.startswith(_WHILE_DRIVING) for name in changes):
                 Controller(config)
         except (ValueError, OSError) as error:

@@ -24,13 +24,21 @@ NONE = 0.0
 
 
 def fields(schema: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
-    """Every field of `schema` by its dotted key, groups resolved."""
+    """Every field of `schema` that is a parameter by its dotted key, groups resolved; lists come by file only."""
     for name, field in schema.model_fields.items():
         kind = field.annotation
+        if get_origin(kind) is list:
+            continue
         if isinstance(kind, type) and issubclass(kind, BaseModel):
             yield from fields(kind, f"{prefix}{name}.")
         else:
             yield prefix + name, field
+
+
+def from_file_only(config: BaseModel) -> dict[str, object]:
+    """What of `config` is no parameter: its lists, such as the terms of the user."""
+    kinds = {name: field.annotation for name, field in type(config).model_fields.items()}
+    return {name: getattr(config, name) for name, kind in kinds.items() if get_origin(kind) is list}
 
 
 def declare(node: Node, config: BaseModel, *, read_only: bool = False, skip: tuple[str, ...] = ()) -> None:
@@ -82,15 +90,22 @@ def descriptor(field: FieldInfo, *, read_only: bool = False) -> ParameterDescrip
     return found
 
 
-def read(node: Node, schema: type[Schema], changes: Mapping[str, object] | None = None) -> Schema:
+def read(
+    node: Node,
+    schema: type[Schema],
+    changes: Mapping[str, object] | None = None,
+    fixed: Mapping[str, object] | None = None,
+) -> Schema:
     """The declared parameters of `schema` as its checked instance, with `changes` in place of some.
+
+    `fixed` holds the values of fields that are no parameters, see `from_file_only`; their defaults are used without.
 
     Raises
     ------
     models.checked_yaml.ConfigError
         If a value does not fit the schema.
     """
-    data: dict[str, Any] = {}
+    data: dict[str, Any] = dict(fixed or {})
     for key, field in fields(schema):
         value = (changes or {})[key] if key in (changes or {}) else node.get_parameter(key).value
         *groups, name = key.split(".")

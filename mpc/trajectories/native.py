@@ -41,10 +41,24 @@ class NativeTrajectory:
             },
         )
 
+    @property
+    def breaks(self) -> FloatArray:
+        """(pieces,) or (pieces + 1,) instants at which the pieces begin [s]."""
+        return self._kept[0]
+
+    @property
+    def table(self) -> FloatArray:
+        """(10, pieces) of arcs or (16, pieces) of cubics."""
+        return self._kept[1]
+
+    @property
+    def motion(self) -> FloatArray:
+        """(3,) x, y [m] by which it is moved after it was turned by theta [rad]."""
+        return np.array(list(self.struct.motion))
+
     def moved(self, motion: ArrayLike) -> NativeTrajectory:
         """The same elsewhere."""
-        breaks, table = self._kept
-        return NativeTrajectory(breaks, table, self.struct.duration, motion)
+        return NativeTrajectory(self.breaks, self.table, self.struct.duration, motion)
 
     def sample(self, times: ArrayLike) -> ReferenceSample:
         """Evaluate at `times` (n,) [s]; see `Trajectory.sample`."""

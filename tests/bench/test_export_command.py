@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diffdrive_mpc.mpc.export.osqp_workspaces import QpShape
+from diffdrive_mpc.mpc.export.parts import build_parts
+from diffdrive_mpc.mpc.export.reference_table import table_text
 from export_parts import SpoiledReference, compile_c
 
 from diffdrive_mpc.bench.export.command import export_library
 from diffdrive_mpc.mpc import load_config, load_trajectory
 from diffdrive_mpc.mpc.export import Precision, export_controller
-from diffdrive_mpc.mpc.export.osqp_workspaces import QpShape
-from diffdrive_mpc.mpc.export.parts import build_parts
-from diffdrive_mpc.mpc.export.reference_table import table_text
 
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 

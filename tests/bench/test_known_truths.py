@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diffdrive_mpc.bench.studies.identification.known_truths import Recovery, coverage_table, recover, recover_all
+from diffdrive_mpc.bench.studies.identification.known_truths import RecoveredTruth, coverage_table, recover, recover_all
 
 
 def test_truths_lie_within_four_standard_deviations():
@@ -27,7 +27,7 @@ def test_the_table_counts_what_is_inside():
     truth = np.zeros(4)
     errors = np.array([0.5, 1.9, 2.1, -3.0])
     names = ("v.gain", "omega.gain", "v.pole_1", "v.pole_2")
-    rows = {row[0]: row for row in coverage_table([Recovery(0, names, truth, errors, np.ones(4), 0.1)]).rows}
+    rows = {row[0]: row for row in coverage_table([RecoveredTruth(0, names, truth, errors, np.ones(4), 0.1)]).rows}
     assert rows["gain"][1:3] == ("2", "100.0")
     assert rows["pole"][1:3] == ("2", "0.0")
     assert rows["all"][2] == "50.0"

@@ -26,6 +26,7 @@ from diffdrive_mpc.bench.studies.comparison.tables import (
     report_tables,
     scenario_table,
     summary_table,
+    time_table,
 )
 from diffdrive_mpc.bench.study import markdown, write_report
 from diffdrive_mpc.bench.table import Table
@@ -63,6 +64,10 @@ FIELDS = {
     "step_time_max_s": float,
     "deadline_misses": int,
     "fallbacks": int,
+    "path_unlimited_percent": float,
+    "path_active_set_percent": float,
+    "path_backend_percent": float,
+    "not_solved": int,
 }
 
 
@@ -100,6 +105,22 @@ def test_a_row_has_exactly_the_published_fields(outcome: Outcome) -> None:
         assert type(values[name]) is kind, name
     assert values["completed"] is True
     assert values["horizon"] == 30
+
+
+def test_the_ways_of_the_solver_are_shares_of_the_solved_ticks(outcome: Outcome) -> None:
+    ticks = len(outcome.run.time)
+    ways = ("none",) * 5 + ("osqp",) * 10 + ("daqp",) * 10 + ("active_set",) * 20 + ("unlimited",) * (ticks - 45)
+    run = replace(outcome.run, solver_paths=ways)
+    solved = np.count_nonzero(run.counted) - 5
+    values = row(Outcome(outcome.case, run), ["scenario"])
+    assert values["path_backend_percent"] == pytest.approx(100 * 20 / solved)
+    assert values["path_active_set_percent"] == pytest.approx(100 * 20 / solved)
+    assert values["path_unlimited_percent"] == pytest.approx(100 * (solved - 40) / solved)
+    assert values["not_solved"] == 5
+    (cells,) = time_table([Outcome(outcome.case, run)]).rows
+    assert cells[-4:] == (f"{100 * (solved - 40) / solved:.1f}", *(2 * [f"{2000 / solved:.1f}"]), "5")
+    peer = row(Outcome(outcome.case, replace(outcome.run, solver_paths=("none",) * ticks)), ["scenario"])
+    assert (peer["path_unlimited_percent"], peer["not_solved"]) == (None, solved + 5)
 
 
 def test_a_swept_value_is_added_to_its_row(outcome: Outcome) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.outcomes import SolverShares
 from diffdrive_mpc.bench.studies.tracking.outcome import ReducedOutcome, TrackingResults, collect
 from diffdrive_mpc.bench.studies.tracking.plan import BOUND, plan_study
 from diffdrive_mpc.bench.studies.tracking.settings import PARTS, load_study
@@ -82,6 +83,7 @@ def row(
         metrics=metrics(**changes),
         arcs=arcs,
         late_lateral_m=late_lateral_m,
+        shares=SolverShares(90.0, 10.0, 0.0, 0),
         recovery=recovered or recovery(1.0, 0.01, 3.0, 2.0),
         time=0.02 * np.arange(n),
         along=np.zeros(n),

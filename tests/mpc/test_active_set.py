@@ -75,9 +75,7 @@ def library(number="double"):
     (folder / "dense.c").write_text(DENSE)
     built = folder / "library.so"
     flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", f"-I{folder}", f"-I{CORE}"]
-    subprocess.run(
-        ["gcc", *flags, str(folder / "dense.c"), *SOURCES, "-o", str(built), "-lm"], check=True
-    )
+    subprocess.run(["gcc", *flags, str(folder / "dense.c"), *SOURCES, "-o", str(built), "-lm"], check=True)
     ffi = cffi.FFI()
     ffi.cdef(DECLARED.format(real=number))
     return ffi, ffi.dlopen(str(built)), {"double": np.float64, "float": np.float32}[number]

@@ -8,7 +8,16 @@ from functools import partial
 import numpy as np
 
 from diffdrive_mpc.bench.case import DIMENSIONS
-from diffdrive_mpc.bench.cells import Cell, completed, mean_of, recovered, recovery_columns, total_of, worst_of
+from diffdrive_mpc.bench.cells import (
+    Cell,
+    completed,
+    mean_of,
+    recovered,
+    recovery_columns,
+    share_of,
+    total_of,
+    worst_of,
+)
 from diffdrive_mpc.bench.outcomes import Outcome, by, by_driver, by_horizon, by_model, step_times, with_mean
 from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
 from diffdrive_mpc.bench.table import Table, number
@@ -92,8 +101,15 @@ def time_table(outcomes: Group) -> Table:
         "steps": lambda group: str(step_times(group).size),
         **{f"p{percent} [ms]": _step(percent, 3) for percent in (50, 95, 99)},
         "max [ms]": _step(100, 3),
+        "unlimited [%]": share_of("path_unlimited_percent"),
+        "active set [%]": share_of("path_active_set_percent"),
+        "backend [%]": share_of("path_backend_percent"),
+        "not solved": lambda group: str(sum(one.shares.not_solved for one in group)),
     }
-    note = "Whole step, serial replay on one core with one BLAS thread."
+    note = (
+        "Whole step, serial replay on one core with one BLAS thread. Ways of the solver, in shares of solved steps: "
+        "no limit active; the active set guessed and proven; OSQP or DAQP."
+    )
     return Table.of("Step time", ("controller",), columns, _by_driver(outcomes), note)
 
 

@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
-from diffdrive_mpc.models.identification.report import Report
+from diffdrive_mpc.models.identification.report import IdentificationReport
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
@@ -25,7 +25,7 @@ _UNITS = {"v": "m/s", "omega": "rad/s"}
 _SAMPLES = 400
 _INTERVAL = 1.959964
 
-Draw = Callable[[Report, Path], None]
+Draw = Callable[[IdentificationReport, Path], None]
 
 
 class FigureSettings(StrictModel):
@@ -41,7 +41,7 @@ def figure_settings() -> FigureSettings:
     return load_checked(FigureSettings, Path(__file__).with_name("figures.yaml"))
 
 
-def draw_identification(report: Report, folder: Path, on_done: Callable[[], None]) -> dict[str, str]:
+def draw_identification(report: IdentificationReport, folder: Path, on_done: Callable[[], None]) -> dict[str, str]:
     """Draw the figures into `FOLDER` inside `folder`; `on_done` is called after each.
 
     Returns
@@ -58,7 +58,7 @@ def draw_identification(report: Report, folder: Path, on_done: Callable[[], None
     return paths
 
 
-def figures_of(report: Report) -> dict[str, tuple[str, Draw]]:
+def figures_of(report: IdentificationReport) -> dict[str, tuple[str, Draw]]:
     """Title, file name and drawing function of each figure that the report has something for."""
     jobs: dict[str, tuple[str, Draw]] = {
         "Measured against simulated": ("simulation.png", draw_simulation),
@@ -73,7 +73,7 @@ def figures_of(report: Report) -> dict[str, tuple[str, Draw]]:
     return jobs
 
 
-def draw_simulation(report: Report, path: Path) -> None:
+def draw_simulation(report: IdentificationReport, path: Path) -> None:
     """Draw the busiest window of the longest validation stretch: both channels, with their residuals below."""
     data, fitted = report.data, report.fitted
     longest = int(np.argmax([len(record.command) for record in data.validation]))
@@ -113,7 +113,7 @@ def _busiest(commands: FloatArray, window: int) -> int:
     return int(np.argmax(activity[window - 1 :] - np.concatenate([[0.0], activity[:-window]])))
 
 
-def draw_residuals(report: Report, path: Path) -> None:
+def draw_residuals(report: IdentificationReport, path: Path) -> None:
     """Draw autocorrelation and cross-correlations of both residuals, each with its 95 % bound."""
     check = report.fitted.validation.residuals
     lags = check.lag_step * np.arange(check.autocorrelation.shape[1])
@@ -137,7 +137,7 @@ def draw_residuals(report: Report, path: Path) -> None:
         figure.suptitle(f"{report.name}: correlation of validation residuals; inside the grey, nothing is left")
 
 
-def draw_steps(report: Report, path: Path) -> None:
+def draw_steps(report: IdentificationReport, path: Path) -> None:
     """Draw the response of both outputs to a unit step of either command, dead time included."""
     model = report.fitted.identified.model
     horizon = figure_settings().step_response * float(model.lag.max())
@@ -157,7 +157,7 @@ def draw_steps(report: Report, path: Path) -> None:
         figure.suptitle(f"{report.name}: step responses; the upright line is the dead time")
 
 
-def draw_poles(report: Report, path: Path) -> None:
+def draw_poles(report: IdentificationReport, path: Path) -> None:
     """Draw the poles, with 95 % intervals where the estimate states them."""
     identified = report.fitted.identified
     poles = identified.model.poles
@@ -224,7 +224,7 @@ _POLES: dict[bool, list[Callable[[FloatArray], FloatArray]]] = {
 }
 
 
-def draw_orders(report: Report, path: Path) -> None:
+def draw_orders(report: IdentificationReport, path: Path) -> None:
     """Draw FIT over order, training and validation."""
     choice = report.fitted.orders
     assert choice is not None
@@ -242,7 +242,7 @@ def draw_orders(report: Report, path: Path) -> None:
         figure.suptitle(f"{report.name}: orders compared")
 
 
-def draw_drift(report: Report, path: Path) -> None:
+def draw_drift(report: IdentificationReport, path: Path) -> None:
     """Draw position and heading error over the horizon."""
     drift = report.poses.drift
     horizon = [entry.horizon for entry in drift]

@@ -53,7 +53,7 @@ class TruthSettings(StrictModel):
 
 
 @dataclass(frozen=True)
-class Recovery:
+class RecoveredTruth:
     """One truth and what was made of it.
 
     Attributes
@@ -87,7 +87,9 @@ def truth_settings() -> TruthSettings:
     return load_checked(TruthSettings, Path(__file__).parent / "known_truths.yaml")
 
 
-def recover_all(models: int | None = None, on_progress: Callable[[int, int], None] | None = None) -> list[Recovery]:
+def recover_all(
+    models: int | None = None, on_progress: Callable[[int, int], None] | None = None
+) -> list[RecoveredTruth]:
     """Recover `models` random truths, by default all of the parameter file; seeds count from 0.
 
     Parameters
@@ -106,7 +108,7 @@ def recover_all(models: int | None = None, on_progress: Callable[[int, int], Non
     return recoveries
 
 
-def recover(seed: int) -> Recovery:
+def recover(seed: int) -> RecoveredTruth:
     """Draw a truth, drive it, log it and identify it."""
     settings = truth_settings()
     stream = np.random.default_rng(seed)
@@ -127,10 +129,10 @@ def recover(seed: int) -> Recovery:
         values += _numbers(np.array(list(true.values())), true["damping"]).tolist()
         estimates += whole.values.tolist()
         deviations += whole.standard_deviation.tolist()
-    return Recovery(seed, tuple(names), np.array(values), np.array(estimates), np.array(deviations), seconds)
+    return RecoveredTruth(seed, tuple(names), np.array(values), np.array(estimates), np.array(deviations), seconds)
 
 
-def coverage_table(recoveries: list[Recovery]) -> Table:
+def coverage_table(recoveries: list[RecoveredTruth]) -> Table:
     """Share of truths inside the stated 95 % intervals, spread and largest size of the standardised errors."""
     scores: dict[str, list[float]] = {}
     for recovery in recoveries:

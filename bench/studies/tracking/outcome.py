@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from diffdrive_mpc.bench.case import NO_SCENARIO, Case
 from diffdrive_mpc.bench.controllers import controller_config, run_case
-from diffdrive_mpc.bench.outcomes import metrics_row, plain
+from diffdrive_mpc.bench.outcomes import SolverShares, metrics_row, plain
 from diffdrive_mpc.bench.peers.clairvoyant import ClairvoyantController
 from diffdrive_mpc.bench.peers.known_plant import know_plant
 from diffdrive_mpc.bench.studies.tracking.plan import BOUND, TrackingPlan
@@ -37,6 +37,8 @@ class ReducedOutcome:
         Its statistics.
     recovery
         After a disturbance.
+    shares
+        Which way its solver took.
     arcs
         Mean lateral error of every steady arc [m].
     late_lateral_m
@@ -52,6 +54,7 @@ class ReducedOutcome:
     case: Case
     metrics: Metrics
     recovery: Recovery
+    shares: SolverShares
     arcs: tuple[float, ...]
     late_lateral_m: float
     time: FloatArray
@@ -129,6 +132,7 @@ def reduce_run(case: Case, run: Run) -> ReducedOutcome:
         case=case,
         metrics=run.metrics,
         recovery=run.recovery,
+        shares=SolverShares.of(run),
         arcs=tuple(float(value) for value in steady_arc_lateral(run)),
         late_lateral_m=float(np.max(np.abs(run.errors.lateral[late]), initial=0.0)),
         time=run.time[counted],

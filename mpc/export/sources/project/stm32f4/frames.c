@@ -16,13 +16,13 @@ static const double *read_stamped(ddmpc_stamped *stamped, const double *number, 
 int frame_read(const double in[FRAME_IN], ddmpc_input *input)
 {
     const double *next = in + 6;
-    input->request = (ddmpc_request)in[2];
+    input->request = (int)in[2];
     input->has_sent = in[3] != 0.0;
     input->sent[0] = (real)in[4];
     input->sent[1] = (real)in[5];
-    next = read_stamped(&input->measurement.pose, next, 3);
-    next = read_stamped(&input->measurement.wheels, next, 2);
-    read_stamped(&input->measurement.yaw_rate, next, 1);
+    next = read_stamped(&input->pose, next, 3);
+    next = read_stamped(&input->wheels, next, 2);
+    read_stamped(&input->yaw_rate, next, 1);
     return in[1] != 0.0;
 }
 

@@ -22,9 +22,7 @@
 #define SYSTICK_VALUE REGISTER(0xE000E018)
 #define COUNTER_MASK 0xFFFFFFu
 
-static ddmpc_controller controller;
 static ddmpc_input input;
-static ddmpc_result result;
 
 static void set_up(void)
 {
@@ -69,21 +67,20 @@ static double cycles_of_a_million_instructions(void)
 
 int main(void)
 {
-    ddmpc_reference reference = ddmpc_table_reference(&DDMPC_TRAJECTORY);
+    const ddmpc_reference reference = ddmpc_reference_of(&DDMPC_TRAJECTORY);
+    ddmpc_controller *controller = ddmpc_open();
     set_up();
-    ddmpc_init(&controller);
     double cycles = cycles_of_a_million_instructions();
     transmit(&cycles, sizeof cycles);
     for (;;) {
         double in[FRAME_IN], out[FRAME_OUT];
         receive(in, sizeof in);
         if (frame_read(in, &input)) {
-            ddmpc_init(&controller);
-            ddmpc_start(&controller, &reference, in[0]);
+            ddmpc_open();
+            ddmpc_follow(controller, &reference, in[0]);
         }
         uint32_t since = SYSTICK_VALUE;
-        ddmpc_step(&controller, in[0], &input, &result);
-        frame_write(&result, out);
+        frame_write(ddmpc_tick(controller, in[0], &input), out);
         out[7] = passed(since);
         transmit(out, sizeof out);
     }

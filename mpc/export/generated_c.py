@@ -1,0 +1,140 @@
+"""The generated C of one controller: ddmpc_sizes.h, constants.c and trajectory.[ch]."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.mpc.core.functions import OUTPUT, STEP, first_parameters, term_name
+from diffdrive_mpc.mpc.core.layout import constant_fields
+from diffdrive_mpc.mpc.core.library import load_core
+from diffdrive_mpc.mpc.problem.constants import Problem
+from diffdrive_mpc.mpc.problem.terms import Term
+from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+
+
+def sizes_text(problem: Problem, *, single: bool) -> str:
+    """Text of ddmpc_sizes.h: what makes the core one of fixed sizes, and how much memory that takes."""
+    ffi, lib = load_core()
+    sizes = problem.sizes
+    c_sizes = ffi.new("ddmpc_sizes *", sizes)
+    memory = {"reals": lib.ddmpc_reals(c_sizes), "ints": lib.ddmpc_ints(c_sizes)}
+    first = dict(zip((term.name for term in problem.terms), first_parameters(problem.terms), strict=True))
+    places = {f"first_parameter_of_{_identifier(name)}": place for name, place in first.items()}
+    lines = [f"#define DDMPC_{name.upper()} {value}" for name, value in {**sizes, **memory, **places}.items()]
+    head = ["#ifndef DDMPC_SIZES_H", "#define DDMPC_SIZES_H", "", "#define DDMPC_EXPORT"]
+    return "\n".join([*head, *(["#define DDMPC_FLOAT"] if single else []), *lines, "", "#endif", ""])
+
+
+def constants_text(problem: Problem, functions: str | None) -> str:
+    """Text of constants.c; `functions` is the stem of the file with the user's functions, if there are any."""
+    tables, constants = [], []
+    for name, value in constant_fields(problem.sizes, problem.constants()):
+        if isinstance(value, np.ndarray):
+            tables.append(_table("real", name, value.ravel()))
+        constants.append((name, name if isinstance(value, np.ndarray) else _written(value)))
+    sizes = [(name, str(value)) for name, value in problem.sizes.items()]
+    terms = ",\n".join(_term(*term) for term in zip(range(len(problem.terms)), problem.terms, first_parameters(problem.terms), strict=True))
+    nonlinear = problem.prediction is None
+    members = [("step", STEP if nonlinear else "0"), ("output", OUTPUT if nonlinear else "0")]
+    defaults = np.array([value for term in problem.terms for value in term.defaults])
+    return "\n\n".join(
+        [
+            '#include "ddmpc.h"' + (f'\n#include "{functions}.h"' if functions else ""),
+            *tables,
+            *([f"static const ddmpc_term terms[] = {{\n{terms}\n}};"] if terms else []),
+            _struct("ddmpc_sizes", "sizes", sizes),
+            _struct("ddmpc_constants", "constants", constants),
+            _struct("ddmpc_functions", "functions", [*members, ("terms", "terms" if terms else "0")]),
+            _table("real", "ddmpc_this_defaults", defaults if defaults.size else np.zeros(1), static=""),
+            "",
+        ]
+    )
+
+
+def trajectory_texts(reference: Reference, spacing: float) -> dict[str, str]:
+    """Texts of trajectory.[ch]: `reference` in closed form; where it is none, cubic pieces `spacing` [s] long.
+
+    Raises
+    ------
+    ValueError
+        If the reference is somewhere not finite.
+    """
+    found = _closed_form(reference, spacing)
+    name = f"ddmpc_{_identifier(reference.name)}"
+    members = [
+        ("breaks", "breaks"),
+        ("table", "table"),
+        ("pieces", str(found.table.shape[1])),
+        ("cubic", str(int(len(found.table) == 16))),
+        ("duration", _number(reference.duration)),
+        ("motion", _written(found.motion.tolist())),
+    ]
+    parts = [
+        '#include "trajectory.h"',
+        _table("ddmpc_time", "breaks", found.breaks),
+        _table("real", "table", found.table.ravel()),
+        f"const ddmpc_trajectory {name} = {{\n{_members(members)}\n}};",
+        "",
+    ]
+    header = (
+        "#ifndef DDMPC_TRAJECTORY_H\n#define DDMPC_TRAJECTORY_H\n\n"
+        '#include "core.h"\n\n'
+        f"/* {reference.name.replace('*/', '* /')} */\n"
+        f"extern const ddmpc_trajectory {name};\n#define DDMPC_TRAJECTORY {name}\n\n#endif\n"
+    )
+    return {"trajectory.c": "\n\n".join(parts), "trajectory.h": header}
+
+
+def _closed_form(reference: Reference, spacing: float) -> NativeTrajectory:
+    found = getattr(reference, "native", None)
+    if isinstance(found, NativeTrajectory):
+        return found
+    times = np.linspace(0.0, reference.duration, max(2, int(np.ceil(reference.duration / spacing - 1e-9)) + 1))
+    sample = reference.sample(times)
+    finite = np.isfinite(np.hstack([sample.pose, sample.twist])).all(axis=1)
+    if not finite.all():
+        raise ValueError(f"reference '{reference.name}': it is not finite at {times[finite.argmin()]:.2f} s; repair it")
+    v, heading = sample.twist[:, :1], sample.pose[:, 2:]
+    rates = np.hstack([v * np.cos(heading), v * np.sin(heading), sample.twist[:, 1:]])
+    return SplineTrajectory.through(reference.name, times, sample.pose, rates).native
+
+
+def _term(index: int, term: Term, first: int) -> str:
+    members = {"function": term_name(index), "rows": term.rows, "soft": int(term.soft), "first_parameter": first}
+    return "    {" + ", ".join(f".{name} = {value}" for name, value in members.items()) + "}"
+
+
+def _struct(kind: str, name: str, members: Iterable[tuple[str, str]]) -> str:
+    return f"const {kind} ddmpc_this_{name} = {{\n{_members(members)}\n}};"
+
+
+def _members(members: Iterable[tuple[str, str]]) -> str:
+    return ",\n".join(f"    .{name} = {value}" for name, value in members)
+
+
+def _table(kind: str, name: str, numbers: FloatArray, *, static: str = "static ") -> str:
+    """The compiler rounds decimals to the precision of `kind`."""
+    written = [_number(value) for value in numbers.tolist()]
+    lines = [", ".join(written[begin : begin + 8]) for begin in range(0, len(written), 8)]
+    return f"{static}const {kind} {name}[] = {{\n    " + ",\n    ".join(lines) + "\n};"
+
+
+def _written(value: Sequence[float] | float | int) -> str:
+    if isinstance(value, Sequence):
+        return "{" + ", ".join(_number(number) for number in value) + "}"
+    return str(value) if isinstance(value, int) else _number(value)
+
+
+def _number(value: float) -> str:
+    if np.isnan(value):
+        raise ValueError("a constant is not a number")
+    return repr(float(value)) if np.isfinite(value) else f"{'-' if value < 0 else ''}INFINITY"
+
+
+def _identifier(name: str) -> str:
+    return re.sub(r"\W", "_", name, flags=re.ASCII).lower() or "trajectory"
