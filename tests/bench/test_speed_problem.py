@@ -1,14 +1,21 @@
 """Peers solve the controller's own problem: stage by stage it has the same predictions, cost, limits and solution."""
 
+from dataclasses import asdict
 from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from speed_parts import oracle_tick
 
 from diffdrive_mpc.bench.studies.speed.stage import stage_data, stage_problem
+from diffdrive_mpc.bench.studies.speed.subjects.nlp_peer import NlpPeer
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.sim import make_plant
+from oracle.nonlinear import nonlinear_program
 from oracle.problem import TrackingProblem
 
 SOFT = {
@@ -17,7 +24,8 @@ SOFT = {
     "wheels": {"limits.wheel_speed": 0.55},
     "corridor": {"limits.corridor": 0.031},
 }
-KINDS = {"none": [], "twist": [0, 1], "wheels": [2, 3], "corridor": [4]}
+KINDS = {"none": set(), "twist": {0, 1}, "wheels": {2, 3}, "corridor": {4}}
+"""The kinds of soft limit that each case is about, in the order of the problem."""
 
 
 def setting(name, horizon, soft="none", seed=0):
@@ -28,7 +36,7 @@ def setting(name, horizon, soft="none", seed=0):
     sampled, controller = model.discretise(config.sample_time), Controller(config, model)
     plant, reference = make_plant("model:ssm", seed=seed), load_trajectory("circle")
     # Heading outwards where the corridor is to matter, and while it still does.
-    turned, ticks = (-0.6, 24) if soft == "corridor" else (0.0, 60 + seed % 40)
+    turned, ticks = (-0.6, 14) if soft == "corridor" else (0.0, 60 + seed % 40)
     plant.reset(reference.sample([0.0]).pose[0] + [0.0, 0.0, turned])
     controller.start(reference, plant.time)
     sent = [np.zeros(2)] * sampled.memory
@@ -47,3 +55,105 @@ def setting(name, horizon, soft="none", seed=0):
         stages=stage_problem(config, sampled),
         data=stage_data(controller.program, result.estimate, past),
     )
+
+
+def pressing(it, plan):
+    """The kinds of soft limit that `plan` (N, 2) reaches."""
+    _, values = it.problem.outcome(it.tick, plan[:, :, None])
+    limits = it.problem.soft_limits(values[:, 0, 0])
+    return set(np.flatnonzero(np.abs(values[:, 1:, 0]).max(axis=1) > limits - 1e-6).tolist())
+
+
+def functions(stages):
+    return [ca.Function.deserialize(getattr(stages, name)) for name in ("step", "tracking", "effort", "soft_values")]
+
+
+@pytest.mark.parametrize("name", ["ssm", "sm", "mbm"])
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=15, deadline=None)
+def test_stages_lead_to_the_predicted_twists_and_poses(name, seed):
+    it = setting(name, 8, seed=seed)
+    z, parameters = it.data
+    plan = np.random.default_rng(seed).uniform(-1, 1, (8, 2))
+    twist = it.problem.twists(it.tick, plan[:, :, None])
+    poses = it.problem.poses(it.tick, twist)[:, :, 0]
+    _, soft = it.problem.outcome(it.tick, plan[:, :, None])
+    step, *_, soft_values = functions(it.stages)
+    n = it.problem.model.order
+    for k, u in enumerate(plan):
+        z = np.array(step(z, u, parameters[k])).ravel()
+        np.testing.assert_allclose(z[n : n + 3], poses[k + 1], atol=1e-12)
+        np.testing.assert_allclose(z[-2:], u)
+        values = np.array(soft_values(z, parameters[k + 1])).ravel()
+        np.testing.assert_allclose(values, soft[:, k + 1, 0], atol=1e-12)
+        np.testing.assert_allclose(values[:2], twist[k + 1, :, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["ssm", "sm", "mbm"])
+def test_stages_lead_to_the_poses_that_the_controller_plans(name):
+    it = setting(name, 8)
+    z, parameters = it.data
+    step, *_ = functions(it.stages)
+    n = it.problem.model.order
+    for k, u in enumerate(it.result.planned_commands):
+        z = np.array(step(z, u, parameters[k])).ravel()
+        np.testing.assert_allclose(z[n : n + 3], it.result.plan[k + 1], atol=1e-12)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=10, deadline=None)
+def test_the_cost_of_any_plan_is_that_of_the_controllers_problem(seed):
+    it = setting("sm", 6, "wheels", seed)
+    z, parameters = it.data
+    stages, plan = it.stages, np.random.default_rng(seed).uniform(-1, 1, (6, 2))
+    step, tracking, effort, soft_values = functions(stages)
+    cost = 0.0
+    for k, u in enumerate(plan):
+        cost += stages.effort_weights @ np.array(effort(z, u, parameters[k])).ravel() ** 2 / 2
+        z = np.array(step(z, u, parameters[k])).ravel()
+        error = np.array(tracking(z, parameters[k + 1])).ravel()
+        cost += (stages.terminal if k == 5 else 1.0) * stages.tracking_weights @ error**2 / 2
+        over = np.maximum(np.abs(np.array(soft_values(z, parameters[k + 1])).ravel()) - parameters[k + 1, 11:], 0)
+        cost += stages.soft * over.sum() + stages.soft_quadratic * (over**2).sum() / 2
+    program, bounds = nonlinear_program(it.problem, it.tick)
+    evaluate = ca.Function("program", [program["x"]], [program["f"], program["g"]])
+    # After the increments.
+    soft_rows = slice(12, None)
+    g = np.array(evaluate(np.concatenate([plan.ravel(), np.zeros(60)]))[1]).ravel()[soft_rows]
+    over = np.maximum(g - bounds["ubg"][soft_rows], 0)
+    under = np.maximum(bounds["lbg"][soft_rows] - g, 0)
+    expected = float(evaluate(np.concatenate([plan.ravel(), over, under]))[0])
+    assert cost == pytest.approx(expected, rel=1e-10)
+
+
+@pytest.mark.parametrize("soft", SOFT)
+@pytest.mark.parametrize("name", ["ssm", "mbm"])
+@pytest.mark.parametrize(
+    ("plugin", "options"),
+    [
+        ("ipopt", {"ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}),
+        ("fatrop", {"fatrop.print_level": 0, "fatrop.tol": 1e-9}),
+    ],
+)
+def test_a_peers_solution_is_that_of_the_controllers_problem(plugin, options, name, soft):
+    it = setting(name, 12, soft)
+    program, bounds = nonlinear_program(it.problem, it.tick)
+    reference = ca.nlpsol(
+        "reference", "ipopt", program, {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
+    )
+    start = np.concatenate([it.tick.feed_forward.ravel(), np.zeros(120)])
+    found = np.array(reference(x0=start, **bounds)["x"]).ravel()
+    assert reference.stats()["success"]
+    assert pressing(it, found[:24].reshape(-1, 2)) <= KINDS[soft], "nothing else may press"
+    assert bool(pressing(it, found[:24].reshape(-1, 2))) == (soft != "none"), "the case must exercise its limits"
+    peer = NlpPeer(asdict(it.stages), {"plugin": plugin, "options": options}, None)
+    peer.reset(*it.data)
+    command = peer.solve(*it.data)
+    assert peer.report().solved
+    np.testing.assert_allclose(command, found[:2], atol=1e-5)
+
+
+def test_a_last_command_that_is_not_on_its_way_is_refused():
+    it = setting("ssm", 5)
+    with pytest.raises(ValueError, match="last command"):
+        stage_data(it.controller.program, it.result.estimate, np.zeros_like(it.past))
