@@ -97,7 +97,7 @@ def _link(target: str, folder: Path, program: Path) -> bool:
     command = [
         compiler,
         "-std=c99",
-        "-O2",
+        "-O3",
         *options,
         f"-I{folder / 'ddmpc'}",
         *map(str, sources),

@@ -4,12 +4,8 @@
 
 enum { LANES = DDMPC_LANES };
 
-/* From how many columns on it pays to find them side by side: never where a block does not fit into registers. */
-#if defined(__ARM_ARCH_PROFILE) && __ARM_ARCH_PROFILE == 'M'
-enum { SIDE_BY_SIDE = LANES + 1 };
-#else
+/* From how many columns on it pays to find them side by side. */
 enum { SIDE_BY_SIDE = 3 };
-#endif
 
 #ifdef DDMPC_FLOAT
 /* A row is taken to depend on others where less than this part of its square is left. */

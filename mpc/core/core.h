@@ -4,7 +4,7 @@
  * stands, so names and layouts cross the border by themselves; a bracket behind a pointer is the shape of what it points
  * to, and is checked against the sizes:
  *
- *     n states, N steps, W window, H history, P parameters, K kinds of soft limit, width = 2 N in whole lanes
+ *     n states, N steps, W window, H history, P parameters, K kinds of soft limit, width = 2 N padded to a multiple of 8
  */
 #ifndef DDMPC_CORE_H
 #define DDMPC_CORE_H

@@ -48,9 +48,10 @@ enum { V_OFFSET, OMEGA_GAIN, LONGITUDINAL_GAIN, YAW_GAIN, SIDE_SLIP, GYRO_BIAS, 
 enum { SLIP = 5 };
 #define BELIEF(c) (STATES(c) + BEYOND)
 #define MOST_BELIEF (DDMPC_MOST_STATES + BEYOND)
-/* Rows of commands are padded with zeros to whole lanes. */
 #define INPUTS(c) (2 * STEPS(c))
-#define WIDTH(c) ddmpc_whole_lanes(INPUTS(c))
+/* Rows of commands are padded with zeros, to whole lanes on every machine. */
+enum { PADDING = 8 };
+#define WIDTH(c) ((INPUTS(c) + PADDING - 1) / PADDING * PADDING)
 /* Rows of residuals in the stack at each sample: along, across, the user's, and of a nonlinear model the heading. */
 #define STACKED(c) (2 + RESIDUALS(c) + NONLINEAR(c))
 #define LONGEST_LAG(c) (LAG(c, 0) > LAG(c, 1) ? LAG(c, 0) : LAG(c, 1))

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.core.library import load_core
 from diffdrive_mpc.mpc.core.sources import header_text
-from diffdrive_mpc.mpc.problem.constants import Constants, whole_lanes
+from diffdrive_mpc.mpc.problem.constants import Constants, padded
 
 _POINTER = re.compile(r"^\s*(?:const )?(?:real|ddmpc_time|int) \*(\w+);\s*/\* ((?:\[[^\]]+\])+)", re.MULTILINE)
 _STRUCT = re.compile(r"typedef struct \{(.*?)\} (\w+);", re.DOTALL)
@@ -32,7 +32,7 @@ def pointer_shapes(struct: str, sizes: Mapping[str, int]) -> dict[str, tuple[int
         "K": sizes["soft"],
         "H": sizes["history"],
         "P": sizes["parameters"],
-        "width": whole_lanes(2 * N),
+        "width": padded(2 * N),
     }
     (body,) = (body for body, name in _STRUCT.findall(header_text()) if name == struct)
     return {

@@ -4,8 +4,12 @@
 
 #include "real.h"
 
-/* Columns that are worked on at once. */
+/* Columns that are worked on at once: as many as registers hold, which are few in a microcontroller. */
+#ifdef DDMPC_EXPORT
+enum { DDMPC_LANES = 4 };
+#else
 enum { DDMPC_LANES = 8 };
+#endif
 
 /* The next multiple of DDMPC_LANES. */
 static inline int ddmpc_whole_lanes(int count)

@@ -23,8 +23,8 @@ Constants = dict[str, object]
 
 SHIPPED_SOFT = ("v", "omega", "right", "left", "across")
 """Kinds of soft limit that every controller has, in their order."""
-LANES = 8
-"""Columns that the core works on at once, DDMPC_LANES: rows of commands are padded to a multiple of it."""
+PADDING = 8
+"""Rows of commands are padded with zeros to a multiple of this many columns; PADDING of mpc/core/internal.h."""
 SLACK = 0.1
 """By this share of the solver's tolerance a limit may be exceeded and still count as kept [-]."""
 HARD_KINDS = 4
@@ -143,7 +143,7 @@ class Problem:
 
     def _prediction(self) -> Constants:
         N, found, n, W = self.config.horizon, self.prediction, self.model.order, self.model.memory
-        width = whole_lanes(2 * N)
+        width = padded(2 * N)
         if found is None:
             empty = {
                 "from_state": (N + 1, 2, n),
@@ -233,12 +233,12 @@ class Problem:
         }
 
 
-def whole_lanes(count: int) -> int:
-    """The next multiple of `LANES`."""
-    return -(-count // LANES) * LANES
+def padded(count: int) -> int:
+    """The next multiple of `PADDING`."""
+    return -(-count // PADDING) * PADDING
 
 
 def _longest_row(matrix: FloatArray) -> FloatArray:
     """The last row of a Toeplitz matrix, padded: any other row begins further along it."""
     row = matrix[-1]
-    return np.concatenate([row, np.zeros(2 * whole_lanes(row.size) - row.size)])
+    return np.concatenate([row, np.zeros(2 * padded(row.size) - row.size)])
