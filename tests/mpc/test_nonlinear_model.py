@@ -123,7 +123,7 @@ def test_real_time_iterations_converge_to_ipopts_solution(name, ticks):
     assert result.planned_commands == pytest.approx(program.solve(), abs=1e-6)
 
 
-def test_a_linear_model_as_a_function_gives_the_commands_of_the_linear_one():
+def test_a_linear_model_as_a_function_gives_the_commands_of_the_linear_one(monkeypatch):
     linear = load_model("ssm").with_extra_dead_time([0.03, 0.05])
     sampled = linear.discretise(DT)
     x, window = ca.SX.sym("x", sampled.order), ca.SX.sym("window", 2 * (sampled.memory + 1))
@@ -135,7 +135,7 @@ def test_a_linear_model_as_a_function_gives_the_commands_of_the_linear_one():
     model = NonlinearModel("ssm", step, ca.Function("output", [x], [sampled.C @ x], ["x"], ["y"]), DT, newest)
     assert model.lag == pytest.approx(linear.lag, abs=5e-4)
     # What the trapezoids leave is no matter here.
-    model.__dict__["lag"] = linear.lag
+    monkeypatch.setattr(NonlinearModel, "lag", linear.lag)
     controllers = [Controller(load_config("ssm"), given) for given in (linear, model)]
     plant = make_plant("mujoco", seed=0)
     plant.reset(CIRCLE.sample([0.0]).pose[0])
@@ -188,7 +188,7 @@ def test_what_cannot_be_a_robots_model_is_refused_in_one_line():
     ):
         with pytest.raises(ModelError, match=said):
             model(after)
-    with pytest.raises(ModelError, match="step, window has 4 numbers, expected 6"):
+    with pytest.raises(ModelError, match="step has 4 numbers in window, expected 6"):
         model(0.5 * x + window[2:], memory=2)
     with pytest.raises(ConfigError, match="set sample_time to that"):
         Controller(load_config("ssm"), model=saturating(dt=0.01))
