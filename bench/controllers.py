@@ -21,10 +21,8 @@ CONTROLLERS = ("mpc", *PEERS)
 def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
     """Make the controller, plant and reference of a case.
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError, ValueError
-        If a name is unknown, a file has a mistake, or controller and plant have different sample times.
+    Raises ConfigError or ValueError if a name is unknown, a file has a mistake, or controller and plant have different
+    sample times.
     """
     controller = make_controller(case)
     plant = make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario)
@@ -55,10 +53,7 @@ def check_cases(cases: Iterable[Case]) -> None:
 def make_controller(case: Case) -> TrackingController:
     """A fresh controller for a case.
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError
-        If the controller is unknown, or its model or configuration cannot be used.
+    Raises ConfigError if the controller is unknown, or its model or configuration cannot be used.
     """
     if case.controller in PEERS:
         return make_peer(case.controller)
@@ -74,10 +69,7 @@ def controller_config(model: str, config: str | None = None, overrides: Override
     Without a file it is the shipped one of `model`. A model file of the user's own has none: it takes that of the
     SSM, without the extra dead time, which belongs to the model it was found with.
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError
-        If the model is unknown or the configuration has a mistake.
+    Raises ConfigError if the model is unknown or the configuration has a mistake.
     """
     if config is not None:
         return load_config(config, {"model": _model_reference(model), **dict(overrides)})
@@ -90,10 +82,7 @@ def controller_config(model: str, config: str | None = None, overrides: Override
 def chosen_model(model: str | None, config: Path | None) -> str:
     """The model that was asked for, or else the one that a configuration file names, or else the default one.
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError
-        If the name is empty or the file cannot be used.
+    Raises ConfigError if the name is empty or the file cannot be used.
     """
     if model is None:
         return Case().model if config is None else load_config(config).model

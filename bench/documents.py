@@ -49,10 +49,7 @@ SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED)
 def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
     """Copy the report in `out` to `documents`, links to figures that are not shown left out; old figures go.
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError
-        If `out` holds no report.
+    Raises ConfigError if `out` holds no report.
     """
     name = f"{shown.name}.md"
     if not (out / name).is_file():

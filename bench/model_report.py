@@ -1,4 +1,4 @@
-"""Velocity models as text for the terminal."""
+"""Velocity models as text for the terminal, and how well the published one predicts the simulated robot."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from diffdrive_mpc.bench.progress import output_console
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.load import MODEL_NAMES, load_model
 from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.sim.plants.calibration import validate_calibration
+from diffdrive_mpc.sim.plants.twin_parameters import Firmware
 
 
 def print_models() -> None:
@@ -15,18 +17,9 @@ def print_models() -> None:
     rows = []
     for name in MODEL_NAMES:
         model = load_model(name)
-        gain, lag = model.dc_gain, model.lag
-        rows.append(
-            (
-                name,
-                str(model.provenance.get("origin", "")),
-                str(model.order),
-                f"{gain[0, 0]:.3f}",
-                f"{gain[1, 1]:.3f}",
-                f"{1e3 * lag[0]:.0f}",
-                f"{1e3 * lag[1]:.0f}",
-            )
-        )
+        gains = [f"{model.dc_gain[i, i]:.3f}" for i in (0, 1)]
+        lags = [f"{1e3 * lag:.0f}" for lag in model.lag]
+        rows.append((name, str(model.provenance.get("origin", "")), str(model.order), *gains, *lags))
     columns = ("model", "origin", "states", "gain v [-]", "gain omega [-]", "lag v [ms]", "lag omega [ms]")
     note = "Lag: mean delay from command to output, dead time included. More: diffdrive-mpc models show NAME"
     output_console().print(Table("Velocity models", columns, tuple(rows), text_columns=2, note=note).rich())
@@ -51,6 +44,17 @@ def model_text(model: VelocityModel) -> str:
         lines += [f"{label if i == 0 else '':<18} {row}" for i, row in enumerate(rows)]
     lines += [f"{key:<18} {_text(value)}" for key, value in model.provenance.items() if value]
     return "\n".join(lines)
+
+
+def calibration_table(firmware: Firmware) -> Table:
+    """FIT of the target model, run free from commands alone, on the held-out drives."""
+    fits = validate_calibration(firmware)
+    rows = [
+        (str(fit.seed), "smoothed" if fit.smooth else "in steps", f"{fit.v:.2f}", f"{fit.omega:.2f}")
+        for fit in sorted(fits, key=lambda fit: not fit.smooth)
+    ]
+    title = "The published SSM against the simulated robot, drives held out from calibration"
+    return Table(title, ("seed", "set-points", "FIT v [%]", "FIT omega [%]"), tuple(rows), text_columns=2)
 
 
 def _pole(pole: complex) -> str:

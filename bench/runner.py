@@ -32,10 +32,7 @@ def run_tasks(tasks: Sequence[Callable[[], T]], jobs: int, on_done: OnDone) -> l
     list
         In the order of `tasks`; the result does not depend on `jobs`.
 
-    Raises
-    ------
-    bench.errors.WorkerDiedError
-        If a process was ended from outside, for instance because the memory was full.
+    Raises WorkerDiedError if a process was ended from outside, for instance because the memory was full.
     """
     if jobs == 1 or len(tasks) < 2:
         with threadpool_limits(limits=1):

@@ -74,10 +74,7 @@ class Study(ABC, Generic[P, R]):
     def plan(self) -> P:
         """List what is to be run, before a folder is made.
 
-        Raises
-        ------
-        models.checked_yaml.ConfigError, ValueError
-            If something that is named does not exist or cannot be used.
+        Raises ConfigError or ValueError if something that is named does not exist or cannot be used.
         """
 
     @abstractmethod
@@ -101,12 +98,8 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
     jobs
         Processes; by default one for each core.
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError, ValueError, OSError
-        If something that is named cannot be used or `out` cannot be written to; then `out` keeps what it held.
-    bench.errors.StudyFailedError
-        If it could not be finished.
+    Raises ConfigError, ValueError or OSError if something that is named cannot be used or `out` cannot be written to;
+    then `out` keeps what it held; StudyFailedError if it could not be finished.
     """
     began = time.perf_counter()
     plan = study.plan()

@@ -14,10 +14,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 def parse_setting(text: str) -> tuple[str, list[object]]:
     """Split `KEY=V1,V2,...` into the dotted key and its values.
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError
-        If there is no key, no value, or the values are no YAML.
+    Raises ConfigError if there is no key, no value, or the values are no YAML.
     """
     key, equals, listed = text.partition("=")
     if not equals or not key.strip() or not listed.strip():
@@ -44,10 +41,7 @@ def single_settings(texts: Sequence[str]) -> Overrides:
 def sweep_settings(texts: Sequence[str]) -> list[Overrides]:
     """Every combination of the values of several settings, in the order given; one empty combination without any.
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError
-        As for `parse_setting`, and if a key or a value is given twice.
+    Raises ConfigError as for `parse_setting`, and if a key or a value is given twice.
     """
     parsed = [parse_setting(text) for text in texts]
     keys = [key for key, _ in parsed]

@@ -58,10 +58,7 @@ def time_outcomes(outcomes: Sequence[Outcome], on_done: OnDone) -> tuple[list[Ou
         Processor time over elapsed time of the pass; well below 1, other programs had the core at times, and the
         upper percentiles are theirs.
 
-    Raises
-    ------
-    bench.errors.NotReproducibleError
-        If a replay commanded something else than the run.
+    Raises NotReproducibleError if a replay commanded something else than the run.
     """
     timed = []
     with quiet_core():
@@ -80,10 +77,7 @@ def time_steps(case: Case, run: Run) -> FloatArray:
     Another instance takes a few steps first, so that imports and one-time costs do not count. Call within
     `quiet_core`.
 
-    Raises
-    ------
-    bench.errors.NotReproducibleError
-        If a command differs from the recorded one in any bit.
+    Raises NotReproducibleError if a command differs from the recorded one in any bit.
     """
     replay(make_controller(case), run, min(_WARM_UP_TICKS, len(run.time)))
     gc.collect()
@@ -93,10 +87,7 @@ def time_steps(case: Case, run: Run) -> FloatArray:
 def replay(controller: TrackingController, run: Run, ticks: int) -> FloatArray:
     """Give `controller` the first `ticks` measurements of `run` again and time its steps, (ticks,) [s].
 
-    Raises
-    ------
-    bench.errors.NotReproducibleError
-        If a command differs from the recorded one in any bit.
+    Raises NotReproducibleError if a command differs from the recorded one in any bit.
     """
     took, commands = np.empty(ticks), np.empty((ticks, 2))
     controller.start(run.reference, float(run.time[0]))

@@ -18,6 +18,11 @@ from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.velocity_model import VelocityModel
 
+# A speed this close below a step, in steps, counts as on it: it came from rounded decimals.
+_ON_STEP = 1e-9
+PARTS = 4
+"""Inside a sample the base ramps; its limited command is held over this fraction of a sample."""
+
 
 class TwistSlew(StrictModel):
     """Slope limits of the commanded twist inside the base, each channel on its own.
@@ -63,10 +68,6 @@ def _ramps(commands: FloatArray, reach: float, start: float) -> FloatArray:
     passed = np.arange(len(commands)) - np.repeat(first, counts) + 1
     gap = np.repeat(missing, counts)
     return np.asarray(commands + np.sign(gap) * np.maximum(np.abs(gap) - reach * passed, 0.0))
-
-
-# A speed this close below a step, in steps, counts as on it: it came from rounded decimals.
-_ON_STEP = 1e-9
 
 
 class WheelCommand(StrictModel):
@@ -270,10 +271,6 @@ class BaseEffects(StrictModel):
     yaw_relaxation: YawRelaxation | None = Field(default=None, description="twist of the tyres at changes of direction")
     veer: Veer | None = Field(default=None, description="yaw of the body while the wheels drive straight")
     pose_mount: PoseMount | None = Field(default=None, description="where the pose sensor sits")
-
-
-PARTS = 4
-"""Inside a sample the base ramps; its limited command is held over this fraction of a sample."""
 
 
 class Response(NamedTuple):

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
@@ -29,7 +28,7 @@ from diffdrive_mpc.mpc.messages import Words
 from diffdrive_mpc.mpc.problem.build import chosen_model, sampled_model
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, SLACK, Problem
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
-from diffdrive_mpc.mpc.problem.terms import Term, all_terms
+from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_parameters
 from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
 from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask
 from diffdrive_mpc.mpc.solver.backends import BACKENDS
@@ -219,26 +218,11 @@ class Controller:
         Raises
         ------
         ConfigError
-            If there is no such term, or the shape is not one of these, or a value is not finite.
+            If there is no such term, or the shape is not one of these, or a value is not finite; then nothing changes.
         """
-        table, first = self._tick.parameters, 0
-        places = {}
-        for term in self._terms:
-            places[term.name] = slice(first, first + term.parameters)
-            first += term.parameters
-        checked = {}
-        for name, value in values.items():
-            if name not in places:
-                raise ConfigError(f"term '{name}': there is none; there are: {', '.join(places) or 'no terms'}")
-            rows = np.asarray(value, dtype=float)
-            p = places[name].stop - places[name].start
-            if rows.shape not in ((p,), (len(table), p)) or not np.isfinite(rows).all():
-                raise ConfigError(
-                    f"term '{name}': give {p} finite parameters, or {len(table)} rows of them (found {rows.shape})"
-                )
-            checked[name] = rows
-        for name, rows in checked.items():
-            table[:, places[name]] = rows
+        table = self._tick.parameters
+        for place, rows in checked_parameters(self._terms, len(table), values):
+            table[:, place] = rows
 
     def step(self, t: float, measurement: Measurement, hold: Hold | None = None) -> StepResult:
         """Decide the command for the tick at `t` [s] from what arrived since the last one.

@@ -64,3 +64,9 @@ def test_interrupted_the_loop_without_ros_sends_zero_last(tmp_path):
     assert process.returncode == 0, complained
     assert "interrupted" in said
     assert re.search(r"last command \(0\.0, 0\.0\), at x = 0\.\d+ m", said)
+
+
+def test_own_cost(tmp_path):
+    without, aware = map(float, re.findall(r"(0\.\d+) m", run("own_cost.py", tmp_path)))
+    assert without < 0.1
+    assert aware > 0.35

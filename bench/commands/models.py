@@ -63,7 +63,7 @@ def calibrate(
     ] = False,
 ) -> None:
     """Fit the simulated robot's firmware so that the published SSM predicts what it measures."""
-    from diffdrive_mpc.bench.calibration_report import calibration_table  # noqa: PLC0415
+    from diffdrive_mpc.bench.model_report import calibration_table  # noqa: PLC0415
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.calibration import calibrate as fit_firmware  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.twin_parameters import FIRMWARE_FILE, load_firmware  # noqa: PLC0415

@@ -38,10 +38,7 @@ def export_library(
 ) -> None:
     """Export a controller into `out`, and print its sizes; parameters as the command's options.
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError, ValueError, OSError
-        If a name, a value or `out` cannot be used; then `out` keeps what it held.
+    Raises ConfigError, ValueError or OSError if a name, a value or `out` cannot be used; then `out` keeps what it held.
     """
     began = time.perf_counter()
     if precision not in list(Precision):

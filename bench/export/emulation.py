@@ -72,10 +72,7 @@ def emulate(
 ) -> Emulation:
     """Drive the MuJoCo robot along `reference` with the program `image`, and the Python controller beside it.
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError
-        If QEMU is not installed, or the sample time is not that of the plant.
+    Raises ConfigError if QEMU is not installed, or the sample time is not that of the plant.
     """
     plant = make_plant(_PLANT, surface="default", sensors="default", seed=_SEED)
     if plant.sample_time != config.sample_time:

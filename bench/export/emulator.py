@@ -79,10 +79,7 @@ class EmulatedController:
     image
         The linked STM32F4 program.
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError
-        If QEMU is not installed, or the program does not reply.
+    Raises ConfigError if QEMU is not installed, or the program does not reply.
     """
 
     def __init__(self, image: Path) -> None:

@@ -55,10 +55,7 @@ class Size:
 def link_stm32f4(folder: Path, program: Path) -> bool:
     """Link the STM32F4 program of an exported `folder`; False if the memory does not hold it.
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError
-        If the compiler is not installed, or does not take the sources.
+    Raises ConfigError if the compiler is not installed, or does not take the sources.
     """
     return _link("STM32F4 program", folder, program)
 
@@ -66,10 +63,7 @@ def link_stm32f4(folder: Path, program: Path) -> bool:
 def measure_sizes(folder: Path) -> list[Size]:
     """Build the programs of an exported `folder` with each compiler that is installed.
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError
-        If a compiler does not take the sources.
+    Raises ConfigError if a compiler does not take the sources.
     """
     sizes = [_size(target, folder) for target, compiler in TARGETS.items() if shutil.which(compiler)]
     return [size for size in sizes if size is not None]

@@ -61,10 +61,7 @@ class KanayamaController:
     def step(self, t: float, measurement: Measurement) -> PeerStep:
         """Decide the command for the tick at time `t` [s]; without a usable pose the last error is kept.
 
-        Raises
-        ------
-        RuntimeError
-            If `start` was not called.
+        Raises RuntimeError if `start` was not called.
         """
         began = time.perf_counter()
         if self._reference is None:

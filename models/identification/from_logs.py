@@ -31,7 +31,7 @@ FILES = (MODEL_FILE, CONFIG_FILE, "report.json", "report.md")
 """What `Identification.write` writes."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Identification:
     """What was made of logs. `str` of it is the report's summary; arrays in it cannot be written to.
 
@@ -55,6 +55,10 @@ class Identification:
     report: IdentificationReport
     content: ModelFile
     configuration: Configuration
+
+    def __repr__(self) -> str:
+        """A word: the arrays behind it fill pages."""
+        return f"<Identification '{self.report.name}'>"
 
     def __str__(self) -> str:
         """The report, in short."""

@@ -21,6 +21,9 @@ from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.statistics import residual_scale, sandwich, spike_weights
 from diffdrive_mpc.models.pose import wrap_angle
 
+_FEWEST_WINDOWS = 20
+_ROUNDS = 6
+
 
 class SlipLaw(Protocol):
     """From wheel rates to body twist."""
@@ -141,9 +144,6 @@ class SlipPolynomial:
         return np.asarray(np.stack([v, np.zeros_like(v), omega], axis=-1) + terms @ coefficients.reshape(3, 3).T)
 
 
-_FEWEST_WINDOWS = 20
-
-
 class PoseWindows(NamedTuple):
     """n windows of one record, W steps each."""
 
@@ -201,9 +201,6 @@ def _of_record(record: Record, name: Literal["wheels", "yaw_rate"], pose_lag: fl
     c, s = np.cos(first[:, 2]), np.sin(first[:, 2])
     x, y, turned = (last - first).T
     return PoseWindows(record.dt, cut, np.column_stack([c * x + s * y, c * y - s * x, wrap_angle(turned)]))
-
-
-_ROUNDS = 6
 
 
 @dataclass(frozen=True)

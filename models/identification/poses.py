@@ -28,6 +28,12 @@ from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, joined
 from diffdrive_mpc.models.pose import integrate_pose, wrap_angle
 
+_LEVER_ARM = ("lever_arm_ahead", "lever_arm_left")
+# Wheels that an odometry without wheel speeds might have had: its twist is theirs by definition.
+_UNIT_WHEELS = WheelGeometry(1.0, 1.0)
+Predictions = list[tuple[Record, FloatArray]]
+"""Records with a pose, each with the body's twist (K, 2) v [m/s], omega [rad/s] as predicted from the commands."""
+
 
 @dataclass(frozen=True)
 class PoseDrift:
@@ -135,11 +141,6 @@ def _drift_after(
     return PoseDrift(horizon, float(rmse[0]), float(rmse[1]), float(mean_size[0]), float(mean_size[1]), len(size))
 
 
-_LEVER_ARM = ("lever_arm_ahead", "lever_arm_left")
-# Wheels that an odometry without wheel speeds might have had: its twist is theirs by definition.
-_UNIT_WHEELS = WheelGeometry(1.0, 1.0)
-
-
 @dataclass(frozen=True)
 class PoseResults:
     """What was found from poses.
@@ -178,9 +179,6 @@ class PosePoint(NamedTuple):
     lag: float = 0.0
     """By how much poses are late [s]."""
 
-
-Predictions = list[tuple[Record, FloatArray]]
-"""Records with a pose, each with the body's twist (K, 2) v [m/s], omega [rad/s] as predicted from the commands."""
 
 NO_POSES = PoseResults(ParameterEstimate((), np.empty(0), np.empty((0, 0))), (), (), ())
 

@@ -31,7 +31,7 @@ from diffdrive_mpc.models.table import Table
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class IdentificationReport:
     """One identification: what it was made from and what was found. `str` of it is what a person reads first.
 
@@ -50,6 +50,10 @@ class IdentificationReport:
     fitted: Fitted
     poses: PoseResults
     day: date
+
+    def __repr__(self) -> str:
+        """A word: the arrays behind it fill pages."""
+        return f"<IdentificationReport '{self.name}'>"
 
     def __str__(self) -> str:
         """Scores, pose errors, parameters and warnings."""

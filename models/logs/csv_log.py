@@ -32,6 +32,8 @@ from diffdrive_mpc.models.logs.sampling import RawLog, RawStretch, Signal, incre
 from diffdrive_mpc.models.wheels import WheelKinematics
 
 Rows = NDArray[np.intp]
+OWN_FORMAT = "simulate"
+"""The mapping of the logs that `diffdrive-mpc simulate --log` writes; they are recognised by their columns."""
 
 
 @dataclass(frozen=True)
@@ -157,10 +159,6 @@ def fresh_rows(value: FloatArray) -> BoolArray:
         if fresh[i]:
             last = i
     return fresh
-
-
-OWN_FORMAT = "simulate"
-"""The mapping of the logs that `diffdrive-mpc simulate --log` writes; they are recognised by their columns."""
 
 
 def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:

@@ -53,6 +53,8 @@ MAPPINGS = Path(__file__).parent / "mappings"
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Sign = Literal[1, -1]
+SIDES = ("left", "right")
+FOUR_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 class Column(StrictModel):
@@ -108,9 +110,6 @@ class WheelColumn(Column):
 
 
 SignalColumn = LengthColumn | AngleColumn | SpeedColumn | RateColumn | WheelColumn
-
-SIDES = ("left", "right")
-FOUR_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 class _TwistOrWheels(StrictModel):

@@ -17,6 +17,12 @@ _UNITS = {"v": "m/s", "omega": "rad/s"}
 _LEAST_LEFT = 0.5
 """Of the readings, at a lag that counts."""
 _REMEDY = "drive steps of both signs in v and in omega, each for a second or more"
+_SENSORS = {
+    "encoders": ("twist", "fresh_twist", (0, 1)),
+    "gyro": ("yaw_rate", "fresh_yaw_rate", (1,)),
+    "pose": ("pose", "fresh_pose", (0, 1)),
+}
+"""Field, mask, and the channels of the command that the sensor should answer to."""
 
 
 def check_commands(log: str, records: Sequence[Record], settings: CheckSettings) -> list[Finding]:
@@ -140,14 +146,6 @@ def _twist(record: Record) -> FloatArray:
 def _yaw_rate(record: Record) -> FloatArray:
     assert record.yaw_rate is not None and record.fresh_yaw_rate is not None
     return np.where(record.fresh_yaw_rate, record.yaw_rate, np.nan)
-
-
-_SENSORS = {
-    "encoders": ("twist", "fresh_twist", (0, 1)),
-    "gyro": ("yaw_rate", "fresh_yaw_rate", (1,)),
-    "pose": ("pose", "fresh_pose", (0, 1)),
-}
-"""Field, mask, and the channels of the command that the sensor should answer to."""
 
 
 def check_sensors(records: Sequence[Record], settings: CheckSettings) -> tuple[list[Record], list[Finding]]:

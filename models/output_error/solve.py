@@ -28,6 +28,10 @@ from diffdrive_mpc.models.output_error.statistics import (
 _SETTLED = 1e-5
 _ROUNDS = 5
 _EVALUATIONS = 25
+# A level has to lie below the largest command by so many standard deviations.
+_CERTAIN = 2.0
+# Only the level and the gain have to move before the best level shows.
+_TRIAL = 6
 
 
 @dataclass(frozen=True)
@@ -200,11 +204,6 @@ def _covariance(
     error = np.where(np.concatenate(weights) > 0, error, np.nan)
     cuts = np.cumsum([experiment.samples for experiment in experiments])[:-1]
     return sandwich(np.split(jacobian.reshape(*error.shape, -1), cuts), np.split(error, cuts))
-
-
-_CERTAIN = 2.0
-# Only the level and the gain have to move before the best level shows.
-_TRIAL = 6
 
 
 def find_limits(

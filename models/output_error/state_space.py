@@ -12,6 +12,13 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import Experiment
 from diffdrive_mpc.models.output_error.linear_system import AnyArray, delayed
 
+Realisation = tuple[FloatArray, FloatArray, FloatArray]
+"""A (n, n), B (n, m), C (p, n), continuous."""
+# Ridge on the impulse response, part of the inputs' power: held set-points hardly tell neighbouring samples apart.
+_RIDGE = 1e-4
+_FAINT = 0.05
+_REAL = 1e-9
+
 
 @dataclass(frozen=True)
 class LocalStateSpace:
@@ -67,14 +74,6 @@ class LocalStateSpace:
         """The coordinates around the model at `parameters`."""
         A, B, C = self.matrices(parameters)
         return LocalStateSpace(A, B, C), np.zeros_like(parameters)
-
-
-Realisation = tuple[FloatArray, FloatArray, FloatArray]
-"""A (n, n), B (n, m), C (p, n), continuous."""
-
-# Ridge on the impulse response, part of the inputs' power: held set-points hardly tell neighbouring samples apart.
-_RIDGE = 1e-4
-_FAINT = 0.05
 
 
 def impulse_response(experiments: Sequence[Experiment], dead_time: FloatArray, length: int) -> FloatArray:
@@ -156,9 +155,6 @@ def spare_state(A: FloatArray, B: FloatArray, C: FloatArray) -> Realisation:
 def _filled(experiment: Experiment, row: int) -> FloatArray:
     known = np.flatnonzero(experiment.counts[:, row])
     return np.asarray(np.interp(np.arange(experiment.samples), known, experiment.outputs[known, row]))
-
-
-_REAL = 1e-9
 
 
 def distinct_poles(A: FloatArray) -> AnyArray:

@@ -27,6 +27,8 @@ _NEIGHBOURS = 5
 _MEDIAN = 0.6745
 # The scale of spikes is not taken below this part of the residuals.
 _LEAST_SHARE = 0.1
+# Correlations of scores are capped here in the choice of the window: beyond, the window would take in everything.
+_MOST_CORRELATED = 0.97
 
 
 def spike_weights(residuals: Sequence[FloatArray]) -> list[FloatArray]:
@@ -71,10 +73,6 @@ def output_spread(experiments: Sequence[Experiment]) -> FloatArray:
 
 def _median(values: FloatArray) -> float:
     return float(np.median(values)) if len(values) else 0.0
-
-
-# Correlations of scores are capped here in the choice of the window: beyond, the window would take in everything.
-_MOST_CORRELATED = 0.97
 
 
 class Sandwich(NamedTuple):

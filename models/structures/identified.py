@@ -21,6 +21,12 @@ from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 
 # The file carries this many digits: far finer than any standard deviation.
 _DIGITS = 8
+_HEAD = (
+    "# Identified from a log. Gains and damping [-], frequencies and poles [rad/s], times [s], lengths [m], "
+    "twists [m/s, rad/s].\n"
+)
+_PERCENT_DIGITS = 2
+_CORRELATION_DIGITS = 4
 
 
 @dataclass(frozen=True)
@@ -91,14 +97,6 @@ def rounded(value: object) -> Any:  # noqa: ANN401 - numbers in any nesting, as 
     if isinstance(value, (list, tuple, np.ndarray)):
         return [rounded(entry) for entry in value]
     return float(f"{float(value):.{_DIGITS}g}")  # type: ignore[arg-type]
-
-
-_HEAD = (
-    "# Identified from a log. Gains and damping [-], frequencies and poles [rad/s], times [s], lengths [m], "
-    "twists [m/s, rad/s].\n"
-)
-_PERCENT_DIGITS = 2
-_CORRELATION_DIGITS = 4
 
 
 def model_file(

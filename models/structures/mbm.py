@@ -40,6 +40,7 @@ METHOD = (
     "track with them; effective track from the steady yaw gain of the gyro; all records at once, free initial states, "
     "outliers held back"
 )
+_SIDES = (-1, 1, -1, 1)
 
 
 class Motors(StrictModel):
@@ -123,7 +124,6 @@ class MotorsParametrisation:
 
 
 _MOTORS = tuple(Motors.model_fields)
-_SIDES = (-1, 1, -1, 1)
 
 
 def identify_mbm(records: Sequence[Record], wheel_radius: float, *, robust: bool = True) -> IdentifiedModel:

@@ -5,17 +5,18 @@
 
 #include "active_rows.h"
 
-enum { MOST_ROUNDS = 12, PATIENCE = 2, MOST_STALLS = 20, MOST_REFINEMENTS = 3 };
+enum { MOST_ROUNDS = 12, PATIENCE = 2, MOST_STALLS = 20, MOST_REFINEMENTS = 3, FEW = DDMPC_LANES };
 
 #ifdef DDMPC_FLOAT
-#define ROUNDING (R(16.0) * FLT_EPSILON)
+#define EPSILON FLT_EPSILON
 #define NEGLIGIBLE R(1e-3)
 #define STATIONARY R(3e-4)
 #else
-#define ROUNDING (R(16.0) * DBL_EPSILON)
+#define EPSILON DBL_EPSILON
 #define NEGLIGIBLE R(1e-7)
 #define STATIONARY R(1e-8)
 #endif
+#define ROUNDING (R(16.0) * EPSILON)
 
 /* The range of a multiplier on the piece of its row. */
 typedef struct {
@@ -70,18 +71,31 @@ static int survey(ddmpc_rows *rows, int broken[2])
     return sound;
 }
 
-/* Let rows press that are broken and do not press yet. Of each run of rows side by side that are broken on the same
- * side only the worst, since it mostly mends the others; but of hard rows all, if `all`. Returns how many rows are
- * broken, or with `entered` 0 if there is no room for any of them. */
+/* The `most` worst of the rows in `entering` first, as many as there are. */
+static int worst_of(ddmpc_rows *rows, int count, int most)
+{
+    int *entering = rows->entering;
+    for (int i = 0; i < most && i < count; i++)
+        for (int j = i + 1; j < count; j++)
+            if (ddmpc_fabs(rows->now[entering[j]]) > ddmpc_fabs(rows->now[entering[i]])) {
+                const int worse = entering[j];
+                entering[j] = entering[i];
+                entering[i] = worse;
+            }
+    return count < most ? count : most;
+}
+
+/* Let rows press that are broken and do not press yet: all, or the worst of each run of rows side by side that are
+ * broken on the same side, which mostly mends the others, and of these a few. Returns how many rows are broken; with
+ * `entered` 0 if there is no room for any of them. */
 static int enter_broken(ddmpc_rows *rows, int all, int *entered)
 {
     const real *now = rows->now;
     int broken = 0, count = 0, worst = -1;
     for (int row = 0; row <= rows->m; row++) {
         const real beyond = row < rows->m && rows->state[row] == DDMPC_FREE ? now[row] : R(0.0);
-        const int alone = all && row < rows->problem->hard;
-        if (worst >= 0 && (alone || row == rows->problem->hard || !(beyond * now[worst] > R(0.0)))) {
-            if (rows->active + count < rows->most_active)
+        if (worst >= 0 && (all || row == rows->problem->hard || !(beyond * now[worst] > R(0.0)))) {
+            if (count < rows->slots)
                 rows->entering[count++] = worst;
             worst = -1;
         }
@@ -91,6 +105,8 @@ static int enter_broken(ddmpc_rows *rows, int all, int *entered)
         if (worst < 0 || ddmpc_fabs(beyond) > ddmpc_fabs(now[worst]))
             worst = row;
     }
+    const int room = rows->most_active - rows->active;
+    count = worst_of(rows, count, all || room < FEW ? room : FEW);
     for (int i = 0; i < count; i++)
         rows->state[rows->entering[i]] = now[rows->entering[i]] > R(0.0) ? DDMPC_KEPT : -DDMPC_KEPT;
     ddmpc_enter_rows(rows, count);
@@ -153,27 +169,38 @@ static int change_many(ddmpc_rows *rows, int *iterations, real *plan)
     return 0;
 }
 
-/* The way to the maximum of the dual on the active rows into `step`, and how far that is: where a row depends on others,
- * along what moves no plan, without end. `gain` is then how fast it rises. Returns 0 if numbers ran out. */
-static int find_step(ddmpc_rows *rows, real *length, real *gain)
+/* Where a solution that rounding has spoilt would rather be stopped: the row of which least is left beside those before
+ * it. Else the number of active rows. */
+static int find_weak_row(const ddmpc_rows *rows)
 {
-    const int dependent = ddmpc_factorise_rows(rows, 0), slots = rows->slots;
-    real *step = rows->step, largest = R(0.0), rise = R(0.0);
-    *length = R(1.0);
-    *gain = R(0.0);
-    if (dependent < 0)
-        return 0;
-    if (dependent == rows->active) {
-        ddmpc_solve_rows(rows);
-        for (int i = 0; i < rows->active; i++)
-            step[i] = rows->wanted[i] - rows->multiplier[i];
-        return 1;
+    real sum = R(0.0), largest = R(0.0), room = R(0.0), least = R(1.0);
+    int weak = rows->active;
+    for (int i = 0; i < rows->active; i++) {
+        const real size = ddmpc_sqrt(rows->gram[rows->order[i] * (rows->slots + 1)]);
+        largest = ddmpc_max(largest, size);
+        sum += size * ddmpc_fabs(rows->wanted[i]);
+        room = ddmpc_max(room, ddmpc_fabs(ddmpc_room(rows, i)));
     }
-    ddmpc_null_step(rows, dependent);
-    for (int i = 0; i <= dependent; i++)
+    if (EPSILON * largest * sum <= rows->problem->slack + R(0.01) * room)
+        return rows->active;
+    for (int i = 0; i < rows->active; i++) {
+        const real left = R(1.0) / (rows->pivot[i] * rows->pivot[i] * rows->gram[rows->order[i] * (rows->slots + 1)]);
+        if (left < least) {
+            least = left;
+            weak = i;
+        }
+    }
+    return weak;
+}
+
+/* How fast the dual rises along `step`; what is negligible of it becomes zero. */
+static real find_rise(ddmpc_rows *rows)
+{
+    real *step = rows->step, largest = R(0.0), rise = R(0.0);
+    for (int i = 0; i < rows->active; i++)
         largest = ddmpc_max(largest, ddmpc_fabs(step[i]));
-    for (int i = 0; i <= dependent; i++) {
-        const real *gram = rows->gram + rows->order[i] * slots;
+    for (int i = 0; i < rows->active; i++) {
+        const real *gram = rows->gram + rows->order[i] * rows->slots;
         real slope = -ddmpc_room(rows, i);
         if (ddmpc_fabs(step[i]) <= NEGLIGIBLE * largest) {
             step[i] = R(0.0);
@@ -185,12 +212,40 @@ static int find_step(ddmpc_rows *rows, real *length, real *gain)
             slope -= rows->multiplier[i] / rows->problem->slope;
         rise += slope * step[i];
     }
-    if (rise < R(0.0))
-        for (int i = 0; i <= dependent; i++)
-            step[i] = -step[i];
+    return rise;
+}
+
+typedef enum { NO_STEP, TO_THE_TOP, ENDLESS, WEAK } way;
+
+/* The way to the maximum of the dual on the active rows into `step`, and how far that is; where a row depends on others,
+ * or nearly, along what moves no plan. `rise` is how fast the dual rises. NO_STEP if numbers ran out. */
+static way find_step(ddmpc_rows *rows, real *length, real *rise)
+{
+    const int got = ddmpc_factorise_rows(rows, 0);
+    int along = got;
+    if (got < 0)
+        return NO_STEP;
+    if (got == rows->active) {
+        ddmpc_solve_rows(rows);
+        along = find_weak_row(rows);
+        if (along == rows->active) {
+            for (int i = 0; i < rows->active; i++)
+                rows->step[i] = rows->wanted[i] - rows->multiplier[i];
+            *length = R(1.0);
+            return TO_THE_TOP;
+        }
+    }
+    ddmpc_null_step(rows, along);
+    *rise = find_rise(rows);
+    if (*rise < R(0.0))
+        for (int i = 0; i <= along; i++)
+            rows->step[i] = -rows->step[i];
+    *rise = ddmpc_fabs(*rise);
     *length = DDMPC_LARGEST;
-    *gain = ddmpc_fabs(rise);
-    return 1;
+    if (got < rows->active)
+        return ENDLESS;
+    *length = *rise * rows->pivot[along] * rows->pivot[along];
+    return WEAK;
 }
 
 /* The first row whose multiplier leaves its piece within `length` along `step`; -1 if none does. */
@@ -212,34 +267,44 @@ static int find_block(const ddmpc_rows *rows, real *length)
     return block;
 }
 
+/* Whether the rows of a step without end contradict each other, even if each gives way by the slack: only hard rows do. */
+static int contradicts(const ddmpc_rows *rows, real rise)
+{
+    real total = R(0.0);
+    for (int i = 0; i < rows->active; i++) {
+        if (rows->step[i] != R(0.0) && ddmpc_is_soft(rows, i))
+            return 0;
+        total += ddmpc_fabs(rows->step[i]) * tolerance(rows, ddmpc_row_at(rows, i));
+    }
+    return rise > total;
+}
+
 typedef enum { SETTLED, RAN_OUT, UNBOUNDED } outcome;
 
 /* From multipliers on their pieces climb to the maximum of the dual on the active rows, or a part of them. */
 static outcome settle(ddmpc_rows *rows, int *iterations)
 {
     for (;;) {
-        real length, gain, total = R(0.0);
-        if (*iterations >= rows->problem->most_iterations || !find_step(rows, &length, &gain))
+        real length, rise;
+        if (*iterations >= rows->problem->most_iterations)
             return RAN_OUT;
         ++*iterations;
-        const int endless = length > R(1.0);
-        int block = find_block(rows, &length);
-        if (endless && block < 0) {
-            for (int i = 0; i < rows->active; i++)
-                total += ddmpc_fabs(rows->step[i]);
-            if (gain > rows->problem->slack * total)
+        const way next = find_step(rows, &length, &rise);
+        int block = next == NO_STEP ? -1 : find_block(rows, &length);
+        if (block < 0 && next == TO_THE_TOP) {
+            memcpy(rows->multiplier, rows->wanted, (size_t)rows->active * sizeof(real));
+            return SETTLED;
+        }
+        if (block < 0 && next == ENDLESS) {
+            if (contradicts(rows, rise))
                 return UNBOUNDED;
             /* As high everywhere: the other way something blocks. */
             for (int i = 0; i < rows->active; i++)
                 rows->step[i] = -rows->step[i];
             block = find_block(rows, &length);
-            if (block < 0)
-                return RAN_OUT;
         }
-        if (block < 0) {
-            memcpy(rows->multiplier, rows->wanted, (size_t)rows->active * sizeof(real));
-            return SETTLED;
-        }
+        if (block < 0)
+            return RAN_OUT;
         const range piece = piece_of(rows, block);
         const int falls = rows->step[block] < R(0.0), above = ddmpc_is_above(rows, block);
         for (int i = 0; i < rows->active; i++)

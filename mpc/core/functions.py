@@ -11,7 +11,7 @@ from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.core.generate import GeneratedC, generate
 from diffdrive_mpc.mpc.core.library import load_core, load_functions
-from diffdrive_mpc.mpc.problem.terms import Term
+from diffdrive_mpc.mpc.problem.terms import Term, parameter_places
 from diffdrive_mpc.mpc.problem.user_functions import user_output, user_step, user_term
 
 CompiledTerm = tuple[Any, int, bool, int]
@@ -41,11 +41,6 @@ def generated_functions(model: VelocityModel | NonlinearModel, terms: Sequence[T
     return generate(functions, "ddmpc_user", "the user's functions") if functions else None
 
 
-def first_parameters(terms: Sequence[Term]) -> list[int]:
-    """Where the parameters of each term begin among those of all."""
-    return [sum(term.parameters for term in terms[:index]) for index in range(len(terms))]
-
-
 def compile_functions(
     model: VelocityModel | NonlinearModel, terms: Sequence[Term]
 ) -> tuple[tuple[Any, Any] | None, list[CompiledTerm]]:
@@ -67,7 +62,7 @@ def compile_functions(
         return ffi.addressof(library, name)
 
     step_and_output = (address(STEP), address(OUTPUT)) if isinstance(model, NonlinearModel) else None
-    places = zip(terms, first_parameters(terms), strict=True)
+    places = parameter_places(terms)
     return step_and_output, [
-        (address(term_name(index)), term.rows, term.soft, first) for index, (term, first) in enumerate(places)
+        (address(term_name(index)), term.rows, term.soft, places[term.name].start) for index, term in enumerate(terms)
     ]

@@ -8,11 +8,11 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.mpc.core.functions import OUTPUT, STEP, first_parameters, term_name
+from diffdrive_mpc.mpc.core.functions import OUTPUT, STEP, term_name
 from diffdrive_mpc.mpc.core.layout import constant_fields
 from diffdrive_mpc.mpc.core.library import load_core
 from diffdrive_mpc.mpc.problem.constants import Problem
-from diffdrive_mpc.mpc.problem.terms import Term
+from diffdrive_mpc.mpc.problem.terms import Term, parameter_places
 from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
@@ -23,7 +23,7 @@ def sizes_text(problem: Problem, *, single: bool) -> str:
     sizes = problem.sizes
     c_sizes = ffi.new("ddmpc_sizes *", sizes)
     memory = {"reals": lib.ddmpc_reals(c_sizes), "ints": lib.ddmpc_ints(c_sizes)}
-    first = dict(zip((term.name for term in problem.terms), first_parameters(problem.terms), strict=True))
+    first = {name: place.start for name, place in parameter_places(problem.terms).items()}
     places = {f"first_parameter_of_{_identifier(name)}": place for name, place in first.items()}
     lines = [f"#define DDMPC_{name.upper()} {value}" for name, value in {**sizes, **memory, **places}.items()]
     head = ["#ifndef DDMPC_SIZES_H", "#define DDMPC_SIZES_H", "", "#define DDMPC_EXPORT"]
@@ -38,10 +38,8 @@ def constants_text(problem: Problem, functions: str | None) -> str:
             tables.append(_table("real", name, value.ravel()))
         constants.append((name, name if isinstance(value, np.ndarray) else _written(value)))
     sizes = [(name, str(value)) for name, value in problem.sizes.items()]
-    terms = ",\n".join(
-        _term(*term)
-        for term in zip(range(len(problem.terms)), problem.terms, first_parameters(problem.terms), strict=True)
-    )
+    places = parameter_places(problem.terms)
+    terms = ",\n".join(_term(index, term, places[term.name].start) for index, term in enumerate(problem.terms))
     nonlinear = problem.prediction is None
     members = [("step", STEP if nonlinear else "0"), ("output", OUTPUT if nonlinear else "0")]
     defaults = np.array([value for term in problem.terms for value in term.defaults])

@@ -9,13 +9,15 @@ from __future__ import annotations
 import importlib.util
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Literal
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
@@ -142,6 +144,40 @@ def all_terms(configs: Sequence[TermConfig], given: Sequence[Term]) -> tuple[Ter
             "out, or make them residuals"
         )
     return terms
+
+
+def parameter_places(terms: Sequence[Term]) -> dict[str, slice]:
+    """Where the parameters of each term lie among those of all, by name."""
+    ends = list(accumulate((term.parameters for term in terms), initial=0))
+    return {term.name: slice(first, end) for term, (first, end) in zip(terms, pairwise(ends), strict=True)}
+
+
+def checked_parameters(
+    terms: Sequence[Term], samples: int, values: Mapping[str, ArrayLike]
+) -> list[tuple[slice, FloatArray]]:
+    """Places and numbers of stage parameters by name of their term, (p,) or (samples, p).
+
+    Raises
+    ------
+    ConfigError
+        If there is no such term, or the shape is not one of these, or a value is not finite.
+    """
+    places, checked = parameter_places(terms), []
+    for name, value in values.items():
+        where = f"term '{name}'"
+        if name not in places:
+            raise ConfigError(f"{where}: there is none; there are: {', '.join(places) or 'no terms'}")
+        p = places[name].stop - places[name].start
+        try:
+            rows = np.asarray(value, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise ConfigError(f"{where}: its parameters are no numbers") from error
+        if rows.shape not in ((p,), (samples, p)):
+            raise ConfigError(f"{where}: give {p} parameters, or {samples} rows of them (found shape {rows.shape})")
+        if not np.isfinite(rows).all():
+            raise ConfigError(f"{where}: its parameters hold what is no finite number")
+        checked.append((places[name], rows))
+    return checked
 
 
 def _load(config: TermConfig) -> Term:

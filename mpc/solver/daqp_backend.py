@@ -73,7 +73,8 @@ class DaqpBackend:
         """Solve from the multipliers `near`; nothing is found where DAQP refuses the numbers."""
         price = self._weights.soft
         sense = np.where(near > 0, _ACTIVE, np.where(near < 0, _ACTIVE | _LOWER, 0)) | np.where(soft, _SOFT, 0)
-        sense |= np.where(soft & (near != 0) & (np.abs(near) < price), _KEPT, 0)
+        # Begun from soft limits as exceeded, it may end beside the solution and call it solved.
+        sense |= np.where(soft & (near != 0), _KEPT, 0)
         model = daqp.Model()
         flag, _ = model.setup(
             np.array(program.H),

@@ -1,53 +1,67 @@
 """Peers solve the controller's own problem: stage by stage it has the same predictions, cost, limits and solution."""
 
 from dataclasses import asdict
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
-from diffdrive_mpc.mpc.tick import Tick
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from speed_parts import oracle_tick
 
 from diffdrive_mpc.bench.studies.speed.stage import stage_data, stage_problem
 from diffdrive_mpc.bench.studies.speed.subjects.nlp_peer import NlpPeer
-from diffdrive_mpc.models import integrate_pose, load_model
-from diffdrive_mpc.mpc import load_config
-from diffdrive_mpc.mpc.estimation.slip import Slip
-from diffdrive_mpc.mpc.problem import TrackingProblem
+from diffdrive_mpc.models import load_model
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc.sim import make_plant
+from oracle.nonlinear import nonlinear_program
+from oracle.problem import TrackingProblem
 
-DT = 0.0202
-SLIP = Slip(v_offset=0.02, omega_gain=1.04, longitudinal_gain=0.97, yaw_gain=0.85, side_slip=0.08)
 SOFT = {
     "none": {},
-    "twist": {"limits.predicted_v": 0.46, "limits.predicted_omega": 0.5},
+    "twist": {"limits.predicted_v": 0.46, "limits.predicted_omega": 0.45},
     "wheels": {"limits.wheel_speed": 0.55},
     "corridor": {"limits.corridor": 0.031},
 }
+KINDS = {"none": set(), "twist": {0, 1}, "wheels": {2, 3}, "corridor": {4}}
+"""The kinds of soft limit that each case is about, in the order of the problem."""
 
 
-def setting(name, horizon, overrides=None, seed=0):
-    """A problem, one tick of it, and the same for peers."""
-    random = np.random.default_rng(seed)
-    config = load_config("ssm", {"horizon": horizon, **(overrides or {})})
-    model = load_model(name).with_extra_dead_time((0.011, 0.033)).discretise(DT)
-    problem = TrackingProblem(config, model)
-    state = model.settled_state([0.45, 0.4])
-    past = np.array([0.45, 0.4]) + 0.01 * random.standard_normal((model.memory, 2))
-    theta = 0.5 * DT * np.arange(horizon + 1)
-    reference = np.column_stack([np.sin(theta), 1 - np.cos(theta), theta])
-    free = problem.prediction.free_twists(state, past).reshape(-1, 2)
-    tick = Tick(
-        pose=np.array([0.02, -0.03, -0.3 if "limits.corridor" in (overrides or {}) else 0.06]),
-        free_twist=SLIP.gains * (free + SLIP.offset),
-        gains=SLIP.gains,
-        side_slip=SLIP.side_slip,
-        reference=reference,
-        heading=theta + 0.05,
-        feed_forward=np.array([0.5, 0.47]) + 0.02 * random.standard_normal((horizon, 2)),
-        last_command=past[-1],
+def setting(name, horizon, soft="none", seed=0):
+    """A tick of a real drive: what the controller did at it, the oracle's problem, and the same for peers."""
+    # On its way back the robot would track something gentler than its reference.
+    config = load_config("ssm", {"horizon": horizon, "reentry.enabled": False} | SOFT[soft])
+    model = load_model(name).with_extra_dead_time((0.011, 0.033))
+    sampled, controller = model.discretise(config.sample_time), Controller(config, model)
+    plant, reference = make_plant("model:ssm", seed=seed), load_trajectory("circle")
+    # Heading outwards where the corridor is to matter, and while it still does.
+    turned, ticks = (-0.6, 14) if soft == "corridor" else (0.0, 60 + seed % 40)
+    plant.reset(reference.sample([0.0]).pose[0] + [0.0, 0.0, turned])
+    controller.start(reference, plant.time)
+    sent = [np.zeros(2)] * sampled.memory
+    for _ in range(ticks):
+        result = controller.step(plant.time, plant.measure())
+        plant.advance(result.command)
+        sent.append(result.command)
+    # Without the command that the last tick decided.
+    past = np.array(sent[-1 - sampled.memory : -1])
+    return SimpleNamespace(
+        controller=controller,
+        result=result,
+        past=past,
+        problem=TrackingProblem(config, sampled),
+        tick=oracle_tick(controller.program, result.estimate, past),
+        stages=stage_problem(config, sampled),
+        data=stage_data(controller.program, result.estimate, past),
     )
-    return problem, tick, stage_problem(config, model), stage_data(problem, tick, state, SLIP.offset, past)
+
+
+def pressing(it, plan):
+    """The kinds of soft limit that `plan` (N, 2) reaches."""
+    _, values = it.problem.outcome(it.tick, plan[:, :, None])
+    limits = it.problem.soft_limits(values[:, 0, 0])
+    return set(np.flatnonzero(np.abs(values[:, 1:, 0]).max(axis=1) > limits - 1e-6).tolist())
 
 
 def functions(stages):
@@ -58,26 +72,40 @@ def functions(stages):
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=15, deadline=None)
 def test_stages_lead_to_the_predicted_twists_and_poses(name, seed):
-    problem, tick, stages, (z, parameters) = setting(name, 8, seed=seed)
+    it = setting(name, 8, seed=seed)
+    z, parameters = it.data
     plan = np.random.default_rng(seed).uniform(-1, 1, (8, 2))
-    twist = tick.free_twist + tick.gains * (problem.prediction.from_plan @ plan.ravel()).reshape(-1, 2)
-    step, *_, soft_values = functions(stages)
-    n, pose = problem.model.order, tick.pose
+    twist = it.problem.twists(it.tick, plan[:, :, None])
+    poses = it.problem.poses(it.tick, twist)[:, :, 0]
+    _, soft = it.problem.outcome(it.tick, plan[:, :, None])
+    step, *_, soft_values = functions(it.stages)
+    n = it.problem.model.order
     for k, u in enumerate(plan):
         z = np.array(step(z, u, parameters[k])).ravel()
-        v, omega = (twist[k] + twist[k + 1]) / 2
-        pose = integrate_pose(pose, v, omega, DT, tick.side_slip)
-        np.testing.assert_allclose(z[n : n + 3], pose, atol=1e-12)
+        np.testing.assert_allclose(z[n : n + 3], poses[k + 1], atol=1e-12)
         np.testing.assert_allclose(z[-2:], u)
         values = np.array(soft_values(z, parameters[k + 1])).ravel()
-        np.testing.assert_allclose(values[:4], problem.twist_rows(tick.gains) @ twist[k + 1], atol=1e-12)
+        np.testing.assert_allclose(values, soft[:, k + 1, 0], atol=1e-12)
+        np.testing.assert_allclose(values[:2], twist[k + 1, :, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["ssm", "sm", "mbm"])
+def test_stages_lead_to_the_poses_that_the_controller_plans(name):
+    it = setting(name, 8)
+    z, parameters = it.data
+    step, *_ = functions(it.stages)
+    n = it.problem.model.order
+    for k, u in enumerate(it.result.planned_commands):
+        z = np.array(step(z, u, parameters[k])).ravel()
+        np.testing.assert_allclose(z[n : n + 3], it.result.plan[k + 1], atol=1e-12)
 
 
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=10, deadline=None)
 def test_the_cost_of_any_plan_is_that_of_the_controllers_problem(seed):
-    problem, tick, stages, (z, parameters) = setting("sm", 6, SOFT["wheels"], seed)
-    plan = np.random.default_rng(seed).uniform(-1, 1, (6, 2))
+    it = setting("sm", 6, "wheels", seed)
+    z, parameters = it.data
+    stages, plan = it.stages, np.random.default_rng(seed).uniform(-1, 1, (6, 2))
     step, tracking, effort, soft_values = functions(stages)
     cost = 0.0
     for k, u in enumerate(plan):
@@ -87,8 +115,9 @@ def test_the_cost_of_any_plan_is_that_of_the_controllers_problem(seed):
         cost += (stages.terminal if k == 5 else 1.0) * stages.tracking_weights @ error**2 / 2
         over = np.maximum(np.abs(np.array(soft_values(z, parameters[k + 1])).ravel()) - parameters[k + 1, 11:], 0)
         cost += stages.soft * over.sum() + stages.soft_quadratic * (over**2).sum() / 2
-    program, bounds = problem.nonlinear_program(tick)
+    program, bounds = nonlinear_program(it.problem, it.tick)
     evaluate = ca.Function("program", [program["x"]], [program["f"], program["g"]])
+    # After the increments.
     soft_rows = slice(12, None)
     g = np.array(evaluate(np.concatenate([plan.ravel(), np.zeros(60)]))[1]).ravel()[soft_rows]
     over = np.maximum(g - bounds["ubg"][soft_rows], 0)
@@ -107,23 +136,24 @@ def test_the_cost_of_any_plan_is_that_of_the_controllers_problem(seed):
     ],
 )
 def test_a_peers_solution_is_that_of_the_controllers_problem(plugin, options, name, soft):
-    problem, tick, stages, data = setting(name, 12, SOFT[soft])
-    program, bounds = problem.nonlinear_program(tick)
+    it = setting(name, 12, soft)
+    program, bounds = nonlinear_program(it.problem, it.tick)
     reference = ca.nlpsol(
         "reference", "ipopt", program, {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
     )
-    start = np.concatenate([tick.feed_forward.ravel(), np.zeros(120)])
-    expected = np.array(reference(x0=start, **bounds)["x"]).ravel()[:2]
+    start = np.concatenate([it.tick.feed_forward.ravel(), np.zeros(120)])
+    found = np.array(reference(x0=start, **bounds)["x"]).ravel()
     assert reference.stats()["success"]
-    peer = NlpPeer(asdict(stages), {"plugin": plugin, "options": options}, None)
-    peer.reset(*data)
-    command = peer.solve(*data)
+    assert pressing(it, found[:24].reshape(-1, 2)) <= KINDS[soft], "nothing else may press"
+    assert bool(pressing(it, found[:24].reshape(-1, 2))) == (soft != "none"), "the case must exercise its limits"
+    peer = NlpPeer(asdict(it.stages), {"plugin": plugin, "options": options}, None)
+    peer.reset(*it.data)
+    command = peer.solve(*it.data)
     assert peer.report().solved
-    np.testing.assert_allclose(command, expected, atol=1e-5)
+    np.testing.assert_allclose(command, found[:2], atol=1e-5)
 
 
 def test_a_last_command_that_is_not_on_its_way_is_refused():
-    problem, tick, _, _ = setting("ssm", 5)
-    past = np.zeros((problem.model.memory, 2))
+    it = setting("ssm", 5)
     with pytest.raises(ValueError, match="last command"):
-        stage_data(problem, tick, np.zeros(problem.model.order), np.zeros(2), past)
+        stage_data(it.controller.program, it.result.estimate, np.zeros_like(it.past))

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diffdrive_mpc.bench.studies.speed.results import (
-    Measured,
     Missing,
     SpeedRecord,
     SpeedResults,
@@ -32,7 +31,7 @@ META = {
 
 def measured(solver, horizon, whole, inside=1e-4, model="ssm"):
     times = np.full((2, 4), whole)
-    record = SpeedRecord(
+    return SpeedRecord(
         solver=solver,
         model=model,
         horizon=horizon,
@@ -50,9 +49,9 @@ def measured(solver, horizon, whole, inside=1e-4, model="ssm"):
         build_s=0.1,
         memory_bytes=5e7,
         memory_growth_bytes=1e6,
+        whole=times,
         **time_statistics(times, np.full((2, 4), inside)),
     )
-    return Measured(record, times)
 
 
 def results():

@@ -117,7 +117,7 @@ def solve(p, warm=None, number="double", slack=1e-6, most_iterations=2000, most_
 
     held = [given_as(a) for a in (factor, minimiser, p.A, p.lower, p.upper, [p.price, p.slope, slack])]
     # Garbage, which nobody may read.
-    reals, at_reals = given_as(np.full(functions.ddmpc_limited_reals(n, m, most_active), np.nan))
+    _reals, at_reals = given_as(np.full(functions.ddmpc_limited_reals(n, m, most_active), np.nan))
     ints = np.full(functions.ddmpc_limited_ints(n, m, most_active), 2**30, dtype=np.intc)
     multipliers, at_multipliers = given_as(np.zeros(m) if warm is None else warm.copy())
     plan, at_plan = given_as(np.zeros(n))
@@ -172,12 +172,45 @@ def random_problem(rng, n, m, hard_share=0.5, tight=1.0):
         A[m // 3] = A[0] - A[1]
     middle = A @ rng.normal(size=n)
     width = tight * rng.exponential(size=(2, m))
-    return Problem(H, rng.normal(size=n) * 3, A, middle - width[0], middle + width[1], int(round(hard_share * m)),
+    return Problem(H, rng.normal(size=n) * 3, A, middle - width[0], middle + width[1], round(hard_share * m),
                    price=float(10 ** rng.uniform(-1, 1.5)), slope=float(10 ** rng.uniform(-1, 2)))  # fmt: skip
 
 
+def robot_problem(rng, steps, extra=0, tight=1.0):
+    """Boxes on two inputs, their increments, and soft limits on what lagging outputs do with them, as in the tick.
+
+    A box on u[k], one on u[k + 1] and one on their difference depend on each other.
+    """
+    N, n = steps, 2 * steps
+    index = np.arange(N)
+    lags = rng.uniform(0.5, 0.95, 2)
+    responses = [np.tril((1 - lag) * lag ** np.abs(index[:, None] - index)) for lag in lags]
+    v, omega = np.zeros((N, n)), np.zeros((N, n))
+    v[:, 0::2], omega[:, 1::2] = responses
+    omega[:, 0::2] = 0.05 * responses[0]
+    heading = np.cumsum(omega, axis=0) * 0.05
+    across = np.cumsum(heading * rng.uniform(0.2, 1), axis=0) * 0.05
+    along = np.cumsum(v, axis=0) * 0.05
+    unit = np.eye(n)
+    difference = unit - np.eye(n, k=-2)
+    users = [np.tril(rng.normal(size=(N, N))) @ (v + omega) * 0.1 for _ in range(extra)]
+    soft = [v, omega, v + 0.3 * omega, v - 0.3 * omega, across, *users]
+    A = np.concatenate([unit[0::2], unit[1::2], difference[0::2], difference[1::2], *soft])
+    stack = np.concatenate([10 * along, 10 * across, 2 * heading])
+    H = stack.T @ stack + 0.05 * unit + 0.3 * difference.T @ difference
+    wanted = np.repeat(rng.normal(size=(N // 10 + 1, 2)) * [1.0, 1.5], 10, axis=0)[:N].ravel()
+    g = -H @ wanted + 0.1 * rng.normal(size=n)
+    limit = np.repeat([0.8, 1.0, 0.1, 0.15, 0.75, 0.9, 0.7, 0.7, 0.05, *[0.3] * extra], N) * tight
+    middle = np.zeros(len(A))
+    last = rng.uniform(-0.8, 0.8, 2) * tight
+    middle[2 * N], middle[3 * N] = last
+    offsets = np.repeat(0.1 * rng.normal(size=5 + extra), N)
+    middle[4 * N :] = offsets * tight
+    return Problem(H, g, A, middle - limit, middle + limit, 4 * N)
+
+
 def with_daqp(p):
-    m, n = p.A.shape
+    m = len(p.A)
     model = daqp.Model()
     sense = np.zeros(m, dtype=np.intc)
     sense[p.hard :] = 8

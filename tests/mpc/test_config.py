@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from diffdrive_mpc.mpc.bounds import clip_command, command_box
-from hypothesis import given
-from hypothesis import strategies as st
 from pydantic import BaseModel
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.mpc import load_config
-from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.sim import make_plant
 
 
 @pytest.mark.parametrize("name", ["mbm", "sm", "ssm"])
@@ -74,19 +72,21 @@ def test_a_model_file_is_found_beside_the_configuration(tmp_path):
     assert load_config(tmp_path / "c.yaml").model == str(tmp_path / "mine.yaml")
 
 
-numbers = st.floats(-100, 100)
-
-
-@given(st.tuples(numbers, numbers), st.tuples(st.floats(-3, 3), st.floats(-4, 4)))
-def test_clipped_commands_respect_slew_always_and_range_as_soon_as_slew_allows(command, last):
-    limits, dt = Limits(), 0.02
-    slew, bound = (limits.v_slew * dt, limits.omega_slew * dt), (limits.v, limits.omega)
-    clipped = clip_command(list(command), limits, dt, np.array(last))
-    for value, before, step, most in zip(clipped, last, slew, bound, strict=True):
-        assert abs(value - before) <= step + 1e-12
-        assert abs(value) <= max(most, abs(before) - step) + 1e-12
-
-
-def test_the_box_closes_at_the_slew_limit():
-    box = command_box(Limits(v=0.5), 0.1, np.array([1.0, 0.0]), 4)
-    assert box[:, 0] == pytest.approx([0.8, 0.6, 0.5, 0.5])
+def test_a_range_tightened_below_the_last_command_is_reached_at_the_slew_limit():
+    controller = Controller(load_config("ssm", {"limits.v_slew": 0.5, "limits.omega_slew": 1.0}))
+    plant, reference = make_plant("model:ssm", seed=0), load_trajectory("circle")
+    plant.reset(reference.sample([0.0]).pose[0])
+    controller.start(reference, plant.time)
+    commands = []
+    for k in range(160):
+        if k == 100:
+            controller.update(limits={"v": 0.3})
+        commands.append(controller.step(plant.time, plant.measure()).command)
+        plant.advance(commands[-1])
+    v, step = np.array(commands)[:, 0], 0.5 * controller.config.sample_time
+    assert v[99] > 0.4, "the range must be tightened below the last command"
+    steps = np.abs(np.diff(np.array(commands), axis=0, prepend=np.zeros((1, 2))))
+    assert (steps <= np.array([0.5, 1.0]) * controller.config.sample_time + 1e-9).all()
+    due = np.maximum(v[99] - step * np.arange(1, 61), 0.3)
+    assert (v[100:] <= due + 1e-9).all()
+    assert v[-1] == pytest.approx(0.3, abs=1e-3)

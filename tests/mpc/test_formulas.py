@@ -6,22 +6,16 @@ import casadi as ca
 import cffi
 import numpy as np
 import pytest
-from diffdrive_mpc.mpc.belief import Belief
-from diffdrive_mpc.mpc.feed_forward import FeedForward
-from diffdrive_mpc.mpc.kalman import SlipFilter
-from diffdrive_mpc.mpc.lean import lean
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from diffdrive_mpc.models import integrate_pose, load_model
+from diffdrive_mpc.models import integrate_pose
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.pose import linearised_arc
-from diffdrive_mpc.mpc import load_config, load_trajectory
-from diffdrive_mpc.mpc.config.schema import Weights
+from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.core.generate import generate, generate_formulas
 from diffdrive_mpc.mpc.estimation.slip import Slip
-from diffdrive_mpc.mpc.problem import TrackingProblem
 from diffdrive_mpc.mpc.problem.formulas import formulas
 from diffdrive_mpc.mpc.problem.user_functions import user_output, user_step, user_term
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
@@ -111,28 +105,6 @@ def as_column(slip):
     return np.array([slip.v_offset, slip.omega_gain, slip.longitudinal_gain, slip.yaw_gain, slip.side_slip])
 
 
-class Filter:
-    """The estimator's present Python at one state."""
-
-    def __init__(self, y, slip, gyro_bias, pose):
-        config = load_config("ssm")
-        self.model = load_model("ssm").discretise(config.sample_time)
-        self.filter = SlipFilter(self.model, config.estimator, config.compensation, 1.3)
-        state = np.linalg.solve(self.model.C, y)
-        self.mean = np.concatenate([state, as_column(slip), [gyro_bias], pose])
-
-
-@given(argument(FORMULAS["twist"], 0), slips, argument(FORMULAS["errors"], 0), st.floats(-0.1, 0.1))
-def test_the_body_s_twist_and_its_gradient_are_the_filter_s(y, slip, pose, bias):
-    now = Filter(y, slip, bias, pose)
-    twist, gradient = call(FORMULAS["twist"], [y, as_column(slip)])
-    assert twist == pytest.approx(now.filter.twist(now.mean), abs=1e-12)
-    expected = now.filter._twist_gradient(now.mean, now.model.C)
-    n = now.model.order
-    assert gradient[:, :2] @ now.model.C == pytest.approx(expected[:, :n], abs=1e-12)
-    assert gradient[:, 2:] == pytest.approx(expected[:, n : n + 5], abs=1e-12)
-
-
 @given(arguments(FORMULAS["move"]))
 def test_the_move_is_the_arc_of_the_body(values):
     y, slip, theta, dt = values
@@ -148,22 +120,6 @@ def test_the_move_is_the_arc_of_the_body(values):
     assert gradient[:, 7] == pytest.approx(by_pose[:, 2] - [0, 0, 1], abs=1e-12)
 
 
-@given(argument(FORMULAS["sensors"], 0), slips, st.floats(-0.1, 0.1), argument(FORMULAS["errors"], 0))
-def test_the_sensors_read_what_the_filter_corrects_with(y, slip, bias, pose):
-    now = Filter(y, slip, bias, pose)
-    sensed, gradient = call(FORMULAS["sensors"], [y, as_column(slip), [bias], [1.3]])
-    size = now.mean.size
-    belief = Belief(now.mean, np.eye(size))
-    corrections = [now.filter.correct_wheel_speed, now.filter.correct_wheel_yaw_rate, now.filter.correct_yaw_rate]
-    n = now.model.order
-    rows = np.zeros((3, size))
-    rows[:, :n], rows[:, n : n + 6] = gradient[:, :2] @ now.model.C, gradient[:, 2:]
-    for correct, reading, row in zip(corrections, sensed, rows, strict=True):
-        # What was expected leaves no innovation; with a covariance of 1 its variance tells the gradient's length.
-        assert correct(belief, reading, 1.0)[1] == pytest.approx(0.0, abs=1e-20)
-        assert correct(belief, reading + 0.1, 1.0)[1] == pytest.approx(0.01 / (row @ row + 1), abs=1e-12)
-
-
 @given(arguments(FORMULAS["arc"]))
 def test_the_prediction_s_arc_is_the_same(values):
     theta, v, omega, side_slip, dt = (value[0] for value in values)
@@ -171,15 +127,6 @@ def test_the_prediction_s_arc_is_the_same(values):
     after, by_pose, by_twist = linearised_arc(np.array([0, 0, theta]), v, omega, dt, side_slip)
     assert moved == pytest.approx(after[:2], abs=1e-12)
     assert gradient == pytest.approx(np.column_stack([by_twist[:2, :2], by_pose[:2, 2]]), abs=1e-12)
-
-
-@given(arguments(FORMULAS["aim"]))
-def test_the_aim_is_that_of_the_lean(values):
-    pose, twist, side_slip, along, heading = values
-    (aim,) = call(FORMULAS["aim"], values)
-    weights = Weights(along=along[0], heading=heading[0])
-    expected, held = lean(pose[None], twist[None], side_slip[0], weights)
-    assert aim == pytest.approx([*expected[0], held[0]], abs=1e-12)
 
 
 @pytest.mark.parametrize("twist", [(0.0, 0.0), (0.0, 0.5), (0.5, 0.0)])
@@ -192,18 +139,6 @@ def test_an_aim_that_costs_nothing_stays_on_the_reference(twist, weights):
         assert aim[:3] == pytest.approx([1, 2, 0.3], abs=1e-15)
 
 
-@given(slips, st.floats(0.05, 1.5), st.floats(-2, 2))
-def test_the_feed_forward_is_the_present_one_and_keeps_the_twist_that_is_wanted(slip, v, omega):
-    model = load_model("ssm")
-    feed_forward = FeedForward(model, 0.02, 1)
-    wanted = np.array([v, omega])
-    steady = np.tile(wanted, (feed_forward.samples, 1))
-    (command,) = call(FORMULAS["feed_forward"], [wanted, as_column(slip), feed_forward.inverse_gain.ravel(order="F")])
-    assert command == pytest.approx(feed_forward.commands(steady, slip)[0], abs=1e-12)
-    reached, _ = call(FORMULAS["twist"], [model.dc_gain @ command, as_column(slip)])
-    assert reached == pytest.approx(wanted, abs=1e-12)
-
-
 @given(arguments(FORMULAS["errors"]))
 def test_errors_have_the_length_of_the_distance(values):
     pose, _, _, reference, _ = values
@@ -213,20 +148,6 @@ def test_errors_have_the_length_of_the_distance(values):
     left = np.array([-tangent[1], tangent[0]])
     assert reference[:2] + along * tangent + across * left == pytest.approx(pose[:2], abs=1e-12)
     assert heading == pytest.approx(pose[2] - reference[3], abs=1e-15)
-
-
-@given(arguments(FORMULAS["soft"]))
-def test_soft_limits_act_on_what_the_problem_limits(values):
-    pose, twist, command, reference, parameters = values
-    limited, _ = call(FORMULAS["soft"], values)
-    config = load_config("ssm")
-    problem = TrackingProblem(config, load_model("ssm").discretise(config.sample_time))
-    parameters = np.append(parameters[:5], 0.5 * config.wheels.track)
-    limited, _ = call(FORMULAS["soft"], [pose, twist, command, reference, parameters])
-    gains = Slip(*parameters[:5]).gains
-    assert limited[:4] == pytest.approx(problem.twist_rows(gains) @ twist, abs=1e-12)
-    errors, _ = call(FORMULAS["errors"], [pose, twist, command, reference, []])
-    assert limited[4] == pytest.approx(errors[1], abs=1e-15)
 
 
 def test_without_slip_the_wheels_differ_by_the_turn_of_the_track():

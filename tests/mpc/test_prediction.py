@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from diffdrive_mpc.mpc.prediction import build_prediction
 from hypothesis import given
 from hypothesis import strategies as st
 
 from diffdrive_mpc.models import load_model
+from diffdrive_mpc.mpc.problem.prediction import build_prediction
 
 SSM = load_model("ssm")
 

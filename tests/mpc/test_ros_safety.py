@@ -10,7 +10,8 @@ from ros_parts import CONFIG, DT, stack
 from std_srvs.srv import Trigger
 
 from diffdrive_mpc.mpc.ros.control_loop import LoopState
-from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
+from diffdrive_mpc.mpc.solver.backend import Solved
+from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.step_result import Mode
 
 LIMITS = CONFIG.limits
@@ -132,12 +133,17 @@ def test_a_single_jump_is_ignored_and_a_lasting_one_stops_it_first():
         assert_smooth(np.vstack([carried, standing, onward]))
 
 
+class FailingBackend:
+    def solve(self, program, kinds, guess, multipliers):
+        return Solved(guess, 0 * multipliers, SolverStatus.MAX_ITERATIONS)
+
+
 def test_solver_failures_end_in_braking(monkeypatch):
     with stack(drive=True) as s:
         before = s.base.run(30)
-        failed = SolverReport(SolverStatus.MAX_ITERATIONS)
-        planner = s.node._controller._planner
-        monkeypatch.setattr(planner, "plan", lambda *_: (None, failed))
+        controller = s.node._controller
+        controller._tick._constants[0].forced = 1
+        monkeypatch.setattr(controller, "_backend", FailingBackend())
         reused = s.base.run(CONFIG.failure.max_reused_ticks)
         assert s.loop.last.mode == Mode.REUSED_PLAN
         braking = s.base.run(BRAKING + 1)

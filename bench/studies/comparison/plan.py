@@ -16,9 +16,6 @@ from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.sweep import sweep_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
 
-_ONLY_OURS = ("models", "config", "settings", "horizons")
-"""What a peer takes none of."""
-
 
 class ComparisonSettings(StrictModel):
     """What is compared: beside what stands here the values of every dimension, under its name in the plural."""
@@ -67,10 +64,7 @@ def read_options(
     horizons, config, settings, quick
         As typed.
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError, ValueError
-        If an option cannot be used.
+    Raises ConfigError or ValueError if an option cannot be used.
     """
     default = default_settings()
     given = {one: text for one in DIMENSIONS if (text := values.get(one.several)) is not None}
@@ -124,11 +118,8 @@ class CasePlan:
 def plan_cases(settings: ComparisonSettings) -> CasePlan:
     """List the cases, after a check that everything they name exists and can be used.
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError, ValueError
-        If a value of a dimension or of the configuration cannot be used, or two values would have the same name in
-        tables and figures.
+    Raises ConfigError or ValueError if a value of a dimension or of the configuration cannot be used, or two values
+    would have the same name in tables and figures.
     """
     controllers, models = settings.values("controllers"), settings.values("models")
     unknown = [name for name in controllers if name not in CONTROLLERS]

@@ -35,10 +35,8 @@ def simulate_one(
     config, settings, out, log
         As typed.
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError, ValueError, OSError
-        If a name, a file, a value or a place to write to cannot be used; before the run, and nothing is made then.
+    Raises ConfigError, ValueError or OSError if a name, a file, a value or a place to write to cannot be used; before
+    the run, and nothing is made then.
     """
     name, model = values["controller"], values["model"]
     if name in PEERS and (settings or config is not None or model is not None):

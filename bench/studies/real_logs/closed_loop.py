@@ -21,6 +21,7 @@ from diffdrive_mpc.sim import make_plant, simulate
 
 SURFACE = "surface.yaml"
 FILES = (*IDENTIFIED, SURFACE)
+TRAJECTORIES = ("circle", "square", "s", "cane")
 
 
 def write_robot_files(proof: Proof, folder: Path) -> None:
@@ -41,9 +42,6 @@ def surface(proof: Proof) -> str:
         f"  longitudinal_gain: {travel:.5g}   # true forward speed over that of the encoders\n"
         "  side_slip: 0.0   # s, not identified: poses cannot tell it from the sensor's place ahead\n"
     )
-
-
-TRAJECTORIES = ("circle", "square", "s", "cane")
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,8 @@ from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.sm import identify_sm
 
+_FEWEST_READINGS = 20
+
 
 class Stated(StrictModel):
     """Figures that stand beside a log."""
@@ -67,9 +69,6 @@ class Protocol(StrictModel):
 def load_protocol() -> Protocol:
     """Read `protocol.yaml`; raises ConfigError on a mistake in it."""
     return load_checked(Protocol, Path(__file__).with_name("protocol.yaml"))
-
-
-_FEWEST_READINGS = 20
 
 
 @dataclass(frozen=True)

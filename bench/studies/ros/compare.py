@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,12 +66,8 @@ def compare(case: Case, *, lock_step: bool = True, timeout: float = 300.0) -> Co
     timeout
         Longest time that the drive over DDS may take [s].
 
-    Raises
-    ------
-    bench.studies.ros.two_processes.DriveFailedError
-        If a process fails or takes too long.
-    models.checked_yaml.ConfigError
-        If a name or a file cannot be used, or the drive is not complete.
+    Raises DriveFailedError if a process fails or takes too long; ConfigError if a name or a file cannot be used, or the
+    drive is not complete.
     """
     controller, plant, reference = build(case)
     with tempfile.TemporaryDirectory() as folder:
@@ -84,17 +80,14 @@ def compare(case: Case, *, lock_step: bool = True, timeout: float = 300.0) -> Co
 
 def comparison_table(comparisons: Sequence[Comparison]) -> Table:
     """Statistics over DDS, in one process, and the one over the other."""
-    rows = []
-    for item in comparisons:
-        for statistic in COMPARED:
-            words, _, unit = statistic.rpartition("_")
-            there, here = (getattr(run.metrics, statistic) for run in (item.over_dds, item.in_process))
-            name = f"{words.replace('_', ' ').replace('rmse', 'RMSE')} [{unit}]"
-            rows.append(
-                (item.case.labels["trajectory"], name, f"{there:.4f}", f"{here:.4f}", f"{item.ratio(statistic):.2f}")
-            )
-    columns = ("trajectory", "error", "over DDS", "one process", "ratio")
-    return Table("Over DDS and in one process", columns, tuple(rows), 2)
+    columns: dict[str, Callable[[tuple[Comparison, str]], str]] = {
+        "over DDS": lambda of: f"{getattr(of[0].over_dds.metrics, of[1]):.4f}",
+        "one process": lambda of: f"{getattr(of[0].in_process.metrics, of[1]):.4f}",
+        "ratio": lambda of: f"{of[0].ratio(of[1]):.2f}",
+    }
+    names = {of: " [".join(of.replace("rmse", "RMSE").rsplit("_", 1)).replace("_", " ") + "]" for of in COMPARED}
+    entries = [((one.case.labels["trajectory"], names[of]), (one, of)) for one in comparisons for of in COMPARED]
+    return Table.of("Over DDS and in one process", ("trajectory", "error"), columns, entries)
 
 
 def timing_table(comparisons: Sequence[Comparison]) -> Table:

@@ -34,10 +34,7 @@ def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
     sample_time
         Of the control loop [s].
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError
-        If the bag cannot be read, no command in it drives, or it ends before the reference does.
+    Raises ConfigError if the bag cannot be read, no command in it drives, or it ends before the reference does.
     """
     with opened(bag) as reader:
         poses = read_topic(reader, bag, "/ground_truth/pose", POSES)
@@ -131,10 +128,7 @@ class LoopTiming:
 def loop_timing(bag: Path, sample_time: float) -> LoopTiming:
     """Times of the drive in a bag that was recorded in real time.
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError
-        If the bag cannot be read or has fewer than two commands after the first odometry.
+    Raises ConfigError if the bag cannot be read or has fewer than two commands after the first odometry.
     """
     with opened(bag) as reader:
         commands = read_topic(reader, bag, "/cmd_vel", COMMANDS)

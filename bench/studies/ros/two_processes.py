@@ -48,10 +48,7 @@ def drive_over_dds(case: Case, duration: float, bag: Path, *, lock_step: bool, t
     timeout
         Longest time that it may take [s].
 
-    Raises
-    ------
-    DriveFailedError
-        If a process fails or takes too long.
+    Raises DriveFailedError if a process fails or takes too long.
     """
     robot = [
         *("robot", "--plant", case.plant, "--surface", case.surface, "--sensors", case.sensors),

@@ -43,10 +43,10 @@ def draw_tails(results: SpeedResults, horizon: int, path: Path) -> None:
     model = results.models[-1]
     with new_figure(path, 6.4, 4.0) as figure:
         axes = figure.add_subplot()
-        shown = [one for one in results.measured if (one.record.model, one.record.horizon) == (model, horizon)]
+        shown = [one for one in results.records if (one.model, one.horizon) == (model, horizon)]
         for one in shown:
-            i = results.solvers.index(one.record.solver)
-            draw_tail(axes, one.whole.ravel(), one.record.solver, colour(i), line_style(i // 7))
+            i = results.solvers.index(one.solver)
+            draw_tail(axes, one.whole.ravel(), one.solver, colour(i), line_style(i // 7))
         axes.axhline(0.01, color="black", linewidth=0.5, alpha=0.5)
         axes.set_xlabel("whole step [ms]")
         axes.set_title(f"{model.upper()}, N = {horizon}")

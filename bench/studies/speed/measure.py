@@ -16,7 +16,7 @@ from diffdrive_mpc.bench.studies.speed.closed_loop_cost import closed_loop_cost
 from diffdrive_mpc.bench.studies.speed.drive import Drive
 from diffdrive_mpc.bench.studies.speed.process.environment import PeerEnvironment
 from diffdrive_mpc.bench.studies.speed.process.subject import Subject, SubjectError, TimedStep
-from diffdrive_mpc.bench.studies.speed.results import Measured, Missing, SpeedRecord, time_statistics
+from diffdrive_mpc.bench.studies.speed.results import Missing, SpeedRecord, time_statistics
 from diffdrive_mpc.bench.studies.speed.settings import SpeedSettings, SubjectSettings
 from diffdrive_mpc.bench.studies.speed.stage import StageProblem, stage_problem
 from diffdrive_mpc.models.interface import FloatArray
@@ -67,7 +67,7 @@ def measure(
     folder: Path,
     core: int | None,
     on_tick: Callable[[], None],
-) -> tuple[list[Measured], list[Missing]]:
+) -> tuple[list[SpeedRecord], list[Missing]]:
     """Measure all subjects of `settings` on `problem`.
 
     Parameters
@@ -173,7 +173,7 @@ def _gaps(one: _Running, converged: Subject, every: int) -> FloatArray:
     return np.array(gaps or [np.full(2, np.nan)])
 
 
-def _measured(one: _Running, gaps: FloatArray) -> Measured:
+def _measured(one: _Running, gaps: FloatArray) -> SpeedRecord:
     drive, problem = one.drive, one.problem
     runs = one.replays or [drive.steps]
     whole = np.array([[step.whole for step in run] for run in runs])
@@ -184,7 +184,7 @@ def _measured(one: _Running, gaps: FloatArray) -> Measured:
         np.array(drive.pose), np.array(drive.twist), command, drive.reference, problem.config, problem.model
     )
     memory = drive.subject.memory()
-    record = SpeedRecord(
+    return SpeedRecord(
         solver=one.name,
         model=problem.name,
         horizon=problem.horizon,
@@ -202,9 +202,9 @@ def _measured(one: _Running, gaps: FloatArray) -> Measured:
         build_s=one.built["build_s"],
         memory_bytes=memory,
         memory_growth_bytes=memory - one.built["before_bytes"],
+        whole=whole,
         **time_statistics(whole, inside),
     )
-    return Measured(record, whole)
 
 
 def _active_share(command: FloatArray, config: ControllerConfig) -> float:

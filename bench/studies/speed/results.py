@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, fields
 
 import numpy as np
 
@@ -16,7 +16,7 @@ GROWTH_FROM = 20
 """Shortest horizon that counts for the growth: below it what does not depend on the horizon prevails."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SpeedRecord:
     """One line of `speed.json`.
 
@@ -45,6 +45,8 @@ class SpeedRecord:
         Steps that were timed, and ticks of the drive.
     build_s, memory_bytes, memory_growth_bytes
         Time to set it up [s]; the largest memory of its process, and by how much it grew since its modules were loaded.
+    whole
+        (repetitions, ticks) times of the whole step [s], for the figure of the tail; not written.
     """
 
     solver: str
@@ -74,10 +76,12 @@ class SpeedRecord:
     build_s: float
     memory_bytes: float
     memory_growth_bytes: float
+    whole: FloatArray = field(repr=False)
 
     def as_json(self) -> dict[str, object]:
         """Plain values; times to the nanosecond."""
-        return {name: round(value, 9) if isinstance(value, float) else value for name, value in asdict(self).items()}
+        written = {of.name: getattr(self, of.name) for of in fields(self) if of.name != "whole"}
+        return {name: round(value, 9) if isinstance(value, float) else value for name, value in written.items()}
 
 
 @dataclass(frozen=True)
@@ -88,14 +92,6 @@ class Missing:
     model: str
     horizon: int
     reason: str
-
-
-@dataclass(frozen=True)
-class Measured:
-    """A record, and the times behind it, (repetitions, ticks) [s], for the figure of the tail."""
-
-    record: SpeedRecord
-    whole: FloatArray
 
 
 def time_statistics(whole: FloatArray, inside: FloatArray) -> dict[str, float]:
@@ -122,7 +118,7 @@ class SpeedResults:
 
     Attributes
     ----------
-    measured, missing
+    records, missing
         In the order of the run.
     core
         The core that everybody ran on; None where a process cannot be bound to one.
@@ -130,15 +126,10 @@ class SpeedResults:
         Processes that ran on the machine before and after.
     """
 
-    measured: tuple[Measured, ...]
+    records: tuple[SpeedRecord, ...]
     missing: tuple[Missing, ...]
     core: int | None = None
     load: tuple[float, float] = (math.nan, math.nan)
-
-    @property
-    def records(self) -> tuple[SpeedRecord, ...]:
-        """All records."""
-        return tuple(one.record for one in self.measured)
 
     @property
     def models(self) -> tuple[str, ...]:

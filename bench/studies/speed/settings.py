@@ -57,10 +57,7 @@ def load_speed_settings(file: Path | None = None, *, quick: bool = False) -> Spe
 def chosen(settings: SpeedSettings, names: Sequence[str] | None) -> SpeedSettings:
     """The settings with some subjects only: those named, and those below a name (`ours` is all three of ours).
 
-    Raises
-    ------
-    models.checked_yaml.ConfigError
-        If a name is unknown.
+    Raises ConfigError if a name is unknown.
     """
     if names is None:
         return settings

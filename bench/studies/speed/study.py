@@ -11,7 +11,7 @@ from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.studies.speed.measure import SpeedProblem, load_problem, measure
 from diffdrive_mpc.bench.studies.speed.process.environment import REQUIREMENTS, PeerEnvironment, peer_environment
 from diffdrive_mpc.bench.studies.speed.process.subject import SubjectError
-from diffdrive_mpc.bench.studies.speed.results import Measured, Missing, SpeedResults
+from diffdrive_mpc.bench.studies.speed.results import Missing, SpeedRecord, SpeedResults
 from diffdrive_mpc.bench.studies.speed.settings import SpeedSettings
 from diffdrive_mpc.bench.studies.speed.tables import detailed_horizon, speed_tables
 from diffdrive_mpc.bench.study import Report, Study
@@ -45,7 +45,7 @@ class SpeedStudy(Study[list[SpeedProblem], SpeedResults]):
         del jobs
         load = os.getloadavg()[0]
         core = max(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
-        measured: list[Measured] = []
+        records: list[SpeedRecord] = []
         missing: list[Missing] = []
         bar.begin("preparing the peers", 1)
         environment = self._environment()
@@ -54,11 +54,11 @@ class SpeedStudy(Study[list[SpeedProblem], SpeedResults]):
             for problem in plan:
                 place = Path(scratch) / f"{problem.name}-{problem.horizon}"
                 found, lost = measure(self.settings, problem, environment, place, core, bar.advance)
-                measured += found
+                records += found
                 missing += lost
-        if not measured:
+        if not records:
             raise ValueError(f"no subject could be run; {missing[0].solver}: {missing[0].reason}")
-        return SpeedResults(tuple(measured), tuple(missing), core, (load, os.getloadavg()[0]))
+        return SpeedResults(tuple(records), tuple(missing), core, (load, os.getloadavg()[0]))
 
     def _environment(self) -> PeerEnvironment | SubjectError | None:
         """The peers' environment where it is needed, or why it cannot be had."""
@@ -81,7 +81,7 @@ class SpeedStudy(Study[list[SpeedProblem], SpeedResults]):
         peers = [line.replace("==", " ") for line in lines if line.partition("==")[0] in shown]
         load = {"before": before, "after": after}
         return Report(
-            counted=f"{len(results.measured)} records",
+            counted=f"{len(results.records)} records",
             meta={"load": load, "core": results.core, "peers": peers, "settings": s},
             content=results.as_json(),
             facts=[

@@ -183,10 +183,7 @@ def decompose(outcomes: Sequence[ReducedOutcome]) -> ErrorParts:
     counted as noise, so that both parts are unbiased and the sum stays exact. A single run has no noise to see: all of
     its error counts as repeated.
 
-    Raises
-    ------
-    ValueError
-        If the runs are of different length.
+    Raises ValueError if the runs are of different length.
     """
     lengths = {len(one.time) for one in outcomes}
     if len(lengths) != 1:

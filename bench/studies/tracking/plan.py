@@ -31,13 +31,7 @@ class TrackingPlan:
 
 
 def plan_study(study: TrackingSettings, only: Sequence[str] = PARTS) -> TrackingPlan:
-    """List the cases of some parts of a study.
-
-    Raises
-    ------
-    models.checked_yaml.ConfigError
-        If there is no such part.
-    """
+    """List the cases of some parts of a study; raises ConfigError if there is no such part."""
     check_parts(only, PARTS)
     makers: dict[str, Callable[[TrackingSettings], list[Case]]] = {
         "targets": _targets,

@@ -24,6 +24,15 @@ from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
 from diffdrive_mpc.models.structures.sm import SmFile
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
+METHOD = (
+    "output error (simulation from commands alone) of v and omega of the encoders and omega of the gyro at once, two "
+    "real poles and a dead time for each channel, effects of the base around them; each effect tried in turn and kept "
+    "only if it predicts held-out blocks of the records better; outliers held back"
+)
+# What may well be zero, so that a deviation beside it says nothing.
+_MAY_BE_ZERO = ("dead_time", "encoders.delay", "gyro.offset", "veer")
+_IN_THE_FILE = {"lag": "natural_frequency", "spread": "damping"}
+
 
 @dataclass(frozen=True)
 class IdentifiedBase:
@@ -77,16 +86,6 @@ class IdentifiedBase:
                 for row in range(3)
             ]
         )
-
-
-METHOD = (
-    "output error (simulation from commands alone) of v and omega of the encoders and omega of the gyro at once, two "
-    "real poles and a dead time for each channel, effects of the base around them; each effect tried in turn and kept "
-    "only if it predicts held-out blocks of the records better; outliers held back"
-)
-# What may well be zero, so that a deviation beside it says nothing.
-_MAY_BE_ZERO = ("dead_time", "encoders.delay", "gyro.offset", "veer")
-_IN_THE_FILE = {"lag": "natural_frequency", "spread": "damping"}
 
 
 def identify_with_effects(

@@ -16,6 +16,31 @@ from diffdrive_mpc.models.output_error.experiment import Experiment
 
 Pieces = list[tuple[int, int, int]]
 """Number of an experiment, its samples from and up to."""
+LINEAR = (
+    "gain.v",
+    "gain.omega",
+    "lag.v",
+    "lag.omega",
+    "dead_time.v",
+    "dead_time.omega",
+    "encoders.delay",
+    "encoders.yaw_ratio",
+    "gyro.offset",
+)
+EFFECTS: Mapping[str, tuple[str, ...]] = {
+    "twist slew": ("slew.v", "slew.omega"),
+    "lag of the encoders": ("encoders.lag",),
+    "top speed of the wheels": ("wheels.top_speed",),
+    "steps and coasting of the wheels": ("wheels.resolution", "wheels.coasting"),
+    "yaw relaxation": ("relaxation",),
+    "veer": ("veer",),
+    "different poles": ("spread.v", "spread.omega"),
+}
+"""Parameters of each effect, in the order in which they are tried."""
+_OF_SINGLE_WHEELS = ("top speed of the wheels", "steps and coasting of the wheels")
+_ROUNDS = 2
+_AT_BOUND = 3e-3
+"""Of the range of a parameter."""
 
 
 @dataclass(frozen=True)
@@ -82,33 +107,6 @@ def _powers(model: Tried, data: Weighted) -> FloatArray:
             for part, point in zip(parts, model.points, strict=True)
         ]
     )
-
-
-LINEAR = (
-    "gain.v",
-    "gain.omega",
-    "lag.v",
-    "lag.omega",
-    "dead_time.v",
-    "dead_time.omega",
-    "encoders.delay",
-    "encoders.yaw_ratio",
-    "gyro.offset",
-)
-EFFECTS: Mapping[str, tuple[str, ...]] = {
-    "twist slew": ("slew.v", "slew.omega"),
-    "lag of the encoders": ("encoders.lag",),
-    "top speed of the wheels": ("wheels.top_speed",),
-    "steps and coasting of the wheels": ("wheels.resolution", "wheels.coasting"),
-    "yaw relaxation": ("relaxation",),
-    "veer": ("veer",),
-    "different poles": ("spread.v", "spread.omega"),
-}
-"""Parameters of each effect, in the order in which they are tried."""
-_OF_SINGLE_WHEELS = ("top speed of the wheels", "steps and coasting of the wheels")
-_ROUNDS = 2
-_AT_BOUND = 3e-3
-"""Of the range of a parameter."""
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,7 @@ class PeerEnvironment:
 def peer_environment(folder: Path | None = None) -> PeerEnvironment:
     """The environment in `folder`, by default below the cache folder; made if it is not there.
 
-    Raises
-    ------
-    bench.studies.speed.process.subject.SubjectError
-        If it cannot be made: no package index within reach, or no wheel for this system.
+    Raises SubjectError if it cannot be made: no package index within reach, or no wheel for this system.
     """
     digest = hashlib.sha256(REQUIREMENTS.read_bytes() + sys.version.encode()).hexdigest()[:16]
     folder = (folder or user_folder() / "peers" / digest).resolve()

@@ -84,10 +84,7 @@ class Subject:
     def build(self, problem: object, settings: dict[str, Any], core: int | None) -> dict[str, float]:
         """Make the subject for `problem` and bind it to `core`; time that took and memory before.
 
-        Raises
-        ------
-        SubjectError
-            If it cannot be made.
+        Raises SubjectError if it cannot be made.
         """
         self._answer()
         return dict(self._ask("build", problem, settings, str(self._folder), core))

@@ -1,10 +1,9 @@
-"""The estimator: late data count as if in time, offsets are found, faults are rejected and named."""
+"""The oracle's estimator: late data count as if in time, offsets are found, faults are rejected and named."""
 
 from dataclasses import astuple, fields, replace
 
 import numpy as np
 import pytest
-from diffdrive_mpc.mpc.estimator import StateEstimator
 from hypothesis import given
 from hypothesis import strategies as st
 from ideal_robot import IdealRobot
@@ -14,6 +13,7 @@ from scipy.stats import chi2
 from diffdrive_mpc.models import Measurement, Stamped, integrate_pose, load_model
 from diffdrive_mpc.mpc.config.schema import Compensation, Estimator
 from diffdrive_mpc.mpc.estimation.slip import Slip
+from oracle.estimator import StateEstimator
 
 DT = 0.0202
 MODEL = load_model("ssm").with_extra_dead_time([0.01, 0.03]).discretise(DT)

@@ -1,13 +1,13 @@
-"""The filter's gradients against finite differences of its own predictions."""
+"""The oracle's filter against finite differences of its own predictions, and the textbook."""
 
 import numpy as np
 import pytest
-from diffdrive_mpc.mpc.kalman import Belief, SlipFilter
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from diffdrive_mpc.models import integrate_pose, load_model
 from diffdrive_mpc.mpc.config.schema import Compensation, Estimator
+from oracle.kalman import Belief, SlipFilter
 
 DT = 0.0202
 MODEL = load_model("ssm").with_extra_dead_time([0.01, 0.03]).discretise(DT)
@@ -72,8 +72,8 @@ def test_a_pose_corrects_as_the_textbook_says(mean, ahead):
     root = 0.1 * rng.normal(size=(SIZE, SIZE))
     P, R = root @ root.T, np.diag([1e-4, 2e-4, 3e-4])
     innovation = np.array([0.01, -0.02, 0.03])
-    pose = FILTER.pose_at(Belief(mean, P), ahead) + innovation
-    H = gradient(lambda z: FILTER.pose_at(Belief(z, P), ahead), mean)
+    pose = FILTER.pose(mean, ahead) + innovation
+    H = gradient(lambda z: FILTER.pose(z, ahead), mean)
     S = H @ P @ H.T + R
     gain = P @ H.T @ np.linalg.inv(S)
     corrected, normalised = FILTER.correct_pose(Belief(mean, P), pose, R, ahead)
@@ -95,22 +95,17 @@ def gyro(z):
 
 
 @pytest.mark.parametrize(
-    ("correct", "expected"),
-    [
-        (FILTER.correct_wheel_speed, wheel_speed),
-        (FILTER.correct_wheel_yaw_rate, wheel_yaw_rate),
-        (FILTER.correct_yaw_rate, gyro),
-    ],
+    ("sensor", "expected"), [("wheel_speed", wheel_speed), ("wheel_yaw_rate", wheel_yaw_rate), ("yaw_rate", gyro)]
 )
 @given(mean=means)
-def test_twists_correct_as_the_textbook_says(correct, expected, mean):
+def test_twists_correct_as_the_textbook_says(sensor, expected, mean):
     assume(abs(FILTER.twist(mean)[1]) > 1e-6)
     rng = np.random.default_rng(2)
     root = 0.1 * rng.normal(size=(SIZE, SIZE))
     P, R = root @ root.T, 1e-4
     h = gradient(expected, mean)
     S = h @ P @ h + R
-    corrected, normalised = correct(Belief(mean, P), expected(mean) + 0.05, R)
+    corrected, normalised = FILTER.correct(Belief(mean, P), sensor, expected(mean) + 0.05, R)
     assert corrected.mean == pytest.approx(mean + P @ h / S * 0.05, abs=1e-6)
     assert corrected.covariance == pytest.approx(P - np.outer(P @ h, h @ P) / S, abs=1e-6)
     assert normalised == pytest.approx(0.05**2 / S, rel=1e-4)
@@ -121,7 +116,7 @@ def test_a_surprise_moves_the_robot_and_not_its_slip():
     mean = NEUTRAL.copy()
     mean[:N] = MODEL.settled_state([0.5, 0.5])
     P = np.diag(np.concatenate([np.full(N, 1e-5), np.full(6, 1e-4), np.full(3, 1e-5)]))
-    after, _ = wary.correct_yaw_rate(Belief(mean, P), 2.0, 1e-4)
+    after, _ = wary.correct(Belief(mean, P), "yaw_rate", 2.0, 1e-4)
     assert after.mean[N : N + 6] == pytest.approx(mean[N : N + 6])
     assert wary.twist(after.mean)[1] == pytest.approx(2.0, abs=0.05)
     moved, _ = wary.correct_pose(Belief(mean, P), np.array([0.0, 0.2, 0.0]), 1e-5 * np.eye(3), 0.0)
@@ -137,12 +132,12 @@ def test_a_surprise_that_lasts_is_learned_from_and_a_new_one_is_not():
     belief = Belief(mean, np.diag(np.concatenate([np.full(N, 1e-5), np.full(6, 1e-4), np.full(3, 1e-5)])))
     gains = []
     for _ in range(14):
-        belief, _ = wary.correct_yaw_rate(wary.predict(belief, command, command), 3.0, 1e-6)
+        belief, _ = wary.correct(wary.predict(belief, command, command), "yaw_rate", 3.0, 1e-6)
         gains.append(belief.mean[N + 3])
     assert gains[:10] == pytest.approx([1.0] * 10)
     assert min(gains[10:]) > 1.1
-    calm, _ = wary.correct_yaw_rate(belief, wary.twist(belief.mean)[1] + belief.mean[N + 5], 1e-6)
-    again, _ = wary.correct_yaw_rate(calm, 6.0, 1e-6)
+    calm, _ = wary.correct(belief, "yaw_rate", wary.twist(belief.mean)[1] + belief.mean[N + 5], 1e-6)
+    again, _ = wary.correct(calm, "yaw_rate", 6.0, 1e-6)
     assert again.mean[N + 3] == pytest.approx(calm.mean[N + 3])
 
 
@@ -152,7 +147,7 @@ def test_gains_stay_such_as_a_robot_can_have(value):
     trusting = SlipFilter(MODEL, settings, Compensation(), 1.1)
     mean = NEUTRAL.copy()
     mean[:N] = MODEL.settled_state([0.5, 0.5])
-    belief, _ = trusting.correct_yaw_rate(Belief(mean, np.diag(np.full(SIZE, 10.0))), value, 1e-6)
+    belief, _ = trusting.correct(Belief(mean, np.diag(np.full(SIZE, 10.0))), "yaw_rate", value, 1e-6)
     gains = belief.mean[N + 1 : N + 4]
     assert (gains >= settings.least_gain).all()
     assert (gains <= settings.most_gain).all()

@@ -1,0 +1,223 @@
+"""The tick's nonlinear program once more, for IPOPT: poses by integrals of the twist, penalties by slack variables.
+
+And a way to iterate the controller's real-time iteration at one tick until it no longer changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from diffdrive_mpc import Controller, Measurement, Term
+from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.mpc.step_result import StepResult
+
+# The controller knows that its robot slips in no way: what it aims at is the reference itself.
+NO_SLIP = {"compensation.v_offset": False, "compensation.yaw_gain": False, "compensation.side_slip": False}
+EXACT = {"solver.tolerance": 1e-8, "solver.max_iterations": 50000}
+
+EachTick = Callable[[Controller, float], None]
+"""What is told to the controller before the tick at that time, such as parameters."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What a controller was given tick by tick, so that it can be given it again."""
+
+    times: list[float]
+    measurements: list[Measurement]
+    commands: list[FloatArray]
+
+
+def record(controller: Controller, robot: Any, reference: Reference, ticks: int, each_tick: EachTick) -> Drive:
+    """Drive `robot` for so many ticks."""
+    drive = Drive([], [], [])
+    controller.start(reference, 0.0)
+    for _ in range(ticks):
+        measurement = robot.measure()
+        each_tick(controller, robot.time)
+        result = controller.step(robot.time, measurement)
+        drive.times.append(robot.time)
+        drive.measurements.append(measurement)
+        drive.commands.append(result.command)
+        robot.advance(result.command)
+    return drive
+
+
+def converged(make: Callable[[], Controller], drive: Drive, reference: Reference, each_tick: EachTick) -> StepResult:
+    """The last tick of `drive` with its own plan as the guess, again and again until that changes by less than 1e-9."""
+    guess = None
+    for _ in range(60):
+        controller = make()
+        controller.start(reference, 0.0)
+        for t, measurement in zip(drive.times, drive.measurements, strict=True):
+            each_tick(controller, t)
+            if guess is not None and t == drive.times[-1]:
+                guess_of(controller)[:] = guess.ravel()
+            result = controller.step(t, measurement)
+        assert result.planned_commands is not None, result.message
+        if guess is not None and np.abs(result.planned_commands - guess).max() < 1e-9:
+            return result
+        guess = result.planned_commands
+    raise AssertionError("the iteration does not converge")
+
+
+def guess_of(controller: Controller) -> FloatArray:
+    """(2 N,) the plan along which the next tick is linearised, in place."""
+    tick = controller._tick
+    return tick.view(tick.lib.ddmpc_program_of(tick.c).guess, (2 * controller.config.horizon,))
+
+
+Outputs = Callable[[FloatArray, list[Any], int], list[Any]]
+"""(state, commands of which the last N are the plan, N) to the outputs (2) at the samples 0 to N."""
+
+
+def linear_outputs(model: Any) -> Outputs:
+    """Prediction of a `DiscreteModel`."""
+
+    def outputs(state: FloatArray, line: list[Any], steps: int) -> list[Any]:
+        x = ca.SX(state)
+        found = [model.C @ x]
+        for newest in range(len(line) - steps, len(line)):
+            u, older = ([line[newest - int(model.delay[j]) - i][j] for j in (0, 1)] for i in (0, 1))
+            x = model.A @ x + model.B0 @ ca.vertcat(*u) + model.B1 @ ca.vertcat(*older)
+            found.append(model.C @ x)
+        return found
+
+    return outputs
+
+
+def nonlinear_outputs(model: Any) -> Outputs:
+    """Prediction of a `NonlinearModel`."""
+
+    def outputs(state: FloatArray, line: list[Any], steps: int) -> list[Any]:
+        x = ca.SX(state)
+        found = [model.output(x)]
+        for newest in range(len(line) - steps, len(line)):
+            x = model.step(x, ca.vertcat(*line[newest - model.memory : newest + 1]))
+            found.append(model.output(x))
+        return found
+
+    return outputs
+
+
+def feed_forward(controller: Controller, reference: Reference, t: float) -> FloatArray:
+    """(N, 2) the commands that the reference's twist asks for one lag later, on straight lines between the samples."""
+    dt, model = controller.config.sample_time, controller.model
+    wanted = np.empty((controller.config.horizon, 2))
+    for channel, lag in enumerate(model.lag):
+        at = np.arange(controller.config.horizon) + lag / dt
+        grid = np.arange(int(at[-1]) + 2)
+        wanted[:, channel] = np.interp(at, grid, reference.sample(t + dt * grid).twist[:, channel])
+    return np.asarray(wanted @ np.linalg.inv(model.dc_gain).T)
+
+
+class NonlinearProgram:
+    """That of the last tick of `drive`, which had `result`; the robot has to turn in every sample of the plan."""
+
+    def __init__(
+        self, controller: Controller, result: StepResult, drive: Drive, reference: Reference, outputs: Outputs
+    ) -> None:
+        self.config, self.t = controller.config, drive.times[-1]
+        self.steps, self.dt = self.config.horizon, self.config.sample_time
+        assert result.estimate is not None
+        self.wanted, self.last = feed_forward(controller, reference, self.t), drive.commands[-2]
+        self.plan = [ca.SX.sym(f"u{k}", 2) for k in range(self.steps)]
+        sent = [ca.SX(command) for command in drive.commands[:-1]]
+        self.twists = outputs(result.estimate.state, [*sent, *self.plan], self.steps)
+        self.poses = self._roll_out(result.estimate.pose)
+        path = reference.sample(self.t + self.dt * np.arange(self.steps + 1)).pose
+        # The estimate counts its turns itself.
+        turns = 2 * np.pi * np.round((result.estimate.pose[2] - path[0, 2]) / (2 * np.pi))
+        self.aims = np.column_stack([path[:, :2], path[:, 2:] + turns, path[:, 2:] + turns])
+        self.cost, self.slacks = ca.SX(0), []
+        self.rows: list[Any] = []
+        self.lower: list[float] = []
+        self.upper: list[float] = []
+        for k in range(self.steps):
+            self._add_commands(k)
+            self._add_errors(k)
+
+    def _roll_out(self, start: FloatArray) -> list[Any]:
+        """Integrals of v (cos, sin) over the turn from one heading to the next, with the mean of the twists."""
+        poses = [ca.SX(start)]
+        for before, after in zip(self.twists[:-1], self.twists[1:], strict=True):
+            v, omega = ca.vertsplit(0.5 * (before + after))
+            x, y, theta = ca.vertsplit(poses[-1])
+            turned = theta + self.dt * omega
+            dx, dy = ca.sin(turned) - ca.sin(theta), ca.cos(theta) - ca.cos(turned)
+            poses.append(ca.vertcat(x + v / omega * dx, y + v / omega * dy, turned))
+        return poses
+
+    def _bound(self, row: Any, low: float, high: float) -> None:
+        self.rows.append(row)
+        self.lower.append(low)
+        self.upper.append(high)
+
+    def _bound_softly(self, value: Any, low: Sequence[float], high: Sequence[float]) -> None:
+        w = self.config.weights
+        for row, down, up in zip(ca.vertsplit(value), low, high, strict=True):
+            slack = ca.SX.sym("slack")
+            self.slacks.append(slack)
+            self.cost += w.soft * slack + 0.5 * w.soft_quadratic * slack**2
+            self._bound(row - slack, -np.inf, up)
+            self._bound(row + slack, down, np.inf)
+
+    def _add_commands(self, k: int) -> None:
+        w, limits = self.config.weights, self.config.limits
+        before = self.plan[k - 1] if k else self.last
+        for channel, (weight, increment, most, slew) in enumerate(
+            [
+                (w.v, w.v_increment, limits.v, self.dt * limits.v_slew),
+                (w.omega, w.omega_increment, limits.omega, self.dt * limits.omega_slew),
+            ]
+        ):
+            u = self.plan[k][channel]
+            self.cost += 0.5 * weight * (u - self.wanted[k, channel]) ** 2
+            self.cost += 0.5 * increment * (u - before[channel]) ** 2
+            self._bound(u, -most, most)
+            self._bound(u - before[channel], -slew, slew)
+
+    def _add_errors(self, k: int) -> None:
+        w, limits = self.config.weights, self.config.limits
+        x, y, theta, heading = self.aims[k + 1]
+        pose, (v, omega) = self.poses[k + 1], ca.vertsplit(self.twists[k + 1])
+        along = np.cos(theta) * (pose[0] - x) + np.sin(theta) * (pose[1] - y)
+        across = np.cos(theta) * (pose[1] - y) - np.sin(theta) * (pose[0] - x)
+        scale = w.terminal if k == self.steps - 1 else 1.0
+        squares = w.along * along**2 + w.across * across**2 + w.heading * (pose[2] - heading) ** 2
+        self.cost += 0.5 * scale * squares
+        rim = 0.5 * self.config.wheels.track * omega
+        most = [limits.predicted_v, limits.predicted_omega, limits.wheel_speed, limits.wheel_speed, limits.corridor]
+        self._bound_softly(ca.vertcat(v, omega, v + rim, v - rim, across), [-limit for limit in most], most)
+
+    def add(self, term: Term, parameters: FloatArray) -> None:
+        """A term with its stage parameters (N + 1, p)."""
+        for k in range(1, self.steps + 1):
+            given = {
+                "pose": self.poses[k],
+                "twist": self.twists[k],
+                "command": self.plan[k - 1],
+                "reference": self.aims[k],
+                "parameters": parameters[k],
+            }
+            value = term.function(*(given[name] for name in term.function.name_in()))
+            if term.soft:
+                self._bound_softly(value, *term.bounds)
+            else:
+                self.cost += 0.5 * ca.sumsqr(value)
+
+    def solve(self) -> FloatArray:
+        """(N, 2) IPOPT's plan."""
+        problem = {"x": ca.vertcat(*self.plan, *self.slacks), "f": self.cost, "g": ca.vertcat(*self.rows)}
+        options = {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-11}
+        solver = ca.nlpsol("reference", "ipopt", problem, options)
+        least = np.concatenate([np.full(2 * self.steps, -np.inf), np.zeros(len(self.slacks))])
+        start = np.concatenate([self.wanted.ravel(), np.zeros(len(self.slacks))])
+        solution = solver(x0=start, lbx=least, lbg=self.lower, ubg=self.upper)
+        assert solver.stats()["success"], solver.stats()["return_status"]
+        return np.asarray(solution["x"].full().ravel()[: 2 * self.steps].reshape(self.steps, 2))

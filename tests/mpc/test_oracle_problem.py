@@ -1,0 +1,214 @@
+"""The oracle's problem against IPOPT on the nonlinear program, the sparse formulation, and finite differences."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from diffdrive_mpc.models import load_model
+from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.solver.report import SolverStatus
+from oracle.nonlinear import nonlinear_program
+from oracle.problem import TrackingProblem, roll_out
+from oracle.solver import solve
+from oracle.sparse import solve_sparse
+from oracle.tick import Tick
+
+DT = 0.0202
+EXTRA = (0.011, 0.033)
+
+SOFT = {
+    "none": {},
+    "twist": {"limits.predicted_v": 0.46, "limits.predicted_omega": 0.5},
+    "wheels": {"limits.wheel_speed": 0.55},
+    "corridor": {"limits.corridor": 0.031},
+}
+LIMITS = {
+    "wide": {"limits.corridor": 5.0, "limits.v_slew": 20.0, "limits.omega_slew": 60.0},
+    "hard": {"limits.v": 0.5, "limits.omega": 0.6, "limits.v_slew": 0.5, "limits.omega_slew": 2.0},
+    "soft": {"limits.predicted_omega": 0.5, "limits.corridor": 0.04},
+}
+
+
+def problem(model_name, horizon, **overrides):
+    model = load_model(model_name).with_extra_dead_time(EXTRA).discretise(DT)
+    return TrackingProblem(load_config("ssm", {"horizon": horizon} | overrides), model)
+
+
+def setting(model_name, horizon=15, **overrides):
+    """A robot beside a curve, at speed."""
+    subject = problem(model_name, horizon, **overrides)
+    # Driving outwards where the corridor is to matter.
+    heading = -0.3 if "limits.corridor" in overrides else 0.06
+    theta = 0.5 * DT * np.arange(horizon + 1)
+    aim = np.column_stack([np.sin(theta), 1 - np.cos(theta), theta])
+    past = np.tile([0.45, 0.4], (subject.model.memory, 1))
+    return subject, Tick(
+        pose=np.array([0.02, -0.03, heading]),
+        state=subject.model.settled_state([0.45, 0.4]),
+        slip=Slip(v_offset=0.01, omega_gain=1.05, longitudinal_gain=0.98, yaw_gain=0.9, side_slip=0.1),
+        past=past,
+        last_command=past[-1],
+        aim=aim,
+        heading=aim[:, 2] + 0.05,
+        feed_forward=np.tile([0.5, 0.47], (horizon, 1)),
+    )
+
+
+def random_tick(subject, seed):
+    """A robot somewhere near a curve of random speed, curvature and slip, moving somehow, and a plan for it."""
+    rng, N = np.random.default_rng(seed), subject.steps
+    v, omega = rng.uniform(0.1, 0.6), rng.uniform(-0.8, 0.8)
+    theta = rng.uniform(-3, 3) + omega * DT * np.arange(N + 1)
+    move = v * DT * np.column_stack([np.cos(theta), np.sin(theta)])
+    aim = np.column_stack([np.cumsum(move, axis=0), theta])
+    slip = Slip(*(rng.normal(size=5) * [0.02, 0.05, 0.03, 0.1, 0.05] + [0, 1, 1, 1, 0]))
+    commands = np.array([v, omega]) + 0.05 * rng.normal(size=(subject.model.memory, 2))
+    tick = Tick(
+        pose=aim[0] + rng.normal(size=3) * [0.03, 0.03, 0.1],
+        state=subject.model.settled_state(commands.mean(axis=0)),
+        slip=slip,
+        past=commands,
+        last_command=np.clip(commands[-1], [-0.5, -0.6], [0.5, 0.6]),
+        aim=aim,
+        heading=theta + slip.side_slip * omega,
+        feed_forward=np.tile([v, omega], (N, 1)),
+    )
+    return tick, tick.feed_forward + 0.1 * rng.normal(size=(N, 2))
+
+
+def converge(subject, tick, iterations=30):
+    """Real-time iterations without the robot moving on."""
+    plan = tick.feed_forward
+    for _ in range(iterations):
+        before, answer = plan, solve(subject.quadratic_program(tick, plan))
+        plan = answer.x.reshape(-1, 2)
+        if np.abs(plan - before).max() < 1e-8:
+            return plan, answer
+    raise AssertionError("it does not converge")
+
+
+def ipopt(subject, tick):
+    program, bounds = nonlinear_program(subject, tick)
+    options = {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
+    solver = ca.nlpsol("reference", "ipopt", program, options)
+    start = np.concatenate([tick.feed_forward.ravel(), np.zeros(10 * subject.steps)])
+    solution = np.array(solver(x0=start, **bounds)["x"]).ravel()
+    assert solver.stats()["success"]
+    return solution[: 2 * subject.steps].reshape(-1, 2)
+
+
+@pytest.mark.parametrize("soft", SOFT)
+@pytest.mark.parametrize("model_name", ["ssm", "sm", "mbm"])
+def test_real_time_iterations_converge_to_ipopts_solution(model_name, soft):
+    subject, tick = setting(model_name, **SOFT[soft])
+    plan, answer = converge(subject, tick)
+    assert answer.soft.any() == (soft != "none"), "the case must exercise what it is named for"
+    assert plan == pytest.approx(ipopt(subject, tick), abs=2e-6)
+
+
+@pytest.mark.parametrize("model_name", ["ssm", "mbm"])
+@settings(max_examples=12, deadline=None)
+@given(st.sampled_from(sorted(LIMITS)), st.integers(0, 10_000))
+def test_condensed_and_sparse_have_one_solution(model_name, limits, seed):
+    """They share nothing but the limits: there the dynamics are equations."""
+    subject = problem(model_name, 12, **LIMITS[limits])
+    tick, plan = random_tick(subject, seed)
+    condensed = solve(subject.quadratic_program(tick, plan)).x.reshape(-1, 2)
+    assert solve_sparse(subject, tick, plan) == pytest.approx(condensed, abs=2e-6)
+
+
+def test_the_limits_matter_in_those_problems():
+    pressing = {limits: [] for limits in LIMITS}
+    for limits, found in pressing.items():
+        subject = problem("ssm", 12, **LIMITS[limits])
+        for seed in range(12):
+            answer = solve(subject.quadratic_program(*random_tick(subject, seed)))
+            found.append([answer.hard.any(), answer.soft.any()])
+    assert np.mean(pressing["hard"], axis=0)[0] > 0.5
+    assert np.mean(pressing["soft"], axis=0)[1] > 0.3
+    assert not np.any(pressing["wide"])
+
+
+@given(st.tuples(st.floats(0, 0.1), st.floats(0, 0.1)), st.integers(1, 25), st.integers(0, 1000))
+def test_the_roll_out_is_the_models_simulation(dead_time, horizon, seed):
+    model = load_model("ssm").with_extra_dead_time(dead_time).discretise(DT)
+    rng = np.random.default_rng(seed)
+    state, past, plan = rng.normal(size=model.order), rng.normal(size=(model.memory, 2)), rng.normal(size=(horizon, 2))
+    simulated = model.simulate(np.vstack([plan, plan[-1:]]), state, past)
+    assert roll_out(model, state, past, plan[:, :, None])[:, :, 0] == pytest.approx(simulated, abs=1e-10)
+
+
+def nonlinear_cost(subject, tick):
+    """The cost of a plan without slacks, as a function of the flat plan."""
+    program, _ = nonlinear_program(subject, tick)
+    cost = ca.Function("cost", [program["x"]], [program["f"]])
+    slack = np.zeros(10 * subject.steps)
+    return lambda plan: float(cost(np.concatenate([plan, slack])))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_gradient_agrees_with_finite_differences_of_the_cost(seed):
+    subject, tick = setting("ssm")
+    plan = tick.feed_forward + 0.2 * np.random.default_rng(seed).normal(size=tick.feed_forward.shape)
+    qp = subject.quadratic_program(tick, plan)
+    cost, flat, step = nonlinear_cost(subject, tick), plan.ravel(), 1e-5
+    numeric = [(cost(flat + step * e) - cost(flat - step * e)) / (2 * step) for e in np.eye(len(flat))]
+    assert qp.H @ flat + qp.g == pytest.approx(np.array(numeric), abs=1e-5)
+    residuals, _ = subject.outcome(tick, plan[:, :, None])
+    assert residuals[:, 0] @ residuals[:, 0] / 2 == pytest.approx(cost(flat), rel=1e-12)
+
+
+def test_hessian_is_symmetric_and_positive_definite():
+    subject, tick = setting("ssm")
+    H = subject.quadratic_program(tick, tick.feed_forward).H
+    assert pytest.approx(H.T, abs=1e-9) == H
+    assert np.linalg.eigvalsh(H).min() > 0
+
+
+def test_soft_rows_are_the_gradients_of_what_they_limit():
+    subject, tick = setting("ssm")
+    flat, step = tick.feed_forward.ravel(), 1e-6
+    qp = subject.quadratic_program(tick, tick.feed_forward)
+
+    def values(flat):
+        return subject.outcome(tick, flat.reshape(-1, 2, 1))[1][:, 1:, 0].ravel()
+
+    numeric = np.column_stack([(values(flat + step * e) - values(flat - step * e)) / (2 * step) for e in np.eye(30)])
+    assert qp.soft_rows == pytest.approx(numeric, abs=1e-8)
+    limits = subject.soft_limits(subject.outcome(tick, tick.feed_forward[:, :, None])[1][:, 0, 0])
+    assert np.repeat(limits, 15) - qp.soft_upper == pytest.approx(values(flat) - qp.soft_rows @ flat, abs=1e-12)
+    assert qp.soft_upper - qp.soft_lower == pytest.approx(2 * np.repeat(limits, 15))
+
+
+def test_hard_limits_hold_in_the_plan():
+    subject, tick = setting("ssm", **{"limits.v": 0.4, "limits.omega_slew": 0.5})
+    plan, _ = converge(subject, tick)
+    increments = np.diff(np.vstack([tick.last_command, plan]), axis=0)
+    # The limit of 0.4 lies below the last command of 0.45: it is approached at the slew limit, then kept.
+    assert plan[0, 0] <= 0.45 - 2.0 * DT + 1e-9
+    assert plan[2:, 0].max() <= 0.4 + 1e-9
+    assert np.abs(increments[:, 1]).max() <= 0.5 * DT + 1e-9
+
+
+def test_a_horizon_shorter_than_the_dead_time_is_refused():
+    config = load_config("ssm", {"horizon": 2})
+    with pytest.raises(ValueError, match="set horizon to"):
+        TrackingProblem(config, load_model("ssm").with_extra_dead_time([0.1, 0.1]).discretise(DT))
+
+
+@pytest.mark.parametrize("spoilt", [np.nan, np.inf, 1e40])
+def test_data_that_are_no_robots_are_reported_not_solved(spoilt):
+    subject, tick = setting("ssm")
+    for wrong in (
+        replace(tick, last_command=np.array([spoilt, 0.0])),
+        replace(tick, feed_forward=np.full_like(tick.feed_forward, spoilt)),
+    ):
+        with np.errstate(invalid="ignore"):
+            status = solve(subject.quadratic_program(wrong, tick.feed_forward)).status
+        assert status is SolverStatus.NOT_FINITE
+        assert not status.usable

@@ -1,0 +1,385 @@
+"""Terms of the user: what they do to a drive, where they are given, and what is refused."""
+
+import multiprocessing
+import pickle
+
+import casadi as ca
+import numpy as np
+import pytest
+import yaml
+from ideal_robot import IdealRobot, drive
+
+from diffdrive_mpc import ConfigError, Controller, Measurement, Stamped, Term, load_config, load_model
+from diffdrive_mpc.mpc.problem.terms import MOST_SOFT_ROWS
+from diffdrive_mpc.mpc.step_result import Mode
+from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+
+LINE = lay_segments([Segment(v=0.5, omega=0.0, duration=8.0)], TrajectoryLimits.of_robot(), name="line")
+GOAL = LINE.sample([LINE.duration]).pose[0]
+CONFIG = load_config("ssm")
+DT, N, LIMITS = CONFIG.sample_time, CONFIG.horizon, CONFIG.limits
+MODEL = load_model("ssm").with_extra_dead_time([CONFIG.extra_dead_time.v, CONFIG.extra_dead_time.omega]).discretise(DT)
+FAR_AWAY = (10.0, 10.0)
+# Re-entry lets the reference wait for a robot that is held up; without, the robot goes round what is in its way.
+WAITS, SWERVES = {}, {"reentry.enabled": False}
+
+FILE = """
+import casadi as ca
+
+pose, point = ca.SX.sym("pose", 3), ca.SX.sym("parameters", 2)
+distance = ca.sqrt(ca.sumsqr(pose[:2] - point) + 1e-6)
+# Ten units for a metre: ten times as dear as a shipped soft limit.
+keep_off = ca.Function("keep_off", [pose, point], [10 * distance], ["pose", "parameters"], ["distance"])
+push_off = ca.Function("push_off", [pose, point], [45 * ca.fmax(0.45 - distance, 0)], ["pose", "parameters"], ["near"])
+"""
+DEFINED: dict[str, ca.Function] = {}
+exec(FILE, DEFINED)
+KEEP_OFF = Term("keep_off", DEFINED["keep_off"], "soft", lower=[4.0], defaults=FAR_AWAY)
+PUSH_OFF = Term("push_off", DEFINED["push_off"], defaults=FAR_AWAY)
+
+
+def robot(**options):
+    return IdealRobot(MODEL, np.zeros(3), **options)
+
+
+def commands(results):
+    return np.array([result.command for result in results])
+
+
+def check_limits(results):
+    sent = commands(results)
+    assert (np.abs(sent) <= np.array([LIMITS.v, LIMITS.omega]) + 1e-9).all()
+    assert (np.abs(np.diff(sent, axis=0)) <= DT * np.array([LIMITS.v_slew, LIMITS.omega_slew]) + 1e-9).all()
+
+
+# A distance from a point that moves.
+
+
+def standing(t):
+    """Beside the path."""
+    return np.stack([2.0 + 0.0 * t, 0.25 + 0.0 * t], axis=-1)
+
+
+def crossing(t):
+    """On the path when the robot would be there."""
+    return np.stack([2.0 + 0.0 * t, 1.8 - 0.4 * t], axis=-1)
+
+
+def drive_past(term, point, overrides, *, foreseen=True):
+    """Results of a noisy drive past a point, and how near it came to it; `foreseen`: where the point will be, too."""
+    controller = Controller(load_config("ssm", overrides), terms=[term] if term else [])
+
+    def tell(k, measurement):
+        if term:
+            ahead = DT * np.arange(N + 1) if foreseen else 0.0 * np.arange(N + 1)
+            controller.set_parameters(**{term.name: point(k * DT + ahead)})
+        return measurement
+
+    results, poses, times = drive(controller, robot(noise=1.0), LINE, LINE.duration + 1.5, change=tell)
+    return results, np.linalg.norm(poses[:, :2] - point(times), axis=1).min()
+
+
+@pytest.mark.parametrize(
+    ("term", "point", "way", "kept"),
+    [
+        (KEEP_OFF, crossing, WAITS, 0.39),
+        (PUSH_OFF, crossing, WAITS, 0.41),
+        (KEEP_OFF, crossing, SWERVES, 0.39),
+        (KEEP_OFF, standing, SWERVES, 0.36),
+        (PUSH_OFF, standing, SWERVES, 0.34),
+    ],
+)
+def test_a_robot_keeps_its_distance_from_a_point(term, point, way, kept):
+    _, without = drive_past(None, point, way)
+    results, least = drive_past(term, point, way)
+    assert without < 0.26
+    assert least > kept
+    assert {result.mode for result in results} == {Mode.TRACKING, Mode.FINISHED}
+    check_limits(results)
+    assert results[-1].estimate.pose == pytest.approx(GOAL, abs=0.02)
+
+
+def test_where_the_point_will_be_is_worth_knowing():
+    """Rows of parameters for each sample to come, against the point as it is now at all of them."""
+    _, blind = drive_past(PUSH_OFF, crossing, SWERVES, foreseen=False)
+    _, foreseen = drive_past(PUSH_OFF, crossing, SWERVES)
+    assert foreseen > blind + 0.01
+
+
+def test_a_limit_that_the_robot_is_beyond_already_still_counts():
+    """A speed limit that comes while it drives: it slows down, and the reference waits."""
+    twist, limit = ca.SX.sym("twist", 2), ca.SX.sym("parameters", 1)
+    function = ca.Function("slow", [twist, limit], [20 * (twist[0] - limit)], ["twist", "parameters"], ["excess"])
+    controller = Controller(CONFIG, terms=[Term("slow", function, "soft", upper=0.0, defaults=[1.0])])
+
+    def tell(k, measurement):
+        if k == 100:
+            controller.set_parameters(slow=[0.2])
+        return measurement
+
+    results, _, _ = drive(controller, robot(noise=1.0), LINE, 6.0, change=tell)
+    speed = np.array([result.estimate.twist[0] for result in results])
+    assert speed[80:100] == pytest.approx(0.5, abs=0.03)
+    assert speed[150:] == pytest.approx(0.2, abs=0.03)
+    assert {result.mode for result in results} == {Mode.TRACKING}
+    check_limits(results)
+
+
+# A softer heading near the goal.
+
+STIFF = 200.0
+
+
+def heading_term(near):
+    """Weight of the heading's error: `STIFF` - 1 from afar, and within `near` [m] of the goal less and less."""
+    pose, reference, goal = ca.SX.sym("pose", 3), ca.SX.sym("reference", 4), ca.SX.sym("parameters", 2)
+    square = ca.sumsqr(pose[:2] - goal)
+    weight = (STIFF - 1) * square / (square + near**2)
+    value = ca.sqrt(weight + 1e-9) * (pose[2] - reference[3])
+    function = ca.Function("heading", [goal, pose, reference], [value], ["parameters", "pose", "reference"], ["error"])
+    return Term("heading", function, defaults=GOAL[:2])
+
+
+def push_aside(at, terms, **weights):
+    """Distances from the line, and headings, after a push of 4 cm to the left at x = `at`."""
+    controller = Controller(load_config("ssm", SWERVES | {f"weights.{k}": v for k, v in weights.items()}), terms=terms)
+    pushed, pushed_at = robot(), []
+
+    def push(k, measurement):
+        if not pushed_at and pushed.pose[0] > at:
+            pushed.poses[-1] = pushed.pose + [0, 0.04, 0]
+            pushed_at.append(k)
+            return pushed.measure()
+        return measurement
+
+    results, poses, _ = drive(controller, pushed, LINE, LINE.duration + 1.0, change=push)
+    check_limits(results)
+    return poses[pushed_at[0] :, 1:].T
+
+
+def test_a_heading_may_be_softer_near_the_goal():
+    y_stiff, theta_stiff = push_aside(1.0, [], heading=STIFF)
+    y, theta = push_aside(1.0, [heading_term(0.5)], heading=1.0)
+    assert y[:100] == pytest.approx(y_stiff[:100], abs=1e-3), "far from the goal it is as stiff"
+    assert theta[:100] == pytest.approx(theta_stiff[:100], abs=3e-3)
+    y_stiff, theta_stiff = push_aside(3.3, [], heading=STIFF)
+    y, theta = push_aside(3.3, [heading_term(0.5)], heading=1.0)
+    assert y_stiff[-1] > 0.025, "a stiff heading leaves it beside the goal"
+    assert abs(y[-1]) < 0.007
+    assert np.abs(theta).max() > 2.5 * np.abs(theta_stiff).max()
+
+
+def test_a_residual_of_constant_weight_is_the_shipped_cost():
+    """The heading's error times the root of its weight, in place of the weight."""
+    pose, reference = ca.SX.sym("pose", 3), ca.SX.sym("reference", 4)
+    value = np.sqrt(28.0) * (pose[2] - reference[3])
+    term = Term("heading", ca.Function("f", [reference, pose], [value], ["reference", "pose"], ["r"]))
+    # A term knows no end of the horizon, and nothing of the leaning that trades heading against lag.
+    plain = {"weights.terminal": 1.0, "compensation.side_slip": False}
+    shipped, given = (
+        drive(Controller(load_config("ssm", plain | {"weights.heading": weight}), terms=terms), start, LINE, 6.0)[0]
+        for weight, terms, start in ((28.0, [], aside()), (0.0, [term], aside()))
+    )
+    assert commands(given) == pytest.approx(commands(shipped), abs=1e-9)
+    assert np.abs(commands(shipped)[:, 1]).max() > 0.1
+
+
+def aside():
+    return IdealRobot(MODEL, [0.0, 0.03, 0.1])
+
+
+# Beside what ships.
+
+
+def test_shipped_soft_limits_hold_beside_terms():
+    corridor = {"limits.corridor": 0.05, "weights.soft": 500.0}
+    farthest = []
+    for overrides in (SWERVES, SWERVES | corridor):
+        results, least = drive_past(PUSH_OFF, standing, overrides)
+        farthest.append(max(abs(result.estimate.pose[1]) for result in results))
+        assert least > 0.25
+    assert farthest[0] > 0.1
+    assert farthest[1] < 0.055
+
+
+def test_an_update_keeps_terms_and_their_parameters():
+    updated, built = (Controller(load_config("ssm", o), terms=[KEEP_OFF]) for o in ({}, {"weights.across": 300.0}))
+    for controller in (updated, built):
+        controller.set_parameters(keep_off=[1.0, 0.3])
+    updated.update(weights={"across": 300.0})
+    one, other = (drive(controller, robot(noise=1.0), LINE, 4.0)[0] for controller in (updated, built))
+    assert (commands(one) == commands(other)).all()
+    assert any(result.solver.soft_limits for result in one)
+
+
+FIRST = Measurement(pose=Stamped(np.array([1.6, 0.0, 0.0]), 0.0))
+
+
+def one_step(controller):
+    """In another process: the next step, and the controller back."""
+    controller.update(limits={"v": 0.9})
+    return controller.step(0.0, FIRST), controller
+
+
+def test_a_controller_with_terms_goes_through_a_process_pool():
+    controller = Controller(CONFIG, terms=[KEEP_OFF, PUSH_OFF])
+    controller.start(LINE, -4.0)
+    controller.set_parameters(keep_off=[2.0, 0.2], push_off=np.tile([2.0, 0.1], (N + 1, 1)))
+    controller.update(weights={"across": 300.0})
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        result, returned = pool.map(one_step, [controller])[0]
+    expected, _ = one_step(controller)
+    assert expected.mode is Mode.TRACKING
+    for one, other in ((result.command, expected.command), (result.planned_commands, expected.planned_commands)):
+        assert one.tolist() == other.tolist()
+    assert returned.config == controller.config
+    again = pickle.loads(pickle.dumps(controller))
+    assert again.step(0.0, FIRST).planned_commands.tolist() == returned.step(0.0, FIRST).planned_commands.tolist()
+
+
+# Where terms are given.
+
+
+def term_entries(**changes):
+    entry = {"file": "mine.py", "function": "keep_off", "kind": "soft", "lower": [4.0], "parameters": list(FAR_AWAY)}
+    return [{key: value for key, value in (entry | changes).items() if value is not ...}]
+
+
+def configured(folder, text, entries):
+    (folder / "mine.py").write_text(text)
+    (folder / "config.yaml").write_text(yaml.safe_dump(CONFIG.model_dump() | {"terms": entries}))
+    return load_config(folder / "config.yaml")
+
+
+def test_a_term_of_a_configuration_is_the_one_given_in_python(tmp_path, monkeypatch):
+    entries = term_entries() + term_entries(function="push_off", kind=..., lower=..., name="elbow")
+    (tmp_path / "elsewhere").mkdir()
+    named = Controller(configured(tmp_path, FILE, entries))
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    named = pickle.loads(pickle.dumps(named))
+    given = Controller(CONFIG, terms=[KEEP_OFF, Term("elbow", DEFINED["push_off"], defaults=FAR_AWAY)])
+    driven = []
+    for controller in (named, given):
+        controller.set_parameters(keep_off=[1.0, 0.3], elbow=[1.5, -0.3])
+        driven.append(commands(drive(controller, robot(noise=1.0), LINE, 4.0)[0]))
+    assert (driven[0] == driven[1]).all()
+    assert np.abs(driven[0][:, 1]).max() > 0.1
+
+
+def test_one_function_serves_two_points(tmp_path):
+    config = configured(tmp_path, FILE, term_entries(name="left") + term_entries(name="right"))
+    Controller(config).set_parameters(left=[1.0, 0.3], right=[1.0, -0.3])
+
+
+# What is refused.
+
+MINE = "term 'keep_off': "
+HEAD = "import casadi as ca\npose, p = ca.SX.sym('pose', 3), ca.SX.sym('parameters', 2)\n"
+
+
+def taking(inputs, output="pose[0]", names=None):
+    """A file with a function of these inputs."""
+    named = names or inputs.split(", ")
+    return HEAD + f"x = ca.SX.sym('x', 2)\nkeep_off = ca.Function('f', [{inputs}], [{output}], {named}, ['out'])\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "changes", "said"),
+    [
+        (FILE, {"file": "none.py"}, "none.py: no such Python file; a term names the file of its function"),
+        (FILE, {"function": "kep_off"}, "term 'kep_off': no casadi.Function 'kep_off' in that file; there are: keep_"),
+        ("keep_off = 3\n", {}, MINE + "no casadi.Function 'keep_off' in that file; it defines none"),
+        ("import nothing_of_the_kind\n", {}, "running it ends with ModuleNotFoundError: No module named"),
+        (taking("pose, x", names=["pose", "twst"]), {}, MINE + "unknown input 'twst'; name it twist"),
+        (taking("x", "x[0]", names=["pose"]), {}, MINE + "input 'pose' has 2 entries, but it has 3"),
+        (taking("pose", "ca.horzcat(pose, pose)"), {}, MINE + "its output is 3 x 2; make it a column"),
+        (taking("pose", "pose[0], pose[1]").replace("['out']", "['a', 'b']"), {}, "it has 2 outputs; stack them"),
+        (
+            HEAD + "X = ca.SX.sym('X', 3, 3)\nkeep_off = ca.Function('f', [X], [X[0]], ['pose'], ['o'])\n",
+            {},
+            "a matrix",
+        ),
+        (taking("pose", "pose[0] + x[0]").replace("['out'])", "['out'], {'allow_free': True})"), {}, "depends on x_0"),
+        (taking("pose", "ca.SX(3)"), {"parameters": []}, "depends on none of pose, twist and command"),
+        (FILE, {"parameters": [1.0]}, "its function takes 2 parameters, and 1 are given; give as many"),
+        (FILE, {"parameters": [1.0, float("nan")]}, "terms.0.parameters.1: Input should be a finite number"),
+        (FILE, {"kind": "residual"}, MINE + "lower is for kind soft; a residual has no limits, leave it out"),
+        (FILE, {"kind": "hard"}, "terms.0.kind: Input should be 'residual' or 'soft' (found 'hard')"),
+        (FILE, {"lower": ...}, MINE + "kind soft, but no limit; give upper or lower, or make it a residual"),
+        (FILE, {"upper": [1.0, 2.0]}, MINE + "upper has 2 numbers, its value has 1; give one for each"),
+        (FILE, {"upper": [3.0]}, MINE + "lower 4 is above upper 3 in row 0; swap them"),
+        (FILE, {"upper": [float("inf")]}, "terms.0.upper.0: Input should be a finite number"),
+        (FILE, {"uper": [1.0]}, "unknown key 'terms.0.uper'; did you mean"),
+    ],
+)
+def test_what_a_configuration_cannot_mean_is_refused_in_one_line(tmp_path, text, changes, said):
+    with pytest.raises(ConfigError) as refused:
+        Controller(configured(tmp_path, text, term_entries(**changes)))
+    line = str(refused.value)
+    assert said in line
+    assert str(tmp_path) in line, "it names the file"
+    assert "\n" not in line
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"upper": [float("inf")]}, "term 'mine': upper [inf] holds what is no finite number; for no limit give none"),
+        ({"lower": [float("nan")]}, "term 'mine': lower [nan] holds what is no finite number"),
+        ({"defaults": (1.0, float("nan"))}, "term 'mine': parameters [1.0, nan]; give finite numbers"),
+        ({"kind": "hard"}, "term 'mine': unknown kind 'hard'; give residual or soft"),
+        ({"function": lambda pose: pose}, "term 'mine': function is no casadi.Function; build one with named inputs"),
+    ],
+)
+def test_what_python_cannot_mean_is_refused_too(changes, said):
+    given = {"name": "mine", "function": DEFINED["keep_off"], "kind": "soft", "lower": [4.0], "defaults": FAR_AWAY}
+    with pytest.raises(ConfigError) as refused:
+        Term(**(given | changes))
+    assert str(refused.value).startswith(said)
+
+
+def wide(rows):
+    pose = ca.SX.sym("pose", 3)
+    return ca.Function("wide", [pose], [ca.repmat(pose[0], rows, 1)], ["pose"], ["x"])
+
+
+def test_more_rows_than_a_controller_holds_are_refused():
+    terms = [Term("a", wide(20), "soft", upper=20 * [5.0]), Term("b", wide(4), "soft", upper=4 * [5.0])]
+    assert sum(term.rows for term in terms) == MOST_SOFT_ROWS
+    Controller(load_config("ssm", {"horizon": 200}), terms=terms)
+    with pytest.raises(ConfigError, match=r"25 rows together \(a 20, b 4, c 1\), at most 24 are held; leave some out"):
+        Controller(CONFIG, terms=[*terms, Term("c", wide(1), "soft", upper=5.0)])
+
+
+def test_two_terms_of_one_name_are_refused():
+    with pytest.raises(ConfigError, match="term 'keep_off': 2 terms have this name; give each a name of its own"):
+        Controller(CONFIG, terms=[KEEP_OFF, KEEP_OFF])
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("push_of", [1.0, 2.0], "term 'push_of': there is none; there are: keep_off, push_off"),
+        ("push_off", [1.0], "term 'push_off': give 2 parameters, or 31 rows of them (found shape (1,))"),
+        ("push_off", np.zeros((30, 2)), "term 'push_off': give 2 parameters, or 31 rows of them (found shape (30, 2))"),
+        ("push_off", [1.0, float("nan")], "term 'push_off': its parameters hold what is no finite number"),
+        ("push_off", ["here", "there"], "term 'push_off': its parameters are no numbers"),
+    ],
+)
+def test_parameters_that_do_not_fit_are_refused_and_change_nothing(name, value, said):
+    controller = Controller(CONFIG, terms=[KEEP_OFF, PUSH_OFF])
+    with pytest.raises(ConfigError) as refused:
+        controller.set_parameters(**{"keep_off": [5.0, 5.0], name: value})
+    assert str(refused.value) == said
+    assert (controller._tick.parameters == np.tile(FAR_AWAY, 2)).all()
+
+
+def test_a_term_that_is_no_number_somewhere_stops_the_robot_and_says_so():
+    pose = ca.SX.sym("pose", 3)
+    function = ca.Function("root", [pose], [ca.sqrt(1.0 - pose[0])], ["pose"], ["x"])
+    controller = Controller(CONFIG, terms=[Term("root", function)])
+    results, poses, _ = drive(controller, robot(), LINE, 5.0)
+    assert results[-1].mode is Mode.STOPPED
+    assert "solve failed" in results[-1].message
+    assert poses[-1, 0] < 1.3

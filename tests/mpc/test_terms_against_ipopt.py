@@ -1,0 +1,93 @@
+"""One tick's condensed problem with terms of the user against IPOPT on the same nonlinear program."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from ideal_robot import IdealRobot
+from nonlinear_program import EXACT, NO_SLIP, NonlinearProgram, converged, linear_outputs, record
+
+from diffdrive_mpc import Controller, Term, load_config, load_trajectory
+
+CIRCLE = load_trajectory("circle")
+HORIZON = 15
+# Of the point, to the left of the reference: it turns with the robot, so that the plan comes to rest.
+BESIDE = 0.37
+AWAY = (10.0, 10.0)
+
+
+def distance():
+    pose, point = ca.SX.sym("pose", 3), ca.SX.sym("parameters", 2)
+    return pose, point, ca.sqrt(ca.sumsqr(pose[:2] - point) + 1e-6)
+
+
+def at_least(metres, scale=1.0):
+    pose, point, d = distance()
+    function = ca.Function("least", [pose, point], [scale * d], ["pose", "parameters"], ["d"])
+    return Term("least", function, "soft", lower=scale * metres, defaults=AWAY)
+
+
+def pushed_off(weight):
+    pose, point, d = distance()
+    value = np.sqrt(weight) * ca.fmax(0.4 - d, 0)
+    return Term("pushed", ca.Function("pushed", [point, pose], [value], ["parameters", "pose"], ["r"]), defaults=AWAY)
+
+
+def everything():
+    """A residual of every input, with three rows; nothing in it means anything."""
+    sizes = {"command": 2, "twist": 2, "reference": 4, "pose": 3}
+    of = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+    pose, twist, command, reference = (of[name] for name in ("pose", "twist", "command", "reference"))
+    rows = [3 * (twist[1] - command[1]), 2 * twist[0] * (pose[2] - reference[3]), command[0] * twist[1]]
+    return Term("all", ca.Function("all", list(of.values()), [ca.vertcat(*rows)], list(of), ["r"]))
+
+
+def between(low, high):
+    """Wheel speeds of a command, and a distance, in one soft term; no limit in some rows."""
+    pose, point, d = distance()
+    command = ca.SX.sym("command", 2)
+    value = ca.vertcat(command[0] + 0.2 * command[1], command[0] - 0.2 * command[1], d)
+    function = ca.Function("band", [pose, command, point], [value], ["pose", "command", "parameters"], ["x"])
+    return Term("band", function, "soft", upper=[0.585, None, high], lower=[None, None, low], defaults=AWAY)
+
+
+# Terms, and to what tolerance [m/s, rad/s] the plans agree: exact penalties have kinks, which IPOPT rounds off.
+CASES = {
+    "no terms": ((), 1e-9),
+    "residual": ((pushed_off(500.0),), 1e-8),
+    "soft": ((at_least(0.4, 3.0),), 2e-5),
+    "all inputs": ((everything(),), 1e-8),
+    "several": ((everything(), between(0.41, 0.5), pushed_off(500.0)), 1e-5),
+}
+SHIPPED = {"free": {}, "limited": {"limits.predicted_omega": 0.42}}
+
+
+@pytest.mark.parametrize("shipped", SHIPPED)
+@pytest.mark.parametrize(("model", "case"), [*(("ssm", case) for case in CASES), ("mbm", "several")])
+def test_real_time_iterations_with_terms_converge_to_ipopts_solution(model, case, shipped):
+    terms, tolerance = CASES[case]
+    overrides = {"horizon": HORIZON, "reentry.enabled": False} | NO_SLIP | EXACT | SHIPPED[shipped]
+    config = load_config(model, overrides)
+
+    def points(t):
+        x, y, theta = CIRCLE.sample(t + config.sample_time * np.arange(HORIZON + 1)).pose.T
+        return np.column_stack([x - BESIDE * np.sin(theta), y + BESIDE * np.cos(theta)])
+
+    def set_points(controller, t):
+        controller.set_parameters(**{term.name: points(t) for term in terms if term.parameters})
+
+    def make():
+        return Controller(config, terms=terms)
+
+    controller = make()
+    drive = record(controller, IdealRobot(controller._sampled, np.zeros(3)), CIRCLE, 120, set_points)
+    result = converged(make, drive, CIRCLE, set_points)
+    program = NonlinearProgram(controller, result, drive, CIRCLE, linear_outputs(controller._sampled))
+    without = program.solve()
+    for term in terms:
+        program.add(term, points(drive.times[-1]) if term.parameters else np.zeros((HORIZON + 1, 0)))
+    plan = program.solve()
+    assert result.planned_commands == pytest.approx(plan, abs=tolerance)
+    assert result.solver.soft_limits == (shipped == "limited" or any(term.soft for term in terms))
+    assert not terms or shipped == "limited" or np.abs(plan - without).max() > 100 * tolerance, "the terms must matter"
+    # In a steady turn a single iteration a tick is as good.
+    assert result.command == pytest.approx(drive.commands[-1], abs=2e-4)

@@ -1,0 +1,67 @@
+"""The whole tracking problem as a CasADi nonlinear program, for IPOPT: nothing is linearised, nothing left out."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from oracle.problem import TrackingProblem, roll_out
+from oracle.tick import Tick
+
+
+def _arc(pose: ca.MX, v: ca.MX, omega: ca.MX, dt: float, side_slip: float) -> ca.MX:
+    half = omega * dt / 2
+    # The branch that is not used must be finite too, or its derivative makes NaN of the other.
+    small = ca.fabs(half) < 1e-2
+    safe = ca.if_else(small, 1, half)
+    along = v * dt * ca.if_else(small, 1 - half**2 / 6 + half**4 / 120, ca.sin(safe) / safe)
+    c, s, outward = ca.cos(pose[2] + half), ca.sin(pose[2] + half), side_slip * omega * along
+    return pose + ca.vertcat(along * c + outward * s, along * s - outward * c, omega * dt)
+
+
+def nonlinear_program(problem: TrackingProblem, tick: Tick) -> tuple[dict[str, ca.MX], dict[str, FloatArray]]:
+    """The program with x = (U, p, m), p and m >= 0 (5 N each) the excesses upwards and downwards; and its bounds.
+
+    The first 2 N entries of a solution are the commands, step by step.
+    """
+    N, model, w, slip = problem.steps, problem.model, problem.config.weights, tick.slip
+    U, p, m = ca.MX.sym("U", 2, N), ca.MX.sym("p", 5, N), ca.MX.sym("m", 5, N)
+    # The model's twists are linear in the commands: what follows without a plan, and what each command adds.
+    free = roll_out(model, tick.state, tick.past, np.zeros((N, 2, 1)))[:, :, 0]
+    none = np.zeros(model.order), np.zeros_like(tick.past)
+    added = roll_out(model, *none, np.eye(2 * N).reshape(N, 2, 2 * N))
+    says = ca.DM(free.T) + ca.reshape(ca.DM(added.reshape(-1, 2 * N)) @ ca.vec(U), 2, N + 1)
+    wheels = says + ca.DM(slip.offset)
+    twist = ca.diag(slip.gains) @ wheels
+    mean = (twist[:, :-1] + twist[:, 1:]) / 2
+    pose, cost, across = ca.MX(tick.pose), ca.MX(0), []
+    for k in range(N):
+        pose = _arc(pose, mean[0, k], mean[1, k], model.dt, slip.side_slip)
+        x, y, theta = tick.aim[k + 1]
+        dx, dy, c, s = pose[0] - x, pose[1] - y, np.cos(theta), np.sin(theta)
+        errors = ca.vertcat(c * dx + s * dy, c * dy - s * dx, pose[2] - tick.heading[k + 1])
+        across.append(errors[1])
+        factor = w.terminal if k == N - 1 else 1.0
+        cost += factor * ca.dot([w.along, w.across, w.heading], errors**2) / 2
+    increment = U - ca.horzcat(tick.last_command, U[:, :-1])
+    cost += ca.dot([w.v, w.omega], ca.sum2((U - tick.feed_forward.T) ** 2)) / 2
+    cost += ca.dot([w.v_increment, w.omega_increment], ca.sum2(increment**2)) / 2
+    cost += w.soft * ca.sum1(ca.vec(p + m)) + w.soft_quadratic * (ca.sumsqr(p) + ca.sumsqr(m)) / 2
+    half_track = problem.config.wheels.track / 2
+    right, left = wheels[0, 1:] + half_track * wheels[1, 1:], wheels[0, 1:] - half_track * wheels[1, 1:]
+    soft = ca.vertcat(twist[:, 1:], right, left, ca.horzcat(*across)) - p + m
+
+    _, soft_now = problem.outcome(tick, np.zeros((N, 2, 1)))
+    limit = np.tile(problem.soft_limits(soft_now[:, 0, 0]), N)
+    _, lower, upper = problem.hard_limits(tick)
+    slack, n = np.zeros(10 * N), 2 * N
+    rows = ca.veccat(U - ca.horzcat(np.zeros(2), U[:, :-1]), soft)
+    program = {"x": ca.veccat(U, p, m), "f": cost, "g": rows}
+    bounds = {
+        "lbx": np.concatenate([lower[:n], slack]),
+        "ubx": np.concatenate([upper[:n], slack + np.inf]),
+        "lbg": np.concatenate([lower[n:], -limit]),
+        "ubg": np.concatenate([upper[n:], limit]),
+    }
+    return program, bounds
