@@ -1,6 +1,6 @@
 /* Gaps between the core's arrays, which AddressSanitizer watches: see mpc/core/memory.c. */
-#ifndef GUARD_H
-#define GUARD_H
+#ifndef FUZZ_GUARD_H
+#define FUZZ_GUARD_H
 
 #include <sanitizer/asan_interface.h>
 
