@@ -59,8 +59,7 @@ static void look_ahead(ddmpc_controller *c)
     for (int i = 0; i <= STEPS(c); i++) {
         const real *pose = c->reference_pose + 3 * i;
         const real turned[3] = {pose[0], pose[1], pose[2] + turns};
-        const real *arguments[5] = {turned, c->reference_twist + 2 * i, p->slip + SIDE_SLIP, &k->lean_along,
-                                    &k->lean_heading};
+        const real *arguments[3] = {turned, c->reference_twist + 2 * i, p->slip};
         real *results[1] = {p->aim + 4 * i};
         ddmpc_f_aim(arguments, results, 0, 0, 0);
     }
@@ -79,19 +78,29 @@ static void look_ahead(ddmpc_controller *c)
     }
 }
 
-/* Twist of the body for the model's free output: the gains of slip, and what it adds. */
-static void free_twists(ddmpc_controller *c)
+/* Twist of the body along the guess, less what the guess adds through the gains of each channel alone: so the rows are
+   those of the model. Where the robot turns about is taken along the guess, too. */
+static void slip_along_guess(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
-    const real standing[2] = {R(0.0), R(0.0)};
-    real offset[2], J[2 * 7];
-    const real *arguments[2] = {standing, p->slip};
-    real *results[2] = {offset, J};
-    ddmpc_f_twist(arguments, results, 0, 0, 0);
+    const int N = STEPS(c);
+    real J[2 * (2 + SLIP)], acceleration = R(0.0);
+    for (int k = 0; k <= N; k++) {
+        const real y[2] = {p->free_output[2 * k] + p->by_plan[k], p->free_output[2 * k + 1] + p->by_plan[N + 1 + k]};
+        const real *arguments[2] = {y, p->slip};
+        real *results[2] = {p->free_twist + 2 * k, k == N / 2 ? J : 0};
+        ddmpc_f_twist(arguments, results, 0, 0, 0);
+    }
     p->gains[0] = J[0];
     p->gains[1] = J[3];
-    for (int i = 0; i < 2 * (STEPS(c) + 1); i++)
-        p->free_twist[i] = offset[i % 2] + p->gains[i % 2] * p->free_output[i];
+    for (int k = 0; k < N; k++) {
+        const real *arguments[2] = {p->slip, &acceleration};
+        real *results[1] = {p->ahead + k};
+        acceleration = (p->free_twist[2 * k + 2] - p->free_twist[2 * k]) / (real)c->constants->sample_time;
+        ddmpc_f_turning_point(arguments, results, 0, 0, 0);
+    }
+    for (int i = 0; i < 2 * (N + 1); i++)
+        p->free_twist[i] -= p->gains[i % 2] * p->by_plan[(i % 2) * (N + 1) + i / 2];
 }
 
 void ddmpc_problem_begin(ddmpc_controller *c)
@@ -115,7 +124,6 @@ void ddmpc_problem_begin(ddmpc_controller *c)
             free += from_past[j] * commands[j];
         p->free_output[i] = free;
     }
-    free_twists(c);
 }
 
 static real box(const ddmpc_controller *c, int step, int channel)
@@ -234,7 +242,6 @@ static void linearise_model(ddmpc_controller *c)
             p->heading_rows[(k + 1) * width + j] =
                 p->heading_rows[k * width + j] + dt * p->mean_rows[(2 * k + 1) * width + j];
         }
-    free_twists(c);
 }
 
 /* Poses by exact arcs, from the twists that the plan adds; with their gradients where `arcs` is given. */
@@ -250,7 +257,7 @@ static void roll_out(const ddmpc_controller *c, const real *by_plan, real *arcs,
         const real mean_v = R(0.5) * (free[0] + free[2] + v_gain * (v[0] + v[1]));
         const real mean_omega = R(0.5) * (free[1] + free[3] + omega_gain * (omega[0] + omega[1]));
         real move[2], J[2 * 3];
-        const real *arguments[5] = {at + 2, &mean_v, &mean_omega, p->slip + SIDE_SLIP, &dt};
+        const real *arguments[6] = {at + 2, &mean_v, &mean_omega, p->slip + SIDE_SLIP, p->ahead + k, &dt};
         real *results[2] = {move, arcs ? J : 0};
         ddmpc_f_arc(arguments, results, 0, 0, 0);
         poses[3 * k + 3] = at[0] + move[0];
@@ -585,6 +592,7 @@ void ddmpc_problem_condense(ddmpc_controller *c)
         linearise_model(c);
     else
         add_plan(c, p->guess, p->by_plan);
+    slip_along_guess(c);
     roll_out(c, p->by_plan, p->arc, p->poses);
     fill_rows(c);
     fill_hessian(c);
