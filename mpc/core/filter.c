@@ -145,18 +145,22 @@ static void propagate(const ddmpc_controller *c, const moved_pose *moved, const 
     }
 }
 
-/* The model's output over the sample from x to x+: its mean, with its gradient by x (2, n). Returns by how much the
-   forward speed grows. */
-static real mean_output(const ddmpc_controller *c, const real *x, const real *after, const real *A, real y[2],
-                        real *rows)
+/* The model's output over the sample from z to the states x+: its mean, with its gradient by the states (2, n), and the
+   body's mean twist. Returns the body's forward acceleration; nothing is differentiated by that, as it does little. */
+static real mean_output(const ddmpc_controller *c, const real *z, const real *after, const real *A, real y[2],
+                        real *rows, real twist[2])
 {
     const int n = STATES(c);
-    real next[2], next_rows[2 * DDMPC_MOST_STATES];
-    ddmpc_velocity_output(c, x, y, rows);
+    real next[2], next_rows[2 * DDMPC_MOST_STATES], begin[2], end[2];
+    ddmpc_velocity_output(c, z, y, rows);
     ddmpc_velocity_output(c, after, next, next_rows);
-    const real growth = next[0] - y[0];
+    const real *arguments[2][2] = {{y, z + n}, {next, z + n}};
+    real *results[2][2] = {{begin, 0}, {end, 0}};
+    for (int i = 0; i < 2; i++)
+        ddmpc_f_twist(arguments[i], results[i], 0, 0, 0);
     for (int i = 0; i < 2; i++) {
         y[i] = R(0.5) * (y[i] + next[i]);
+        twist[i] = R(0.5) * (begin[i] + end[i]);
         for (int j = 0; j < n; j++) {
             real through = R(0.0);
             for (int k = 0; NONLINEAR(c) && k < n; k++)
@@ -165,7 +169,7 @@ static real mean_output(const ddmpc_controller *c, const real *x, const real *af
                 NONLINEAR(c) ? R(0.5) * (rows[i * n + j] + through) : c->constants->mean_output[i * n + j];
         }
     }
-    return growth;
+    return (end[0] - begin[0]) / (real)c->constants->sample_time;
 }
 
 void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before, const real *newest,
@@ -179,11 +183,8 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
     const real *A = NONLINEAR(c) ? by_state : k->A;
     moved_pose moved;
     ddmpc_velocity_step(c, z, newest, state, NONLINEAR(c) ? by_state : 0, c->problem.step_jacobian);
-    const real growth = mean_output(c, z, state, A, y, rows);
-    move(c, z, y, rows, growth / (real)k->sample_time, (real)k->sample_time, &moved);
-    const real *arguments[2] = {y, z + n};
-    real *results[2] = {twist, 0};
-    ddmpc_f_twist(arguments, results, 0, 0, 0);
+    const real acceleration = mean_output(c, z, state, A, y, rows, twist);
+    move(c, z, y, rows, acceleration, (real)k->sample_time, &moved);
     propagate(c, &moved, A, before->covariance, after->covariance);
 
     for (int i = 0; i < n; i++)

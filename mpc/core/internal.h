@@ -120,8 +120,9 @@ typedef struct {
 
 /* The tick's problem, linearised along the guess. */
 typedef struct {
-    real pose[3], slip[SLIP], gains[2], last[2];
-    real *free_twist;   /* [N+1][2] of the body, if the plan were zero, linearised along the guess */
+    real pose[3], slip[SLIP], last[2];
+    real gains[2], turn_gain; /* of the body's v and omega by the model's; of its v by the model's omega */
+    real *free_twist;   /* [N+1][2] of the body, if the plan were zero */
     real *ahead;        /* [N] turning point of each arc along the guess [m] */
     real *aim;          /* [N+1][4] */
     real *feed_forward; /* [N][2] */
@@ -143,7 +144,7 @@ typedef struct {
     real *moves;        /* [2][width] */
     real *gradient;     /* [width] */
     real *soft_value;   /* [K][N] of what has soft limits, if the plan were zero */
-    real *soft_gradient; /* [K][N][7] by pose, twist and command */
+    real *soft_gradient; /* [K][N][7] by pose, what the model says, and command */
     real *term;         /* [8 K or 8 R] what a function of the user gives */
     real *H, *g;        /* [2N][2N], [2N] */
     real *lower, *upper; /* [4+K][N] */
