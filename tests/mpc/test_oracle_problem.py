@@ -115,10 +115,10 @@ def test_real_time_iterations_converge_to_ipopts_solution(model_name, soft):
 def test_a_turning_point_that_moves_is_taken_from_the_guess_and_that_costs_nothing():
     """The iteration ends where the plan is best for its own turning points, all but as good as if it could move them."""
     subject, tick = setting("ssm")
-    tick = replace(tick, slip=replace(tick.slip, load_shift=0.08))
+    tick = replace(tick, slip=replace(tick.slip, load_shift=0.05))
     plan, _ = converge(subject, tick)
     ahead = subject.turning_points(tick, plan)
-    assert np.ptp(ahead) > 0.02
+    assert np.ptp(ahead) > 0.004
     assert plan == pytest.approx(ipopt(subject, tick, ahead), abs=2e-6)
     cost, best = nonlinear_cost(subject, tick, None), ipopt(subject, tick)
     assert cost(best.ravel()) <= cost(plan.ravel()) < 1.01 * cost(best.ravel())
