@@ -92,7 +92,7 @@ class Compensation(Group):
     dead_time: bool = Field(True, description="predict over the dead time of model file and extra_dead_time [-]")
     v_offset: bool = Field(True, description="estimate forward speed that the model does not explain [-]")
     yaw_gain: bool = Field(True, description="estimate how much the robot turns for what is commanded [-]")
-    side_slip: bool = Field(True, description="estimate side-slip, and lean into the curve against it [-]")
+    side_slip: bool = Field(True, description="estimate side-slip and turning point [-]")
 
 
 class Estimator(Group):

@@ -324,6 +324,7 @@ typedef struct {
     const real *last_command; /* [2] */
     const real *aim;          /* [N+1][4] */
     const real *feed_forward; /* [N][2] */
+    const real *ahead;        /* [N] how far ahead of its origin the robot turns on each arc along the guess [m] */
     const real *soft_value;   /* [K][N] of what has soft limits, if the plan were zero: bounds are less this */
 } ddmpc_program;
 ddmpc_program ddmpc_program_of(const ddmpc_controller *controller);

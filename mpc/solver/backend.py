@@ -40,6 +40,8 @@ class Program:
     last_command, aim, feed_forward
         (2,) the command that the first increment counts from; (N + 1, 4) poses to aim at and headings to hold; (N, 2)
         commands from which deviations are penalised.
+    ahead
+        (N,) how far ahead of its origin the robot turns on each arc [m], along the guess.
     kinds
         The kinds that pressed last, or that the minimiser without limits breaks.
     """
@@ -51,7 +53,7 @@ class Program:
         self.lower, self.upper = tick.view(c.lower, (kinds, steps)), tick.view(c.upper, (kinds, steps))
         self.guess, self.multipliers = tick.view(c.guess, (n,)), tick.view(c.multipliers, (kinds, steps))
         self.last_command, self.aim = tick.view(c.last_command, (2,)), tick.view(c.aim, (steps + 1, 4))
-        self.feed_forward = tick.view(c.feed_forward, (steps, 2))
+        self.feed_forward, self.ahead = tick.view(c.feed_forward, (steps, 2)), tick.view(c.ahead, (steps,))
         self._soft_value, self._pressing = tick.view(c.soft_value, (kinds - HARD, steps)), c.pressing
 
     @property

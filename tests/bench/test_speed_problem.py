@@ -54,12 +54,13 @@ def setting(name, horizon, soft="none", seed=0):
         tick=oracle_tick(controller.program, result.estimate, past),
         stages=stage_problem(config, sampled),
         data=stage_data(controller.program, result.estimate, past),
+        ahead=controller.program.ahead.copy(),
     )
 
 
 def pressing(it, plan):
     """The kinds of soft limit that `plan` (N, 2) reaches."""
-    _, values = it.problem.outcome(it.tick, plan[:, :, None])
+    _, values = it.problem.outcome(it.tick, plan[:, :, None], it.ahead)
     limits = it.problem.soft_limits(values[:, 0, 0])
     return set(np.flatnonzero(np.abs(values[:, 1:, 0]).max(axis=1) > limits - 1e-6).tolist())
 
@@ -76,8 +77,8 @@ def test_stages_lead_to_the_predicted_twists_and_poses(name, seed):
     z, parameters = it.data
     plan = np.random.default_rng(seed).uniform(-1, 1, (8, 2))
     twist = it.problem.twists(it.tick, plan[:, :, None])
-    poses = it.problem.poses(it.tick, twist)[:, :, 0]
-    _, soft = it.problem.outcome(it.tick, plan[:, :, None])
+    poses = it.problem.poses(it.tick, twist, it.ahead)[:, :, 0]
+    _, soft = it.problem.outcome(it.tick, plan[:, :, None], it.ahead)
     step, *_, soft_values = functions(it.stages)
     n = it.problem.model.order
     for k, u in enumerate(plan):
@@ -113,9 +114,9 @@ def test_the_cost_of_any_plan_is_that_of_the_controllers_problem(seed):
         z = np.array(step(z, u, parameters[k])).ravel()
         error = np.array(tracking(z, parameters[k + 1])).ravel()
         cost += (stages.terminal if k == 5 else 1.0) * stages.tracking_weights @ error**2 / 2
-        over = np.maximum(np.abs(np.array(soft_values(z, parameters[k + 1])).ravel()) - parameters[k + 1, 11:], 0)
+        over = np.maximum(np.abs(np.array(soft_values(z, parameters[k + 1])).ravel()) - parameters[k + 1, 13:], 0)
         cost += stages.soft * over.sum() + stages.soft_quadratic * (over**2).sum() / 2
-    program, bounds = nonlinear_program(it.problem, it.tick)
+    program, bounds = nonlinear_program(it.problem, it.tick, it.ahead)
     evaluate = ca.Function("program", [program["x"]], [program["f"], program["g"]])
     # After the increments.
     soft_rows = slice(12, None)
@@ -137,7 +138,7 @@ def test_the_cost_of_any_plan_is_that_of_the_controllers_problem(seed):
 )
 def test_a_peers_solution_is_that_of_the_controllers_problem(plugin, options, name, soft):
     it = setting(name, 12, soft)
-    program, bounds = nonlinear_program(it.problem, it.tick)
+    program, bounds = nonlinear_program(it.problem, it.tick, it.ahead)
     reference = ca.nlpsol(
         "reference", "ipopt", program, {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
     )

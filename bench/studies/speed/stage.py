@@ -14,7 +14,7 @@ import numpy as np
 from diffdrive_mpc.bench.peers.command_limits import slew_step
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.pose import arc_function
+from diffdrive_mpc.models.pose import arc_displacement
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.solver.backend import Program
@@ -22,7 +22,8 @@ from diffdrive_mpc.mpc.solver.backend import Program
 ROWS = (
     *("x", "y", "theta", "heading"),
     *("v_feed_forward", "omega_feed_forward"),
-    *("v_gain", "omega_gain", "v_offset", "omega_offset", "side_slip"),
+    *("v_gain", "omega_gain", "v_offset", "omega_offset", "turn_left"),
+    *("side_slip", "ahead"),
     *("v_limit", "omega_limit", "right_limit", "left_limit", "corridor"),
 )
 """What changes from tick to tick, in the order of a stage's parameters."""
@@ -73,19 +74,21 @@ def stage_problem(config: ControllerConfig, model: DiscreteModel) -> StageProble
     z, u, p = ca.SX.sym("z", size), ca.SX.sym("u", 2), ca.SX.sym("p", len(ROWS))
     x, pose = z[:n], z[n : n + 3]
     line = ca.vertcat(z[n + 3 :], u)
-    reference, heading, feed_forward, gains, offset, side_slip = p[:3], p[3], p[4:6], p[6:8], p[8:10], p[10]
-    twist = gains * (ca.DM(model.C) @ x + offset)
+    reference, heading, feed_forward, gains, offset = p[:3], p[3], p[4:6], p[6:8], p[8:10]
+    turn_left, side_slip, ahead = p[10], p[11], p[12]
+    point = gains * (ca.DM(model.C) @ x + offset)
     recent = ca.vertcat(*(line[2 * (memory - int(delay)) + i] for i, delay in enumerate(model.delay)))
     older = ca.vertcat(*(line[2 * (memory - int(delay) - 1) + i] for i, delay in enumerate(model.delay)))
     after = ca.DM(model.A) @ x + ca.DM(model.B0) @ recent + ca.DM(model.B1) @ older
-    mean = (twist + gains * (ca.DM(model.C) @ after + offset)) / 2
-    moved = arc_function()(pose, mean[0], mean[1], model.dt, side_slip)
+    mean = _body(turn_left, (point + gains * (ca.DM(model.C) @ after + offset)) / 2)
+    lateral = -(ahead + side_slip * mean[0]) * mean[1]
+    moved = pose + arc_displacement(pose[2], mean[0], mean[1], ca.SX(model.dt), lateral)
     c, s = ca.cos(reference[2]), ca.sin(reference[2])
     error = pose - reference
     across = c * error[1] - s * error[0]
     half = 0.5 * config.wheels.track
-    rim = twist / gains
-    soft = ca.vertcat(twist, rim[0] + half * rim[1], rim[0] - half * rim[1], across)
+    rim = point / gains
+    soft = ca.vertcat(_body(turn_left, point), rim[0] + half * rim[1], rim[0] - half * rim[1], across)
     w, limits = config.weights, config.limits
     return StageProblem(
         horizon=config.horizon,
@@ -128,9 +131,15 @@ def stage_data(program: Program, estimate: Estimate, past: FloatArray) -> tuple[
     parameters[:N, 4:6] = program.feed_forward
     parameters[:, 6:8] = slip.gains
     parameters[:, 8:10] = slip.offset
-    parameters[:, 10] = slip.side_slip
-    parameters[:, 11:] = program.soft_limits
+    parameters[:, 10:12] = slip.turn_left, slip.side_slip
+    parameters[:N, 12] = program.ahead
+    parameters[:, 13:] = program.soft_limits
     return np.concatenate([estimate.state, estimate.pose, past.ravel()]), parameters
+
+
+def _body(turn_left: ca.SX, point: ca.SX) -> ca.SX:
+    """Twist of the body's origin, for that of the point that it turns about."""
+    return ca.vertcat(point[0] + turn_left * point[1], point[1])
 
 
 def _serialised(name: str, arguments: list[ca.SX], result: ca.SX) -> str:
