@@ -36,7 +36,7 @@ def setting(name, horizon, soft="none", seed=0):
     sampled, controller = model.discretise(config.sample_time), Controller(config, model)
     plant, reference = make_plant("model:ssm", seed=seed), load_trajectory("circle")
     # Heading outwards where the corridor is to matter, and while it still does.
-    turned, ticks = (-0.6, 14) if soft == "corridor" else (0.0, 60 + seed % 40)
+    turned, ticks = (-0.8, 13) if soft == "corridor" else (0.0, 60 + seed % 40)
     plant.reset(reference.sample([0.0]).pose[0] + [0.0, 0.0, turned])
     controller.start(reference, plant.time)
     sent = [np.zeros(2)] * sampled.memory

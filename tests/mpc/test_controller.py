@@ -1,6 +1,10 @@
 """The controller on a robot that obeys its model: it tracks, through pi and from any clock, and repeats itself."""
 
+import os
+import subprocess
+import sys
 from dataclasses import astuple
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -290,3 +294,39 @@ def test_construction_refuses_what_cannot_work(tmp_path):
     )
     with pytest.raises(ModelError, match="unstable"):
         Controller(load_config("ssm"), str(bad))
+
+
+EVERY_ORDER = """
+import numpy as np
+from ideal_robot import IdealRobot, drive
+from diffdrive_mpc.models import VelocityModel
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+
+config, reference = load_config("ssm", {"horizon": 12}), load_trajectory("s")
+for order in range(2, 10):
+    # v by lags one behind the other, omega by one of its own.
+    rates = np.linspace(30.0, 60.0, order)
+    A = np.diag(-rates) + np.diag(np.append(rates[1:-1], 0.0), k=-1)
+    B, C = np.zeros((order, 2)), np.zeros((2, order))
+    B[0, 0], B[-1, 1], C[0, -2], C[1, -1] = rates[0], rates[-1], 1.0, 1.0
+    model = VelocityModel("chain", "sm", A, B, C)
+    robot = IdealRobot(model.discretise(config.sample_time), reference.sample([0.0]).pose[0], noise=1.0)
+    results, poses, times = drive(Controller(config, model), robot, reference, 30.5 * config.sample_time)
+    assert {str(result.mode) for result in results} == {"TRACKING"} and len(results) == 30
+    assert np.linalg.norm((poses - reference.sample(times).pose)[-1, :2]) < 0.05
+    print(order)
+"""
+
+
+def test_models_of_every_order_are_driven_by_the_core_as_it_is_compiled_for_this_machine():
+    """In a process of its own, which a compiler that takes a row for aligned would end at some sizes of the belief.
+
+    Two channels have two states at least.
+    """
+    here = Path(__file__).parent
+    path = os.pathsep.join([str(here), str(here.parent), *filter(None, sys.path)])
+    run = subprocess.run(
+        [sys.executable, "-c", EVERY_ORDER], capture_output=True, text=True, env=os.environ | {"PYTHONPATH": path}
+    )
+    assert run.returncode == 0, f"after {run.stdout.split()}: {run.stderr[-2000:]}"
+    assert run.stdout.split() == [str(order) for order in range(2, 10)]

@@ -231,7 +231,9 @@ def test_the_arc_is_smooth_through_straight_ahead(omega, v, theta, side_slip):
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_the_arc_and_its_gradient_meet_where_its_series_ends(side):
-    beside = [call(FORMULAS["arc"], [[0.3], [1.0], [side * 0.4 * (1 + e)], [0.1], [0.05], [1.0]]) for e in (-1e-15, 1e-15)]
+    beside = [
+        call(FORMULAS["arc"], [[0.3], [1.0], [side * 0.4 * (1 + e)], [0.1], [0.05], [1.0]]) for e in (-1e-15, 1e-15)
+    ]
     for below, above in zip(*beside, strict=True):
         assert below == pytest.approx(above, abs=3e-15)
 

@@ -110,7 +110,9 @@ def test_where_the_robot_turns_about_is_found(slip):
     """On a noisy robot, each number within two of its deviations; the turning point within a centimetre and a half."""
     estimator = StateEstimator(MODEL, Estimator())
     run(estimator, IdealRobot(MODEL, np.zeros(3), slip=slip, noise=1.0), 1500)
-    found, deviation = (np.array(astuple(part)) for part in (estimator.estimate.slip, estimator.estimate.slip_deviation))
+    found, deviation = (
+        np.array(astuple(part)) for part in (estimator.estimate.slip, estimator.estimate.slip_deviation)
+    )
     assert (np.abs(found - astuple(slip)) < 2 * deviation).all()
     assert found[5:7] == pytest.approx([slip.turn_ahead, slip.turn_left], abs=0.015)
     assert found[7] == pytest.approx(slip.load_shift, abs=0.01)
@@ -124,7 +126,9 @@ def test_without_a_curve_nothing_is_learned_of_the_turning_point_and_nothing_for
         estimator.update(robot.time, robot.measure())
         estimator.commands.append(np.array(command))
         robot.advance(np.array(command))
-    found, deviation = (np.array(astuple(part))[4:] for part in (estimator.estimate.slip, estimator.estimate.slip_deviation))
+    found, deviation = (
+        np.array(astuple(part))[4:] for part in (estimator.estimate.slip, estimator.estimate.slip_deviation)
+    )
     s = Estimator()
     least = [s.side_slip_uncertainty, s.turn_ahead_uncertainty, s.turn_left_uncertainty, s.load_shift_uncertainty]
     assert (np.abs(found) < 0.5 * deviation).all()

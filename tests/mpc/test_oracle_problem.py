@@ -50,7 +50,15 @@ def setting(model_name, horizon=15, **overrides):
     return subject, Tick(
         pose=np.array([0.02, -0.03, heading]),
         state=subject.model.settled_state([0.45, 0.4]),
-        slip=Slip(v_offset=0.01, omega_gain=1.05, longitudinal_gain=0.98, yaw_gain=0.9, side_slip=0.1, turn_ahead=0.04, turn_left=-0.03),
+        slip=Slip(
+            v_offset=0.01,
+            omega_gain=1.05,
+            longitudinal_gain=0.98,
+            yaw_gain=0.9,
+            side_slip=0.1,
+            turn_ahead=0.04,
+            turn_left=-0.03,
+        ),
         past=past,
         last_command=past[-1],
         aim=aim,

@@ -37,7 +37,9 @@ def test_side_slip_alone_is_led_exactly_at_any_speed(omega, side_slip):
 
 @given(speeds, rates)
 def test_without_slip_the_heading_of_the_path_is_held(v, omega):
-    assert heading_to_hold(np.array([[1.0, 2.0, 0.3]]), np.array([[v, omega]]), Slip()) == pytest.approx([0.3], abs=1e-15)
+    assert heading_to_hold(np.array([[1.0, 2.0, 0.3]]), np.array([[v, omega]]), Slip()) == pytest.approx(
+        [0.3], abs=1e-15
+    )
 
 
 @given(rates, places)

@@ -267,9 +267,7 @@ class OracleController:
     def _plan(self, estimate: Estimate, target: Target) -> tuple[Plan | None, SolverStatus]:
         """One real-time iteration: linearise along the shifted plan, solve, keep the plan."""
         config, sample = self.config, target.sample or target.reference.sample(target.time + self.ahead)
-        tick = begin_tick(
-            self.feed_forward, estimate, self.estimator.commands.recent, self.last, sample
-        )
+        tick = begin_tick(self.feed_forward, estimate, self.estimator.commands.recent, self.last, sample)
         if self.guess is None:
             box = command_box(config.limits, config.sample_time, self.last, config.horizon)
             self.guess = np.clip(tick.feed_forward, -box, box)
