@@ -121,7 +121,7 @@ def test_real_time_iterations_converge_to_ipopts_solution(model_name, soft):
 
 
 def test_a_turning_point_that_moves_is_taken_from_the_guess_and_that_costs_nothing():
-    """The iteration ends where the plan is best for its own turning points, all but as good as if it could move them."""
+    """The iteration ends where the plan is best for its own turning points: nearly as good as if it moved them."""
     subject, tick = setting("ssm")
     tick = replace(tick, slip=replace(tick.slip, load_shift=0.05))
     plan, _ = converge(subject, tick)

@@ -17,8 +17,8 @@ class Estimate:
     Parameters
     ----------
     values
-        Time, pose age; mean and standard deviations (n + 12,) of the filter's state, see `oracle.kalman`; twist (2,) and
-        its standard deviations (2,); innovations (4,), NaN where there was none.
+        Time, pose age; mean and standard deviations (n + 12,) of the filter's state, see `oracle.kalman`; twist (2,)
+        and its standard deviations (2,); innovations (4,), NaN where there was none.
     order
         Order n of the velocity model.
     """

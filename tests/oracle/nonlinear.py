@@ -25,8 +25,8 @@ def nonlinear_program(
 ) -> tuple[dict[str, ca.MX], dict[str, FloatArray]]:
     """The program with x = (U, p, m), p and m >= 0 (5 N each) the excesses upwards and downwards; and its bounds.
 
-    The first 2 N entries of a solution are the commands, step by step. `ahead` (N,) are the turning points [m] where they
-    are given; else they are those of the plan that is sought.
+    The first 2 N entries of a solution are the commands, step by step. `ahead` (N,) are the turning points [m] where
+    they are given; else they are those of the plan that is sought.
     """
     N, model, w, slip = problem.steps, problem.model, problem.config.weights, tick.slip
     U, p, m = ca.MX.sym("U", 2, N), ca.MX.sym("p", 5, N), ca.MX.sym("m", 5, N)
