@@ -22,7 +22,9 @@ DT, N, LIMITS = CONFIG.sample_time, CONFIG.horizon, CONFIG.limits
 MODEL = load_model("ssm").with_extra_dead_time([CONFIG.extra_dead_time.v, CONFIG.extra_dead_time.omega]).discretise(DT)
 FAR_AWAY = (10.0, 10.0)
 # Re-entry lets the reference wait for a robot that is held up; without, the robot goes round what is in its way.
-WAITS, SWERVES = {}, {"reentry.enabled": False}
+# What the shipped estimator expects of the mujoco plant these robots do not do: they slip in no way.
+WAITS = {"estimator.side_slip": 0.0, "estimator.load_shift": 0.0}
+SWERVES = WAITS | {"reentry.enabled": False}
 
 FILE = """
 import casadi as ca
