@@ -86,7 +86,9 @@ def test_the_fit_command_prints_the_table(tmp_path: Path) -> None:
 def test_parameters_at_their_bounds_are_named_in_the_file_and_on_the_command_line(tmp_path: Path) -> None:
     """One step of a robot whose yaw rate has one lag does not tell of a second pole."""
     result = runner.invoke(app, ["models", "fit", "--out", str(tmp_path)])
-    said = "omega: the shorter time constant lies at the lower bound of the search, 0.00233: the data do not determine it"
+    said = (
+        "omega: the shorter time constant lies at the lower bound of the search, 0.00233: the data do not determine it"
+    )
     assert f"warning: SM: {said}" in result.stderr.splitlines()
     assert said in load_model(tmp_path / "sm.yaml").provenance["warnings"]
     assert said in model_text(load_model(tmp_path / "sm.yaml"))

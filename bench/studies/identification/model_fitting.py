@@ -111,9 +111,7 @@ def fit_models(
     def identify(label: str, experiments: list[Experiment], dead_time: float | None) -> IdentifiedChannel:
         shortest = fitting_settings().shortest
         # The simulated sensors have no outliers, and the experiments stay below every limit.
-        found = identify_channel(
-            experiments, label, limit=False, robust=False, dead_time=dead_time, shortest=shortest
-        )
+        found = identify_channel(experiments, label, limit=False, robust=False, dead_time=dead_time, shortest=shortest)
         announce(next(count), IDENTIFICATIONS)
         return found
 
