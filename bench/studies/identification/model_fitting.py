@@ -118,10 +118,11 @@ def fit_models(
     with staged(folder) as stage:
         announce(0, IDENTIFICATIONS)
         logs = run_experiments()
-        _write(stage / "sm.yaml", _fit_sm(logs, identify), (logs.v, logs.omega), day)
-        _write(stage / "mbm.yaml", _fit_mbm(logs, identify), (logs.wheels, logs.omega), day)
-    found = {name.upper(): load_model(folder / f"{name}.yaml").provenance["warnings"] for name in ("mbm", "sm")}
-    return validation_table(folder), [f"{name}: {text}" for name, texts in found.items() for text in texts]
+        sm, mbm = _fit_sm(logs, identify), _fit_mbm(logs, identify)
+        _write(stage / "sm.yaml", sm, (logs.v, logs.omega), day)
+        _write(stage / "mbm.yaml", mbm, (logs.wheels, logs.omega), day)
+    warnings = [f"{name}: {text}" for name, data in (("MBM", mbm), ("SM", sm)) for text in data["warnings"]]
+    return validation_table(folder), warnings
 
 
 def _write(path: Path, data: dict[str, Any], used: tuple[list[Drive], list[Drive]], day: str) -> None:

@@ -131,7 +131,8 @@ class RobotLogs:
     def free(self, drives: int, duration: float, largest: PaperRange | None = None) -> list[Record]:
         """Free drives of `duration` [s] each: smoothed random set-points, stretched to end at `largest` if given."""
         own = load_command_parameters().random
-        stretch = [largest.v / own.v_range[1], largest.omega / own.omega_range[1]] if largest else [1.0, 1.0]
+        ends = np.array([own.v_range[1], own.omega_range[1]])
+        stretch = np.array([largest.v, largest.omega]) / ends if largest else np.ones(2)
         return [
             record_of(f"free drive, seed {seed}", seed, stretch * random_commands(seed, duration=duration))
             for seed in (next(self._seeds) for _ in range(drives))
