@@ -8,6 +8,7 @@ from pathlib import Path
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.random_spline import PATTERN, lay_random_spline, seed_of
 from diffdrive_mpc.mpc.trajectories.segments import Segment, SegmentFile, lay_commanded, lay_segments
 from diffdrive_mpc.mpc.trajectories.settings import load_settings
 from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
@@ -19,7 +20,7 @@ from diffdrive_mpc.mpc.trajectories.waypoints import WaypointFile, lay_waypoints
 _FOLDER = Path(__file__).parent / "built_in"
 
 BUILT_IN: tuple[str, ...] = shipped_names(_FOLDER)
-"""Names of the trajectories that ship with the package."""
+"""Names of the trajectories that ship with the package as files."""
 
 
 def load_trajectory(
@@ -30,8 +31,9 @@ def load_trajectory(
     Parameters
     ----------
     name_or_path
-        A name in `BUILT_IN`; or a YAML file with `segments` (a list of v [m/s], omega [rad/s], duration [s]) or with
-        `waypoints` (a list of x, y [m]); or a CSV file of timed poses with the columns t [s], x, y [m], theta [rad].
+        A name in `BUILT_IN`; or `spline-` and a seed, a random smooth path; or a YAML file with `segments` (a list of
+        v [m/s], omega [rad/s], duration [s]) or with `waypoints` (a list of x, y [m]); or a CSV file of timed poses
+        with the columns t [s], x, y [m], theta [rad].
     limits
         Speeds and accelerations to respect; by default those of the robot of the papers.
     timing
@@ -45,8 +47,12 @@ def load_trajectory(
     """
     if timing is not None and timing not in TIMINGS:
         raise ConfigError(f"timing '{timing}': give {', '.join(TIMINGS[:-1])} or {TIMINGS[-1]}")
-    path = named_file("trajectory", _FOLDER, name_or_path, BUILT_IN)
-    trajectory = _read(path, limits or TrajectoryLimits.of_robot(), timing)
+    limits = limits or TrajectoryLimits.of_robot()
+    seed = seed_of(name_or_path)
+    if seed is not None:
+        return lay_random_spline(seed, limits, timing)
+    path = named_file("trajectory", _FOLDER, name_or_path, BUILT_IN, f", {PATTERN}")
+    trajectory = _read(path, limits, timing)
     longest = load_settings().longest_duration
     if trajectory.duration > longest:
         raise ConfigError(
