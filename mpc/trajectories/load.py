@@ -24,7 +24,7 @@ BUILT_IN: tuple[str, ...] = shipped_names(_FOLDER)
 
 
 def load_trajectory(
-    name_or_path: str | Path, limits: TrajectoryLimits | None = None, timing: Timing | None = None
+    name_or_path: str | Path, limits: TrajectoryLimits | None = None, timing: str | None = None
 ) -> Trajectory:
     """Load a reference trajectory.
 
@@ -45,14 +45,15 @@ def load_trajectory(
         If the name is unknown, the file is missing, malformed, empty or beyond the limits, or the timing is unknown or
         asked for with timed poses, which have times of their own.
     """
-    if timing is not None and timing not in TIMINGS:
+    way = next((one for one in TIMINGS if one == timing), None)
+    if timing is not None and way is None:
         raise ConfigError(f"timing '{timing}': give {', '.join(TIMINGS[:-1])} or {TIMINGS[-1]}")
     limits = limits or TrajectoryLimits.of_robot()
     seed = seed_of(name_or_path)
     if seed is not None:
-        return lay_random_spline(seed, limits, timing)
+        return lay_random_spline(seed, limits, way)
     path = named_file("trajectory", _FOLDER, name_or_path, BUILT_IN, f", {PATTERN}")
-    trajectory = _read(path, limits, timing)
+    trajectory = _read(path, limits, way)
     longest = load_settings().longest_duration
     if trajectory.duration > longest:
         raise ConfigError(
