@@ -234,7 +234,9 @@ def test_cubic_pieces_are_exact_enough_at_the_highest_speeds() -> None:
 
 def test_the_word_in_the_file_and_its_replacement(tmp_path: Path) -> None:
     path = tmp_path / "bends.yaml"
-    text = "timing: smooth\nsmoothing: 0.003\nsegments: [{v: 1, omega: 0, duration: 3}, {v: 1, omega: 1, duration: 3}]\n"
+    text = (
+        "timing: smooth\nsmoothing: 0.003\nsegments: [{v: 1, omega: 0, duration: 3}, {v: 1, omega: 1, duration: 3}]\n"
+    )
     path.write_text(text)
     filed = load_trajectory(path)
     assert filed.drawn_distance(instants(filed)).max() == pytest.approx(0.003, rel=0.01)
