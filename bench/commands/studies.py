@@ -118,9 +118,7 @@ def robustness(
     *,
     out: Annotated[Path, out_option("robustness.json, robustness.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="A few conditions on one path.")] = False,
-    only: Annotated[
-        str | None, typer.Option(metavar="NAMES", help="Conditions.", show_default="all of them")
-    ] = None,
+    only: Annotated[str | None, typer.Option(metavar="NAMES", help="Conditions.", show_default="all of them")] = None,
     conditions: Annotated[Path | None, file_option("Conditions", "--conditions")] = None,
     controllers: Annotated[str, typer.Option(metavar="NAMES", help="mpc, or peers.")] = "mpc,kanayama",
     models: Annotated[str, typer.Option(metavar="NAMES", help="Models of mpc.")] = "ssm",

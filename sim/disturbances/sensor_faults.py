@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any, get_args
 
@@ -60,8 +61,8 @@ class SensorFaults:
             )
         stuck = {field for one in scenario.stuck_sensors if one.holds(time) for field in _FIELDS[one.sensor]}
         lost = {field for one in scenario.drop_outs if one.holds(time) for field in _FIELDS[one.sensor]}
-        changes: dict[str, Stamped | None] = {}
-        for field in (field for fields in _FIELDS.values() for field in fields):
+        changes: dict[str, Any] = {}
+        for field in itertools.chain.from_iterable(_FIELDS.values()):
             stamped: Stamped | None = getattr(measurement, field)
             if field in lost or stamped is None:
                 changes[field] = None

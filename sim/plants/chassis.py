@@ -12,7 +12,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import Robot
 from diffdrive_mpc.sim.disturbances.disturbance_types import Payload, Slope
 from diffdrive_mpc.sim.plants.plant import RobotLostError
-from diffdrive_mpc.sim.plants.twin_parameters import Tyre, TwinParameters
+from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, Tyre
 
 _TIPPED = math.pi / 4
 """Lean from which no robot with its wheels below its body comes back [rad]."""

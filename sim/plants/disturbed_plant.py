@@ -18,6 +18,7 @@ from diffdrive_mpc.sim.disturbances.sensor_faults import SensorFaults
 from diffdrive_mpc.sim.plants.link import clip_command
 from diffdrive_mpc.sim.plants.plant import Plant
 
+
 class DisturbedPlant:
     """Start offset, sensor faults and false commands around any plant; see `sim.plants.plant.Plant`.
 

@@ -40,7 +40,9 @@ class Surface(StrictModel):
     @property
     def sideways(self) -> float:
         """Sliding friction across the rolling direction over that along it; 1 where both are the same."""
-        return 1.0 if self.friction is None or self.sideways_friction is None else self.sideways_friction / self.friction
+        return (
+            1.0 if self.friction is None or self.sideways_friction is None else self.sideways_friction / self.friction
+        )
 
 
 def load_surface(name: str | Path) -> Surface:

@@ -1,4 +1,4 @@
-"""Robots of the `mujoco` plant that differ from the twin: what mechanics says of each, and what a mistake in a file says."""
+"""Robots of the `mujoco` plant that differ from the twin: what mechanics says of each, and what mistakes give."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_nothing_moves_before_the_dead_time(name: str) -> None:
 def test_wheels_that_are_too_slow_stay_below_the_speed_of_the_shipped_paths() -> None:
     reachable = load_simulated_robot("short_of_speed").twin.motor.no_load_speed * load_robot().wheel_radius
     v = _hold("short_of_speed", 0.5, 0.0).wheel_twist[:, 0]
-    assert v.max() <= reachable * (1 + 1e-6) < 0.5
+    assert v.max() <= reachable * (1 + 1e-3) < 0.5
     assert v[-1] == pytest.approx(reachable, rel=0.02)
 
 
@@ -90,7 +90,9 @@ def test_motors_answer_slower_or_faster_than_the_twin(name: str, quicker: bool) 
     for v, omega, channel in ((0.5, 0.0, 0), (0.0, 0.8, 2)):
         logs = [drive_open_loop(plant, np.tile([v, omega], (100, 1))) for plant in (_plant(name), make_plant("mujoco"))]
         rates = [log.true_twist[:, channel] / log.true_twist[-1, channel] for log in logs]
-        rise = [float(np.interp(0.63, np.maximum.accumulate(rate), log.time)) for rate, log in zip(rates, logs, strict=True)]
+        rise = [
+            float(np.interp(0.63, np.maximum.accumulate(rate), log.time)) for rate, log in zip(rates, logs, strict=True)
+        ]
         assert (rise[0] < rise[1]) == quicker
 
 
@@ -108,7 +110,10 @@ def test_another_build_turns_on_the_spot_as_coulomb_friction_and_its_firmware_sa
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("twin: {chassis: {wheelbase: 0.2}}", "unknown key 'twin.chassis.wheelbase'; did you mean 'twin.chassis.wheel_base'?"),
+        (
+            "twin: {chassis: {wheelbase: 0.2}}",
+            "unknown key 'twin.chassis.wheelbase'; did you mean 'twin.chassis.wheel_base'?",
+        ),
         ("robot: {mass: -1.0}", "robot.mass: Input should be greater than 0 (found -1.0)"),
         ("robot: {mass: 0.5}", "robot.mass 0.5 kg: its wheels alone weigh 1 kg"),
         ("twin: {chassis: {centre_of_mass: [0.1, 0.0]}}", "it must lie between the wheels, 0.07 m ahead and 0.165 m"),

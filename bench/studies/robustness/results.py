@@ -92,7 +92,9 @@ Rows = Sequence[ConditionOutcome]
 
 def by_condition(rows: Rows) -> dict[str, dict[str, list[ConditionOutcome]]]:
     """Outcomes by condition, and in it by controller, in the order of first appearance."""
-    return {name: group(theirs, lambda one: one.driver) for name, theirs in group(rows, lambda one: one.condition).items()}
+    return {
+        name: group(theirs, lambda one: one.driver) for name, theirs in group(rows, lambda one: one.condition).items()
+    }
 
 
 def ratios(drivers: Mapping[str, Rows]) -> dict[str, float]:
