@@ -6,12 +6,11 @@ import math
 from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.named_file import shipped_names
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.plant import Plant
-from diffdrive_mpc.sim.plants.simulated_robot import ROBOTS, load_simulated_robot
+from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
@@ -107,8 +106,8 @@ def make_plant(
         )
         return DisturbedPlant(plant, happening, load_robot()) if happening.kinds else plant
     raise ConfigError(
-        f"unknown plant '{name}': give 'mujoco', 'mujoco:NAME' (another robot: {', '.join(shipped_names(ROBOTS))}, or the "
-        "path of a robot file) or 'model:NAME' (mbm, sm, ssm or the path of a model file), with more dead time "
+        f"unknown plant '{name}': give 'mujoco', 'mujoco:NAME' (another robot, such as 'heavy', or the path of a robot "
+        "file) or 'model:NAME' (mbm, sm, ssm, a robot such as 'husky', or the path of a model file), with more dead time "
         "'model:NAME+SECONDS'"
     )
 

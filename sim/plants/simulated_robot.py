@@ -31,7 +31,7 @@ class SimulatedRobot(StrictModel):
         if not (abs(ahead) < chassis.wheel_base / 2 and abs(left) < robot.track / 2):
             raise ValueError(
                 f"twin.chassis.centre_of_mass [{ahead}, {left}] m: it must lie between the wheels, "
-                f"{chassis.wheel_base / 2:g} m ahead and {robot.track / 2:g} m to the left at most, or the robot tips over"
+                f"{chassis.wheel_base / 2:g} m ahead and {robot.track / 2:g} m to the left at most, or it tips over"
             )
         return self
 
