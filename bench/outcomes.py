@@ -80,10 +80,15 @@ K = TypeVar("K")
 
 @dataclass(frozen=True)
 class Outcome:
-    """A case and all of its run; satisfies `Scored`."""
+    """A case and all of its run; satisfies `Scored`.
+
+    Where it was timed, `clean_share` is the share of its ticks that could be measured undisturbed; the times of the others
+    are NaN, or if there is none all stand as they are.
+    """
 
     case: Case
     run: Run
+    clean_share: float = 1.0
 
     @property
     def metrics(self) -> Metrics:
@@ -136,8 +141,29 @@ def recoveries(outcomes: Iterable[Scored], figure: str) -> FloatArray:
 
 
 def step_times(outcomes: Iterable[Outcome]) -> FloatArray:
-    """Step times of all counted ticks of several runs [s]."""
-    return np.concatenate([outcome.run.step_time[outcome.run.counted] for outcome in outcomes])
+    """Times of the whole step [s] at the counted ticks of several runs that have one."""
+    return _times([outcome.run.step_time[outcome.run.counted] for outcome in outcomes])
+
+
+def solve_times(outcomes: Iterable[Outcome]) -> FloatArray:
+    """The same of linearising, condensing and solving."""
+    return _times([outcome.run.solve_time[outcome.run.counted] for outcome in outcomes])
+
+
+def _times(parts: list[FloatArray]) -> FloatArray:
+    times = np.concatenate(parts)
+    return times[np.isfinite(times)]
+
+
+def time_percentile(times: FloatArray, percent: float) -> float:
+    """A percentile of times; NaN without any."""
+    return float(np.percentile(times, percent)) if times.size else math.nan
+
+
+def disturbed_share(outcomes: Iterable[Outcome]) -> float:
+    """Share of the ticks of several runs that could not be timed undisturbed."""
+    runs = list(outcomes)
+    return float(np.average([1.0 - one.clean_share for one in runs], weights=[len(one.run.time) for one in runs]))
 
 
 def group(outcomes: Iterable[S], key: Callable[[S], K]) -> dict[K, list[S]]:

@@ -11,9 +11,14 @@ from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.bench.outcomes import STATISTICS, Outcome, metrics_row, plain
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.studies.comparison.plan import ComparisonSettings
+from diffdrive_mpc.bench.timing import TimingPass
+from diffdrive_mpc.bench.turns import AGAIN, BLOCK
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
-TIMING = "serial replay of the recorded measurements, one core, one BLAS thread, garbage collection off, whole step"
+TIMING = (
+    "replays of the recorded measurements on one core, one BLAS thread, garbage collection off; controllers take turns "
+    f"every {BLOCK} ticks; blocks that counters or the yardstick call disturbed are measured again, up to {AGAIN} times"
+)
 
 
 @dataclass(frozen=True)
@@ -28,14 +33,14 @@ class ComparisonResults:
         Outcomes of the comparison.
     horizon
         Outcomes of the horizon sweep; they may be among `main` too.
-    cpu_share
-        Processor time over elapsed time of the timing pass [-].
+    timing
+        How the machine was while all was timed.
     """
 
     settings: ComparisonSettings
     main: tuple[Outcome, ...]
     horizon: tuple[Outcome, ...]
-    cpu_share: float = 1.0
+    timing: TimingPass = TimingPass()
 
     @property
     def all(self) -> tuple[Outcome, ...]:
@@ -68,6 +73,7 @@ def row(outcome: Outcome, silent: Container[str], *, with_settings: bool = False
     """
     case, run = outcome.case, outcome.run
     values = case.as_row(silent) | {"horizon": case.horizon} | metrics_row(outcome)
+    values["timed_clean_percent"] = 100.0 * outcome.clean_share
     if with_settings:
         values["set"] = dict(case.overrides)
     if "scenario" not in silent:
@@ -90,22 +96,22 @@ def incomplete(results: ComparisonResults) -> str | None:
     return f"{len(failed)} of {len(ours)} runs of mpc did not complete, the first: {first}; bench.json lists them"
 
 
-def describe(settings: ComparisonSettings, cpu_share: float) -> dict[str, object]:
+def describe(settings: ComparisonSettings, timing: TimingPass) -> dict[str, object]:
     """Definitions, and what was asked for, for the `meta` part of `bench.json`.
 
     Parameters
     ----------
     settings
         What was asked for.
-    cpu_share
-        Processor time over elapsed time of the timing pass [-].
+    timing
+        How the machine was while all was timed.
     """
     asked: dict[str, object] = {one.several: labelled(settings, one.several) for one in DIMENSIONS}
     if not settings.ours:
         asked["models"] = []
     return {
         "step_times": TIMING,
-        "step_times_cpu_share": round(cpu_share, 3),
+        "timing": asdict(timing),
         "statistics": STATISTICS,
         "thresholds": metric_settings().model_dump(),
         "experiment": asked | {"horizons": settings.horizons},

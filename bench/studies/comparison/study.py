@@ -15,7 +15,7 @@ from diffdrive_mpc.bench.studies.comparison.results import (
 )
 from diffdrive_mpc.bench.studies.comparison.tables import report_tables
 from diffdrive_mpc.bench.study import Report, Study
-from diffdrive_mpc.bench.timing import time_outcomes
+from diffdrive_mpc.bench.timing import TimingPass, time_outcomes
 
 
 class ComparisonStudy(Study[CasePlan, ComparisonResults]):
@@ -35,11 +35,11 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         """Run every case, and time the controllers' steps; raises NotReproducibleError where a replay differs."""
         bar.begin(f"running, {jobs} at a time", len(plan.all))
         recorded = run_cases(plan.all, jobs, bar.advance)
-        bar.begin("timing, one at a time", len(recorded))
-        timed, cpu_share = time_outcomes(recorded, bar.advance)
+        bar.begin("timing, in turns", len(recorded))
+        timed, timing = time_outcomes(recorded, bar.advance)
         outcomes = {outcome.case: outcome for outcome in timed}
         main, horizon = (tuple(outcomes[case] for case in cases) for cases in (plan.main, plan.horizon))
-        return ComparisonResults(self.settings, main, horizon, cpu_share)
+        return ComparisonResults(self.settings, main, horizon, timing)
 
     def report(self, results: ComparisonResults, seconds: float) -> Report:
         """The overview above the tables, the runs of the first seed one by one below."""
@@ -54,7 +54,7 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         chosen = chosen_configuration(self.settings)
         return Report(
             counted=f"{len(results.all)} runs",
-            meta=describe(self.settings, results.cpu_share),
+            meta=describe(self.settings, results.timing),
             content={"runs": results.rows()},
             facts=[
                 f"{len(results.all)} runs in {seconds} s; {', '.join(asked)}.",
@@ -62,9 +62,16 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
             ],
             notes=[
                 f"Errors: {STATISTICS}.",
-                f"Step times: {TIMING}; the process had the core for {100 * results.cpu_share:.0f} % of that time.",
+                f"Times: {TIMING}. {_undisturbed(results.timing)}",
             ],
             tables=report_tables(results),
             figures=drawings(results),
             figures_first=1,
         )
+
+
+def _undisturbed(timing: TimingPass) -> str:
+    return (
+        f"In the end {100 * timing.clean_share:.1f} % of the ticks were undisturbed; other programs had the core for "
+        f"{100 * timing.others_share:.0f} % of the time, and the yardstick took {1e6 * timing.yardstick:.1f} us at its best."
+    )
