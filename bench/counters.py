@@ -21,14 +21,14 @@ except ImportError:  # a system without it counts no switches
 T = TypeVar("T")
 
 AWAY = (2e-5, 0.01)
-"""An undisturbed stretch may lack the processor for this long [s], and this share of its time: clocks are read apart."""
+"""An undisturbed stretch may lack the processor for so long [s] and so much of its time: clocks are read apart."""
 SLOWER = 1.15
 """From this on, in units of its best time, the yardstick says that the machine is slow."""
 _PROBES, _SUMMANDS = 3, 300
 
 
 class Effort(NamedTuple):
-    """What a stretch of work took: elapsed and own processor time [s], involuntary switches, time of the yardstick [s]."""
+    """What some work took: elapsed and own processor time [s], involuntary switches, time of the yardstick [s]."""
 
     elapsed: float
     own: float
@@ -72,8 +72,8 @@ def _switches() -> int:
 class CoreCounters(NamedTuple):
     """What the system says of one core since it was started; zero where it does not.
 
-    Time that programs and the kernel had it, and that the host took from it [s], in steps of some milliseconds; how often
-    it was throttled.
+    Time that programs and the kernel had it, and that the host took from it [s], in steps of some milliseconds; how
+    often it was throttled.
     """
 
     busy: float = 0.0

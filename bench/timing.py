@@ -73,6 +73,10 @@ class TimingPass:
     yardstick: float = float("nan")
 
 
+UNDISTURBED = TimingPass()
+"""Where nothing was timed."""
+
+
 def time_outcomes(outcomes: Sequence[Outcome], on_done: OnDone) -> tuple[list[Outcome], TimingPass]:
     """Replace the times by those of replays on one quiet core; those of the same place take turns.
 

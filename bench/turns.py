@@ -6,6 +6,7 @@ What the machine does meanwhile then meets all of them alike, and caches are as 
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -18,8 +19,12 @@ from diffdrive_mpc.models.interface import FloatArray
 
 BLOCK = 25
 """Ticks that one replay goes on before the next has its turn."""
+COLD = 1
+"""Ticks at the begin of a turn that are not timed: with the caches full of others' data they take four times as long."""
 AGAIN = 4
-"""How many more times all is replayed where blocks were disturbed."""
+"""How many more times all is replayed where blocks were disturbed, at most."""
+PATIENCE = 2.0
+"""How long that may go on, in units of the time that the wanted replays took."""
 
 
 class Replay(Protocol):
@@ -49,7 +54,7 @@ class TurnTimes:
     Attributes
     ----------
     times
-        (repetitions, ticks, 2) of the whole step and of the solve [s]; NaN where there is none.
+        (repetitions, ticks, 2) of the whole step and of the solve [s]; NaN where there is none, and for cold ticks.
     clean
         (repetitions, ticks) whether the tick's block was undisturbed.
     """
@@ -106,6 +111,7 @@ class _Track:
             for row, one in enumerate(chosen):
                 place = slice(first, first + len(one.times))
                 times[row, place], clean[row, place] = one.times, row < len(good)
+                times[row, first : first + COLD] = np.nan
         return TurnTimes(times, clean)
 
 
@@ -117,7 +123,7 @@ def take_turns(
     core: int | None = None,
     on_replay: Callable[[], None] = lambda: None,
 ) -> tuple[list[list[TurnTimes]], float]:
-    """Replay everything until every block has been measured undisturbed, or `AGAIN` times more than wanted.
+    """Replay everything until every block was measured undisturbed, `AGAIN` times more than wanted or out of patience.
 
     Parameters
     ----------
@@ -141,8 +147,13 @@ def take_turns(
     """
     tracks = [[_Track(replay, repetitions) for replay in group] for group in groups]
     best = np.inf
+    began, deadline = time.perf_counter(), np.inf
     for again in range(repetitions + AGAIN):
+        if again == repetitions:
+            deadline = began + (1.0 + PATIENCE) * (time.perf_counter() - began)
         for group in tracks:
+            if time.perf_counter() > deadline:
+                break
             _go_round([track for track in group if track.end(best, block)], best, block, core)
             best = min(
                 [best, *(one.effort.pace for track in group for turns in track.blocks.values() for one in turns)]

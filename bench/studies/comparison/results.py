@@ -6,18 +6,19 @@ from collections.abc import Container
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from diffdrive_mpc.bench.case import DIMENSIONS, NO_SCENARIO, label
+from diffdrive_mpc.bench.case import DIMENSIONS, NO_SCENARIO, Case, label
 from diffdrive_mpc.bench.controllers import controller_config
-from diffdrive_mpc.bench.outcomes import STATISTICS, Outcome, metrics_row, plain
+from diffdrive_mpc.bench.outcomes import STATISTICS, Outcome, Score, metrics_row, plain
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.studies.comparison.plan import ComparisonSettings
-from diffdrive_mpc.bench.timing import TimingPass
+from diffdrive_mpc.bench.studies.comparison.properties import Property, property_rows
+from diffdrive_mpc.bench.timing import UNDISTURBED, TimingPass
 from diffdrive_mpc.bench.turns import AGAIN, BLOCK
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 TIMING = (
     "replays of the recorded measurements on one core, one BLAS thread, garbage collection off; controllers take turns "
-    f"every {BLOCK} ticks; blocks that counters or the yardstick call disturbed are measured again, up to {AGAIN} times"
+    f"every {BLOCK} ticks, the first of which is not timed; blocks that counters or the yardstick call disturbed are measured again, up to {AGAIN} times"
 )
 
 
@@ -35,12 +36,20 @@ class ComparisonResults:
         Outcomes of the horizon sweep; they may be among `main` too.
     timing
         How the machine was while all was timed.
+    properties
+        Of the models on the plants.
+    speed, dead_time, other_seeds
+        See `CasePlan`; empty where they were not run.
     """
 
     settings: ComparisonSettings
     main: tuple[Outcome, ...]
     horizon: tuple[Outcome, ...]
-    timing: TimingPass = TimingPass()
+    timing: TimingPass = UNDISTURBED
+    properties: tuple[Property, ...] = ()
+    speed: tuple[Score, ...] = ()
+    dead_time: tuple[Score, ...] = ()
+    other_seeds: tuple[Score, ...] = ()
 
     @property
     def all(self) -> tuple[Outcome, ...]:
@@ -56,6 +65,14 @@ class ComparisonResults:
         """Every run as plain values; what could not be computed is None."""
         swept = any(self.settings.settings)
         return [row(outcome, self.silent, with_settings=swept) for outcome in self.all]
+
+    def content(self) -> dict[str, object]:
+        """Everything as rows of plain values by name; parts that were not run are left out."""
+        scored = {"speed": self.speed, "dead_time": self.dead_time, "other_seeds": self.other_seeds}
+        parts = {"properties": property_rows(self.properties, self.main)} | {
+            name: [score_row(one, self.silent) for one in scores] for name, scores in scored.items()
+        }
+        return {"runs": self.rows()} | {name: rows for name, rows in parts.items() if rows}
 
 
 def row(outcome: Outcome, silent: Container[str], *, with_settings: bool = False) -> dict[str, object]:
@@ -79,6 +96,15 @@ def row(outcome: Outcome, silent: Container[str], *, with_settings: bool = False
     if "scenario" not in silent:
         values |= {"ended": run.ended or None, "disturbance_s": run.disturbance} | asdict(run.recovery)
     row: dict[str, object] = plain(values)
+    return row
+
+
+def score_row(score: Score, silent: Container[str]) -> dict[str, object]:
+    """A run that was not timed as plain values; `late_s` is by how much the plant was later than told."""
+    case = score.case
+    sample_time = controller_config(Case().model).sample_time
+    values = case.as_row(silent) | {"top_speed_m_s": case.top_speed, "late_s": case.late * sample_time}
+    row: dict[str, object] = plain(values | metrics_row(score, timed=False))
     return row
 
 

@@ -30,6 +30,8 @@ from diffdrive_mpc.bench.outcomes import (
     time_percentile,
     with_mean,
 )
+from diffdrive_mpc.bench.studies.comparison.order import order_table
+from diffdrive_mpc.bench.studies.comparison.properties import property_table
 from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
@@ -74,15 +76,18 @@ def report_tables(results: ComparisonResults) -> list[Table]:
     tables = [make(results.main) for make in (summary_table, error_table, path_table, time_table, solver_table)]
     if "scenario" not in results.silent:
         tables.append(scenario_table(results.main))
-    return tables + ([horizon_table(results.horizon)] if results.horizon else [])
+    tables += [horizon_table(results.horizon)] if results.horizon else []
+    if len(by_driver(results.main)) > 1:
+        tables.append(order_table(results.main, results.other_seeds))
+    return tables + ([property_table(results.properties, results.main)] if results.properties else [])
 
 
 def summary_table(outcomes: Group) -> Table:
     """One row for each controller: how well it tracks and what it costs."""
     columns = {**_TRACKING, **_times(), "fallbacks": total_of("fallbacks"), "completed": completed}
     note = (
-        "Errors: means over trajectories and seeds; counts over all runs. Solve: linearising, condensing and solving, or a "
-        "peer's law; step: all from measurement to command."
+        "Errors: means over trajectories and seeds; counts over all runs. Solve: linearising, condensing and solving, "
+        "or a peer's law; step: all from measurement to command."
     ) + _disturbed_note(outcomes)
     return Table.of("Summary", ("controller",), columns, _by_driver(outcomes), note)
 
@@ -141,8 +146,8 @@ def solver_table(outcomes: Group) -> Table:
         "iterations max": worst_of("iterations_max", partial(number, digits=0)),
     }
     note = (
-        "Shares of solved steps: no limit active, which is one factorisation and no iteration; the active set guessed and "
-        "proven; OSQP or DAQP."
+        "Shares of solved steps: no limit active, which is one factorisation and no iteration; the active set guessed "
+        "and proven; OSQP or DAQP."
     )
     solving = [(name, group) for name, group in _by_driver(outcomes) if math.isfinite(mean(group, "iterations_mean"))]
     return Table.of("Ways of the solver", ("controller",), columns, solving, note)
