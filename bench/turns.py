@@ -20,7 +20,8 @@ from diffdrive_mpc.models.interface import FloatArray
 BLOCK = 25
 """Ticks that one replay goes on before the next has its turn."""
 COLD = 1
-"""Ticks at the begin of a turn that are not timed: with the caches full of others' data they take four times as long."""
+"""Ticks at the begin of a turn that are not timed: the caches are full of others' data, and they take four times as
+long."""
 AGAIN = 4
 """How many more times all is replayed where blocks were disturbed, at most."""
 PATIENCE = 2.0

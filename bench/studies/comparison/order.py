@@ -15,8 +15,8 @@ from diffdrive_mpc.models.interface import FloatArray
 RESAMPLES, CERTAINTY = 2000, 95.0
 """Of the bootstrap: how often it draws anew, and the share of its means that its interval holds [%]."""
 RULE = (
-    "Two controllers are told apart where the mean difference of their position RMSE, run by run on the same "
-    f"trajectory and seed, keeps its sign in the middle {CERTAINTY:g} % of {RESAMPLES} bootstrap samples of these differences."
+    "Two controllers are told apart where the mean difference of their position RMSE, paired by trajectory "
+    f"and seed, has one sign in the middle {CERTAINTY:g} % of {RESAMPLES} bootstrap samples of these differences."
 )
 
 
