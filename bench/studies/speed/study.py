@@ -92,8 +92,8 @@ class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
                 f"BLAS thread, in {seconds} s; {before:.1f} processes ran on the machine before, {after:.1f} after."
             ],
             notes=[
-                f"{100 * clean:.1f} % of the steps were undisturbed: no other process, no slower machine. The others are "
-                "left out, and medians of rows that have some are marked *.",
+                f"{100 * clean:.1f} % of the steps were undisturbed: no other process, no slower machine. The others "
+                "are left out, and medians of rows that have some are marked *.",
                 f"Peers: {', '.join(peers)}. Missing: {missing}.",
             ],
             tables=speed_tables(results),
