@@ -67,7 +67,8 @@ def order(outcomes: Sequence[Scored]) -> list[Place]:
 def reversed_pairs(one: Sequence[Scored], other: Sequence[Scored]) -> tuple[list[str], list[str]]:
     """Pairs whose order differs between two sets of runs: those told apart in both, and those that are not."""
     first, second = ({name: _errors(runs) for name, runs in by_driver(runs).items()} for runs in (one, other))
-    certain, open_ = [], []
+    certain: list[str] = []
+    open_: list[str] = []
     for a, b in itertools.combinations([name for name in first if name in second], 2):
         here, there = (_differences(errors[a], errors[b]) for errors in (first, second))
         if np.mean(here) * np.mean(there) < 0:

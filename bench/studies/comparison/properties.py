@@ -63,9 +63,9 @@ class Property:
             records.append(Record(f"seed {seed}", 0.0, config.sample_time, drive.command, pose=drive.true_pose))
             twists.append(sampled.simulate(drive.command))
             outputs.append(drive.output)
-        fits = [pooled_fit_percent([y[:, i] for y in outputs], [y[:, i] for y in twists]) for i in (0, 1)]
+        fit_v, fit_omega = (pooled_fit_percent([y[:, i] for y in outputs], [y[:, i] for y in twists]) for i in (0, 1))
         (drift,) = pose_drift(records, twists, horizons=[DRIFT_AFTER])
-        return cls(case, *fits, drift.position_rmse)
+        return cls(case, fit_v, fit_omega, drift.position_rmse)
 
 
 def measure_properties(cases: Sequence[Case], jobs: int, on_done: OnDone = lambda: None) -> list[Property]:
@@ -78,7 +78,7 @@ def measure_properties(cases: Sequence[Case], jobs: int, on_done: OnDone = lambd
 def _property_case(case: Case) -> Case:
     """What the properties depend on."""
     plain = {one.name: one.default for one in DIMENSIONS if one.name in ("trajectory", "seed", "scenario", "timing")}
-    return replace(case, **plain)  # type: ignore[arg-type]
+    return replace(case, **plain)
 
 
 def property_rows(properties: Sequence[Property], outcomes: Sequence[Outcome]) -> list[dict[str, object]]:

@@ -70,10 +70,9 @@ class ComparisonResults:
     def content(self) -> dict[str, object]:
         """Everything as rows of plain values by name; parts that were not run are left out."""
         scored = {"speed": self.speed, "dead_time": self.dead_time, "other_seeds": self.other_seeds}
-        parts = {"properties": property_rows(self.properties, self.main)} | {
-            name: [score_row(one, self.silent) for one in scores] for name, scores in scored.items()
-        }
-        return {"runs": self.rows()} | {name: rows for name, rows in parts.items() if rows}
+        rows = {"runs": self.rows(), "properties": property_rows(self.properties, self.main)}
+        rows |= {name: [score_row(one, self.silent) for one in scores] for name, scores in scored.items()}
+        return {name: part for name, part in rows.items() if part}
 
 
 def row(outcome: Outcome, silent: Container[str], *, with_settings: bool = False) -> dict[str, object]:
