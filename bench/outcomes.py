@@ -18,6 +18,7 @@ from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.runner import OnDone, run_tasks
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.mpc import Trajectory
 from diffdrive_mpc.sim import Metrics, Run
 from diffdrive_mpc.sim.metrics.recovery import Recovery
 from diffdrive_mpc.sim.run import NO_SOLVER
@@ -190,6 +191,15 @@ def disturbed_share(outcomes: Iterable[Outcome]) -> float:
     """Share of the ticks of several runs that could not be timed undisturbed."""
     runs = list(outcomes)
     return float(np.average([1.0 - one.clean_share for one in runs], weights=[len(one.run.time) for one in runs]))
+
+
+def drawn_distances(outcomes: Iterable[Outcome]) -> FloatArray:
+    """Distance of the reference from the path as it was drawn [m], at all counted ticks of several runs."""
+    found = [np.zeros(0)]
+    for run in (outcome.run for outcome in outcomes):
+        times, of = run.time[run.counted], run.reference
+        found.append(of.drawn_distance(times) if isinstance(of, Trajectory) else np.zeros(times.size))
+    return np.concatenate(found)
 
 
 def group(outcomes: Iterable[S], key: Callable[[S], K]) -> dict[K, list[S]]:

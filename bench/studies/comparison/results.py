@@ -6,9 +6,11 @@ from collections.abc import Container
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import numpy as np
+
 from diffdrive_mpc.bench.case import DIMENSIONS, NO_SCENARIO, Case, label
 from diffdrive_mpc.bench.controllers import controller_config
-from diffdrive_mpc.bench.outcomes import STATISTICS, Outcome, Score, metrics_row, plain
+from diffdrive_mpc.bench.outcomes import STATISTICS, Outcome, Score, drawn_distances, metrics_row, plain
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.studies.comparison.plan import ComparisonSettings
 from diffdrive_mpc.bench.studies.comparison.properties import Property, property_rows
@@ -64,8 +66,8 @@ class ComparisonResults:
 
     def rows(self) -> list[dict[str, object]]:
         """Every run as plain values; what could not be computed is None."""
-        swept = any(self.settings.settings)
-        return [row(outcome, self.silent, with_settings=swept) for outcome in self.all]
+        swept, smoothed = any(self.settings.settings), bool(drawn_distances(self.all).any())
+        return [row(one, self.silent, with_settings=swept, with_drawn=smoothed) for one in self.all]
 
     def content(self) -> dict[str, object]:
         """Everything as rows of plain values by name; parts that were not run are left out."""
@@ -75,7 +77,9 @@ class ComparisonResults:
         return {name: part for name, part in rows.items() if part}
 
 
-def row(outcome: Outcome, silent: Container[str], *, with_settings: bool = False) -> dict[str, object]:
+def row(
+    outcome: Outcome, silent: Container[str], *, with_settings: bool = False, with_drawn: bool = False
+) -> dict[str, object]:
     """One run as plain values.
 
     Parameters
@@ -87,12 +91,17 @@ def row(outcome: Outcome, silent: Container[str], *, with_settings: bool = False
         its time, begin and end of the disturbance [s] and the figures of the recovery from it.
     with_settings
         Add the swept configuration values under "set".
+    with_drawn
+        Add how far the reference is from the path as it was drawn.
     """
     case, run = outcome.case, outcome.run
     values = case.as_row(silent) | {"horizon": case.horizon} | metrics_row(outcome)
     values["timed_clean_percent"] = 100.0 * outcome.clean_share
     if with_settings:
         values["set"] = dict(case.overrides)
+    if with_drawn:
+        distance = drawn_distances([outcome])
+        values |= {"drawn_max_m": distance.max(), "drawn_rms_m": np.sqrt(np.mean(distance**2))}
     if "scenario" not in silent:
         values |= {"ended": run.ended or None, "disturbance_s": run.disturbance} | asdict(run.recovery)
     row: dict[str, object] = plain(values)

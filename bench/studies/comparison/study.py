@@ -48,10 +48,11 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         bar.begin(f"beyond the tables, {jobs} at a time", len(plan.beyond))
         scores = {score.case: score for score in score_cases(plan.beyond, jobs, bar.advance)}
         scores |= {case: Score.of_outcome(outcome) for case, outcome in outcomes.items()}
-        parts = {
-            name: tuple(scores[case] for case in getattr(plan, name)) for name in ("speed", "dead_time", "other_seeds")
-        }
-        return replace(results, properties=tuple(measure_properties(plan.main, jobs)), **parts)
+        speed, dead_time, others = (
+            tuple(scores[case] for case in cases) for cases in (plan.speed, plan.dead_time, plan.other_seeds)
+        )
+        properties = tuple(measure_properties(plan.main, jobs))
+        return replace(results, properties=properties, speed=speed, dead_time=dead_time, other_seeds=others)
 
     def report(self, results: ComparisonResults, seconds: float) -> Report:
         """The overview above the tables, the runs of the first seed one by one below."""

@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 from functools import partial
 
+import numpy as np
+
 from diffdrive_mpc.bench.case import DIMENSIONS
 from diffdrive_mpc.bench.cells import (
     Cell,
@@ -24,6 +26,7 @@ from diffdrive_mpc.bench.outcomes import (
     by_horizon,
     by_model,
     disturbed_share,
+    drawn_distances,
     mean,
     solve_times,
     step_times,
@@ -64,6 +67,10 @@ _HEADING = {f"heading {what} [rad]": mean_of(f"heading_{what.lower()}_rad") for 
 _LATERAL = {f"lateral {what} [m]": mean_of(f"lateral_{what.lower()}_m") for what in ("RMSE", "MAE", "p95", "max")}
 _IN_BAND = {"in band [%]": mean_of("in_band_percent", partial(number, digits=1))}
 _COURSE = {"course RMSE [rad]": mean_of("course_rmse_rad")}
+_DRAWN: dict[str, Cell] = {
+    "max": lambda group: number(float(drawn_distances(group).max())),
+    "rms": lambda group: number(float(np.sqrt(np.mean(drawn_distances(group) ** 2)))),
+}
 _TRACKING = {
     "position RMSE [m]": mean_of("position_rmse_m"),
     "lateral RMSE [m]": mean_of("lateral_rmse_m"),
@@ -102,6 +109,9 @@ def path_table(outcomes: Group) -> Table:
     """Errors against the path rather than the timed reference, by trajectory."""
     columns = {**_LATERAL, **_COURSE, **_IN_BAND}
     note = "Means over seeds. Lateral: by projection onto the path. Course: direction of travel against its tangent."
+    if drawn_distances(outcomes).any():
+        columns |= {f"reference to drawn path, {what} [m]": cell for what, cell in _DRAWN.items()}
+        note += " The path is that of the reference, which smooth timing lays beside the drawn one."
     return _by_trajectory("Error against the path", outcomes, columns, note)
 
 
