@@ -8,11 +8,15 @@ from functools import lru_cache
 from pathlib import Path
 
 from diffdrive_mpc.bench.case import AS_FILED, Case, Overrides
+from diffdrive_mpc.bench.late_plant import LatePlant
 from diffdrive_mpc.bench.peers import PEERS, make_peer
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Reference, TrackingController
 from diffdrive_mpc.models.load import MODEL_NAMES, load_model, model_path
 from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_config, load_trajectory
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.load import load_segments
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.sim import Plant, Run, make_plant, simulate
 
 CONTROLLERS = ("mpc", *PEERS)
@@ -33,7 +37,7 @@ def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
                 f"sample_time {asked} s: the plant '{case.plant}' takes a command every {plant.sample_time} s; "
                 f"set sample_time to that"
             )
-    return controller, plant, load_reference(case)
+    return controller, LatePlant(plant, case.late) if case.late > 0 else plant, load_reference(case)
 
 
 def run_case(case: Case) -> Run:
@@ -51,7 +55,18 @@ def check_cases(cases: Iterable[Case]) -> None:
 
 
 def load_reference(case: Case) -> Trajectory:
-    """The trajectory of a case with its timing; raises ConfigError if either cannot be used."""
+    """The trajectory of a case with its timing; raises ConfigError if either cannot be used.
+
+    With a top speed of its own it stops where the curvature jumps.
+    """
+    if case.top_speed is not None:
+        segments = load_segments(case.trajectory)
+        faster = case.top_speed / max(abs(one.v) for one in segments)
+        scaled = [
+            Segment(v=one.v * faster, omega=one.omega * faster, duration=one.duration / faster) for one in segments
+        ]
+        name = f"{case.trajectory} at {case.top_speed:g} m/s"
+        return lay_segments(scaled, TrajectoryLimits.of_robot(), name=name)
     return load_trajectory(case.trajectory, timing=None if case.timing == AS_FILED else case.timing)
 
 

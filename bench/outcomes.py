@@ -23,6 +23,7 @@ from diffdrive_mpc.sim import Metrics, Run
 from diffdrive_mpc.sim.metrics.recovery import Recovery
 from diffdrive_mpc.sim.run import NO_SOLVER
 
+_BY_THE_CLOCK = ("step_time", "solve_time", "deadline")
 STATISTICS = "true pose against the reference, from t = 0 to the end of the reference, no settling time added"
 
 
@@ -81,10 +82,15 @@ K = TypeVar("K")
 
 @dataclass(frozen=True)
 class Outcome:
-    """A case and all of its run; satisfies `Scored`."""
+    """A case and all of its run; satisfies `Scored`.
+
+    Where it was timed, `clean_share` is the share of its ticks that could be measured undisturbed; the times of the
+    others are NaN, or if there is none all stand as they are.
+    """
 
     case: Case
     run: Run
+    clean_share: float = 1.0
 
     @property
     def metrics(self) -> Metrics:
@@ -106,6 +112,31 @@ def run_cases(cases: Sequence[Case], jobs: int, on_done: OnDone) -> list[Outcome
     """Run cases, see `bench.runner.run_tasks`."""
     runs = run_tasks([partial(_recorded, case) for case in cases], jobs, on_done)
     return [Outcome(case, run) for case, run in zip(cases, runs, strict=True)]
+
+
+@dataclass(frozen=True)
+class Score:
+    """A case and what is left of its run where only its statistics are wanted; satisfies `Scored`."""
+
+    case: Case
+    metrics: Metrics
+    recovery: Recovery
+    shares: SolverShares
+
+    @classmethod
+    def of(cls, case: Case) -> Score:
+        """Run it."""
+        return cls.of_outcome(Outcome(case, run_case(case)))
+
+    @classmethod
+    def of_outcome(cls, outcome: Outcome) -> Score:
+        """What is kept of one that was run."""
+        return cls(outcome.case, outcome.metrics, outcome.recovery, outcome.shares)
+
+
+def score_cases(cases: Sequence[Case], jobs: int, on_done: OnDone) -> list[Score]:
+    """Run cases whose times are of no interest, see `bench.runner.run_tasks`."""
+    return run_tasks([partial(Score.of, case) for case in cases], jobs, on_done)
 
 
 def _recorded(case: Case) -> Run:
@@ -137,8 +168,29 @@ def recoveries(outcomes: Iterable[Scored], figure: str) -> FloatArray:
 
 
 def step_times(outcomes: Iterable[Outcome]) -> FloatArray:
-    """Step times of all counted ticks of several runs [s]."""
-    return np.concatenate([outcome.run.step_time[outcome.run.counted] for outcome in outcomes])
+    """Times of the whole step [s] at the counted ticks of several runs that have one."""
+    return _times([outcome.run.step_time[outcome.run.counted] for outcome in outcomes])
+
+
+def solve_times(outcomes: Iterable[Outcome]) -> FloatArray:
+    """The same of linearising, condensing and solving."""
+    return _times([outcome.run.solve_time[outcome.run.counted] for outcome in outcomes])
+
+
+def _times(parts: list[FloatArray]) -> FloatArray:
+    times = np.concatenate(parts)
+    return times[np.isfinite(times)]
+
+
+def time_percentile(times: FloatArray, percent: float) -> float:
+    """A percentile of times; NaN without any."""
+    return float(np.percentile(times, percent)) if times.size else math.nan
+
+
+def disturbed_share(outcomes: Iterable[Outcome]) -> float:
+    """Share of the ticks of several runs that could not be timed undisturbed."""
+    runs = list(outcomes)
+    return float(np.average([1.0 - one.clean_share for one in runs], weights=[len(one.run.time) for one in runs]))
 
 
 def drawn_distances(outcomes: Iterable[Outcome]) -> FloatArray:
@@ -215,9 +267,10 @@ def model_name(name: str) -> str:
     return name.upper() if name in MODEL_NAMES else name
 
 
-def metrics_row(outcome: Scored) -> dict[str, object]:
-    """Statistics of one run and the ways of its solver, for JSON."""
-    return asdict(outcome.metrics) | asdict(outcome.shares)
+def metrics_row(outcome: Scored, *, timed: bool = True) -> dict[str, object]:
+    """Statistics of one run and the ways of its solver, for JSON; without what the clock says if it was not `timed`."""
+    values = asdict(outcome.metrics) | asdict(outcome.shares)
+    return {name: value for name, value in values.items() if timed or not name.startswith(_BY_THE_CLOCK)}
 
 
 def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401 - whatever JSON takes

@@ -22,11 +22,15 @@ def make_peer(name: str) -> TrackingController:
 
 @dataclass(frozen=True, slots=True)
 class PeerStep:
-    """What a peer decided at one tick; satisfies `models.interface.ControlStep`."""
+    """What a peer decided at one tick; satisfies `models.interface.ControlStep`.
+
+    `solve_time` is what its law took of `step_time` [s]; the rest went into estimate and prediction.
+    """
 
     command: FloatArray
     mode: str
     message: str
     step_time: float
+    solve_time: float = float("nan")
     solver: None = None
     plan: FloatArray | None = None

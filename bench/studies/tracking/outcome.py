@@ -64,8 +64,7 @@ class ReducedOutcome:
     def as_json(self) -> dict[str, object]:
         """Labels and numbers as plain values, without step times and series; what is not finite is None."""
         values = self.case.as_row() | {"set": dict(self.case.overrides), "late_lateral_m": self.late_lateral_m}
-        kept = {k: v for k, v in metrics_row(self).items() if "step_time" not in k and k != "deadline_misses"}
-        numbers = {"steady_arcs_m": self.arcs} | kept | asdict(self.recovery)
+        numbers = {"steady_arcs_m": self.arcs} | metrics_row(self, timed=False) | asdict(self.recovery)
         row: dict[str, object] = plain(values | numbers, _DIGITS)
         return row
 
