@@ -125,8 +125,8 @@ class Case:
     model: str = _dimension(
         "models",
         "ssm",
-        "Velocity model: mbm, sm, ssm, or the path of a file.",
-        compared=("mbm", "sm", "ssm"),
+        "Velocity model: mbm, sm, ssm, kinematic, or the path of a file.",
+        compared=("kinematic", "mbm", "sm", "ssm"),
         list_option="--models",
     )
     trajectory: str = _dimension(
