@@ -81,11 +81,12 @@ class DelayPredictor:
 
     def __init__(self, model: VelocityModel, dt: float, lead: float) -> None:
         sampled = model.discretise(dt)
-        self._dt, self._memory = dt, sampled.memory
-        self._whole = int(np.floor(lead / dt + 1e-9))
-        self._rest = lead - self._whole * dt
+        self._memory = sampled.memory
+        whole = int(np.floor(lead / dt + 1e-9))
+        self._durations = np.append(np.full(whole, dt), max(0.0, lead - whole * dt))
+        self._share = self._durations[-1] / dt
         # The outputs are linear in state and commands: those of unit ones are the columns of the matrices.
-        ticks, n = self._whole + 2, sampled.order
+        ticks, n = whole + 2, sampled.order
         units = np.eye(2 * self._memory).reshape(-1, self._memory, 2)
         states = [sampled.simulate(np.zeros((ticks, 2)), state=unit).ravel() for unit in np.eye(n)]
         pasts = [sampled.simulate(np.tile(unit[-1], (ticks, 1)), past=unit).ravel() for unit in units]
@@ -112,11 +113,11 @@ class DelayPredictor:
         """
         outputs = (self._outputs @ np.concatenate([state, self._past.ravel()])).reshape(-1, 2)
         twists = slip.gains * (outputs + slip.offset)
-        means = 0.5 * (twists[:-1] + twists[1:])
-        for v, omega in means[: self._whole]:
-            pose = integrate_pose(pose, v, omega, self._dt, slip.side_slip)
-        if self._rest <= 0.0:
-            return Motion(pose, twists[self._whole])
-        share = self._rest / self._dt
-        pose = integrate_pose(pose, *means[self._whole], self._rest, slip.side_slip)
-        return Motion(pose, (1 - share) * twists[self._whole] + share * twists[self._whole + 1])
+        v, omega = 0.5 * (twists[:-1] + twists[1:]).T
+        turned = np.cumsum(omega * self._durations)
+        starts = np.zeros((len(v), 3))
+        starts[:, 2] = pose[2]
+        starts[1:, 2] += turned[:-1]
+        moved = integrate_pose(starts, v, omega, self._durations, slip.side_slip)[:, :2].sum(axis=0)
+        after = np.array([pose[0] + moved[0], pose[1] + moved[1], pose[2] + turned[-1]])
+        return Motion(after, (1 - self._share) * twists[-2] + self._share * twists[-1])
