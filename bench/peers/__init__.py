@@ -22,7 +22,10 @@ LAWS = {
 """Module and class of every tracking law: it acts on the predictive controller's own estimate, moved forward over the
 robot's delay; with "+slip" it makes up for the estimated side-slip too."""
 
-PEERS = {"kanayama-plain": "kanayama.KanayamaController"} | dict.fromkeys(LAWS, "")
+PEERS = dict.fromkeys(LAWS, "") | {
+    "kanayama-plain": "kanayama.KanayamaController",
+    "do-mpc": "do_mpc.DoMpcController",
+}
 """Every peer to choose on the command line, by name: module and class, or one of `LAWS`. None has a model to choose."""
 
 

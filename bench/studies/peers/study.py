@@ -153,27 +153,23 @@ class PeersStudy(Study[list[str], list[Tuned]]):
             for it in one.neighbours
         ]
         meta: dict[str, object] = {"settings": settings.model_dump(mode="json")}
-        tables = [_summary(results), *(_proof(one) for one in results)]
+        tables = [_summary(results, settings.scan), *(_proof(one) for one in results)]
         return Report(f"{len(rows)} peers", meta, {"peers": rows, "proof": proof}, facts, tables, {})
 
 
-def _summary(results: Sequence[Tuned]) -> Table:
+def _summary(results: Sequence[Tuned], scan: int) -> Table:
     columns = ("peer", "after the scan [mm]", "tuned [mm]", "settings", "better neighbours", "beyond spread")
     rows = []
     for one in results:
         better = [it for it in one.neighbours if it.worse.mean() < 0]
         beyond = [it for it in better if -it.worse.mean() > 2 * it.spread]
         counts = (str(len(one.tried)), str(len(better)), str(len(beyond)))
-        rows.append((one.peer, number(1e3 * _scanned(one), 2), number(1e3 * one.rmse, 2), *counts))
+        rows.append((one.peer, number(1e3 * min(rmse for _, rmse in one.tried[:scan]), 2), number(1e3 * one.rmse, 2), *counts))
     note = (
         "Mean position RMSE of the runs. Neighbours: each gain alone times the factors of the settings; beyond spread: "
         "better by more than two standard errors of the difference over the runs."
     )
     return Table("Tuning", columns, tuple(rows), 1, note)
-
-
-def _scanned(one: Tuned) -> float:
-    return min(value for _, value in one.tried[: max(1, len(one.tried) // 2)])
 
 
 def _proof(one: Tuned) -> Table:
