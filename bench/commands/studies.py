@@ -1,4 +1,4 @@
-"""The commands that run and report: `simulate` one case, and the studies `bench`, `tracking`, `reproduce`, `peers`, `speed`."""
+"""The commands that run and report: `simulate` one case, and the studies."""
 
 from __future__ import annotations
 

@@ -16,22 +16,26 @@ import numpy as np
 
 from diffdrive_mpc.bench.peers import PeerStep
 from diffdrive_mpc.bench.studies.speed.drive import PeerInput
-from diffdrive_mpc.bench.studies.speed.measure import load_problem
 from diffdrive_mpc.bench.studies.speed.process.environment import peer_environment
 from diffdrive_mpc.bench.studies.speed.process.subject import Subject
 from diffdrive_mpc.bench.studies.speed.settings import load_speed_settings
+from diffdrive_mpc.bench.studies.speed.stage import stage_problem
 from diffdrive_mpc.models.interface import Measurement, Reference
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc.mpc.problem.build import chosen_model
 
-_MODEL, _HORIZON, _SUBJECT = "ssm", 30, "do-mpc"
+_MODEL, _SUBJECT = "ssm", "do-mpc"
 
 
 class DoMpcController:
     """The problem of the SSM with the shipped horizon and weights; IPOPT's options are those of the study `speed`."""
 
     def __init__(self) -> None:
-        settings = load_speed_settings()
-        self._problem = load_problem(settings, _MODEL, _HORIZON)
-        self._options = settings.subjects[_SUBJECT].settings
+        self._config = load_config(_MODEL)
+        model = chosen_model(self._config, None)
+        assert isinstance(model, VelocityModel)
+        self._model = model
         self._subject: Subject | None = None
         self._input: PeerInput | None = None
 
@@ -42,7 +46,7 @@ class DoMpcController:
         """
         if self._subject is None:
             self._subject = self._start_process()
-        self._input = PeerInput(self._problem.config, self._problem.model, reference)
+        self._input = PeerInput(self._config, self._model, reference)
         self._end, self._fresh = t0 + reference.duration, True
 
     def step(self, t: float, measurement: Measurement) -> PeerStep:
@@ -64,9 +68,7 @@ class DoMpcController:
         sound = step.solved and bool(np.isfinite(step.command).all())
         command = self._input.sent(np.array(step.command) if sound else np.zeros(2))
         message = "" if sound else "IPOPT did not converge"
-        return PeerStep(
-            command, "TRACKING" if sound else "BRAKING", message, time.perf_counter() - began, step.inside
-        )
+        return PeerStep(command, "TRACKING" if sound else "BRAKING", message, time.perf_counter() - began, step.inside)
 
     def _start_process(self) -> Subject:
         environment = peer_environment()
@@ -74,5 +76,6 @@ class DoMpcController:
         subject = Subject(_SUBJECT, Path(folder.name), environment.python, environment.variables)
         weakref.finalize(self, folder.cleanup)
         weakref.finalize(self, subject.__exit__, None, None, None)
-        subject.build(asdict(self._problem.stages), self._options, None)
+        problem = stage_problem(self._config, self._model.discretise(self._config.sample_time))
+        subject.build(asdict(problem), load_speed_settings().subjects[_SUBJECT].settings, None)
         return subject

@@ -49,6 +49,7 @@ class KanayamaLaw:
     gains = KanayamaGains
 
     def __init__(self, gains: KanayamaGains, robot: Delayed) -> None:
+        del robot  # the prediction is all it knows of it
         self._gains = gains
 
     def start(self, reference: Reference) -> None:

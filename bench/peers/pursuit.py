@@ -36,6 +36,7 @@ class PursuitLaw:
     gains = PursuitGains
 
     def __init__(self, gains: PursuitGains, robot: Delayed) -> None:
+        del robot  # the prediction is all it knows of it
         self._gains = gains
 
     def start(self, reference: Reference) -> None:

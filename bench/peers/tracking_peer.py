@@ -17,8 +17,8 @@ from diffdrive_mpc.bench.peers.command_limits import nearest_command
 from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, Motion
 from diffdrive_mpc.models.checked_yaml import StrictModel, check, read_yaml
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
-from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.schema import Limits
 
@@ -184,13 +184,12 @@ def make_tracking_peer(name: str, gains: Gains | None = None, config: Controller
 
     "NAME+slip" is the law NAME with compensation of side-slip; it has gains of its own.
     """
-    law, _, option = name.partition("+")
     kind = law_kind(name)
     config = config or load_config(MODEL)
     gains = gains or load_gains(name)
     model = load_model(MODEL)
     robot = Delayed(config.sample_time, model.lag - model.dead_time, config.limits)
-    return TrackingPeer(kind(gains, robot), gains.lead, side_slip=option == "slip", config=config)
+    return TrackingPeer(kind(gains, robot), gains.lead, side_slip=name.endswith("+slip"), config=config)
 
 
 def law_kind(name: str) -> Any:  # noqa: ANN401 - each law has gains of its own type

@@ -35,7 +35,10 @@ PURSUIT = PursuitGains(lead=0.09, look_ahead_time=0.4, look_ahead_min=0.1, along
 
 def sight(pose, reference, feed_forward, time=2.0, twist=None):
     return Sight(
-        time, Motion(np.array(pose), np.array(feed_forward if twist is None else twist)), np.array(reference), np.array(feed_forward)
+        time,
+        Motion(np.array(pose), np.array(feed_forward if twist is None else twist)),
+        np.array(reference),
+        np.array(feed_forward),
     )
 
 

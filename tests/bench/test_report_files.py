@@ -237,7 +237,9 @@ def test_a_report_says_which_configuration_it_is_of(results: ComparisonResults, 
     assert "* Configuration: file tuned; weights.across=60,120; estimator.history=0.4.\n" in head
     assert str(tmp_path) not in head + json.dumps(meta)
     assert "Configuration:" not in text_of(results)
-    assert [c["model"] for c in describe(results.settings, 1.0)["configuration"]["controllers"]] == ["mbm", "sm", "ssm"]
+    assert [c["model"] for c in describe(results.settings, 1.0)["configuration"]["controllers"]] == [
+        *default_settings().values("models")
+    ]
 
 
 def test_the_path_of_a_model_file_is_not_in_the_report(tmp_path: Path) -> None:

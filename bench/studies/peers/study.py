@@ -148,7 +148,13 @@ class PeersStudy(Study[list[str], list[Tuned]]):
             for one in results
         ]
         proof = [
-            {"peer": one.peer, "gain": it.gain, "factor": it.factor, "worse_m": float(it.worse.mean()), "se_m": it.spread}
+            {
+                "peer": one.peer,
+                "gain": it.gain,
+                "factor": it.factor,
+                "worse_m": float(it.worse.mean()),
+                "se_m": it.spread,
+            }
             for one in results
             for it in one.neighbours
         ]
@@ -164,7 +170,9 @@ def _summary(results: Sequence[Tuned], scan: int) -> Table:
         better = [it for it in one.neighbours if it.worse.mean() < 0]
         beyond = [it for it in better if -it.worse.mean() > 2 * it.spread]
         counts = (str(len(one.tried)), str(len(better)), str(len(beyond)))
-        rows.append((one.peer, number(1e3 * min(rmse for _, rmse in one.tried[:scan]), 2), number(1e3 * one.rmse, 2), *counts))
+        rows.append(
+            (one.peer, number(1e3 * min(rmse for _, rmse in one.tried[:scan]), 2), number(1e3 * one.rmse, 2), *counts)
+        )
     note = (
         "Mean position RMSE of the runs. Neighbours: each gain alone times the factors of the settings; beyond spread: "
         "better by more than two standard errors of the difference over the runs."
@@ -189,7 +197,8 @@ def gains_text(results: Sequence[Tuned], settings: PeersSettings) -> str:
     """The file of gains for `bench/peers`."""
     head = (
         "# Gains of the peers; units stand at the fields of each law. Written by `diffdrive-mpc peers`: a search of\n"
-        f"# {settings.evaluations} settings for each, see bench/studies/peers/settings.yaml; mean position RMSE [mm] beside each.\n"
+        f"# {settings.evaluations} settings for each, see bench/studies/peers/settings.yaml. Beside each: its mean\n"
+        "# position RMSE on the tuning runs.\n"
     )
     lines: list[str] = []
     for one in sorted(results, key=lambda it: list(LAWS).index(it.peer)):
