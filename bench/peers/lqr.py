@@ -67,9 +67,9 @@ class LqrLaw:
 
     def backwards(self, P: FloatArray, A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Gain K (2, 6) and cost-to-go (6, 6) one sample before that of P (6, 6)."""
-        K = np.linalg.solve(self._R + B.T @ P @ B, B.T @ P @ A)
+        K = np.asarray(np.linalg.solve(self._R + B.T @ P @ B, B.T @ P @ A), dtype=float)
         before = self._Q + A.T @ P @ (A - B @ K)
-        return K, 0.5 * (before + before.T)
+        return K, np.asarray(0.5 * (before + before.T))
 
     def decide(self, sight: Sight) -> FloatArray:
         """(2,) wanted v [m/s] and omega [rad/s]."""

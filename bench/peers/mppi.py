@@ -70,7 +70,7 @@ class MppiLaw:
         weights /= weights.sum()
         best = np.einsum("s,csk->ck", weights, commands)
         self._plan = np.column_stack([(best - wanted)[:, 1:], np.zeros(2, dtype=np.float32)])
-        return best[:, 0].astype(float)
+        return np.asarray(best[:, 0], dtype=float)
 
     def _feed_forward(self, sight: Sight) -> Floats32:
         """(2, N) commands without a deviation: the reference's twist, one lag ahead."""
