@@ -19,8 +19,8 @@ from diffdrive_mpc.bench.peers import PEERS
 Overrides = tuple[tuple[str, object], ...]
 """Configuration values by dotted key."""
 
-NO_SCENARIO, NO_MODEL = "none", "none"
-"""The scenario in which nothing happens; the model of a peer without one."""
+NO_SCENARIO, NO_MODEL, AS_FILED = "none", "none", "file"
+"""The scenario in which nothing happens; the model of a peer without one; the timing that a trajectory file states."""
 MOST_SEEDS = 10_000
 """More runs of one case than this take days, and their list alone could fill the memory."""
 HORIZONS = (5, 10, 15, 20, 30, 50)
@@ -132,9 +132,15 @@ class Case:
     trajectory: str = _dimension(
         "trajectories",
         "circle",
-        "circle, square, s, cane, or the path of a file.",
+        "circle, square, s, cane, figure8, ..., spline-SEED, or the path of a file.",
         compared=("circle", "square", "s", "cane"),
         list_option="--trajectories",
+    )
+    timing: str = _dimension(
+        "timings",
+        AS_FILED,
+        f"Of the trajectory: stop, commanded, smooth, or {AS_FILED} for what it says itself.",
+        silent=True,
     )
     plant: str = _dimension("plants", "mujoco", "mujoco, model:NAME, or model:NAME+DEAD_TIME.")
     surface: str = _dimension("surfaces", "default", "Floor of the mujoco plant, slip of a model: plant.")

@@ -7,12 +7,12 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from diffdrive_mpc.bench.case import Case, Overrides
+from diffdrive_mpc.bench.case import AS_FILED, Case, Overrides
 from diffdrive_mpc.bench.peers import PEERS, make_peer
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Reference, TrackingController
 from diffdrive_mpc.models.load import MODEL_NAMES, load_model
-from diffdrive_mpc.mpc import Controller, ControllerConfig, load_config, load_trajectory
+from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.sim import Plant, Run, make_plant, simulate
 
 CONTROLLERS = ("mpc", *PEERS)
@@ -33,7 +33,7 @@ def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
                 f"sample_time {asked} s: the plant '{case.plant}' takes a command every {plant.sample_time} s; "
                 f"set sample_time to that"
             )
-    return controller, plant, load_trajectory(case.trajectory)
+    return controller, plant, load_reference(case)
 
 
 def run_case(case: Case) -> Run:
@@ -44,10 +44,15 @@ def run_case(case: Case) -> Run:
 def check_cases(cases: Iterable[Case]) -> None:
     """Build what differs in more than trajectory and seed once, and load every trajectory; raises as `build` does."""
     every = list(cases)
-    for trajectory in dict.fromkeys(case.trajectory for case in every):
-        load_trajectory(trajectory)
-    for case in {replace(case, trajectory="", seed=0): case for case in every}.values():
+    for case in {(case.trajectory, case.timing): case for case in every}.values():
+        load_reference(case)
+    for case in {replace(case, trajectory="", timing="", seed=0): case for case in every}.values():
         build(case)
+
+
+def load_reference(case: Case) -> Trajectory:
+    """The trajectory of a case with its timing; raises ConfigError if either cannot be used."""
+    return load_trajectory(case.trajectory, timing=None if case.timing == AS_FILED else case.timing)
 
 
 def make_controller(case: Case) -> TrackingController:

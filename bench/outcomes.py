@@ -18,6 +18,7 @@ from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.runner import OnDone, run_tasks
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.mpc import Trajectory
 from diffdrive_mpc.sim import Metrics, Run
 from diffdrive_mpc.sim.metrics.recovery import Recovery
 from diffdrive_mpc.sim.run import NO_SOLVER
@@ -138,6 +139,15 @@ def recoveries(outcomes: Iterable[Scored], figure: str) -> FloatArray:
 def step_times(outcomes: Iterable[Outcome]) -> FloatArray:
     """Step times of all counted ticks of several runs [s]."""
     return np.concatenate([outcome.run.step_time[outcome.run.counted] for outcome in outcomes])
+
+
+def drawn_distances(outcomes: Iterable[Outcome]) -> FloatArray:
+    """Distance of the reference from the path as it was drawn [m], at all counted ticks of several runs."""
+    found = [np.zeros(0)]
+    for run in (outcome.run for outcome in outcomes):
+        times, of = run.time[run.counted], run.reference
+        found.append(of.drawn_distance(times) if isinstance(of, Trajectory) else np.zeros(times.size))
+    return np.concatenate(found)
 
 
 def group(outcomes: Iterable[S], key: Callable[[S], K]) -> dict[K, list[S]]:

@@ -49,6 +49,11 @@ class DiscreteModel:
         return int(self.delay.max()) + 1
 
     @property
+    def dead_samples(self) -> NDArray[np.int64]:
+        """(2,) age of the newest command that acts on the state."""
+        return self.delay
+
+    @property
     def drive(self) -> FloatArray:
         """(n, 2) what a command held for ever adds to the states in one sample."""
         return self.B0 + self.B1

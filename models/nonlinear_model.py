@@ -120,6 +120,12 @@ class NonlinearModel:
         return A, B.sum(axis=1), C
 
     @property
+    def dead_samples(self) -> NDArray[np.int64]:
+        """(2,) age of the newest command that acts on the states, at rest."""
+        acts = np.abs(self._jacobians[1]).max(axis=0)[::-1] > 0
+        return np.asarray(acts.argmax(axis=0))
+
+    @property
     def drive(self) -> FloatArray:
         """(n, 2) what a command held over the whole window adds to the states in one sample, at rest."""
         return self.linearised[1]

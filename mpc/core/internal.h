@@ -119,7 +119,9 @@ typedef struct {
     real *mean_rows;    /* [N][2][width] */
     real *heading_rows; /* [N+1][width] */
     real *sensitivity;  /* [2][n][width] */
-    real *step_jacobian; /* [n][n+2W] column by column */
+    real *step_jacobian; /* [n][n+2(W+1)] column by column */
+    real *held;          /* [2(W+1)] a command for ever */
+    real *settling;      /* [n+2][n+3] what a Newton step solves */
     real *poses;        /* [N+1][3] along the guess */
     real *arc;          /* [8][N] displacement of each arc; its gradient by the model's twist and heading: of x, of y */
     real *cosine, *sine; /* [N] of the path's heading at the samples 1 to N */
@@ -182,6 +184,9 @@ void ddmpc_accept_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose);
    the Jacobian's part by x (n, n), row by row, where asked for. */
 void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *newest, real *after, real *by_state,
                          real *scratch);
+/* The command under which a nonlinear model settles at the output `wanted`, and the state in which it does; both are
+   guesses at first. Returns 0 if there is none near them. */
+int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], real *state, real command[2]);
 /* (v, omega) of the model and its gradient (2, n), row by row. */
 void ddmpc_velocity_output(const ddmpc_controller *c, const real *x, real y[2], real *gradient);
 

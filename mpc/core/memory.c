@@ -65,6 +65,8 @@ static void lay_problem(ddmpc_controller *c, memory *m)
         p->heading_rows = reals(m, (N + 1) * width);
         p->sensitivity = reals(m, 2 * n * width);
         p->step_jacobian = reals(m, n * (n + 2 * (WINDOW(c) + 1)));
+        p->held = reals(m, 2 * (WINDOW(c) + 1));
+        p->settling = reals(m, (n + 2) * (n + 3));
     }
     p->poses = reals(m, 3 * (N + 1));
     p->arc = reals(m, 8 * N);

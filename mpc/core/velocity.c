@@ -3,6 +3,13 @@
 
 #include "internal.h"
 
+/* Residual below which a model counts as settled [m/s, rad/s]. */
+#ifdef DDMPC_FLOAT
+#define SETTLED R(1e-5)
+#else
+#define SETTLED R(1e-11)
+#endif
+
 static void linear_step(const ddmpc_controller *c, const real *x, const real *newest, real *after)
 {
     const ddmpc_constants *k = c->constants;
@@ -40,6 +47,88 @@ void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *n
         for (int i = 0; i < n; i++)
             for (int j = 0; j < n; j++)
                 by_state[i * n + j] = scratch[i + n * j];
+}
+
+/* What a Newton step towards a settled (state, command) solves, row by row, with the residual as its last column: the
+   state stays as it is, and the output is as wanted. Returns the largest residual. */
+static real settling_equations(const ddmpc_controller *c, const real wanted[2], const real *state,
+                               const real command[2])
+{
+    const int n = STATES(c), columns = n + 3;
+    real *held = c->problem.held, *J = c->problem.step_jacobian, *rows = c->problem.settling;
+    real after[DDMPC_MOST_STATES], y[2], by_state[2 * DDMPC_MOST_STATES], largest = R(0.0);
+    for (int i = 0; i < 2 * (WINDOW(c) + 1); i++)
+        held[i] = command[i % 2];
+    const real *arguments[2] = {state, held};
+    real *results[2] = {after, J};
+    c->functions.step(arguments, results, 0, 0, 0);
+    ddmpc_velocity_output(c, state, y, by_state);
+    memset(rows, 0, (size_t)((n + 2) * columns) * sizeof(real));
+    for (int i = 0; i < n; i++) {
+        real *row = rows + i * columns;
+        for (int j = 0; j < n; j++)
+            row[j] = J[i + n * j] - (i == j ? R(1.0) : R(0.0));
+        for (int j = 0; j < 2 * (WINDOW(c) + 1); j++)
+            row[n + j % 2] += J[i + n * (n + j)];
+        row[n + 2] = state[i] - after[i];
+        largest = ddmpc_max(largest, ddmpc_fabs(row[n + 2]));
+    }
+    for (int i = 0; i < 2; i++) {
+        real *row = rows + (n + i) * columns;
+        memcpy(row, by_state + i * n, (size_t)n * sizeof(real));
+        row[n + 2] = wanted[i] - y[i];
+        largest = ddmpc_max(largest, ddmpc_fabs(row[n + 2]));
+    }
+    return largest;
+}
+
+/* Gaussian elimination with pivots by rows; the solution lands in the last column. Returns 0 if there is none. */
+static int eliminate(real *rows, int count)
+{
+    const int columns = count + 1;
+    for (int p = 0; p < count; p++) {
+        int best = p;
+        for (int i = p + 1; i < count; i++)
+            if (ddmpc_fabs(rows[i * columns + p]) > ddmpc_fabs(rows[best * columns + p]))
+                best = i;
+        /* Not the other way round: NaN must fail. */
+        if (!(ddmpc_fabs(rows[best * columns + p]) > R(0.0)))
+            return 0;
+        for (int j = p; j < columns; j++) {
+            const real swapped = rows[p * columns + j];
+            rows[p * columns + j] = rows[best * columns + j];
+            rows[best * columns + j] = swapped;
+        }
+        for (int i = 0; i < count; i++) {
+            const real factor = i == p ? R(0.0) : rows[i * columns + p] / rows[p * columns + p];
+            for (int j = p; factor != R(0.0) && j < columns; j++)
+                rows[i * columns + j] -= factor * rows[p * columns + j];
+        }
+    }
+    for (int i = 0; i < count; i++)
+        rows[i * columns + count] /= rows[i * columns + i];
+    return 1;
+}
+
+int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], real *state, real command[2])
+{
+    const int n = STATES(c);
+    const real *rows = c->problem.settling, *most = c->constants->largest_twist;
+    for (int iteration = 0; iteration < 8; iteration++) {
+        if (settling_equations(c, wanted, state, command) <= SETTLED)
+            return 1;
+        if (!eliminate(c->problem.settling, n + 2))
+            return 0;
+        for (int i = 0; i < n; i++)
+            state[i] += rows[i * (n + 3) + n + 2];
+        for (int i = 0; i < 2; i++) {
+            command[i] += rows[(n + i) * (n + 3) + n + 2];
+            /* Not the other way round: NaN must fail. */
+            if (!(ddmpc_fabs(command[i]) <= most[i]))
+                return 0;
+        }
+    }
+    return 0;
 }
 
 void ddmpc_velocity_output(const ddmpc_controller *c, const real *x, real y[2], real *gradient)

@@ -50,10 +50,11 @@ class Problem:
     def __post_init__(self) -> None:
         """Roll a linear model out once."""
         model, horizon = self.model, self.config.horizon
-        if horizon < model.memory:
+        least = int(model.dead_samples.max()) + 1
+        if horizon < least:
             raise ValueError(
-                f"horizon = {horizon}: with its dead time the robot answers to a command after {model.memory} "
-                f"steps; set horizon to {model.memory} or more"
+                f"horizon = {horizon}: with its dead time the robot answers to a command after {least} "
+                f"steps; set horizon to {least} or more"
             )
         prediction = build_prediction(model, horizon) if isinstance(model, DiscreteModel) else None
         object.__setattr__(self, "prediction", prediction)

@@ -26,7 +26,8 @@ class NodeSettings(StrictModel, strict=True):
         "kinematic or the path of the YAML file that was simulated with; read once, at start-up [-]",
     )
     trajectory: str = Field(
-        "circle", description="circle, square, s, cane or the path of a file; empty: references come by topic [-]"
+        "circle",
+        description="a shipped name such as circle, or the path of a file; empty: references come by topic [-]",
     )
     start_at_robot: bool = Field(
         True, description="lay the trajectory so that it starts where the robot stands; false: as its file has it [-]"

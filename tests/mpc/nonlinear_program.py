@@ -11,8 +11,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy.optimize
 
-from diffdrive_mpc import Controller, Measurement, Term
+from diffdrive_mpc import Controller, Measurement, NonlinearModel, Term
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc.step_result import StepResult
 
@@ -113,7 +114,20 @@ def feed_forward(controller: Controller, reference: Reference, t: float) -> Floa
         at = np.arange(controller.config.horizon) + lag / dt
         grid = np.arange(int(at[-1]) + 2)
         wanted[:, channel] = np.interp(at, grid, reference.sample(t + dt * grid).twist[:, channel])
-    return np.asarray(wanted @ np.linalg.inv(model.dc_gain).T)
+    if not isinstance(model, NonlinearModel):
+        return np.asarray(wanted @ np.linalg.inv(model.dc_gain).T)
+    # As a rule many samples want the same.
+    found = {key: _settled_command(model, np.array(key)) for key in {tuple(row) for row in wanted}}
+    return np.array([found[tuple(row)] for row in wanted])
+
+
+def _settled_command(model: NonlinearModel, wanted: FloatArray) -> FloatArray:
+    """(2,) the command held for long under which the model's output is `wanted`."""
+
+    def missing(command: FloatArray) -> FloatArray:
+        return np.asarray(model.simulate(np.tile(command, (200, 1)))[-1] - wanted)
+
+    return np.asarray(scipy.optimize.fsolve(missing, wanted, xtol=1e-12))
 
 
 class NonlinearProgram:
@@ -127,7 +141,7 @@ class NonlinearProgram:
         assert result.estimate is not None
         self.wanted, self.last = feed_forward(controller, reference, self.t), drive.commands[-2]
         self.plan = [ca.SX.sym(f"u{k}", 2) for k in range(self.steps)]
-        sent = [ca.SX(command) for command in drive.commands[:-1]]
+        sent = [ca.SX(command) for command in [*np.zeros((20, 2)), *drive.commands[:-1]]]
         self.twists = outputs(result.estimate.state, [*sent, *self.plan], self.steps)
         self.poses = self._roll_out(result.estimate.pose)
         path = reference.sample(self.t + self.dt * np.arange(self.steps + 1)).pose

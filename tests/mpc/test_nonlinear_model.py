@@ -192,3 +192,15 @@ def test_what_cannot_be_a_robots_model_is_refused_in_one_line():
         model(0.5 * x + window[2:], memory=2)
     with pytest.raises(ConfigError, match="set sample_time to that"):
         Controller(load_config("ssm"), model=saturating(dt=0.01))
+
+
+def test_the_feed_forward_holds_a_speed_at_which_the_gain_is_another_than_at_rest():
+    """The plan of a robot that already moves as asked is the command that keeps it so: no cost, no deviation."""
+    model = windowed()
+    config = load_config("ssm", {"reentry.enabled": False} | NO_SLIP | EXACT)
+    controller, robot = Controller(config, model=model), ExactRobot(model)
+    drive = record(controller, robot, CIRCLE, 250, lambda controller, t: None)
+    wanted = CIRCLE.sample([249 * DT]).twist[0]
+    held = 1.5 * np.arctanh(wanted / 1.5)
+    assert drive.commands[-1] == pytest.approx(held, abs=1e-5)
+    assert np.abs(held - wanted).min() > 0.01, "the gain at rest would not do"

@@ -6,9 +6,11 @@ from collections.abc import Container
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import numpy as np
+
 from diffdrive_mpc.bench.case import DIMENSIONS, NO_SCENARIO, label
 from diffdrive_mpc.bench.controllers import controller_config
-from diffdrive_mpc.bench.outcomes import STATISTICS, Outcome, metrics_row, plain
+from diffdrive_mpc.bench.outcomes import STATISTICS, Outcome, drawn_distances, metrics_row, plain
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.studies.comparison.plan import ComparisonSettings
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
@@ -49,11 +51,13 @@ class ComparisonResults:
 
     def rows(self) -> list[dict[str, object]]:
         """Every run as plain values; what could not be computed is None."""
-        swept = any(self.settings.settings)
-        return [row(outcome, self.silent, with_settings=swept) for outcome in self.all]
+        swept, smoothed = any(self.settings.settings), bool(drawn_distances(self.all).any())
+        return [row(one, self.silent, with_settings=swept, with_drawn=smoothed) for one in self.all]
 
 
-def row(outcome: Outcome, silent: Container[str], *, with_settings: bool = False) -> dict[str, object]:
+def row(
+    outcome: Outcome, silent: Container[str], *, with_settings: bool = False, with_drawn: bool = False
+) -> dict[str, object]:
     """One run as plain values.
 
     Parameters
@@ -65,11 +69,16 @@ def row(outcome: Outcome, silent: Container[str], *, with_settings: bool = False
         its time, begin and end of the disturbance [s] and the figures of the recovery from it.
     with_settings
         Add the swept configuration values under "set".
+    with_drawn
+        Add how far the reference is from the path as it was drawn.
     """
     case, run = outcome.case, outcome.run
     values = case.as_row(silent) | {"horizon": case.horizon} | metrics_row(outcome)
     if with_settings:
         values["set"] = dict(case.overrides)
+    if with_drawn:
+        distance = drawn_distances([outcome])
+        values |= {"drawn_max_m": distance.max(), "drawn_rms_m": np.sqrt(np.mean(distance**2))}
     if "scenario" not in silent:
         values |= {"ended": run.ended or None, "disturbance_s": run.disturbance} | asdict(run.recovery)
     row: dict[str, object] = plain(values)

@@ -18,7 +18,16 @@ from diffdrive_mpc.bench.cells import (
     total_of,
     worst_of,
 )
-from diffdrive_mpc.bench.outcomes import Outcome, by, by_driver, by_horizon, by_model, step_times, with_mean
+from diffdrive_mpc.bench.outcomes import (
+    Outcome,
+    by,
+    by_driver,
+    by_horizon,
+    by_model,
+    drawn_distances,
+    step_times,
+    with_mean,
+)
 from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
 from diffdrive_mpc.bench.table import Table, number
 
@@ -33,6 +42,10 @@ _POSITION = {f"position {what} [m]": mean_of(f"position_{what.lower()}_m") for w
 _HEADING = {f"heading {what} [rad]": mean_of(f"heading_{what.lower()}_rad") for what in ("RMSE", "mean", "std", "max")}
 _LATERAL = {f"lateral {what} [m]": mean_of(f"lateral_{what.lower()}_m") for what in ("RMSE", "MAE", "p95", "max")}
 _IN_BAND = {"in band [%]": mean_of("in_band_percent", partial(number, digits=1))}
+_DRAWN: dict[str, Cell] = {
+    "max": lambda group: number(float(drawn_distances(group).max())),
+    "rms": lambda group: number(float(np.sqrt(np.mean(drawn_distances(group) ** 2)))),
+}
 _STEP = {"step p50 [ms]": _step(50), "step p99 [ms]": _step(99)}
 _TRACKING = {
     "position RMSE [m]": mean_of("position_rmse_m"),
@@ -74,6 +87,9 @@ def path_table(outcomes: Group) -> Table:
     """Errors against the path rather than the timed reference, by trajectory."""
     columns = {"course RMSE [rad]": mean_of("course_rmse_rad"), **_LATERAL, **_IN_BAND}
     note = "Means over seeds. Lateral: by projection onto the path. Course: direction of travel against its tangent."
+    if drawn_distances(outcomes).any():
+        columns |= {f"reference to drawn path, {what} [m]": cell for what, cell in _DRAWN.items()}
+        note += " The path is that of the reference, which smooth timing lays beside the drawn one."
     return _by_trajectory("Error against the path", outcomes, columns, note)
 
 

@@ -78,8 +78,7 @@ def position_errors(settings: PeersSettings, peer: str, values: Values) -> Float
     """(runs,) position RMSE of a peer with these gains on every run [m]."""
     gains, found = law_kind(peer).gains(**values), []
     for trajectory, seeds in settings.runs.items():
-        beside = _FOLDER / trajectory
-        reference = load_trajectory(beside if beside.is_file() else trajectory)
+        reference = load_trajectory(trajectory)
         for seed in seeds:
             run = simulate(make_tracking_peer(peer, gains), make_plant(settings.plant, seed=seed), reference)
             gap = (run.true_pose - run.reference_pose)[run.counted, :2]
