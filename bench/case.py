@@ -142,7 +142,7 @@ class Case:
         f"Of the trajectory: stop, commanded, smooth, or {AS_FILED} for what it says itself.",
         silent=True,
     )
-    plant: str = _dimension("plants", "mujoco", "mujoco, model:NAME, or model:NAME+DEAD_TIME.")
+    plant: str = _dimension("plants", "mujoco", "mujoco, mujoco:ROBOT, model:NAME, or model:NAME+DEAD_TIME.")
     surface: str = _dimension("surfaces", "default", "Floor of the mujoco plant, slip of a model: plant.")
     sensors: str = _dimension("sensors", "default", "Sensor set.")
     scenario: str = _dimension(

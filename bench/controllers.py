@@ -11,7 +11,7 @@ from diffdrive_mpc.bench.case import AS_FILED, Case, Overrides
 from diffdrive_mpc.bench.peers import PEERS, make_peer
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Reference, TrackingController
-from diffdrive_mpc.models.load import MODEL_NAMES, load_model
+from diffdrive_mpc.models.load import MODEL_NAMES, load_model, model_path
 from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.sim import Plant, Run, make_plant, simulate
 
@@ -97,4 +97,4 @@ def chosen_model(model: str | None, config: Path | None) -> str:
 
 
 def _model_reference(model: str) -> str:
-    return model if model in MODEL_NAMES else str(Path(model).resolve())
+    return model if model in MODEL_NAMES else str(model_path(model).resolve())

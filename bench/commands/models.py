@@ -50,8 +50,10 @@ def fit(
     from diffdrive_mpc.models.load import PARAMETERS  # noqa: PLC0415
 
     with ProgressBar("experiments and identification (about a minute)") as bar:
-        table = fit_models(out or PARAMETERS, on_progress=bar.at)
+        table, warnings = fit_models(out or PARAMETERS, on_progress=bar.at)
     output_console().print(table.rich())
+    for warning in warnings:
+        typer.echo(f"warning: {warning}", err=True)
 
 
 @models_app.command(epilog="Example: diffdrive-mpc models calibrate --out my_firmware.yaml")

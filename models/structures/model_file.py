@@ -99,7 +99,7 @@ def build_model(data: ModelFile) -> VelocityModel:
         B=B,
         C=C,
         dead_time=[data.dead_time.v, data.dead_time.omega],  # type: ignore[arg-type]  # converted on construction
-        provenance=data.provenance.model_dump(),
+        provenance=data.provenance.model_dump() | {"warnings": data.warnings},
     )
 
 
