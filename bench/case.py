@@ -23,7 +23,7 @@ NO_SCENARIO, NO_MODEL, AS_FILED = "none", "none", "file"
 """The scenario in which nothing happens; the model of a peer without one; the timing that a trajectory file states."""
 MOST_SEEDS = 10_000
 """More runs of one case than this take days, and their list alone could fill the memory."""
-COMPARED = (("kanayama", NO_MODEL), ("mpc", "mbm"), ("mpc", "sm"), ("mpc", "ssm"))
+COMPARED = (("pursuit+slip", NO_MODEL), ("mpc", "kinematic"), ("mpc", "mbm"), ("mpc", "sm"), ("mpc", "ssm"))
 """Controllers, each with its model, that `bench` compares without options: the one place to name another."""
 HORIZONS = (5, 10, 15, 20, 30, 50)
 """Horizons that `bench` sweeps without options, for each model over all trajectories with the first seed [steps]."""
@@ -134,7 +134,7 @@ class Case:
     model: str = _dimension(
         "models",
         "ssm",
-        "Velocity model: mbm, sm, ssm, or the path of a file.",
+        "Velocity model: mbm, sm, ssm, kinematic, or the path of a file.",
         compared=tuple(model for _, model in COMPARED if model != NO_MODEL),
         list_option="--models",
     )

@@ -14,8 +14,8 @@ from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 
 PARAMETERS = Path(__file__).parent / "parameters"
-MODEL_NAMES = tuple(name for name in STRUCTURES if (PARAMETERS / f"{name}.yaml").is_file())
-"""Shipped models: one of each structure that ships one."""
+MODEL_NAMES = (*(name for name in STRUCTURES if (PARAMETERS / f"{name}.yaml").is_file()), "kinematic")
+"""Shipped models: one of each structure that ships one, and the one to hold them against."""
 ROBOTS = PARAMETERS / "robots"
 ROBOT_NAMES = shipped_names(ROBOTS)
 """Real robots that were identified from public logs."""
@@ -27,7 +27,7 @@ def load_model(name: str | Path) -> VelocityModel:
     Parameters
     ----------
     name
-        "mbm", "sm", "ssm", a robot of `ROBOT_NAMES`, or the path of a parameter file.
+        "mbm", "sm", "ssm", "kinematic", a robot of `ROBOT_NAMES`, or the path of a parameter file.
 
     Raises
     ------

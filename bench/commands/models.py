@@ -19,7 +19,9 @@ def list_models() -> None:
 
 
 @models_app.command(epilog="Example: diffdrive-mpc models show ssm")
-def show(name: Annotated[str, typer.Argument(metavar="NAME|FILE", help="mbm, sm, ssm, or a model file.")]) -> None:
+def show(
+    name: Annotated[str, typer.Argument(metavar="NAME|FILE", help="mbm, sm, ssm, kinematic, or a model file.")],
+) -> None:
     """Show one model: matrices, poles, gains, dead times, and where the numbers come from."""
     from diffdrive_mpc.bench.model_report import print_model  # noqa: PLC0415
 

@@ -1,4 +1,4 @@
-"""The commands that run and report: `simulate` one case, and the studies `bench`, `tracking`, `reproduce`, `speed`."""
+"""The commands that run and report: `simulate` one case, and the studies."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ EXAMPLES = {
     "bench": "Example: diffdrive-mpc bench --out results --models ssm --set weights.across=60,120,240",
     "tracking": "Example: diffdrive-mpc tracking --out results --quick --only cross,bound",
     "reproduce": "Example: diffdrive-mpc reproduce --out results --only virtual_track",
+    "peers": "Example: diffdrive-mpc peers --out results --peers pursuit,lqr+slip",
     "robustness": "Example: diffdrive-mpc robustness --out results --only mass_left,frozen_pose --models sm,ssm",
     "speed": "Example: diffdrive-mpc speed --out results --quick --peers ours,acados",
 }
@@ -112,6 +113,25 @@ def reproduce(
 
     parts = PARTS if only is None else split_names(only, "--only")
     carry_out(ReproduceStudy(load_study(quick=quick), parts), out, jobs)
+
+
+def peers(
+    *,
+    out: Annotated[Path, out_option("peers.json, peers.md and gains.yaml")],
+    quick: Annotated[bool, typer.Option("--quick", help="One peer and a few settings, to see that it works.")] = False,
+    only: Annotated[
+        str | None, typer.Option("--peers", metavar="NAMES", help="Peers to tune.", show_default="all of them")
+    ] = None,
+    settings: Annotated[Path | None, file_option("Settings", "--settings")] = None,
+    jobs: Jobs = None,
+) -> None:
+    """Tune the peers, each by the same search with the same budget on the same runs: about 20 minutes on two cores."""
+    from diffdrive_mpc.bench.studies.peers.study import GAINS_FILE, PeersStudy, gains_text, load_settings  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+
+    loaded = load_settings(settings, quick=quick)
+    found = carry_out(PeersStudy(loaded, None if only is None else split_names(only, "--peers")), out, jobs)
+    (out / GAINS_FILE).write_text(gains_text(found, loaded), encoding="utf-8")
 
 
 def robustness(

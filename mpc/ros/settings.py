@@ -22,8 +22,8 @@ class NodeSettings(StrictModel, strict=True):
     config: str = Field(
         "ssm",
         min_length=1,
-        description="configuration whose values are the defaults of all parameters of the controller: mbm, sm, ssm or "
-        "the path of the YAML file that was simulated with; read once, at start-up [-]",
+        description="configuration whose values are the defaults of all parameters of the controller: mbm, sm, ssm, "
+        "kinematic or the path of the YAML file that was simulated with; read once, at start-up [-]",
     )
     trajectory: str = Field(
         "circle",

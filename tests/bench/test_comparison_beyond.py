@@ -32,7 +32,7 @@ def test_the_bench_compares_the_pairs_that_are_named_in_one_place() -> None:
     assert {case.top_speed for case in plan.speed} == set(SPEEDS)
     assert {case.seed for case in plan.other_seeds} == set(OTHER_SEEDS)
     ours = [case.late for case in plan.dead_time if case.model == "ssm"]
-    peer = [case.late for case in plan.dead_time if case.controller == "kanayama"]
+    peer = [case.late for case in plan.dead_time if case.controller == COMPARED[0][0]]
     assert ours == list(LATE_TICKS)
     assert peer == [ticks for ticks in LATE_TICKS if ticks >= 0]
     assert not set(plan.beyond) & set(plan.all)

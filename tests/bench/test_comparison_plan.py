@@ -41,8 +41,8 @@ def asked(**given: Any) -> ComparisonSettings:
 def test_the_default_is_a_peer_and_three_models_four_trajectories_five_seeds_and_six_horizons() -> None:
     chosen = asked()
     assert chosen == default_settings()
-    assert chosen.controllers == ("kanayama", "mpc")
-    assert set(chosen.models) == {"mbm", "sm", "ssm"}
+    assert chosen.controllers == ("pursuit+slip", "mpc")
+    assert set(chosen.models) == {"kinematic", "mbm", "sm", "ssm"}
     assert set(chosen.trajectories) == {"circle", "square", "s", "cane"}
     assert len(chosen.seeds) == 5
     assert chosen.horizons == (5, 10, 15, 20, 30, 50)

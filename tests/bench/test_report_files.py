@@ -287,9 +287,7 @@ def test_a_report_says_which_configuration_it_is_of(results: ComparisonResults, 
     assert str(tmp_path) not in head + json.dumps(meta)
     assert "Configuration:" not in text_of(results)
     assert [c["model"] for c in describe(results.settings, TimingPass())["configuration"]["controllers"]] == [
-        "mbm",
-        "sm",
-        "ssm",
+        *default_settings().values("models")
     ]
 
 
