@@ -1,8 +1,8 @@
 """Pose kinematics: the exact arc of a body that moves with constant twist.
 
 Source: Guffanti et al., Sensors 2025, 25(11), 3553 (odometry equations), with the sign of dy restored, written
-with the sinc of the half angle so that value and gradient are smooth through omega = 0. Side-slip adds a lateral
-speed in proportion to v omega.
+with the sinc of the half angle so that value and gradient are smooth through omega = 0. A body that slips has a
+lateral speed, too.
 """
 
 from __future__ import annotations
@@ -59,26 +59,25 @@ def _displacement(  # numbers, arrays or symbols
     v: Any,  # noqa: ANN401
     omega: Any,  # noqa: ANN401
     dt: Any,  # noqa: ANN401
-    side_slip: Any,  # noqa: ANN401
+    lateral: Any,  # noqa: ANN401
 ) -> tuple[Any, Any, Any]:
     """Displacement (dx, dy, dtheta) of the exact arc: the one text of it, for numbers and for symbols.
 
     The body moves by the chord v dt sinc(omega dt / 2) along its mean heading theta + omega dt / 2, and by
-    -side_slip omega times the chord to the left of that.
+    lateral dt sinc(omega dt / 2) to the left of that.
     """
     half = 0.5 * omega * dt
-    chord = v * dt * functions.sinc(half)
-    crab = side_slip * omega
+    reach = dt * functions.sinc(half)
     c, s = functions.cos(theta + half), functions.sin(theta + half)
-    return chord * (c + crab * s), chord * (s - crab * c), omega * dt
+    return reach * (v * c - lateral * s), reach * (v * s + lateral * c), omega * dt
 
 
-def arc_displacement(theta: ca.SX, v: ca.SX, omega: ca.SX, dt: ca.SX, side_slip: ca.SX) -> ca.SX:
+def arc_displacement(theta: ca.SX, v: ca.SX, omega: ca.SX, dt: ca.SX, lateral: ca.SX) -> ca.SX:
     """CasADi expression (3) of the displacement dx, dy [m], dtheta [rad] over one arc from heading `theta`.
 
     Differentiable through omega = 0; the symbols are scalars in the units of `integrate_pose`.
     """
-    return ca.SX(ca.vertcat(*_displacement(_SYMBOLIC, theta, v, omega, dt, side_slip)))
+    return ca.SX(ca.vertcat(*_displacement(_SYMBOLIC, theta, v, omega, dt, lateral)))
 
 
 def integrate_pose(
@@ -104,7 +103,7 @@ def integrate_pose(
     """
     pose = np.asarray(pose, dtype=float)
     v, omega, dt, side_slip = (np.asarray(given, dtype=float) for given in (v, omega, dt, side_slip))
-    dx, dy, dtheta = _displacement(_NUMERIC, pose[..., 2], v, omega, dt, side_slip)
+    dx, dy, dtheta = _displacement(_NUMERIC, pose[..., 2], v, omega, dt, -side_slip * v * omega)
     return np.stack(np.broadcast_arrays(pose[..., 0] + dx, pose[..., 1] + dy, pose[..., 2] + dtheta), axis=-1)
 
 
@@ -152,7 +151,7 @@ def arc_function() -> ca.Function:
     """
     pose, v, omega, dt = ca.SX.sym("pose", 3), ca.SX.sym("v"), ca.SX.sym("omega"), ca.SX.sym("dt")
     side_slip = ca.SX.sym("side_slip")
-    after = pose + arc_displacement(pose[2], v, omega, dt, side_slip)
+    after = pose + arc_displacement(pose[2], v, omega, dt, -side_slip * v * omega)
     names = ["pose", "v", "omega", "dt", "side_slip"]
     return ca.Function("arc", [pose, v, omega, dt, side_slip], [after], names, ["pose_next"])
 

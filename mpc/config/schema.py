@@ -31,7 +31,7 @@ class Weights(Group):
 
     along: NotNegative = Field(150.0, description="squared position error along the path [1/m^2]")
     across: NotNegative = Field(500.0, description="squared position error across the path [1/m^2]")
-    heading: NotNegative = Field(28.0, description="squared heading error [1/rad^2]")
+    heading: NotNegative = Field(28.0, description="squared heading error, side-slip allowed for [1/rad^2]")
     v: NotNegative = Field(20.0, description="squared deviation of v_ref from its feed-forward [s^2/m^2]")
     omega: NotNegative = Field(2.0, description="squared deviation of omega_ref from its feed-forward [s^2/rad^2]")
     v_increment: Positive = Field(20.0, description="squared increment of v_ref from tick to tick [s^2/m^2]")
@@ -113,8 +113,22 @@ class Estimator(Group):
     longitudinal_gain_drift: Positive = Field(0.002, description="random walk of that gain [1 per sqrt(s)]")
     yaw_gain_uncertainty: Positive = Field(0.1, description="yaw rate of body over wheels, at the start [-]")
     yaw_gain_drift: Positive = Field(0.015, description="random walk of that gain [1 per sqrt(s)]")
+    side_slip: NotNegative = Field(0.0, description="lateral speed, outward, over v omega, at the start [s]")
     side_slip_uncertainty: Positive = Field(0.05, description="lateral speed over v omega, at the start [s]")
     side_slip_drift: Positive = Field(0.02, description="random walk of the side-slip [s per sqrt(s)]")
+    turn_ahead_uncertainty: NotNegative = Field(
+        0.03, description="how far ahead of its origin or behind it the robot turns, at the start [m]"
+    )
+    turn_ahead_drift: NotNegative = Field(0.01, description="random walk of that distance [m per sqrt(s)]")
+    turn_left_uncertainty: NotNegative = Field(
+        0.03, description="how far left of its origin or right of it the robot turns, at the start [m]"
+    )
+    turn_left_drift: NotNegative = Field(0.01, description="random walk of that distance [m per sqrt(s)]")
+    load_shift: NotNegative = Field(
+        0.0, description="how far back the turning point moves for an acceleration, at the start [s^2]"
+    )
+    load_shift_uncertainty: NotNegative = Field(0.02, description="the same, what is not known of it [s^2]")
+    load_shift_drift: NotNegative = Field(0.003, description="random walk of that [s^2 per sqrt(s)]")
     gyro_bias_uncertainty: Positive = Field(0.003, description="bias of the gyro, at the start [rad/s]")
     gyro_bias_drift: Positive = Field(0.0003, description="random walk of that bias [rad/s per sqrt(s)]")
     least_yaw_rate: Positive = Field(0.1, description="turning more slowly, the gains of omega stay frozen [rad/s]")

@@ -51,7 +51,8 @@ typedef struct {
     /* estimator */
     const real *noise;         /* [n][n] process noise of one sample */
     real pose_noise[3];
-    real drift[6], uncertainty[6];   /* of slip and gyro bias: variance per sample; deviation at the start */
+    real prior[9], uncertainty[9], drift[9]; /* of slip and gyro bias: at the start, with its deviation; variance per
+                                                   sample */
     real wheel_yaw_ratio;            /* yaw rate by encoders over that of the model */
     real surprise, patience;         /* limit [-], and how long it may last [samples] */
     real least_yaw_rate, least_speed, least_gain, most_gain;
@@ -76,7 +77,6 @@ typedef struct {
     const real *across;         /* [N] */
     const real *heading;        /* [N] weights */
     real command_weight[2], increment_weight[2];
-    real lean_along, lean_heading;   /* weights by which lagging is traded against turning */
     real inverse_gain[4], lag_rest[2]; /* feed-forward: column by column; lag beyond the whole samples [samples] */
     real price, price_slope;         /* of each unit beyond a soft limit, exact and quadratic */
 
@@ -203,13 +203,13 @@ typedef struct {
     real primal_residual, dual_residual;
 } ddmpc_report;
 
-enum { DDMPC_NOTES = 8, DDMPC_SENSORS = 4, DDMPC_SLIPS = 6 };
+enum { DDMPC_NOTES = 8, DDMPC_SENSORS = 4, DDMPC_SLIPS = 9 };
 
 /* The newest estimate; the filter's state is the states, slip (v_offset, omega_gain, longitudinal_gain, yaw_gain,
-   side_slip), gyro bias and pose. */
+   side_slip, turn_ahead, turn_left, load_shift), gyro bias and pose. */
 typedef struct {
-    real *mean;            /* [n+9] */
-    real *deviation;       /* [n+9] */
+    real *mean;            /* [n+12] */
+    real *deviation;       /* [n+12] */
     real *twist;           /* [2] of the body, slip included [m/s, rad/s] */
     real *twist_deviation; /* [2] */
     real *innovations;     /* [4] newest squared innovation over its variance; NaN: none yet */

@@ -150,8 +150,7 @@ static void moving(const ddmpc_controller *c, ddmpc_belief *belief)
     memset(belief->covariance, 0, (size_t)(Z * Z) * sizeof(real));
     memset(belief->surprised, 0, sizeof belief->surprised);
     memcpy(belief->mean, state, (size_t)n * sizeof(real));
-    for (int i = n + OMEGA_GAIN; i < n + SIDE_SLIP; i++)
-        belief->mean[i] = R(1.0);
+    memcpy(belief->mean + n, constants->prior, sizeof constants->prior);
     ddmpc_velocity_output(c, state, output, 0);
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++)

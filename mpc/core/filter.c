@@ -25,7 +25,7 @@ void ddmpc_copy_belief(const ddmpc_controller *c, ddmpc_belief *to, const ddmpc_
 static void twist_now(const ddmpc_controller *c, const real *mean, real twist[2], real (*gradient)[MOST_BELIEF])
 {
     const int n = STATES(c);
-    real y[2], rows[2 * DDMPC_MOST_STATES], J[2 * 7];
+    real y[2], rows[2 * DDMPC_MOST_STATES], J[2 * (2 + SLIP)];
     ddmpc_velocity_output(c, mean, y, rows);
     const real *arguments[2] = {y, mean + n};
     real *results[2] = {twist, J};
@@ -73,14 +73,15 @@ typedef struct {
     real pose[3], twist[2], by[3][MOST_BELIEF];
 } moved_pose;
 
-/* Where the body is after `dt` with the model's output `y`, whose gradient by the states is (2, n). */
-static void move(const ddmpc_controller *c, const real *z, const real y[2], const real *rows, real dt,
+/* Where the body is after `dt` with the model's output `y`, whose gradient by the states is (2, n), and the forward
+   `acceleration`. */
+static void move(const ddmpc_controller *c, const real *z, const real y[2], const real *rows, real acceleration, real dt,
                  moved_pose *moved)
 {
     const int n = STATES(c);
     const real *at = z + n + POSE;
-    real displacement[3], J[3 * 8];
-    const real *arguments[4] = {y, z + n, at + 2, &dt};
+    real displacement[3], J[3 * (3 + SLIP)];
+    const real *arguments[5] = {y, z + n, at + 2, &acceleration, &dt};
     real *results[2] = {displacement, J};
     ddmpc_f_move(arguments, results, 0, 0, 0);
     memset(moved->by, 0, sizeof moved->by);
@@ -89,7 +90,7 @@ static void move(const ddmpc_controller *c, const real *z, const real y[2], cons
             moved->by[i][j] = J[i] * rows[j] + J[i + 3] * rows[n + j];
         for (int j = 0; j < SLIP; j++)
             moved->by[i][n + j] = J[i + 3 * (2 + j)];
-        moved->by[i][n + POSE + 2] = J[i + 3 * 7];
+        moved->by[i][n + POSE + 2] = J[i + 3 * (2 + SLIP)];
         moved->by[i][n + POSE + i] += R(1.0);
         moved->pose[i] = at[i] + displacement[i];
     }
@@ -99,7 +100,7 @@ static void move_from(const ddmpc_controller *c, const real *z, real dt, moved_p
 {
     real y[2], rows[2 * DDMPC_MOST_STATES];
     ddmpc_velocity_output(c, z, y, rows);
-    move(c, z, y, rows, dt, moved);
+    move(c, z, y, rows, R(0.0), dt, moved);
 }
 
 void ddmpc_filter_pose_at(const ddmpc_controller *c, const ddmpc_belief *belief, real ahead, real pose[3])
@@ -144,16 +145,22 @@ static void propagate(const ddmpc_controller *c, const moved_pose *moved, const 
     }
 }
 
-/* The model's output over the sample from x to x+: its mean, with its gradient by x (2, n). */
-static void mean_output(const ddmpc_controller *c, const real *x, const real *after, const real *A, real y[2],
-                        real *rows)
+/* The model's output over the sample from z to the states x+: its mean, with its gradient by the states (2, n), and the
+   body's mean twist. Returns the body's forward acceleration; nothing is differentiated by that, as it does little. */
+static real mean_output(const ddmpc_controller *c, const real *z, const real *after, const real *A, real y[2],
+                        real *rows, real twist[2])
 {
     const int n = STATES(c);
-    real next[2], next_rows[2 * DDMPC_MOST_STATES];
-    ddmpc_velocity_output(c, x, y, rows);
+    real next[2], next_rows[2 * DDMPC_MOST_STATES], begin[2], end[2];
+    ddmpc_velocity_output(c, z, y, rows);
     ddmpc_velocity_output(c, after, next, next_rows);
+    const real *arguments[2][2] = {{y, z + n}, {next, z + n}};
+    real *results[2][2] = {{begin, 0}, {end, 0}};
+    for (int i = 0; i < 2; i++)
+        ddmpc_f_twist(arguments[i], results[i], 0, 0, 0);
     for (int i = 0; i < 2; i++) {
         y[i] = R(0.5) * (y[i] + next[i]);
+        twist[i] = R(0.5) * (begin[i] + end[i]);
         for (int j = 0; j < n; j++) {
             real through = R(0.0);
             for (int k = 0; NONLINEAR(c) && k < n; k++)
@@ -162,6 +169,7 @@ static void mean_output(const ddmpc_controller *c, const real *x, const real *af
                 NONLINEAR(c) ? R(0.5) * (rows[i * n + j] + through) : c->constants->mean_output[i * n + j];
         }
     }
+    return (end[0] - begin[0]) / (real)c->constants->sample_time;
 }
 
 void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before, const real *newest,
@@ -175,11 +183,8 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
     const real *A = NONLINEAR(c) ? by_state : k->A;
     moved_pose moved;
     ddmpc_velocity_step(c, z, newest, state, NONLINEAR(c) ? by_state : 0, c->problem.step_jacobian);
-    mean_output(c, z, state, A, y, rows);
-    move(c, z, y, rows, (real)k->sample_time, &moved);
-    const real *arguments[2] = {y, z + n};
-    real *results[2] = {twist, 0};
-    ddmpc_f_twist(arguments, results, 0, 0, 0);
+    const real acceleration = mean_output(c, z, state, A, y, rows, twist);
+    move(c, z, y, rows, acceleration, (real)k->sample_time, &moved);
     propagate(c, &moved, A, before->covariance, after->covariance);
 
     for (int i = 0; i < n; i++)
@@ -190,7 +195,8 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
     /* A gain shows only while its channel moves: without news its uncertainty must not grow. */
     const int turning = ddmpc_fabs(twist[1]) >= k->least_yaw_rate;
     const int driving = ddmpc_fabs(twist[0]) >= k->least_speed;
-    const int moving[DDMPC_SLIPS] = {1, turning, driving, turning, turning && driving, 1};
+    const int cornering = turning && driving;
+    const int moving[DDMPC_SLIPS] = {1, turning, driving, turning, cornering, turning, turning, cornering, 1};
     for (int i = 0; i < DDMPC_SLIPS; i++)
         if (moving[i])
             after->covariance[(n + i) * (Z + 1)] += k->drift[i];
@@ -267,7 +273,7 @@ static void correct_scalar(const ddmpc_controller *c, ddmpc_belief *belief, cons
 static real expected_reading(const ddmpc_controller *c, const real *z, int sensor, real *h)
 {
     const int n = STATES(c);
-    real y[2], rows[2 * DDMPC_MOST_STATES], reading[3], J[3 * 8];
+    real y[2], rows[2 * DDMPC_MOST_STATES], reading[3], J[3 * (3 + SLIP)];
     ddmpc_velocity_output(c, z, y, rows);
     const real *arguments[4] = {y, z + n, z + n + GYRO_BIAS, &c->constants->wheel_yaw_ratio};
     real *results[2] = {reading, J};

@@ -44,8 +44,20 @@
 #endif
 
 /* The filter's state: n velocity states, then these; places are counted from n. */
-enum { V_OFFSET, OMEGA_GAIN, LONGITUDINAL_GAIN, YAW_GAIN, SIDE_SLIP, GYRO_BIAS, POSE, BEYOND = POSE + 3 };
-enum { SLIP = 5 };
+enum {
+    V_OFFSET,
+    OMEGA_GAIN,
+    LONGITUDINAL_GAIN,
+    YAW_GAIN,
+    SIDE_SLIP,
+    TURN_AHEAD,
+    TURN_LEFT,
+    LOAD_SHIFT,
+    GYRO_BIAS,
+    POSE,
+    BEYOND = POSE + 3,
+    SLIP = GYRO_BIAS
+};
 #define BELIEF(c) (STATES(c) + BEYOND)
 #define MOST_BELIEF (DDMPC_MOST_STATES + BEYOND)
 #define INPUTS(c) (2 * STEPS(c))
@@ -71,8 +83,8 @@ enum {
 };
 
 typedef struct {
-    real *mean;        /* [n+9] */
-    real *covariance;  /* [n+9][n+9] */
+    real *mean;        /* [n+12] */
+    real *covariance;  /* [n+12][n+12] */
     int surprised[DDMPC_SENSORS]; /* samples since the sensor's innovations have been too large; 0: they are not */
 } ddmpc_belief;
 
@@ -108,8 +120,10 @@ typedef struct {
 
 /* The tick's problem, linearised along the guess. */
 typedef struct {
-    real pose[3], slip[SLIP], gains[2], last[2];
+    real pose[3], slip[SLIP], last[2];
+    real gains[2], turn_gain; /* of the body's v and omega by the model's; of its v by the model's omega */
     real *free_twist;   /* [N+1][2] of the body, if the plan were zero */
+    real *ahead;        /* [N] turning point of each arc along the guess [m] */
     real *aim;          /* [N+1][4] */
     real *feed_forward; /* [N][2] */
     real *free_output;  /* [N+1][2] of the model, if the plan were zero */
@@ -130,7 +144,7 @@ typedef struct {
     real *moves;        /* [2][width] */
     real *gradient;     /* [width] */
     real *soft_value;   /* [K][N] of what has soft limits, if the plan were zero */
-    real *soft_gradient; /* [K][N][7] by pose, twist and command */
+    real *soft_gradient; /* [K][N][7] by pose, what the model says, and command */
     real *term;         /* [8 K or 8 R] what a function of the user gives */
     real *H, *g;        /* [2N][2N], [2N] */
     real *lower, *upper; /* [4+K][N] */

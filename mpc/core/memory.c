@@ -54,6 +54,7 @@ static void lay_problem(ddmpc_controller *c, memory *m)
     ddmpc_problem *p = &c->problem;
     const long N = STEPS(c), n = STATES(c), inputs = INPUTS(c), width = WIDTH(c), soft = SOFT(c), kinds = KINDS(c);
     const long own = soft > RESIDUALS(c) ? soft : RESIDUALS(c);
+    p->ahead = reals(m, N);
     p->free_twist = reals(m, 2 * (N + 1));
     p->aim = reals(m, 4 * (N + 1));
     p->feed_forward = reals(m, 2 * N);

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from diffdrive_mpc.mpc.core.cache import content_digest
-from diffdrive_mpc.mpc.core.compiler import NotCompiledError, build_library, processor_lines
+from diffdrive_mpc.mpc.core.compiler import PLAIN_REST, NotCompiledError, build_library, processor_lines
 from diffdrive_mpc.mpc.core.sources import CORE, core_origin, core_texts
 
 _MANIFEST = "ddmpc_core.json"
@@ -24,7 +24,7 @@ _BASELINE = "baseline"
 _V3 = frozenset(("avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"))
 _V4 = _V3 | {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}
 _LEVELS: dict[str, tuple[tuple[str, ...], frozenset[str]]] = {
-    "x86-64-v4": (("-march=x86-64-v4", "-mprefer-vector-width=512"), _V4),
+    "x86-64-v4": (("-march=x86-64-v4", "-mprefer-vector-width=512", PLAIN_REST), _V4),
     "x86-64-v3": (("-march=x86-64-v3",), _V3),
     _BASELINE: ((), frozenset()),
 }

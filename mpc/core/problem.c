@@ -59,8 +59,7 @@ static void look_ahead(ddmpc_controller *c)
     for (int i = 0; i <= STEPS(c); i++) {
         const real *pose = c->reference_pose + 3 * i;
         const real turned[3] = {pose[0], pose[1], pose[2] + turns};
-        const real *arguments[5] = {turned, c->reference_twist + 2 * i, p->slip + SIDE_SLIP, &k->lean_along,
-                                    &k->lean_heading};
+        const real *arguments[3] = {turned, c->reference_twist + 2 * i, p->slip};
         real *results[1] = {p->aim + 4 * i};
         ddmpc_f_aim(arguments, results, 0, 0, 0);
     }
@@ -79,19 +78,40 @@ static void look_ahead(ddmpc_controller *c)
     }
 }
 
-/* Twist of the body for the model's free output: the gains of slip, and what it adds. */
+/* Twist of the body for the model's free output, and what a plan adds per unit of the model's: slip is affine. */
 static void free_twists(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
-    const real standing[2] = {R(0.0), R(0.0)};
-    real offset[2], J[2 * 7];
-    const real *arguments[2] = {standing, p->slip};
-    real *results[2] = {offset, J};
-    ddmpc_f_twist(arguments, results, 0, 0, 0);
+    real J[2 * (2 + SLIP)];
+    for (int k = 0; k <= STEPS(c); k++) {
+        const real *arguments[2] = {p->free_output + 2 * k, p->slip};
+        real *results[2] = {p->free_twist + 2 * k, J};
+        ddmpc_f_twist(arguments, results, 0, 0, 0);
+    }
     p->gains[0] = J[0];
     p->gains[1] = J[3];
-    for (int i = 0; i < 2 * (STEPS(c) + 1); i++)
-        p->free_twist[i] = offset[i % 2] + p->gains[i % 2] * p->free_output[i];
+    p->turn_gain = J[2];
+}
+
+/* Forward speed of the body at the sample k under a plan that adds `by_plan`. */
+static real speed_at(const ddmpc_controller *c, const real *by_plan, int k)
+{
+    const ddmpc_problem *p = &c->problem;
+    return p->free_twist[2 * k] + p->gains[0] * by_plan[k] + p->turn_gain * by_plan[STEPS(c) + 1 + k];
+}
+
+/* Where the robot turns about along the guess. It stays there when the plan is sought: an acceleration moves it too
+   little to be worth a gradient. */
+static void find_turning_points(ddmpc_controller *c)
+{
+    ddmpc_problem *p = &c->problem;
+    for (int k = 0; k < STEPS(c); k++) {
+        const real gain = speed_at(c, p->by_plan, k + 1) - speed_at(c, p->by_plan, k);
+        const real acceleration = gain / (real)c->constants->sample_time;
+        const real *arguments[2] = {p->slip, &acceleration};
+        real *results[1] = {p->ahead + k};
+        ddmpc_f_turning_point(arguments, results, 0, 0, 0);
+    }
 }
 
 void ddmpc_problem_begin(ddmpc_controller *c)
@@ -243,23 +263,25 @@ static void roll_out(const ddmpc_controller *c, const real *by_plan, real *arcs,
     const ddmpc_problem *p = &c->problem;
     const int N = STEPS(c);
     const real dt = (real)c->constants->sample_time, v_gain = p->gains[0], omega_gain = p->gains[1];
+    real speed = speed_at(c, by_plan, 0);
     memcpy(poses, p->pose, sizeof p->pose);
     for (int k = 0; k < N; k++) {
         const real *free = p->free_twist + 2 * k, *at = poses + 3 * k;
-        const real *v = by_plan + k, *omega = by_plan + N + 1 + k;
-        const real mean_v = R(0.5) * (free[0] + free[2] + v_gain * (v[0] + v[1]));
+        const real *omega = by_plan + N + 1 + k, next = speed_at(c, by_plan, k + 1);
+        const real mean_v = R(0.5) * (speed + next);
         const real mean_omega = R(0.5) * (free[1] + free[3] + omega_gain * (omega[0] + omega[1]));
         real move[2], J[2 * 3];
-        const real *arguments[5] = {at + 2, &mean_v, &mean_omega, p->slip + SIDE_SLIP, &dt};
+        const real *arguments[6] = {at + 2, &mean_v, &mean_omega, p->slip + SIDE_SLIP, p->ahead + k, &dt};
         real *results[2] = {move, arcs ? J : 0};
         ddmpc_f_arc(arguments, results, 0, 0, 0);
+        speed = next;
         poses[3 * k + 3] = at[0] + move[0];
         poses[3 * k + 4] = at[1] + move[1];
         poses[3 * k + 5] = at[2] + dt * mean_omega;
         for (int i = 0; arcs && i < 2; i++) {
             arcs[i * N + k] = move[i];
             arcs[(2 + 3 * i) * N + k] = v_gain * J[i];
-            arcs[(3 + 3 * i) * N + k] = omega_gain * J[i + 2];
+            arcs[(3 + 3 * i) * N + k] = omega_gain * J[i + 2] + p->turn_gain * J[i];
             arcs[(4 + 3 * i) * N + k] = omega_gain * J[i + 4];
         }
     }
@@ -329,17 +351,27 @@ static void fill_row(int count, const row_weights *w, const real *restrict mean_
     }
 }
 
-/* The row by the commands of something at sample k + 1 whose gradient by pose, twist of the body and command is given. */
+/* A gradient by pose, twist of the body and command, made one by what the model says instead of the twist; the heading
+   counts as turned by the model, too. `step` lies between its entries. */
+static void through_slip(const ddmpc_problem *p, const real *by_body, int step, real gradient[TERM_INPUTS])
+{
+    for (int i = 0; i < TERM_INPUTS; i++)
+        gradient[i] = by_body[step * i];
+    gradient[4] = p->gains[1] * gradient[4] + p->turn_gain * gradient[3];
+    gradient[3] *= p->gains[0];
+    gradient[2] *= p->gains[1];
+}
+
+/* The row by the commands of something at sample k + 1 whose gradient is that of `through_slip`. */
 static void term_row(const ddmpc_controller *c, int k, const real gradient[TERM_INPUTS], real *row)
 {
     const ddmpc_problem *p = &c->problem;
     const int width = WIDTH(c), count = 2 * (k + 1);
     const real *x = p->position + 2 * k * width, *y = x + width;
     const real *heading = heading_row(c, k + 1), *v = twist_row(c, k + 1, 0), *omega = twist_row(c, k + 1, 1);
-    const real by_heading = p->gains[1] * gradient[2], by_v = p->gains[0] * gradient[3],
-               by_omega = p->gains[1] * gradient[4];
     for (int j = 0; j < count; j++)
-        row[j] = gradient[0] * x[j] + gradient[1] * y[j] + by_heading * heading[j] + by_v * v[j] + by_omega * omega[j];
+        row[j] = gradient[0] * x[j] + gradient[1] * y[j] + gradient[2] * heading[j] + gradient[3] * v[j] +
+                 gradient[4] * omega[j];
     row[count - 2] += gradient[5];
     row[count - 1] += gradient[6];
 }
@@ -349,11 +381,9 @@ static void call_term(const ddmpc_controller *c, ddmpc_function function, int k,
                       const real *parameters, real *out)
 {
     const ddmpc_problem *p = &c->problem;
-    const int N = STEPS(c);
-    real twist[2];
-    for (int channel = 0; channel < 2; channel++)
-        twist[channel] = p->free_twist[2 * (k + 1) + channel] +
-                         p->gains[channel] * (k < 0 ? R(0.0) : p->by_plan[channel * (N + 1) + k + 1]);
+    /* No command acts at once: what is now does not hang on the plan. */
+    const real twist[2] = {speed_at(c, p->by_plan, k + 1),
+                           p->free_twist[2 * k + 3] + p->gains[1] * p->by_plan[STEPS(c) + 2 + k]};
     const real *arguments[5] = {p->poses + 3 * (k + 1), twist, command, p->aim + 4 * (k + 1), parameters};
     real *results[2] = {out, out + rows};
     function(arguments, results, 0, 0, 0);
@@ -385,8 +415,7 @@ static void fill_residuals(ddmpc_controller *c, int k)
         call_term(c, term->function, k, term->rows, p->guess + 2 * k, parameters_at(c, k + 1, term), p->term);
         for (int r = 0; r < term->rows; r++, row += width) {
             real gradient[TERM_INPUTS];
-            for (int i = 0; i < TERM_INPUTS; i++)
-                gradient[i] = p->term[term->rows + r + term->rows * i];
+            through_slip(p, p->term + term->rows + r, term->rows, gradient);
             memset(row, 0, (size_t)width * sizeof(real));
             term_row(c, k, gradient, row);
             const real residual = p->term[r] - dot(row, p->guess, count);
@@ -520,6 +549,15 @@ static void soft_at(const ddmpc_controller *c, const soft_group *group, int k)
               group->term ? parameters_at(c, k + 1, group->term) : shipped, p->term);
 }
 
+/* What a plan adds to something at sample k + 1 whose gradient is that of `through_slip`. */
+static real value_of(const real *gradient, int k, int N, const real *moves, const real *headings, const real *by_plan,
+                     const real *plan)
+{
+    return gradient[0] * moves[k] + gradient[1] * moves[N + k] + gradient[2] * headings[k + 1] +
+           gradient[3] * by_plan[k + 1] + gradient[4] * by_plan[N + 1 + k + 1] + gradient[5] * plan[2 * k] +
+           gradient[6] * plan[2 * k + 1];
+}
+
 /* Soft limits of one function. Where the robot is beyond a shipped limit already, its present value is the limit: back
    inside leads the reference. Nothing else may lead back inside a limit of the user, so those stand as they are given. */
 static void limit_softly(ddmpc_controller *c, const soft_group *group, const real *moves, const real *headings)
@@ -540,13 +578,8 @@ static void limit_softly(ddmpc_controller *c, const soft_group *group, const rea
         for (int r = 0; r < rows; r++) {
             const int kind = group->first + r;
             real *gradient = p->soft_gradient + (kind * N + k) * TERM_INPUTS;
-            for (int i = 0; i < TERM_INPUTS; i++)
-                gradient[i] = p->term[rows + r + rows * i];
-            const real by_plan = gradient[0] * moves[k] + gradient[1] * moves[N + k] +
-                                 p->gains[1] * gradient[2] * headings[k + 1] +
-                                 p->gains[0] * gradient[3] * p->by_plan[k + 1] +
-                                 p->gains[1] * gradient[4] * p->by_plan[N + 1 + k + 1] +
-                                 gradient[5] * p->guess[2 * k] + gradient[6] * p->guess[2 * k + 1];
+            through_slip(p, p->term + rows + r, rows, gradient);
+            const real by_plan = value_of(gradient, k, N, moves, headings, p->by_plan, p->guess);
             p->soft_value[kind * N + k] = p->term[r] - by_plan;
         }
     }
@@ -585,6 +618,7 @@ void ddmpc_problem_condense(ddmpc_controller *c)
         linearise_model(c);
     else
         add_plan(c, p->guess, p->by_plan);
+    find_turning_points(c);
     roll_out(c, p->by_plan, p->arc, p->poses);
     fill_rows(c);
     fill_hessian(c);
@@ -615,10 +649,7 @@ void ddmpc_limit_values(const void *context, const real *plan, real *values)
         real *out = values + (HARD + kind) * N;
         const real *gradient = p->soft_gradient + kind * N * TERM_INPUTS;
         for (int k = 0; k < N; k++, gradient += TERM_INPUTS)
-            out[k] = gradient[0] * moves[k] + gradient[1] * moves[N + k] +
-                     p->gains[1] * (gradient[2] * headings[k + 1] + gradient[4] * by_plan[N + 1 + k + 1]) +
-                     p->gains[0] * gradient[3] * by_plan[k + 1] + gradient[5] * plan[2 * k] +
-                     gradient[6] * plan[2 * k + 1];
+            out[k] = value_of(gradient, k, N, moves, headings, by_plan, plan);
     }
 }
 

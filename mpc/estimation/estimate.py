@@ -12,8 +12,8 @@ from diffdrive_mpc.mpc.estimation.slip import Slip
 
 SENSORS = ("wheel_speed", "wheel_yaw_rate", "yaw_rate", "pose")
 """Names of the sensors, in the order in which the filter counts them."""
-_AFTER_STATES = 9
-_SLIPS = 5
+_AFTER_STATES = 12
+_SLIPS = 8
 
 
 class Estimate:
@@ -39,12 +39,12 @@ class Estimate:
 
     @property
     def mean(self) -> FloatArray:
-        """(n + 9,) mean of the filter's state: states, slip, gyro bias and pose."""
+        """(n + 12,) mean of the filter's state: states, slip, gyro bias and pose."""
         return self._layout.take(self._block, "mean")
 
     @property
     def deviation(self) -> FloatArray:
-        """(n + 9,) standard deviations of the same."""
+        """(n + 12,) standard deviations of the same."""
         return self._layout.take(self._block, "deviation")
 
     @property

@@ -11,10 +11,12 @@ from diffdrive_mpc.models.interface import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """Offset and gains of a twist, and side-slip; the default is a robot that does as its model says.
+    """Offset and gains of a twist, side-slip and turning point; the default is a robot that does as its model says.
 
-    The wheels turn with v + v_offset and omega_gain omega. The body moves with longitudinal_gain times that forward
-    speed, yaw_gain times that yaw rate, and the lateral speed -side_slip v omega, outward in a turn.
+    The wheels turn with v + v_offset and omega_gain omega. The body turns with yaw_gain times that yaw rate about a
+    point that lies turn_ahead - load_shift times the forward acceleration ahead of its origin and turn_left beside it.
+    That point moves with longitudinal_gain times the wheels' forward speed, and outward in a turn with
+    side_slip v omega.
 
     Attributes
     ----------
@@ -28,6 +30,10 @@ class Slip:
         Yaw rate of the body over that of the wheels, relative to the floor that the model was identified on [-].
     side_slip
         Lateral speed of the body, outward, over v omega [s].
+    turn_ahead, turn_left
+        Where the robot turns about, from the origin of its frame [m]: the load's centre need not be in the middle.
+    load_shift
+        How far back that point moves for a forward acceleration, which loads the rear axle [s^2].
     """
 
     v_offset: float = 0.0
@@ -35,6 +41,9 @@ class Slip:
     longitudinal_gain: float = 1.0
     yaw_gain: float = 1.0
     side_slip: float = 0.0
+    turn_ahead: float = 0.0
+    turn_left: float = 0.0
+    load_shift: float = 0.0
 
     @property
     def gains(self) -> FloatArray:

@@ -113,16 +113,30 @@ class Problem:
 
     def _estimation(self) -> Constants:
         model, s, on, wheels = self.model, self.config.estimator, self.config.compensation, self.config.wheels
-        estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, on.side_slip, True])
-        slips = ("v_offset", "omega_gain", "longitudinal_gain", "yaw_gain", "side_slip", "gyro_bias")
+        estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, *[on.side_slip] * 4, True])
+        slips = (
+            "v_offset",
+            "omega_gain",
+            "longitudinal_gain",
+            "yaw_gain",
+            "side_slip",
+            "turn_ahead",
+            "turn_left",
+            "load_shift",
+            "gyro_bias",
+        )
         uncertainty = estimated * np.array([getattr(s, f"{name}_uncertainty") for name in slips])
         drift = estimated * np.array([getattr(s, f"{name}_drift") for name in slips])
+        # An offset, three gains, side-slip, turning point, load shift, and the gyro's bias.
+        prior = np.array([0.0, 1.0, 1.0, 1.0, s.side_slip, 0.0, 0.0, s.load_shift, 0.0])
+        prior[4:] *= on.side_slip
         drive = model.drive
         inputs = np.array([s.v_input_noise, s.omega_input_noise])
         pose_drift = np.square([s.position_drift, s.position_drift, s.heading_drift])
         return {
             "noise": (drive * inputs**2) @ drive.T,
             "pose_noise": pose_drift * model.dt,
+            "prior": prior,
             "uncertainty": uncertainty,
             "drift": model.dt * np.square(drift),
             # Per unit of omega_ref the wheels turn with the ratio of the tracks, and the model with its steady gain.
@@ -182,8 +196,6 @@ class Problem:
             "heading": pose_weights[:, 2],
             "command_weight": [w.v, w.omega],
             "increment_weight": [w.v_increment, w.omega_increment],
-            "lean_along": w.along,
-            "lean_heading": w.heading,
             # Column by column.
             "inverse_gain": self.feed_forward.inverse_gain.T.reshape(-1),
             "lag_rest": self.feed_forward.rest,

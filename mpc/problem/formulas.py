@@ -4,11 +4,11 @@ Symbols, the same everywhere. They are columns.
 
 =============  ====  ============================================================================================
 y              2     v [m/s], omega [rad/s]: what the velocity model says, before slip
-slip           5     v_offset [m/s], omega_gain, longitudinal_gain, yaw_gain [-], side_slip [s]; see estimation/slip.py
+slip           8     see estimation/slip.py
 pose           3     x, y [m], theta [rad] of the body in the frame of the reference
 twist          2     v [m/s], omega [rad/s] of the body, slip included
 command        2     v_ref [m/s], omega_ref [rad/s]
-reference      4     x, y [m], theta [rad] of the path where the robot should be, and the heading [rad] to hold there
+reference      4     x, y [m], theta [rad] where the robot should be, and the heading [rad] to hold there
 dt             1     duration [s]
 =============  ====  ============================================================================================
 
@@ -35,7 +35,7 @@ VARIED = ("pose", "twist", "command")
 # Arguments of the formulas by name; the others are scalars.
 _SHAPES = {
     "y": (2, 1),
-    "slip": (5, 1),
+    "slip": (8, 1),
     "pose": (3, 1),
     "twist": (2, 1),
     "wanted": (2, 1),
@@ -45,22 +45,42 @@ _SHAPES = {
 }
 
 
+# Slower than this a robot cannot make up for a lateral speed by its heading [m/s].
+_SLOW = 0.1
+
+
 def body_twist(y: ca.SX, slip: ca.SX) -> ca.SX:
-    """Twist (2) of the body: v = longitudinal_gain (y_v + v_offset), omega = omega_gain yaw_gain y_omega.
+    """Twist (2) of the body for what the model says.
 
-    The wheels turn as the model says but for an offset and a gain; the body follows them by the gains of its floor.
+    The wheels turn as the model says but for an offset and a gain; the body follows them by the gains of its floor, and
+    turns about a centre that may lie beside the origin of its frame.
     """
-    v_offset, omega_gain, longitudinal_gain, yaw_gain, _ = ca.vertsplit(slip)
-    return ca.vertcat(longitudinal_gain * (y[0] + v_offset), omega_gain * yaw_gain * y[1])
+    v_offset, omega_gain, longitudinal_gain, yaw_gain, _, _, turn_left, _ = ca.vertsplit(slip)
+    omega = omega_gain * yaw_gain * y[1]
+    return ca.vertcat(longitudinal_gain * (y[0] + v_offset) + turn_left * omega, omega)
 
 
-def displacement(y: ca.SX, slip: ca.SX, theta: ca.SX, dt: ca.SX) -> ca.SX:
+def turning_point(slip: ca.SX, acceleration: ca.SX) -> ca.SX:
+    """How far ahead of the origin the robot turns [m] where it does not side-slip.
+
+    Under a forward `acceleration` [m/s^2] load shifts to the rear axle, which then holds the floor better.
+    """
+    turn_ahead, load_shift = slip[5], slip[7]
+    return turn_ahead - load_shift * acceleration
+
+
+def lateral_speed(v: ca.SX, omega: ca.SX, side_slip: ca.SX, ahead: ca.SX) -> ca.SX:
+    """Speed of the origin to the left [m/s], the turning point lying `ahead` [m] of it; side-slip is outward."""
+    return -(ahead + side_slip * v) * omega
+
+
+def displacement(y: ca.SX, slip: ca.SX, theta: ca.SX, acceleration: ca.SX, dt: ca.SX) -> ca.SX:
     """Displacement (3) dx, dy [m], dtheta [rad] over `dt` along the exact arc of the body's twist, side-slip included.
 
     Source: `models/pose.py`.
     """
     v, omega = ca.vertsplit(body_twist(y, slip))
-    return arc_displacement(theta, v, omega, dt, slip[4])
+    return arc_displacement(theta, v, omega, dt, lateral_speed(v, omega, slip[4], turning_point(slip, acceleration)))
 
 
 def sensed(y: ca.SX, slip: ca.SX, gyro_bias: ca.SX, wheel_yaw_ratio: ca.SX) -> ca.SX:
@@ -74,32 +94,24 @@ def sensed(y: ca.SX, slip: ca.SX, gyro_bias: ca.SX, wheel_yaw_ratio: ca.SX) -> c
     return ca.vertcat(y[0] + v_offset, wheel_yaw_ratio * omega_gain * y[1], omega + gyro_bias)
 
 
-def aim(pose: ca.SX, twist: ca.SX, side_slip: ca.SX, along_weight: ca.SX, heading_weight: ca.SX) -> ca.SX:
-    """What a robot that side-slips should aim at (4) for the reference's `pose` and `twist`: see `reference` above.
+def aim(pose: ca.SX, twist: ca.SX, slip: ca.SX) -> ca.SX:
+    """What the robot should aim at (4) for the reference's `pose` and `twist`: see `reference` above.
 
-    To hold its path in a curve it must hold the lead atan(side_slip omega) as a heading error. Where that costs
-    something, part of it is made up for by a lag d along the path, where the tangent has turned less by curvature d:
-    d = heading lead curvature / (along + heading curvature^2) makes along d^2 + heading (lead - curvature d)^2 least.
-    Written with curvature = omega / v, so that turning on the spot is no special case; zero where the cost is zero.
+    To hold its path in a curve a robot that slips to the side must lead it by the angle of its lateral speed.
     """
     v, omega = ca.vertsplit(twist)
-    theta = pose[2]
-    lead = ca.atan(side_slip * omega)
-    cost = along_weight * v**2 + heading_weight * omega**2
-    share = heading_weight * lead * omega / ca.if_else(cost > 0, cost, 1)
-    lag, turn = share * v, share * omega
-    path = theta - turn
-    return ca.vertcat(pose[0] - lag * ca.cos(theta), pose[1] - lag * ca.sin(theta), path, path + lead)
+    sideways = slip[4] + slip[5] * v / (v**2 + _SLOW**2)
+    return ca.vertcat(pose, pose[2] + ca.atan(sideways * omega))
 
 
 def feed_forward(wanted: ca.SX, slip: ca.SX, inverse_gain: ca.SX) -> ca.SX:
-    """Command (2) that keeps the body's twist `wanted` (2): inverse_gain (wanted / gains - offset).
+    """Command (2) that keeps the body's twist `wanted` (2).
 
     The model's steady-state gain and the estimated slip are inverted, `inverse_gain` (2 x 2) being the first of these.
     """
-    v_offset, omega_gain, longitudinal_gain, yaw_gain, _ = ca.vertsplit(slip)
-    gains, offset = ca.vertcat(longitudinal_gain, omega_gain * yaw_gain), ca.vertcat(v_offset, 0)
-    return inverse_gain @ (wanted / gains - offset)
+    v_offset, omega_gain, longitudinal_gain, yaw_gain, _, _, turn_left, _ = ca.vertsplit(slip)
+    forward = wanted[0] - turn_left * wanted[1]
+    return inverse_gain @ ca.vertcat(forward / longitudinal_gain - v_offset, wanted[1] / (omega_gain * yaw_gain))
 
 
 def across_path(pose: ca.SX, reference: ca.SX) -> ca.SX:
@@ -118,11 +130,12 @@ def tracking_errors(pose: ca.SX, reference: ca.SX) -> ca.SX:
 def softly_limited(pose: ca.SX, twist: ca.SX, reference: ca.SX, parameters: ca.SX) -> ca.SX:
     """What has soft limits (5): v [m/s], omega [rad/s], right and left wheel speed at the rim [m/s], distance [m].
 
-    The wheels do not slip as the body does: at the rim the gains of slip are undone. `parameters` (6) are slip and half
+    The wheels do not slip as the body does: at the rim the gains of slip are undone. `parameters` (9) are slip and half
     the track of the wheels [m].
     """
-    _, omega_gain, longitudinal_gain, yaw_gain, _, half_track = ca.vertsplit(parameters)
-    forward, turning = twist[0] / longitudinal_gain, half_track * twist[1] / (omega_gain * yaw_gain)
+    _, omega_gain, longitudinal_gain, yaw_gain, _, _, turn_left, _, half_track = ca.vertsplit(parameters)
+    forward = (twist[0] - turn_left * twist[1]) / longitudinal_gain
+    turning = half_track * twist[1] / (omega_gain * yaw_gain)
     return ca.vertcat(twist, forward + turning, forward - turning, across_path(pose, reference))
 
 
@@ -153,9 +166,9 @@ def spline_piece(tau: ca.SX, coefficients: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     return value[:3], ca.vertcat(v, rate[2]), value[3]
 
 
-def arc_move(theta: ca.SX, v: ca.SX, omega: ca.SX, side_slip: ca.SX, dt: ca.SX) -> ca.SX:
+def arc_move(theta: ca.SX, v: ca.SX, omega: ca.SX, side_slip: ca.SX, ahead: ca.SX, dt: ca.SX) -> ca.SX:
     """Displacement (2) dx, dy [m] over `dt` along the same arc as in `displacement`, for a twist that includes slip."""
-    return arc_displacement(theta, v, omega, dt, side_slip)[:2]
+    return arc_displacement(theta, v, omega, dt, lateral_speed(v, omega, side_slip, ahead))[:2]
 
 
 @cache
@@ -167,10 +180,11 @@ def formulas() -> tuple[ca.Function, ...]:
         _varied("ddmpc_f_move", displacement, "displacement", ("y", "slip", "theta")),
         _varied("ddmpc_f_sensors", sensed, "sensed", ("y", "slip", "gyro_bias")),
         _varied("ddmpc_f_arc", arc_move, "move", ("v", "omega", "theta")),
+        _plain("ddmpc_f_turning_point", turning_point, "ahead"),
         _plain("ddmpc_f_aim", aim, "aim"),
         _plain("ddmpc_f_feed_forward", feed_forward, "command"),
         _term("ddmpc_f_errors", tracking_errors, 0),
-        _term("ddmpc_f_soft", softly_limited, 6),
+        _term("ddmpc_f_soft", softly_limited, 9),
         _plain("ddmpc_f_arc_piece", arc_piece, *sampled),
         _plain("ddmpc_f_spline_piece", spline_piece, *sampled),
     )

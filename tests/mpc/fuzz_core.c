@@ -207,10 +207,12 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
     memset(&k, 0, sizeof k);
     fill_model(s, &k);
     k.longest_pause = s->history * k.sample_time;
-    for (int i = 0; i < 6; i++) {
+    for (int i = 0; i < DDMPC_SLIPS; i++) {
+        k.prior[i] = i >= 1 && i < 4 ? R(1.0) : R(0.0); /* the three gains */
         k.drift[i] = R(1e-5);
         k.uncertainty[i] = R(0.1);
     }
+    k.prior[4] = k.prior[7] = R(0.05);
     for (int i = 0; i < 3; i++) {
         k.pose_noise[i] = R(1e-6);
         k.pose_variance[i] = k.twist_variance[i] = R(1e-4);
@@ -234,8 +236,6 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
         k.slew[i] = (real)uniform(0.001, 0.1);
         k.braking[i] = (real)uniform(0.01, 0.1);
     }
-    k.lean_along = R(100.0);
-    k.lean_heading = R(20.0);
     k.price = k.price_slope = R(50.0);
     for (int i = 0; i < s->soft; i++) {
         upper[i] = (real)uniform(0.1, 1.5);

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from diffdrive_mpc.models import DiscreteModel, Measurement, Stamped, integrate_pose
+from diffdrive_mpc.models import DiscreteModel, Measurement, Stamped
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Wheels
 from diffdrive_mpc.mpc.estimation.slip import Slip
+from oracle.motion import arc, sideways
 
 # What encoders and geometric track make of the yaw rate that the firmware was asked for.
 WHEEL_YAW_RATIO = Wheels().track / Wheels().encoder_track
@@ -66,7 +67,8 @@ class IdealRobot:
 
     @property
     def twist(self) -> FloatArray:
-        return self.wheels * [self.slip.longitudinal_gain, self.slip.yaw_gain]
+        v, omega = self.wheels * [self.slip.longitudinal_gain, self.slip.yaw_gain]
+        return np.array([v + self.slip.turn_left * omega, omega])
 
     def measure(self) -> Measurement:
         scale, twist = self.noise * self.rng.normal(size=6), self.twist
@@ -86,9 +88,14 @@ class IdealRobot:
         recent = [self.line[-1 - self.model.delay[j]][j] for j in (0, 1)]
         older = [self.line[-2 - self.model.delay[j]][j] for j in (0, 1)]
         self.state = self.model.A @ self.state + self.model.B0 @ recent + self.model.B1 @ older
-        mean = 0.5 * (before + self.twist)
-        self.poses.append(integrate_pose(self.pose, mean[0], mean[1], self.model.dt, self.slip.side_slip))
+        self.poses.append(self.pose + self.moved(self.pose[2], before, self.twist))
         self.k += 1
+
+    def moved(self, theta: float, before: FloatArray, after: FloatArray) -> FloatArray:
+        """(3,) displacement over a sample from the heading `theta`, at the mean of the twists at its ends."""
+        (v, omega), dt, slip = 0.5 * (before + after), self.model.dt, self.slip
+        ahead = slip.turn_ahead - slip.load_shift * (after - before)[0] / dt
+        return np.array(arc(theta, v, omega, dt, sideways(v, omega, slip.side_slip, ahead)))
 
 
 def drive(controller, robot, reference, seconds, t0=0.0, change=None):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from ideal_robot import WHEEL_YAW_RATIO, IdealRobot
 
-from diffdrive_mpc.models import DiscreteModel, Measurement, Stamped, integrate_pose
+from diffdrive_mpc.models import DiscreteModel, Measurement, Stamped
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Estimator
 from diffdrive_mpc.mpc.estimation.slip import Slip
@@ -22,7 +22,10 @@ class NoisyRobot(IdealRobot):
             omega_gain=1 + s.omega_gain_uncertainty * rng.normal(),
             longitudinal_gain=1 + s.longitudinal_gain_uncertainty * rng.normal(),
             yaw_gain=1 + s.yaw_gain_uncertainty * rng.normal(),
-            side_slip=s.side_slip_uncertainty * rng.normal(),
+            side_slip=s.side_slip + s.side_slip_uncertainty * rng.normal(),
+            turn_ahead=s.turn_ahead_uncertainty * rng.normal(),
+            turn_left=s.turn_left_uncertainty * rng.normal(),
+            load_shift=s.load_shift + s.load_shift_uncertainty * rng.normal(),
         )
         super().__init__(model, np.zeros(3), slip=slip, gyro_bias=s.gyro_bias_uncertainty * rng.normal())
         self.rng, self.settings = rng, s
@@ -41,7 +44,6 @@ class NoisyRobot(IdealRobot):
         s, dt = self.settings, self.model.dt
         start, before = self.pose, self.twist
         super().advance(command)
-        mean = 0.5 * (before + self.twist)
         step = self.rng.normal(size=3) * np.sqrt(dt) * [s.position_drift, s.position_drift, s.heading_drift]
-        self.poses[-1] = integrate_pose(start, mean[0], mean[1], dt, self.slip.side_slip) + step
+        self.poses[-1] = start + self.moved(start[2], before, self.twist) + step
         self.state = self.state + self.drive @ self.rng.normal(size=2)

@@ -1,5 +1,7 @@
 """The controller on a robot that obeys its model: it tracks, through pi and from any clock, and repeats itself."""
 
+from dataclasses import astuple
+
 import numpy as np
 import pytest
 from ideal_robot import IdealRobot, drive
@@ -9,6 +11,8 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import Controller, Mode, load_config, load_trajectory
 from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.solver.report import SolverStatus
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 
 DT = 0.0202
 MODEL = load_model("ssm")
@@ -46,13 +50,51 @@ def test_slip_leaves_no_lasting_error_beside_the_path():
     x, y, theta = reference.sample(times).pose[300:500].T
     across = np.cos(theta) * (poses[300:500, 1] - y) - np.sin(theta) * (poses[300:500, 0] - x)
     assert np.abs(across).max() < 0.003
-    # In time it lags by what weights.heading asks for, so that it need not turn all of the lead into the curve.
+    # And in time: the heading that this asks for is no error that would be bought with a lag.
     along = np.cos(theta) * (poses[300:500, 0] - x) + np.sin(theta) * (poses[300:500, 1] - y)
-    weights = controller().config.weights
-    lead = np.arctan(0.06 * 0.5)
-    expected = weights.heading * lead / (weights.along + weights.heading)
-    assert along == pytest.approx(-expected, abs=0.002)
-    assert poses[300:500, 2] - theta == pytest.approx(lead - expected, abs=0.004)
+    assert along == pytest.approx(0.0, abs=0.002)
+    assert poses[300:500, 2] - theta == pytest.approx(np.arctan(0.06 * 0.5), abs=0.004)
+
+
+def hurried():
+    """Curves to both sides, each at two speeds."""
+    twists = [(0.8, 0.8), (0.3, 0.8), (0.9, -0.8), (0.3, -0.8)] * 4
+    segments = [Segment(v=v, omega=omega, duration=1.2) for v, omega in twists]
+    return lay_segments(segments, TrajectoryLimits.of_robot(), name="hurried")
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+@pytest.mark.parametrize(
+    ("slip", "worse_without"),
+    [(Slip(turn_ahead=0.05), 5), (Slip(turn_left=0.05), 3.5), (Slip(side_slip=0.06, load_shift=0.05), 4)],
+    ids=["ahead", "left", "dips"],
+)
+def test_a_robot_that_turns_about_another_point_is_tracked_too(slip, worse_without, noise):
+    """Within millimetres once it has been learned; and each number of its slip within three of its deviations."""
+    reference, late = hurried(), {}
+    for on in (True, False):
+        told = controller(**{"compensation.side_slip": on})
+        results, poses, times = drive(told, robot_for(reference, slip=slip, noise=noise), reference, reference.duration)
+        half = len(times) // 2
+        late[on] = rmse(poses[half:], times[half:], reference)[0]
+        if on:
+            found, deviation = results[-1].estimate.slip, results[-1].estimate.slip_deviation
+            error = np.abs(np.subtract(astuple(found), astuple(slip)))
+            assert (error < 3 * np.array(astuple(deviation)) + 1e-6).all()
+    assert late[True] < 0.007
+    assert late[False] > worse_without * late[True]
+
+
+@pytest.mark.parametrize("prior", [0.0, 0.06])
+def test_a_robot_without_slip_is_not_made_worse_by_looking_for_it(prior):
+    """With a prior that is wrong for it, once it has been learned."""
+    reference, errors = hurried(), {}
+    for on in (True, False):
+        told = controller(**{"compensation.side_slip": on, "estimator.side_slip": prior, "estimator.load_shift": prior})
+        _, poses, times = drive(told, robot_for(reference, noise=1.0), reference, reference.duration)
+        begin = len(times) // 2 if prior else 0
+        errors[on] = rmse(poses[begin:], times[begin:], reference)[0]
+    assert errors[True] < errors[False] + 0.0005
 
 
 @pytest.mark.parametrize("turns", [-2, 1, 3])

@@ -266,7 +266,15 @@ def test_starting_again_and_resetting():
 
 # Faults of single measurements, four ticks each.
 
-SLIP = Slip(v_offset=0.03, longitudinal_gain=0.99, yaw_gain=0.7, side_slip=0.06)
+SLIP = Slip(
+    v_offset=0.03,
+    longitudinal_gain=0.99,
+    yaw_gain=0.7,
+    side_slip=0.06,
+    turn_ahead=0.04,
+    turn_left=-0.03,
+    load_shift=0.05,
+)
 
 
 def pose(change, **stated):

@@ -4,6 +4,7 @@ Configurations in which no field has its default, nor the value of another, on d
 two fields are exchanged anywhere on the way into the core, it does something else than the oracle.
 """
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -43,6 +44,8 @@ RANGES = {
     "estimator.least_gain": (0.75, 0.95),
     "estimator.most_gain": (1.05, 1.2),
     "estimator.history": (0.15, 0.25),
+    "estimator.side_slip": (0.02, 0.09),
+    "estimator.load_shift": (0.02, 0.09),
     "estimator.least_yaw_rate": (0.1, 0.3),
     "estimator.least_speed": (0.1, 0.3),
     "failure.max_reused_ticks": (2, 9),
@@ -58,6 +61,10 @@ RANGES = {
 MODELS = {"ssm": (0.013, 0.027), "sm": (0.055, 0.021), "mbm": (0.0, 0.0606)}
 # DAQP takes a row that hardly answers to any command for none: that of the corridor at the first steps.
 BY_DAQP = 1e-4
+# Slip on another floor, with another load.
+ELSEWHERE = Slip(
+    v_offset=-0.02, omega_gain=1.03, yaw_gain=1.5, side_slip=0.03, turn_ahead=0.04, turn_left=-0.02, load_shift=0.04
+)
 
 
 def numeric_fields():
@@ -132,7 +139,7 @@ class Troubles:
 
     def __init__(self, config, model, seed):
         self.settings, self.rng = config.estimator, np.random.default_rng(seed)
-        slip = Slip(v_offset=0.02, omega_gain=1.03, longitudinal_gain=0.98, yaw_gain=0.7, side_slip=0.06)
+        slip = replace(ELSEWHERE, v_offset=0.02, longitudinal_gain=0.98, yaw_gain=0.7, side_slip=0.06, turn_left=0.03)
         self.robot = IdealRobot(model.discretise(DT), np.zeros(3), slip=slip, noise=1.0, gyro_bias=0.003, seed=seed)
         self.queue = []
 
@@ -185,7 +192,7 @@ class Troubles:
         if k in push:
             self.robot.poses[-1] = self.robot.pose + push[k]
         if k == 90:
-            self.robot.slip = Slip(v_offset=-0.02, omega_gain=1.03, longitudinal_gain=1.0, yaw_gain=1.5, side_slip=0.03)
+            self.robot.slip = ELSEWHERE
 
     def advance(self, k, command):
         robot, stuck = self.robot, 200 <= k < 240

@@ -87,6 +87,8 @@ def test_a_pose_between_two_ticks_is_applied_at_its_stamp():
 
 
 SLIP = Slip(v_offset=0.04, longitudinal_gain=0.985, yaw_gain=0.85, side_slip=0.08)
+# The same robot with its load ahead, to the left, and one that dips where it speeds up.
+LOADED = [replace(SLIP, turn_ahead=0.05), replace(SLIP, turn_left=0.05), replace(SLIP, load_shift=0.05)]
 
 
 def test_every_kind_of_slip_is_found_and_the_gyros_bias_with_it():
@@ -96,8 +98,42 @@ def test_every_kind_of_slip_is_found_and_the_gyros_bias_with_it():
     assert found.v_offset == pytest.approx(0.04, abs=3e-3)
     assert found.longitudinal_gain == pytest.approx(0.985, abs=3e-3)
     assert found.yaw_gain * found.omega_gain == pytest.approx(0.85, abs=0.01)
-    assert found.side_slip == pytest.approx(0.08, abs=5e-3)
+    # At one speed side-slip and turning point look alike: what they add up to is known best.
+    for v in (0.3, 0.5, 0.7):
+        assert found.turn_ahead + v * found.side_slip == pytest.approx(v * 0.08, abs=5e-3 * v)
+    assert found.side_slip == pytest.approx(0.08, abs=0.2 * estimator.estimate.slip_deviation.side_slip)
     assert estimator.estimate.gyro_bias == pytest.approx(0.004, abs=5e-4)
+
+
+@pytest.mark.parametrize("slip", [SLIP, *LOADED], ids=["middle", "ahead", "left", "dips"])
+def test_where_the_robot_turns_about_is_found(slip):
+    """On a noisy robot, each number within two of its deviations; the turning point within a centimetre and a half."""
+    estimator = StateEstimator(MODEL, Estimator())
+    run(estimator, IdealRobot(MODEL, np.zeros(3), slip=slip, noise=1.0), 1500)
+    found, deviation = (
+        np.array(astuple(part)) for part in (estimator.estimate.slip, estimator.estimate.slip_deviation)
+    )
+    assert (np.abs(found - astuple(slip)) < 2 * deviation).all()
+    assert found[5:7] == pytest.approx([slip.turn_ahead, slip.turn_left], abs=0.015)
+    assert found[7] == pytest.approx(slip.load_shift, abs=0.01)
+
+
+@pytest.mark.parametrize("command", [(0.0, 0.0), (0.6, 0.0)], ids=["at rest", "straight on"])
+def test_without_a_curve_nothing_is_learned_of_the_turning_point_and_nothing_forgotten(command):
+    estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), slip=LOADED[0], noise=1.0)
+    for _ in range(400):
+        estimator.advance(robot.time)
+        estimator.update(robot.time, robot.measure())
+        estimator.commands.append(np.array(command))
+        robot.advance(np.array(command))
+    found, deviation = (
+        np.array(astuple(part))[4:] for part in (estimator.estimate.slip, estimator.estimate.slip_deviation)
+    )
+    s = Estimator()
+    least = [s.side_slip_uncertainty, s.turn_ahead_uncertainty, s.turn_left_uncertainty, s.load_shift_uncertainty]
+    assert (np.abs(found) < 0.5 * deviation).all()
+    assert (deviation <= np.array(least) + 1e-12).all()
+    assert (deviation > 0.5 * np.array(least)).all()
 
 
 def test_wheels_that_turn_less_are_not_taken_for_slip():
@@ -113,7 +149,7 @@ def test_wheels_that_turn_less_are_not_taken_for_slip():
     [
         ("v_offset", ["v_offset", "longitudinal_gain"]),
         ("yaw_gain", ["omega_gain", "yaw_gain"]),
-        ("side_slip", ["side_slip"]),
+        ("side_slip", ["side_slip", "turn_ahead", "turn_left", "load_shift"]),
     ],
 )
 def test_what_is_not_compensated_stays_as_without_slip(part, names):

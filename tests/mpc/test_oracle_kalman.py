@@ -15,10 +15,10 @@ MODEL = load_model("ssm").with_extra_dead_time([0.01, 0.03]).discretise(DT)
 SETTINGS = Estimator(surprise=1e9, least_yaw_rate=1e-9, least_speed=1e-9)
 FILTER = SlipFilter(MODEL, SETTINGS, Compensation(), 1.1)
 N = MODEL.order
-SIZE = N + 9
+SIZE = N + 12
 NONE = np.zeros((SIZE, SIZE))
 STEP = 1e-6
-NEUTRAL = np.concatenate([np.zeros(N), [0, 1, 1, 1, 0, 0], np.zeros(3)])
+NEUTRAL = np.concatenate([np.zeros(N), [0, 1, 1, 1, 0, 0, 0, 0, 0], np.zeros(3)])
 
 means = st.lists(st.floats(-0.5, 0.5), min_size=SIZE, max_size=SIZE).map(lambda z: NEUTRAL + np.array(z))
 commands = st.lists(st.floats(-1, 1), min_size=2, max_size=2).map(np.array)
@@ -35,7 +35,8 @@ def test_predicted_covariance_follows_the_gradient_of_the_prediction(mean, recen
     root = rng.normal(size=(SIZE, SIZE))
     P = root @ root.T
     noise = FILTER.predict(Belief(mean, NONE), recent, older).covariance
-    F = gradient(lambda z: FILTER.predict(Belief(z, NONE), recent, older).mean, mean)
+    acceleration = FILTER.acceleration(mean, recent, older)
+    F = gradient(lambda z: FILTER.process(z, recent, older, acceleration), mean)
     predicted = FILTER.predict(Belief(mean, P), recent, older).covariance
     assert predicted - noise == pytest.approx(F @ P @ F.T, abs=1e-5)
     assert np.linalg.eigvalsh(noise).min() > -1e-15
@@ -49,19 +50,28 @@ def test_the_noise_of_the_model_comes_in_through_its_inputs():
 
 
 @given(means, commands)
-def test_prediction_moves_the_pose_by_the_mean_of_the_twists(mean, command):
+def test_prediction_moves_the_turning_point_by_the_mean_of_the_twists(mean, command):
+    """Without side-slip it moves straight on, on a circle of its own about which the origin is carried along."""
+    mean[N + 4] = 0.0
     after = FILTER.predict(Belief(mean, NONE), command, command).mean
-    v, omega = 0.5 * (FILTER.twist(mean) + FILTER.twist(after))
-    side_slip = FILTER.slip(mean).side_slip
-    assert after[-3:] == pytest.approx(integrate_pose(mean[-3:], v, omega, DT, side_slip), abs=1e-12)
+    slip, twists = FILTER.slip(mean), [FILTER.twist(mean), FILTER.twist(after)]
+    (v, omega), acceleration = 0.5 * (twists[0] + twists[1]), (twists[1] - twists[0])[0] / DT
+    place = np.array([slip.turn_ahead - slip.load_shift * acceleration, slip.turn_left])
+
+    def point(pose):
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        return np.array([*(pose[:2] + [c * place[0] - s * place[1], s * place[0] + c * place[1]]), pose[2]])
+
+    moved = integrate_pose(point(mean[-3:]), v - omega * slip.turn_left, omega, DT)
+    assert point(after[-3:]) == pytest.approx(moved, abs=1e-12)
 
 
 def test_a_robot_at_rest_learns_nothing_of_its_gains_and_forgets_nothing():
     before = Belief(NEUTRAL, np.diag(np.full(SIZE, 0.01)))
     settled = SlipFilter(MODEL, Estimator(), Compensation(), 1.1).predict(before, np.zeros(2), np.zeros(2))
-    growth = np.diag(settled.covariance - before.covariance)[N : N + 6]
-    assert (growth[[0, 5]] > 0).all()
-    assert growth[1:5] == pytest.approx(0, abs=1e-15)
+    growth = np.diag(settled.covariance - before.covariance)[N : N + 9]
+    assert (growth[[0, 8]] > 0).all()
+    assert growth[1:8] == pytest.approx(0, abs=1e-15)
 
 
 @given(means, st.floats(0, 0.9 * DT))
@@ -91,7 +101,7 @@ def wheel_yaw_rate(z):
 
 
 def gyro(z):
-    return FILTER.twist(z)[1] + z[N + 5]
+    return FILTER.twist(z)[1] + z[N + 8]
 
 
 @pytest.mark.parametrize(
@@ -115,12 +125,12 @@ def test_a_surprise_moves_the_robot_and_not_its_slip():
     wary = SlipFilter(MODEL, Estimator(), Compensation(), 1.1)
     mean = NEUTRAL.copy()
     mean[:N] = MODEL.settled_state([0.5, 0.5])
-    P = np.diag(np.concatenate([np.full(N, 1e-5), np.full(6, 1e-4), np.full(3, 1e-5)]))
+    P = np.diag(np.concatenate([np.full(N, 1e-5), np.full(9, 1e-4), np.full(3, 1e-5)]))
     after, _ = wary.correct(Belief(mean, P), "yaw_rate", 2.0, 1e-4)
-    assert after.mean[N : N + 6] == pytest.approx(mean[N : N + 6])
+    assert after.mean[N : N + 9] == pytest.approx(mean[N : N + 9])
     assert wary.twist(after.mean)[1] == pytest.approx(2.0, abs=0.05)
     moved, _ = wary.correct_pose(Belief(mean, P), np.array([0.0, 0.2, 0.0]), 1e-5 * np.eye(3), 0.0)
-    assert moved.mean[N : N + 6] == pytest.approx(mean[N : N + 6])
+    assert moved.mean[N : N + 9] == pytest.approx(mean[N : N + 9])
     assert moved.mean[-2] == pytest.approx(0.2, abs=0.01)
 
 
@@ -129,14 +139,14 @@ def test_a_surprise_that_lasts_is_learned_from_and_a_new_one_is_not():
     mean = NEUTRAL.copy()
     mean[:N] = MODEL.settled_state([0.5, 0.5])
     command = np.array([0.5, 0.5])
-    belief = Belief(mean, np.diag(np.concatenate([np.full(N, 1e-5), np.full(6, 1e-4), np.full(3, 1e-5)])))
+    belief = Belief(mean, np.diag(np.concatenate([np.full(N, 1e-5), np.full(9, 1e-4), np.full(3, 1e-5)])))
     gains = []
     for _ in range(14):
         belief, _ = wary.correct(wary.predict(belief, command, command), "yaw_rate", 3.0, 1e-6)
         gains.append(belief.mean[N + 3])
     assert gains[:10] == pytest.approx([1.0] * 10)
     assert min(gains[10:]) > 1.1
-    calm, _ = wary.correct(belief, "yaw_rate", wary.twist(belief.mean)[1] + belief.mean[N + 5], 1e-6)
+    calm, _ = wary.correct(belief, "yaw_rate", wary.twist(belief.mean)[1] + belief.mean[N + 8], 1e-6)
     again, _ = wary.correct(calm, "yaw_rate", 6.0, 1e-6)
     assert again.mean[N + 3] == pytest.approx(calm.mean[N + 3])
 

@@ -50,7 +50,15 @@ def setting(model_name, horizon=15, **overrides):
     return subject, Tick(
         pose=np.array([0.02, -0.03, heading]),
         state=subject.model.settled_state([0.45, 0.4]),
-        slip=Slip(v_offset=0.01, omega_gain=1.05, longitudinal_gain=0.98, yaw_gain=0.9, side_slip=0.1),
+        slip=Slip(
+            v_offset=0.01,
+            omega_gain=1.05,
+            longitudinal_gain=0.98,
+            yaw_gain=0.9,
+            side_slip=0.1,
+            turn_ahead=0.04,
+            turn_left=-0.03,
+        ),
         past=past,
         last_command=past[-1],
         aim=aim,
@@ -66,7 +74,8 @@ def random_tick(subject, seed):
     theta = rng.uniform(-3, 3) + omega * DT * np.arange(N + 1)
     move = v * DT * np.column_stack([np.cos(theta), np.sin(theta)])
     aim = np.column_stack([np.cumsum(move, axis=0), theta])
-    slip = Slip(*(rng.normal(size=5) * [0.02, 0.05, 0.03, 0.1, 0.05] + [0, 1, 1, 1, 0]))
+    spread = [0.02, 0.05, 0.03, 0.1, 0.05, 0.04, 0.04, 0.05]
+    slip = Slip(*(rng.normal(size=8) * spread + [0, 1, 1, 1, 0, 0, 0, 0]))
     commands = np.array([v, omega]) + 0.05 * rng.normal(size=(subject.model.memory, 2))
     tick = Tick(
         pose=aim[0] + rng.normal(size=3) * [0.03, 0.03, 0.1],
@@ -92,8 +101,8 @@ def converge(subject, tick, iterations=30):
     raise AssertionError("it does not converge")
 
 
-def ipopt(subject, tick):
-    program, bounds = nonlinear_program(subject, tick)
+def ipopt(subject, tick, ahead=None):
+    program, bounds = nonlinear_program(subject, tick, ahead)
     options = {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
     solver = ca.nlpsol("reference", "ipopt", program, options)
     start = np.concatenate([tick.feed_forward.ravel(), np.zeros(10 * subject.steps)])
@@ -109,6 +118,18 @@ def test_real_time_iterations_converge_to_ipopts_solution(model_name, soft):
     plan, answer = converge(subject, tick)
     assert answer.soft.any() == (soft != "none"), "the case must exercise what it is named for"
     assert plan == pytest.approx(ipopt(subject, tick), abs=2e-6)
+
+
+def test_a_turning_point_that_moves_is_taken_from_the_guess_and_that_costs_nothing():
+    """The iteration ends where the plan is best for its own turning points, as good as if it could move them."""
+    subject, tick = setting("ssm")
+    tick = replace(tick, slip=replace(tick.slip, load_shift=0.05))
+    plan, _ = converge(subject, tick)
+    ahead = subject.turning_points(tick, plan)
+    assert np.ptp(ahead) > 0.004
+    assert plan == pytest.approx(ipopt(subject, tick, ahead), abs=2e-6)
+    cost, best = nonlinear_cost(subject, tick, None), ipopt(subject, tick)
+    assert cost(best.ravel()) <= cost(plan.ravel()) < 1.01 * cost(best.ravel())
 
 
 @pytest.mark.parametrize("model_name", ["ssm", "mbm"])
@@ -143,9 +164,9 @@ def test_the_roll_out_is_the_models_simulation(dead_time, horizon, seed):
     assert roll_out(model, state, past, plan[:, :, None])[:, :, 0] == pytest.approx(simulated, abs=1e-10)
 
 
-def nonlinear_cost(subject, tick):
+def nonlinear_cost(subject, tick, ahead):
     """The cost of a plan without slacks, as a function of the flat plan."""
-    program, _ = nonlinear_program(subject, tick)
+    program, _ = nonlinear_program(subject, tick, ahead)
     cost = ca.Function("cost", [program["x"]], [program["f"]])
     slack = np.zeros(10 * subject.steps)
     return lambda plan: float(cost(np.concatenate([plan, slack])))
@@ -156,10 +177,11 @@ def test_gradient_agrees_with_finite_differences_of_the_cost(seed):
     subject, tick = setting("ssm")
     plan = tick.feed_forward + 0.2 * np.random.default_rng(seed).normal(size=tick.feed_forward.shape)
     qp = subject.quadratic_program(tick, plan)
-    cost, flat, step = nonlinear_cost(subject, tick), plan.ravel(), 1e-5
+    ahead = subject.turning_points(tick, plan)
+    cost, flat, step = nonlinear_cost(subject, tick, ahead), plan.ravel(), 1e-5
     numeric = [(cost(flat + step * e) - cost(flat - step * e)) / (2 * step) for e in np.eye(len(flat))]
     assert qp.H @ flat + qp.g == pytest.approx(np.array(numeric), abs=1e-5)
-    residuals, _ = subject.outcome(tick, plan[:, :, None])
+    residuals, _ = subject.outcome(tick, plan[:, :, None], ahead)
     assert residuals[:, 0] @ residuals[:, 0] / 2 == pytest.approx(cost(flat), rel=1e-12)
 
 
@@ -174,13 +196,14 @@ def test_soft_rows_are_the_gradients_of_what_they_limit():
     subject, tick = setting("ssm")
     flat, step = tick.feed_forward.ravel(), 1e-6
     qp = subject.quadratic_program(tick, tick.feed_forward)
+    ahead = subject.turning_points(tick, tick.feed_forward)
 
     def values(flat):
-        return subject.outcome(tick, flat.reshape(-1, 2, 1))[1][:, 1:, 0].ravel()
+        return subject.outcome(tick, flat.reshape(-1, 2, 1), ahead)[1][:, 1:, 0].ravel()
 
     numeric = np.column_stack([(values(flat + step * e) - values(flat - step * e)) / (2 * step) for e in np.eye(30)])
     assert qp.soft_rows == pytest.approx(numeric, abs=1e-8)
-    limits = subject.soft_limits(subject.outcome(tick, tick.feed_forward[:, :, None])[1][:, 0, 0])
+    limits = subject.soft_limits(subject.outcome(tick, tick.feed_forward[:, :, None], ahead)[1][:, 0, 0])
     assert np.repeat(limits, 15) - qp.soft_upper == pytest.approx(values(flat) - qp.soft_rows @ flat, abs=1e-12)
     assert qp.soft_upper - qp.soft_lower == pytest.approx(2 * np.repeat(limits, 15))
 

@@ -267,19 +267,19 @@ class OracleController:
     def _plan(self, estimate: Estimate, target: Target) -> tuple[Plan | None, SolverStatus]:
         """One real-time iteration: linearise along the shifted plan, solve, keep the plan."""
         config, sample = self.config, target.sample or target.reference.sample(target.time + self.ahead)
-        tick = begin_tick(
-            self.feed_forward, config.weights, estimate, self.estimator.commands.recent, self.last, sample
-        )
+        tick = begin_tick(self.feed_forward, estimate, self.estimator.commands.recent, self.last, sample)
         if self.guess is None:
             box = command_box(config.limits, config.sample_time, self.last, config.horizon)
             self.guess = np.clip(tick.feed_forward, -box, box)
+        ahead = self.problem.turning_points(tick, self.guess)
         answer = solve(self.problem.quadratic_program(tick, self.guess))
         if not answer.status.usable:
             self.guess = None
             return None, answer.status
         commands = answer.x.reshape(-1, 2)
         self.guess = np.vstack([commands[1:], commands[-1:]])
-        poses = self.problem.poses(tick, self.problem.twists(tick, commands[:, :, None]))[:, :, 0]
+        twists = self.problem.twists(tick, commands[:, :, None])
+        poses = self.problem.poses(tick, twists, ahead)[:, :, 0]
         return Plan(commands, poses, tick.aim), answer.status
 
     def _brake(self, notes: list[str], *reasons: str, failure: bool = True) -> Outcome:

@@ -1,11 +1,13 @@
-"""The extended Kalman filter: z = (x, v_offset, omega_gain, longitudinal_gain, yaw_gain, side_slip, gyro_bias, pose).
+"""The extended Kalman filter: z = (x, slip, gyro_bias, pose).
 
-x are the n states of the velocity model; then what lies between its twist and the body's (`mpc.slip`), the gyro's bias
-[rad/s] and x, y [m], theta [rad]. Functions of z take one state (n + 9,) or many, one to a column.
+x are the n states of the velocity model; then the eight numbers of `mpc.estimation.slip`, between its twist and that of
+the body, the gyro's bias [rad/s] and x, y [m], theta [rad]. Functions of z take one state (n + 12,) or many, one to a
+column.
 """
 
 from __future__ import annotations
 
+from dataclasses import astuple, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -16,11 +18,11 @@ from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, Wheels
 from diffdrive_mpc.mpc.estimation.estimate import SENSORS
 from diffdrive_mpc.mpc.estimation.slip import Slip
 from oracle.commands import PastCommands
-from oracle.motion import arc, jacobian, wrapped
+from oracle.motion import arc, jacobian, sideways, wrapped
 
 
 class Belief(NamedTuple):
-    """Mean (n + 9,), covariance, and for each sensor the samples for which it has contradicted them; 0: it agrees."""
+    """Mean (n + 12,), covariance, and for each sensor the samples for which it has contradicted them; 0: it agrees."""
 
     mean: FloatArray
     covariance: FloatArray
@@ -38,12 +40,14 @@ class SlipFilter:
     ) -> None:
         self.model, self.settings, self.wheel_yaw_ratio = model, settings, wheel_yaw_ratio
         n, s, on = model.order, settings, compensation
-        self.slip_places, self.pose_places = np.arange(n, n + 6), np.arange(n + 6, n + 9)
+        self.slip_places, self.pose_places = np.arange(n, n + 9), np.arange(n + 9, n + 12)
         self.gains = np.array([n + 1, n + 2, n + 3])
-        estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, on.side_slip, True])
-        names = ("v_offset", "omega_gain", "longitudinal_gain", "yaw_gain", "side_slip", "gyro_bias")
+        estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, *[on.side_slip] * 4, True])
+        names = [*(field.name for field in fields(Slip)), "gyro_bias"]
         self.uncertainty = estimated * [getattr(s, f"{name}_uncertainty") for name in names]
         self.drift = estimated * [getattr(s, f"{name}_drift") for name in names]
+        expected = Slip(side_slip=s.side_slip, load_shift=s.load_shift) if on.side_slip else Slip()
+        self.expected = np.array([*astuple(expected), 0.0])
         self.patience = round(s.lasting_surprise / model.dt)
 
     # What happens to the robot.
@@ -52,18 +56,33 @@ class SlipFilter:
         """(2, ...) v, omega of the body, where the model says `output` (2, ...) or what follows from the state."""
         v, omega = self.model.C @ z[: self.model.order] if output is None else output
         v_offset, omega_gain, longitudinal_gain, yaw_gain = z[self.slip_places[:4]]
-        return np.stack([longitudinal_gain * (v + v_offset), omega_gain * yaw_gain * omega])
+        turn_left = z[self.slip_places[6]]
+        turning = omega_gain * yaw_gain * omega
+        return np.stack([longitudinal_gain * (v + v_offset) + turn_left * turning, turning])
 
-    def process(self, z: FloatArray, recent: FloatArray, older: FloatArray) -> FloatArray:
-        """z one sample later: the states by the model, the pose along the arc of the mean twist, slip as it was."""
-        model, n = self.model, self.model.order
-        x = ((model.A @ z[:n]).T + model.B0 @ recent + model.B1 @ older).T
-        v, omega = self.twist(z, 0.5 * model.C @ (z[:n] + x))
-        return np.concatenate([x, z[self.slip_places], self._moved(z, v, omega, model.dt)])
+    def process(self, z: FloatArray, recent: FloatArray, older: FloatArray, acceleration: float) -> FloatArray:
+        """z one sample later: the states by the model, the pose along the arc of the mean twist, slip as it was.
 
-    def _moved(self, z: FloatArray, v: FloatArray, omega: FloatArray, dt: float) -> FloatArray:
+        `acceleration` is that of `acceleration` at the mean: the filter takes it for known.
+        """
+        n, x = self.model.order, self._next(z, recent, older)
+        v, omega = self.twist(z, 0.5 * self.model.C @ (z[:n] + x))
+        return np.concatenate([x, z[self.slip_places], self._moved(z, v, omega, acceleration, self.model.dt)])
+
+    def acceleration(self, z: FloatArray, recent: FloatArray, older: FloatArray) -> float:
+        """By how much the forward speed of the body grows over the sample [m/s^2]."""
+        after = self.twist(z, self.model.C @ self._next(z, recent, older))
+        return float((after - self.twist(z))[0] / self.model.dt)
+
+    def _next(self, z: FloatArray, recent: FloatArray, older: FloatArray) -> FloatArray:
+        model = self.model
+        return ((model.A @ z[: model.order]).T + model.B0 @ recent + model.B1 @ older).T
+
+    def _moved(self, z: FloatArray, v: FloatArray, omega: FloatArray, acceleration: float, dt: float) -> FloatArray:
         pose = z[self.pose_places]
-        return pose + np.stack(arc(pose[2], v, omega, dt, z[self.slip_places[4]]))
+        side_slip, turn_ahead, _, load_shift = z[self.slip_places[4:8]]
+        left = sideways(v, omega, side_slip, turn_ahead - load_shift * acceleration)
+        return pose + np.stack(arc(pose[2], v, omega, dt, left))
 
     # What sensors see of it.
 
@@ -77,11 +96,11 @@ class SlipFilter:
 
     def yaw_rate(self, z: FloatArray) -> FloatArray:
         """Yaw rate by the gyro [rad/s]."""
-        return self.twist(z)[1] + z[self.slip_places[5]]
+        return self.twist(z)[1] + z[self.slip_places[8]]
 
     def pose(self, z: FloatArray, ahead: float) -> FloatArray:
         """(3, ...) the pose `ahead` seconds later, at constant twist."""
-        return self._moved(z, *self.twist(z), ahead)
+        return self._moved(z, *self.twist(z), 0.0, ahead)
 
     # The filter.
 
@@ -93,10 +112,10 @@ class SlipFilter:
             recent, older = commands.acting(ticks_ago)
             x = model.A @ x + model.B0 @ recent + model.B1 @ older
         settled = np.column_stack([model.settled_state(unit) for unit in np.eye(2)])
-        P = np.zeros((n + 9, n + 9))
+        P = np.zeros((n + 12, n + 12))
         P[:n, :n] = settled @ np.diag((model.C @ x) ** 2) @ settled.T
         P[self.slip_places, self.slip_places] = self.uncertainty**2
-        return Belief(np.concatenate([x, [0, 1, 1, 1, 0, 0], np.zeros(3)]), P)
+        return Belief(np.concatenate([x, self.expected, np.zeros(3)]), P)
 
     def placed(self, motion: Belief, pose: FloatArray, covariance: FloatArray) -> Belief:
         """The motion of `motion` at another `pose` (3,), known to `covariance` (3, 3)."""
@@ -108,7 +127,7 @@ class SlipFilter:
 
     def slip(self, z: FloatArray) -> Slip:
         """The slip in a state."""
-        return Slip(*z[self.slip_places[:5]].tolist())
+        return Slip(*z[self.slip_places[:8]].tolist())
 
     def twist_deviation(self, belief: Belief) -> FloatArray:
         """(2,) standard deviations of v [m/s] and omega [rad/s]."""
@@ -118,15 +137,17 @@ class SlipFilter:
     def predict(self, belief: Belief, recent: FloatArray, older: FloatArray) -> Belief:
         """One sample ahead under the delayed commands `recent` and `older` (2,)."""
         model, s, n, z = self.model, self.settings, self.model.order, belief.mean
-        after = self.process(z, recent, older)
-        F = jacobian(lambda points: self.process(points, recent, older), z)
+        acceleration = self.acceleration(z, recent, older)
+        after = self.process(z, recent, older, acceleration)
+        F = jacobian(lambda points: self.process(points, recent, older, acceleration), z)
         drive = model.B0 + model.B1
         Q = np.zeros_like(F)
         Q[:n, :n] = drive @ np.diag([s.v_input_noise**2, s.omega_input_noise**2]) @ drive.T
         # A gain shows only while its channel moves: without news its uncertainty must not grow.
         v, omega = np.abs(self.twist(z, 0.5 * model.C @ (z[:n] + after[:n])))
         driving, turning = v >= s.least_speed, omega >= s.least_yaw_rate
-        moving = [True, turning, driving, turning, driving and turning, True]
+        cornering = driving and turning
+        moving = [True, turning, driving, turning, cornering, turning, turning, cornering, True]
         Q[self.slip_places, self.slip_places] = self.drift**2 * model.dt * moving
         walk = np.array([s.position_drift, s.position_drift, s.heading_drift])
         Q[self.pose_places, self.pose_places] = walk**2 * model.dt

@@ -28,20 +28,22 @@ def sinc(x: FloatArray) -> FloatArray:
 
 
 def arc(
-    theta: FloatArray, v: FloatArray, omega: FloatArray, dt: float, side_slip: FloatArray
+    theta: FloatArray, v: FloatArray, omega: FloatArray, dt: float, sideways: FloatArray | float = 0.0
 ) -> tuple[FloatArray, ...]:
     """Displacement dx, dy [m], dtheta [rad] over `dt` from the heading `theta`.
 
-    The body goes along the chord of its arc, v dt sinc(omega dt / 2) in the direction of its mean heading, and
-    side_slip omega times as far to the outside.
+    The body goes along the chord of its arc, v dt sinc(omega dt / 2) in the direction of its mean heading, and to the
+    left of that as `sideways` [m/s] is to v.
     """
-    mean, along = theta + 0.5 * omega * dt, v * dt * sinc(0.5 * omega * dt)
-    outward = side_slip * omega * along
-    return (
-        along * np.cos(mean) + outward * np.sin(mean),
-        along * np.sin(mean) - outward * np.cos(mean),
-        omega * dt,
-    )
+    mean, chord = theta + 0.5 * omega * dt, dt * sinc(0.5 * omega * dt)
+    along, left = v * chord, sideways * chord
+    return along * np.cos(mean) - left * np.sin(mean), along * np.sin(mean) + left * np.cos(mean), omega * dt
+
+
+def sideways(v: FloatArray, omega: FloatArray, side_slip: FloatArray | float, ahead: FloatArray | float) -> FloatArray:
+    """Speed of the origin to the left [m/s]: it circles a point `ahead` of it [m] that slips outward."""
+    outward = side_slip * v * omega
+    return -omega * ahead - outward
 
 
 def linearised(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -10,20 +10,23 @@ from oracle.problem import TrackingProblem, roll_out
 from oracle.tick import Tick
 
 
-def _arc(pose: ca.MX, v: ca.MX, omega: ca.MX, dt: float, side_slip: float) -> ca.MX:
+def _arc(pose: ca.MX, v: ca.MX, omega: ca.MX, dt: float, lateral: ca.MX) -> ca.MX:
     half = omega * dt / 2
     # The branch that is not used must be finite too, or its derivative makes NaN of the other.
     small = ca.fabs(half) < 1e-2
     safe = ca.if_else(small, 1, half)
-    along = v * dt * ca.if_else(small, 1 - half**2 / 6 + half**4 / 120, ca.sin(safe) / safe)
-    c, s, outward = ca.cos(pose[2] + half), ca.sin(pose[2] + half), side_slip * omega * along
-    return pose + ca.vertcat(along * c + outward * s, along * s - outward * c, omega * dt)
+    chord = dt * ca.if_else(small, 1 - half**2 / 6 + half**4 / 120, ca.sin(safe) / safe)
+    c, s = ca.cos(pose[2] + half), ca.sin(pose[2] + half)
+    return pose + ca.vertcat(chord * (v * c - lateral * s), chord * (v * s + lateral * c), omega * dt)
 
 
-def nonlinear_program(problem: TrackingProblem, tick: Tick) -> tuple[dict[str, ca.MX], dict[str, FloatArray]]:
+def nonlinear_program(
+    problem: TrackingProblem, tick: Tick, ahead: FloatArray | None = None
+) -> tuple[dict[str, ca.MX], dict[str, FloatArray]]:
     """The program with x = (U, p, m), p and m >= 0 (5 N each) the excesses upwards and downwards; and its bounds.
 
-    The first 2 N entries of a solution are the commands, step by step.
+    The first 2 N entries of a solution are the commands, step by step. `ahead` (N,) are the turning points [m] where
+    they are given; else they are those of the plan that is sought.
     """
     N, model, w, slip = problem.steps, problem.model, problem.config.weights, tick.slip
     U, p, m = ca.MX.sym("U", 2, N), ca.MX.sym("p", 5, N), ca.MX.sym("m", 5, N)
@@ -33,11 +36,15 @@ def nonlinear_program(problem: TrackingProblem, tick: Tick) -> tuple[dict[str, c
     added = roll_out(model, *none, np.eye(2 * N).reshape(N, 2, 2 * N))
     says = ca.DM(free.T) + ca.reshape(ca.DM(added.reshape(-1, 2 * N)) @ ca.vec(U), 2, N + 1)
     wheels = says + ca.DM(slip.offset)
-    twist = ca.diag(slip.gains) @ wheels
+    point = ca.diag(slip.gains) @ wheels
+    twist = ca.vertcat(point[0, :] + slip.turn_left * point[1, :], point[1, :])
+    acceleration = (twist[0, 1:] - twist[0, :-1]) / model.dt
+    lever = slip.turn_ahead - slip.load_shift * acceleration if ahead is None else ca.MX(ca.DM(ahead).T)
     mean = (twist[:, :-1] + twist[:, 1:]) / 2
     pose, cost, across = ca.MX(tick.pose), ca.MX(0), []
     for k in range(N):
-        pose = _arc(pose, mean[0, k], mean[1, k], model.dt, slip.side_slip)
+        v, omega = mean[0, k], mean[1, k]
+        pose = _arc(pose, v, omega, model.dt, -omega * (lever[k] + slip.side_slip * v))
         x, y, theta = tick.aim[k + 1]
         dx, dy, c, s = pose[0] - x, pose[1] - y, np.cos(theta), np.sin(theta)
         errors = ca.vertcat(c * dx + s * dy, c * dy - s * dx, pose[2] - tick.heading[k + 1])
@@ -52,7 +59,7 @@ def nonlinear_program(problem: TrackingProblem, tick: Tick) -> tuple[dict[str, c
     right, left = wheels[0, 1:] + half_track * wheels[1, 1:], wheels[0, 1:] - half_track * wheels[1, 1:]
     soft = ca.vertcat(twist[:, 1:], right, left, ca.horzcat(*across)) - p + m
 
-    _, soft_now = problem.outcome(tick, np.zeros((N, 2, 1)))
+    _, soft_now = problem.outcome(tick, np.zeros((N, 2, 1)), np.zeros(N))
     limit = np.tile(problem.soft_limits(soft_now[:, 0, 0]), N)
     _, lower, upper = problem.hard_limits(tick)
     slack, n = np.zeros(10 * N), 2 * N

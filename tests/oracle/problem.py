@@ -6,7 +6,8 @@ With U = (u_0, ..., u_{N-1}), u = (v_ref, omega_ref), the cost is half the weigh
   `terminal` times,
 * the deviation of each u_k from its feed-forward, and the increments u_k - u_{k-1}, u_{-1} being the last command,
 
-plus an exact penalty on each soft limit that is exceeded. Functions take plans (N, 2, k), k of them at once.
+plus an exact penalty on each soft limit that is exceeded. Functions take plans (N, 2, k), k of them at once, and the
+places `ahead` (N,) of the turning point [m] on the N arcs: where they are along a plan counts as given.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
-from oracle.motion import arc, linearised
+from oracle.motion import arc, linearised, sideways
 from oracle.tick import Tick
 
 
@@ -73,20 +74,26 @@ class TrackingProblem:
     def twists(self, tick: Tick, plan: FloatArray) -> FloatArray:
         """(N + 1, 2, k) twists of the body."""
         says = roll_out(self.model, tick.state, tick.past, plan)
-        return tick.slip.gains[:, None] * (says + tick.slip.offset[:, None])
+        point = tick.slip.gains[:, None] * (says + tick.slip.offset[:, None])
+        return np.stack([point[:, 0] + tick.slip.turn_left * point[:, 1], point[:, 1]], axis=1)
 
-    def poses(self, tick: Tick, twist: FloatArray) -> FloatArray:
+    def turning_points(self, tick: Tick, plan: FloatArray) -> FloatArray:
+        """(N,) how far ahead of its origin the robot turns [m] on the arcs of a plan (N, 2)."""
+        v = self.twists(tick, plan[:, :, None])[:, 0, 0]
+        return np.asarray(tick.slip.turn_ahead - tick.slip.load_shift * np.diff(v) / self.model.dt)
+
+    def poses(self, tick: Tick, twist: FloatArray, ahead: FloatArray) -> FloatArray:
         """(N + 1, 3, k) poses for `twist` (N + 1, 2, k): arcs of the mean of the twists at their ends."""
         v, omega = (0.5 * (twist[:-1] + twist[1:])).swapaxes(0, 1)
         theta = tick.pose[2] + self.model.dt * np.cumsum(omega, axis=0)
         before = np.concatenate([np.full_like(theta[:1], tick.pose[2]), theta[:-1]])
-        dx, dy, _ = arc(before, v, omega, self.model.dt, tick.slip.side_slip)
+        dx, dy, _ = arc(before, v, omega, self.model.dt, sideways(v, omega, tick.slip.side_slip, ahead[:, None]))
         after = np.stack([tick.pose[0] + np.cumsum(dx, axis=0), tick.pose[1] + np.cumsum(dy, axis=0), theta], axis=1)
         return np.concatenate([np.broadcast_to(tick.pose[:, None], after[:1].shape), after])
 
-    def errors(self, tick: Tick, twist: FloatArray) -> FloatArray:
+    def errors(self, tick: Tick, twist: FloatArray, ahead: FloatArray) -> FloatArray:
         """(N + 1, 3, k) errors along, across and in heading."""
-        poses = self.poses(tick, twist)
+        poses = self.poses(tick, twist, ahead)
         c, s = np.cos(tick.aim[:, 2, None]), np.sin(tick.aim[:, 2, None])
         dx, dy, _ = (poses - tick.aim[:, :, None]).swapaxes(0, 1)
         return np.stack([c * dx + s * dy, c * dy - s * dx, poses[:, 2] - tick.heading[:, None]], axis=1)
@@ -104,17 +111,17 @@ class TrackingProblem:
     def soft_values(self, tick: Tick, twist: FloatArray, errors: FloatArray) -> FloatArray:
         """(5, N + 1, k) what has soft limits: v, omega, right and left speed at the rim, distance across the path.
 
-        The wheels do not slip as the body does: their speeds are those of the twist without the gains of slip.
+        The wheels do not slip as the body does: their speeds are those of the turning point without the gains of slip.
         """
         v, omega = twist.swapaxes(0, 1)
-        wheels_v, wheels_omega = (twist / tick.slip.gains[:, None]).swapaxes(0, 1)
+        wheels_v, wheels_omega = (v - tick.slip.turn_left * omega) / tick.slip.gains[0], omega / tick.slip.gains[1]
         rim = 0.5 * self.config.wheels.track * wheels_omega
         return np.stack([v, omega, wheels_v + rim, wheels_v - rim, errors[:, 1]])
 
-    def outcome(self, tick: Tick, plan: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def outcome(self, tick: Tick, plan: FloatArray, ahead: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What a plan (N, 2, k) leads to: residuals (m, k) and soft values (5, N + 1, k)."""
         twist = self.twists(tick, plan)
-        errors = self.errors(tick, twist)
+        errors = self.errors(tick, twist, ahead)
         return self.residuals(tick, plan, errors), self.soft_values(tick, twist, errors)
 
     def soft_limits(self, now: FloatArray) -> FloatArray:
@@ -134,9 +141,10 @@ class TrackingProblem:
 
     def quadratic_program(self, tick: Tick, plan: FloatArray) -> QuadraticProgram:
         """Gauss-Newton along `plan` (N, 2): residuals and soft values to first order in the commands."""
+        ahead = self.turning_points(tick, plan)
 
         def all_values(U: FloatArray) -> FloatArray:
-            residuals, soft = self.outcome(tick, U.reshape(self.steps, 2, -1))
+            residuals, soft = self.outcome(tick, U.reshape(self.steps, 2, -1), ahead)
             return np.concatenate([soft.reshape(-1, U.shape[1]), residuals])
 
         U, kinds, nodes = plan.ravel(), 5, self.steps + 1

@@ -7,7 +7,7 @@ import osqp
 from scipy import sparse
 
 from diffdrive_mpc.models.interface import FloatArray
-from oracle.motion import arc, linearised
+from oracle.motion import arc, linearised, sideways
 from oracle.problem import TrackingProblem
 from oracle.tick import Tick
 
@@ -44,18 +44,24 @@ def solve_sparse(problem: TrackingProblem, tick: Tick, plan: FloatArray) -> Floa
     rows.add(tick.state, tick.state, (np.eye(n), at["x"][0]))
     rows.add(tick.pose, tick.pose, (I3, at["pose"][0]))
     nominal = problem.twists(tick, plan[:, :, None])
-    theta = problem.poses(tick, nominal)[:, 2, 0]
+    ahead = problem.turning_points(tick, plan)
+    theta = problem.poses(tick, nominal, ahead)[:, 2, 0]
+    gain = np.array([[slip.gains[0], slip.turn_left * slip.gains[1]], [0.0, slip.gains[1]]])
     for k in range(N + 1):
-        # The body's twist y = gains (C x + offset).
-        constant = slip.gains * slip.offset
-        rows.add(constant, constant, (I2, at["y"][k]), (-slip.gains[:, None] * model.C, at["x"][k]))
+        # The body's twist y = gain (C x + offset).
+        constant = gain @ slip.offset
+        rows.add(constant, constant, (I2, at["y"][k]), (-gain @ model.C, at["x"][k]))
     for k in range(N):
         recent = [at["sent"][len(tick.past) + k - model.delay[j], j] for j in (0, 1)]
         older = [at["sent"][len(tick.past) + k - model.delay[j] - 1, j] for j in (0, 1)]
         none, x, pose, y = np.zeros(n), at["x"], at["pose"], at["y"]
         rows.add(none, none, (np.eye(n), x[k + 1]), (-model.A, x[k]), (-model.B0, recent), (-model.B1, older))
         where = np.array([theta[k], *(0.5 * (nominal[k, :, 0] + nominal[k + 1, :, 0]))])
-        move, J = linearised(lambda q: np.stack(arc(*q, model.dt, slip.side_slip)), where)
+
+        def moving(q: FloatArray, lever: float = ahead[k]) -> FloatArray:
+            return np.stack(arc(*q, model.dt, sideways(q[1], q[2], slip.side_slip, lever)))
+
+        move, J = linearised(moving, where)
         moved = move - J @ where
         by_twist, by_heading = -0.5 * J[:, 1:], -np.outer(J[:, 0], [0, 0, 1])
         rows.add(moved, moved, (I3, pose[k + 1]), (by_heading - I3, pose[k]), (by_twist, y[k]), (by_twist, y[k + 1]))
@@ -87,10 +93,11 @@ def _across(theta: float) -> FloatArray:
 
 
 def _soft_limits(problem: TrackingProblem, tick: Tick, rows: _Rows, at: dict[str, FloatArray]) -> None:
-    _, now = problem.outcome(tick, np.zeros((problem.steps, 2, 1)))
+    _, now = problem.outcome(tick, np.zeros((problem.steps, 2, 1)), np.zeros(problem.steps))
     limits, half = problem.soft_limits(now[:, 0, 0]), 0.5 * problem.config.wheels.track
     v, omega = 1 / tick.slip.gains
-    by_twist = np.array([[1, 0], [0, 1], [v, half * omega], [v, -half * omega]])
+    turn = v * tick.slip.turn_left
+    by_twist = np.array([[1, 0], [0, 1], [v, half * omega - turn], [v, -half * omega - turn]])
     unit, none = np.eye(1), np.full(1, np.inf)
     for k in range(1, problem.steps + 1):
         across = _across(tick.aim[k, 2])

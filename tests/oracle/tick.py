@@ -8,7 +8,6 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
 from diffdrive_mpc.models.velocity_model import VelocityModel
-from diffdrive_mpc.mpc.config.schema import Weights
 from diffdrive_mpc.mpc.estimation.slip import Slip
 from oracle.estimate import Estimate
 
@@ -54,28 +53,25 @@ class FeedForward:
         """(N, 2) commands for reference twists (samples, 2)."""
         at, samples = np.arange(self.steps), np.arange(len(twist))
         later = np.column_stack([np.interp(at + self.ahead[j], samples, twist[:, j]) for j in (0, 1)])
+        # Of the point about which the robot turns.
+        later[:, 0] -= slip.turn_left * later[:, 1]
         return np.linalg.solve(self.gain, (later / slip.gains - slip.offset).T).T
 
 
-def lean(poses: FloatArray, twist: FloatArray, side_slip: float, weights: Weights) -> tuple[FloatArray, FloatArray]:
-    """What to aim at for reference `poses` (n, 3) with `twist` (n, 2): poses (n, 3) and headings (n,) [rad].
+def heading_to_hold(poses: FloatArray, twist: FloatArray, slip: Slip) -> FloatArray:
+    """(n,) headings [rad] at which a robot travels along reference `poses` (n, 3) with `twist` (n, 2).
 
-    To hold its path in a curve, a robot that side-slips must hold a heading error, the lead atan(side_slip omega).
-    Where the heading error costs something too, part of it is made up for by a lag d along the path, where the tangent
-    has turned less: along d^2 + heading (lead - curvature d)^2 is least at the d used here.
+    At a speed u to the left of v it travels atan(u / v) to the left of its heading, so it has to point as far to the
+    right. The part of u / v that does not fade with v is -turn_ahead omega / v; instead of 1 / v it is made to bend off
+    below 0.1 m/s, since a robot that turns on the spot cannot make up for it.
     """
     v, omega = twist.T
-    lead = np.arctan(side_slip * omega)
-    cost = weights.along * v**2 + weights.heading * omega**2
-    share = np.where(cost > 0, weights.heading * lead * omega / np.where(cost > 0, cost, 1.0), 0.0)
-    theta = poses[:, 2]
-    aim = poses - (share * np.stack([v * np.cos(theta), v * np.sin(theta), omega])).T
-    return aim, aim[:, 2] + lead
+    share = v / (v * v + 0.01)
+    return poses[:, 2] - np.arctan(-omega * slip.side_slip - omega * slip.turn_ahead * share)
 
 
 def begin_tick(
     feed_forward: FeedForward,
-    weights: Weights,
     estimate: Estimate,
     past: FloatArray,
     last_command: FloatArray,
@@ -87,6 +83,6 @@ def begin_tick(
     # The estimate counts its turns itself: meet it on the turn it is on.
     poses[:, 2] += 2 * np.pi * np.round((estimate.pose[2] - poses[0, 2]) / (2 * np.pi))
     slip = estimate.slip
-    aim, heading = lean(poses, sample.twist[:nodes], slip.side_slip, weights)
+    heading = heading_to_hold(poses, sample.twist[:nodes], slip)
     commands = feed_forward.commands(sample.twist, slip)
-    return Tick(estimate.pose, estimate.state, slip, past, last_command, aim, heading, commands)
+    return Tick(estimate.pose, estimate.state, slip, past, last_command, poses, heading, commands)

@@ -39,7 +39,7 @@ class Arcs:
         progress = offset + rate * tau + half_acceleration * tau**2
         speed = rate + 2 * half_acceleration * tau
         # Over its progress the path is the arc of a constant twist.
-        dx, dy, _ = arc(theta, forward * progress, turn * progress, 1.0, 0.0)
+        dx, dy, _ = arc(theta, forward * progress, turn * progress, 1.0)
         pose = np.column_stack([x + dx, y + dy, theta + turn * progress])
         twist = np.column_stack([forward * speed, turn * speed])
         return ReferenceSample(pose, twist, arc_length + np.abs(forward * progress))
