@@ -19,10 +19,12 @@ from diffdrive_mpc.bench.peers import PEERS
 Overrides = tuple[tuple[str, object], ...]
 """Configuration values by dotted key."""
 
-NO_SCENARIO, NO_MODEL = "none", "none"
-"""The scenario in which nothing happens; the model of a peer without one."""
+NO_SCENARIO, NO_MODEL, AS_FILED = "none", "none", "file"
+"""The scenario in which nothing happens; the model of a peer without one; the timing that a trajectory file states."""
 MOST_SEEDS = 10_000
 """More runs of one case than this take days, and their list alone could fill the memory."""
+COMPARED = (("pursuit+slip", NO_MODEL), ("mpc", "kinematic"), ("mpc", "mbm"), ("mpc", "sm"), ("mpc", "ssm"))
+"""Controllers, each with its model, that `bench` compares without options: the one place to name another."""
 HORIZONS = (5, 10, 15, 20, 30, 50)
 """Horizons that `bench` sweeps without options, for each model over all trajectories with the first seed [steps]."""
 
@@ -118,25 +120,38 @@ class Case:
     """Everything that fixes one run bit for bit.
 
     Beside the dimensions it has `config`, the controller's configuration file, None for the shipped one of the model,
-    and `overrides`, values that replace those of the configuration.
+    and `overrides`, values that replace those of the configuration. `top_speed` lays the trajectory's segments anew so
+    that the fastest of them has this speed [m/s]; `late` is by how many ticks the plant's dead time is longer than
+    the controller was told: that many are added to the plant's; where it is negative, `overrides` tell of more.
     """
 
-    controller: str = _dimension("controllers", "mpc", f"mpc, or a peer: {', '.join(PEERS)}.")
+    controller: str = _dimension(
+        "controllers",
+        "mpc",
+        f"mpc, or a peer: {', '.join(PEERS)}.",
+        compared=tuple(dict.fromkeys(controller for controller, _ in COMPARED)),
+    )
     model: str = _dimension(
         "models",
         "ssm",
-        "Velocity model: mbm, sm, ssm, or the path of a file.",
-        compared=("mbm", "sm", "ssm"),
+        "Velocity model: mbm, sm, ssm, kinematic, or the path of a file.",
+        compared=tuple(model for _, model in COMPARED if model != NO_MODEL),
         list_option="--models",
     )
     trajectory: str = _dimension(
         "trajectories",
         "circle",
-        "circle, square, s, cane, or the path of a file.",
+        "circle, square, s, cane, figure8, ..., spline-SEED, or the path of a file.",
         compared=("circle", "square", "s", "cane"),
         list_option="--trajectories",
     )
-    plant: str = _dimension("plants", "mujoco", "mujoco, model:NAME, or model:NAME+DEAD_TIME.")
+    timing: str = _dimension(
+        "timings",
+        AS_FILED,
+        f"Of the trajectory: stop, commanded, smooth, or {AS_FILED} for what it says itself.",
+        silent=True,
+    )
+    plant: str = _dimension("plants", "mujoco", "mujoco, mujoco:ROBOT, model:NAME, or model:NAME+DEAD_TIME.")
     surface: str = _dimension("surfaces", "default", "Floor of the mujoco plant, slip of a model: plant.")
     sensors: str = _dimension("sensors", "default", "Sensor set.")
     scenario: str = _dimension(
@@ -154,6 +169,8 @@ class Case:
     )
     config: str | None = None
     overrides: Overrides = ()
+    top_speed: float | None = None
+    late: int = 0
 
     @property
     def horizon(self) -> int | None:

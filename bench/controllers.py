@@ -7,12 +7,16 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from diffdrive_mpc.bench.case import Case, Overrides
+from diffdrive_mpc.bench.case import AS_FILED, Case, Overrides
+from diffdrive_mpc.bench.late_plant import LatePlant
 from diffdrive_mpc.bench.peers import PEERS, make_peer
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Reference, TrackingController
-from diffdrive_mpc.models.load import MODEL_NAMES, load_model
-from diffdrive_mpc.mpc import Controller, ControllerConfig, load_config, load_trajectory
+from diffdrive_mpc.models.load import MODEL_NAMES, load_model, model_path
+from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_config, load_trajectory
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.load import load_segments
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.sim import Plant, Run, make_plant, simulate
 
 CONTROLLERS = ("mpc", *PEERS)
@@ -33,7 +37,7 @@ def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
                 f"sample_time {asked} s: the plant '{case.plant}' takes a command every {plant.sample_time} s; "
                 f"set sample_time to that"
             )
-    return controller, plant, load_trajectory(case.trajectory)
+    return controller, LatePlant(plant, case.late) if case.late > 0 else plant, load_reference(case)
 
 
 def run_case(case: Case) -> Run:
@@ -44,10 +48,26 @@ def run_case(case: Case) -> Run:
 def check_cases(cases: Iterable[Case]) -> None:
     """Build what differs in more than trajectory and seed once, and load every trajectory; raises as `build` does."""
     every = list(cases)
-    for trajectory in dict.fromkeys(case.trajectory for case in every):
-        load_trajectory(trajectory)
-    for case in {replace(case, trajectory="", seed=0): case for case in every}.values():
+    for case in {(case.trajectory, case.timing): case for case in every}.values():
+        load_reference(case)
+    for case in {replace(case, trajectory="", timing="", seed=0): case for case in every}.values():
         build(case)
+
+
+def load_reference(case: Case) -> Trajectory:
+    """The trajectory of a case with its timing; raises ConfigError if either cannot be used.
+
+    With a top speed of its own it stops where the curvature jumps.
+    """
+    if case.top_speed is not None:
+        segments = load_segments(case.trajectory)
+        faster = case.top_speed / max(abs(one.v) for one in segments)
+        scaled = [
+            Segment(v=one.v * faster, omega=one.omega * faster, duration=one.duration / faster) for one in segments
+        ]
+        name = f"{case.trajectory} at {case.top_speed:g} m/s"
+        return lay_segments(scaled, TrajectoryLimits.of_robot(), name=name)
+    return load_trajectory(case.trajectory, timing=None if case.timing == AS_FILED else case.timing)
 
 
 def make_controller(case: Case) -> TrackingController:
@@ -87,9 +107,9 @@ def chosen_model(model: str | None, config: Path | None) -> str:
     if model is None:
         return Case().model if config is None else load_config(config).model
     if not model.strip():
-        raise ConfigError("--model: it is empty; give mbm, sm, ssm or the path of a model file")
+        raise ConfigError("--model: it is empty; give mbm, sm, ssm, kinematic or the path of a model file")
     return model
 
 
 def _model_reference(model: str) -> str:
-    return model if model in MODEL_NAMES else str(Path(model).resolve())
+    return model if model in MODEL_NAMES else str(model_path(model).resolve())

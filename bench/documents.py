@@ -29,7 +29,7 @@ class ShownReport:
     page
         The document with tables between markers, below the folder `docs`.
     brief
-        Whether it has the first table and the facts only, between markers of the study's own name.
+        Whether it has the first table and the facts between markers of the study's own name, beside what others name.
     """
 
     name: str
@@ -39,7 +39,13 @@ class ShownReport:
     brief: bool = False
 
 
-BENCH = ShownReport("bench", ("overview.png", "horizon.png"), ("bench.json",), "../README.md", brief=True)
+BENCH = ShownReport(
+    "bench",
+    ("overview.png", "speed.png", "dead-time.png", "horizon.png"),
+    ("bench.json",),
+    "../README.md",
+    brief=True,
+)
 TRACKING = ShownReport("tracking", ("ablation.png", "error-sources.png"), (), "tracking.md")
 REPRODUCE = ShownReport("reproduce", ("odometry.png", "orders.png", "virtual-track.png"), (), "reproduce.md")
 SPEED = ShownReport("speed", ("horizon.png", "tail.png"), ("speed.json",), "performance.md")
@@ -72,10 +78,10 @@ def sections(shown: ShownReport, report: str) -> dict[str, str]:
     head, *tables = report.split("\n## ")
     lines = head.splitlines()
     facts = "\n".join(line for line in lines if line.startswith("* "))
+    parts = {f"{shown.name}-runs": facts}
     if shown.brief:
         first = tables[0].partition("\n")[2].strip()
-        return {shown.name: f"{first}\n\n{facts}"}
-    parts = {f"{shown.name}-runs": facts}
+        parts[shown.name] = f"{first}\n\n{facts}"
     for line in lines:
         if line.startswith("!["):
             name = line[2:].partition("]")[0]

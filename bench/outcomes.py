@@ -17,11 +17,13 @@ from diffdrive_mpc.bench.case import DIMENSIONS, Case
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.runner import OnDone, run_tasks
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.mpc import Trajectory
 from diffdrive_mpc.sim import Metrics, Run
 from diffdrive_mpc.sim.metrics.recovery import Recovery
 from diffdrive_mpc.sim.run import NO_SOLVER
 
+_BY_THE_CLOCK = ("step_time", "solve_time", "deadline")
 STATISTICS = "true pose against the reference, from t = 0 to the end of the reference, no settling time added"
 
 
@@ -80,10 +82,15 @@ K = TypeVar("K")
 
 @dataclass(frozen=True)
 class Outcome:
-    """A case and all of its run; satisfies `Scored`."""
+    """A case and all of its run; satisfies `Scored`.
+
+    Where it was timed, `clean_share` is the share of its ticks that could be measured undisturbed; the times of the
+    others are NaN, or if there is none all stand as they are.
+    """
 
     case: Case
     run: Run
+    clean_share: float = 1.0
 
     @property
     def metrics(self) -> Metrics:
@@ -105,6 +112,31 @@ def run_cases(cases: Sequence[Case], jobs: int, on_done: OnDone) -> list[Outcome
     """Run cases, see `bench.runner.run_tasks`."""
     runs = run_tasks([partial(_recorded, case) for case in cases], jobs, on_done)
     return [Outcome(case, run) for case, run in zip(cases, runs, strict=True)]
+
+
+@dataclass(frozen=True)
+class Score:
+    """A case and what is left of its run where only its statistics are wanted; satisfies `Scored`."""
+
+    case: Case
+    metrics: Metrics
+    recovery: Recovery
+    shares: SolverShares
+
+    @classmethod
+    def of(cls, case: Case) -> Score:
+        """Run it."""
+        return cls.of_outcome(Outcome(case, run_case(case)))
+
+    @classmethod
+    def of_outcome(cls, outcome: Outcome) -> Score:
+        """What is kept of one that was run."""
+        return cls(outcome.case, outcome.metrics, outcome.recovery, outcome.shares)
+
+
+def score_cases(cases: Sequence[Case], jobs: int, on_done: OnDone) -> list[Score]:
+    """Run cases whose times are of no interest, see `bench.runner.run_tasks`."""
+    return run_tasks([partial(Score.of, case) for case in cases], jobs, on_done)
 
 
 def _recorded(case: Case) -> Run:
@@ -136,8 +168,38 @@ def recoveries(outcomes: Iterable[Scored], figure: str) -> FloatArray:
 
 
 def step_times(outcomes: Iterable[Outcome]) -> FloatArray:
-    """Step times of all counted ticks of several runs [s]."""
-    return np.concatenate([outcome.run.step_time[outcome.run.counted] for outcome in outcomes])
+    """Times of the whole step [s] at the counted ticks of several runs that have one."""
+    return _times([outcome.run.step_time[outcome.run.counted] for outcome in outcomes])
+
+
+def solve_times(outcomes: Iterable[Outcome]) -> FloatArray:
+    """The same of linearising, condensing and solving."""
+    return _times([outcome.run.solve_time[outcome.run.counted] for outcome in outcomes])
+
+
+def _times(parts: list[FloatArray]) -> FloatArray:
+    times = np.concatenate(parts)
+    return times[np.isfinite(times)]
+
+
+def time_percentile(times: FloatArray, percent: float) -> float:
+    """A percentile of times; NaN without any."""
+    return float(np.percentile(times, percent)) if times.size else math.nan
+
+
+def disturbed_share(outcomes: Iterable[Outcome]) -> float:
+    """Share of the ticks of several runs that could not be timed undisturbed."""
+    runs = list(outcomes)
+    return float(np.average([1.0 - one.clean_share for one in runs], weights=[len(one.run.time) for one in runs]))
+
+
+def drawn_distances(outcomes: Iterable[Outcome]) -> FloatArray:
+    """Distance of the reference from the path as it was drawn [m], at all counted ticks of several runs."""
+    found = [np.zeros(0)]
+    for run in (outcome.run for outcome in outcomes):
+        times, of = run.time[run.counted], run.reference
+        found.append(of.drawn_distance(times) if isinstance(of, Trajectory) else np.zeros(times.size))
+    return np.concatenate(found)
 
 
 def group(outcomes: Iterable[S], key: Callable[[S], K]) -> dict[K, list[S]]:
@@ -202,12 +264,13 @@ def by_driver(outcomes: Sequence[S]) -> dict[str, list[S]]:
 
 def model_name(name: str) -> str:
     """Name of a model as the papers write it, or that of the user's file."""
-    return name.upper() if name in MODEL_NAMES else name
+    return name.upper() if name in STRUCTURES else name
 
 
-def metrics_row(outcome: Scored) -> dict[str, object]:
-    """Statistics of one run and the ways of its solver, for JSON."""
-    return asdict(outcome.metrics) | asdict(outcome.shares)
+def metrics_row(outcome: Scored, *, timed: bool = True) -> dict[str, object]:
+    """Statistics of one run and the ways of its solver, for JSON; without what the clock says if it was not `timed`."""
+    values = asdict(outcome.metrics) | asdict(outcome.shares)
+    return {name: value for name, value in values.items() if timed or not name.startswith(_BY_THE_CLOCK)}
 
 
 def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401 - whatever JSON takes

@@ -1,4 +1,4 @@
-"""Step times: recorded measurements replayed through a fresh controller, serially, on one core.
+"""Times of steps: recorded measurements replayed through fresh controllers that take turns on one core.
 
 Runs are recorded in parallel, where neighbours disturb the clock. The replay also proves determinism: it must give the
 same commands bit for bit.
@@ -11,15 +11,18 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import make_controller
+from diffdrive_mpc.bench.counters import CoreCounters, Effort, watched
 from diffdrive_mpc.bench.errors import NotReproducibleError
-from diffdrive_mpc.bench.outcomes import Outcome
+from diffdrive_mpc.bench.outcomes import Outcome, group
 from diffdrive_mpc.bench.runner import OnDone
+from diffdrive_mpc.bench.turns import take_turns
 from diffdrive_mpc.models.interface import FloatArray, TrackingController
 from diffdrive_mpc.sim import Run
 
@@ -27,18 +30,22 @@ _WARM_UP_TICKS = 25
 
 
 @contextmanager
-def quiet_core() -> Iterator[None]:
-    """One core (where the system lets a process choose), one BLAS thread, no garbage collection; undone at the end."""
+def quiet_core() -> Iterator[int | None]:
+    """One core (where the system lets a process choose), one BLAS thread, no garbage collection; undone at the end.
+
+    Gives the number of the core.
+    """
     cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
     collecting = gc.isenabled()
+    core = max(cores) if cores else None
     with threadpool_limits(limits=1):
-        if cores:
-            os.sched_setaffinity(0, {max(cores)})
+        if core is not None:
+            os.sched_setaffinity(0, {core})
         gc.collect()
         gc.freeze()  # what exists by now need not be searched again between runs
         gc.disable()
         try:
-            yield
+            yield core
         finally:
             gc.unfreeze()
             if collecting:
@@ -47,61 +54,120 @@ def quiet_core() -> Iterator[None]:
                 os.sched_setaffinity(0, cores)
 
 
-def time_outcomes(outcomes: Sequence[Outcome], on_done: OnDone) -> tuple[list[Outcome], float]:
-    """Replace the step times by those of a serial pass on one quiet core.
+@dataclass(frozen=True)
+class TimingPass:
+    """How the machine was while all was timed.
+
+    Attributes
+    ----------
+    clean_share
+        Share of the ticks that were measured undisturbed [-].
+    others_share
+        Share of the time that other programs had the core [-], as far as the system tells.
+    yardstick
+        The shortest time of the yardstick of `bench.counters` [s]: times of two reports compare as far as these agree.
+    """
+
+    clean_share: float = 1.0
+    others_share: float = 0.0
+    yardstick: float = float("nan")
+
+
+UNDISTURBED = TimingPass()
+"""Where nothing was timed."""
+
+
+def time_outcomes(outcomes: Sequence[Outcome], on_done: OnDone) -> tuple[list[Outcome], TimingPass]:
+    """Replace the times by those of replays on one quiet core; those of the same place take turns.
 
     Returns
     -------
     outcomes
-        With the new step times.
-    share
-        Processor time over elapsed time of the pass; well below 1, other programs had the core at times, and the
-        upper percentiles are theirs.
+        With the new times; NaN for ticks that were disturbed whenever they were measured, unless all of a run were.
+    timing
+        How the machine was.
 
     Raises NotReproducibleError if a replay commanded something else than the run.
     """
-    timed = []
-    with quiet_core():
-        elapsed, used = time.perf_counter(), time.thread_time()
-        for outcome in outcomes:
-            run = outcome.run.with_step_time(time_steps(outcome.case, outcome.run))
-            timed.append(Outcome(outcome.case, run))
-            on_done()
-        share = (time.thread_time() - used) / (time.perf_counter() - elapsed)
-    return timed, share
+    groups = list(group(outcomes, lambda outcome: _place(outcome.case)).values())
+    with quiet_core() as core:
+        began, own, counted = time.perf_counter(), time.process_time(), CoreCounters.read(core)
+        replays = [[CaseReplay(outcome.case, outcome.run) for outcome in group] for group in groups]
+        found, best = take_turns(replays, core=core, on_replay=on_done)
+        busy = CoreCounters.read(core).since(counted).busy - (time.process_time() - own)
+        others = max(0.0, busy) / (time.perf_counter() - began)
+    timed = {
+        outcome.case: replace(outcome, run=outcome.run.with_step_time(*one.kept[0].T), clean_share=one.share)
+        for group, times in zip(groups, found, strict=True)
+        for outcome, one in zip(group, times, strict=True)
+    }
+    ticks = [len(outcome.run.time) for outcome in outcomes]
+    clean = float(np.average([timed[outcome.case].clean_share for outcome in outcomes], weights=ticks))
+    return [timed[outcome.case] for outcome in outcomes], TimingPass(clean, others, best)
 
 
-def time_steps(case: Case, run: Run) -> FloatArray:
-    """Step times (n,) [s] of a fresh controller for `case` that gets the measurements of `run`.
+def _place(case: Case) -> Case:
+    """What cases share that are compared with each other."""
+    return replace(case, controller="", model="", config=None, overrides=())
 
-    Another instance takes a few steps first, so that imports and one-time costs do not count. Call within
-    `quiet_core`.
+
+class CaseReplay:
+    """A fresh controller for `case` that gets the measurements of `run`; satisfies `bench.turns.Replay`.
+
+    Another instance takes a few steps first, so that imports and one-time costs do not count.
+    """
+
+    def __init__(self, case: Case, run: Run) -> None:
+        self._case, self._run = case, run
+        self._controller: TrackingController | None = None
+
+    @property
+    def ticks(self) -> int:
+        """Of the run."""
+        return len(self._run.time)
+
+    def restart(self) -> None:
+        """Make the controller."""
+        warm = make_controller(self._case)
+        warm.start(self._run.reference, float(self._run.time[0]))
+        replay(warm, self._run, 0, min(_WARM_UP_TICKS, self.ticks))
+        self._controller = make_controller(self._case)
+        self._controller.start(self._run.reference, float(self._run.time[0]))
+        gc.collect()
+
+    def run(self, first: int, last: int) -> tuple[FloatArray, Effort]:
+        """Times (ticks, 2) of whole steps and solves [s]; raises NotReproducibleError as `replay` does."""
+        controller = self._controller
+        assert controller is not None
+        times, effort = watched(lambda: replay(controller, self._run, first, last))
+        if last == self.ticks:
+            self._controller = None  # its memory is not needed any more
+        return times, effort
+
+
+def replay(controller: TrackingController, run: Run, first: int, last: int) -> FloatArray:
+    """Give `controller` the measurements of the ticks `first` to `last` - 1 of `run` again, and time it.
+
+    Returns
+    -------
+    FloatArray
+        (ticks, 2) of the whole step, and of the solve by the controller's own clock, NaN where there was none [s].
 
     Raises NotReproducibleError if a command differs from the recorded one in any bit.
     """
-    replay(make_controller(case), run, min(_WARM_UP_TICKS, len(run.time)))
-    gc.collect()
-    return replay(make_controller(case), run, len(run.time))
-
-
-def replay(controller: TrackingController, run: Run, ticks: int) -> FloatArray:
-    """Give `controller` the first `ticks` measurements of `run` again and time its steps, (ticks,) [s].
-
-    Raises NotReproducibleError if a command differs from the recorded one in any bit.
-    """
-    took, commands = np.empty(ticks), np.empty((ticks, 2))
-    controller.start(run.reference, float(run.time[0]))
-    for k in range(ticks):
+    took, commands = np.empty((last - first, 2)), np.empty((last - first, 2))
+    for k in range(first, last):
         t, measurement = float(run.time[k]), run.measurements[k]
         began = time.perf_counter()
         step = controller.step(t, measurement)
-        took[k] = time.perf_counter() - began
-        commands[k] = step.command
-    differs = np.flatnonzero((commands != run.command[:ticks]).any(axis=1))
+        took[k - first, 0] = time.perf_counter() - began
+        took[k - first, 1] = step.solve_time
+        commands[k - first] = step.command
+    differs = np.flatnonzero((commands != run.command[first:last]).any(axis=1))
     if differs.size:
-        k = differs[0]
+        k = first + differs[0]
         raise NotReproducibleError(
-            f"{run.reference.name}, t = {run.time[k]:.3f} s: the replay commanded {commands[k].tolist()}, the run "
-            f"{run.command[k].tolist()}: the controller is not deterministic"
+            f"{run.reference.name}, t = {run.time[k]:.3f} s: the replay commanded {commands[k - first].tolist()}, the "
+            f"run {run.command[k].tolist()}: the controller is not deterministic"
         )
     return took

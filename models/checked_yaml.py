@@ -74,6 +74,28 @@ def load_checked(schema: type[Schema], path: str | Path) -> Schema:
     return check(schema, read_yaml(path), str(path))
 
 
+def load_variation(schema: type[Schema], path: str | Path, base: Mapping[str, Any]) -> Schema:
+    """Read a YAML file that says only where it differs from `base`, values by key, and check the whole.
+
+    Groups are laid over those of `base` key by key; anything else, lists included, takes the place of what was there.
+
+    Raises
+    ------
+    ConfigError
+        As for `load_checked`.
+    """
+    data = read_yaml(path)
+    return check(schema, _laid_over(base, data) if isinstance(data, Mapping) else data, str(path))
+
+
+def _laid_over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    whole = dict(base)
+    for key, value in changes.items():
+        under = whole.get(key)
+        whole[key] = _laid_over(under, value) if isinstance(under, Mapping) and isinstance(value, Mapping) else value
+    return whole
+
+
 def check(schema: type[Schema], data: object, where: str) -> Schema:
     """Check `data` against `schema`; `where` names its source in the error message.
 

@@ -108,7 +108,12 @@ class ControlStep(Protocol):
 
     @property
     def solver(self) -> Any:  # noqa: ANN401 - every solver has its own report
-        """How the problem was solved, in its `status` and its `path`, or None for a controller without a solver."""
+        """How it was solved, in its `status`, `path` and `iterations`, or None for a controller without a solver."""
+        ...
+
+    @property
+    def solve_time(self) -> float:
+        """How much of `step_time` stating and solving the problem took [s]; NaN if nothing was solved."""
         ...
 
     @property

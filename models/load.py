@@ -8,14 +8,17 @@ from typing import Any
 
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
-from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 
 PARAMETERS = Path(__file__).parent / "parameters"
-MODEL_NAMES = tuple(name for name in STRUCTURES if (PARAMETERS / f"{name}.yaml").is_file())
-"""Shipped models: one of each structure that ships one."""
+MODEL_NAMES = (*(name for name in STRUCTURES if (PARAMETERS / f"{name}.yaml").is_file()), "kinematic")
+"""Shipped models: one of each structure that ships one, and the one to hold them against."""
+ROBOTS = PARAMETERS / "robots"
+ROBOT_NAMES = shipped_names(ROBOTS)
+"""Real robots that were identified from public logs."""
 
 
 def load_model(name: str | Path) -> VelocityModel:
@@ -24,7 +27,7 @@ def load_model(name: str | Path) -> VelocityModel:
     Parameters
     ----------
     name
-        "mbm", "sm", "ssm", or the path of a parameter file.
+        "mbm", "sm", "ssm", "kinematic", a robot of `ROBOT_NAMES`, or the path of a parameter file.
 
     Raises
     ------
@@ -47,6 +50,8 @@ def load_base_effects(name: str | Path) -> BaseEffects:
 
 def model_path(name: str | Path) -> Path:
     """The parameter file behind `name`; raises ConfigError when there is none."""
+    if str(name) in ROBOT_NAMES:
+        return ROBOTS / f"{name}.yaml"
     return named_file("model", PARAMETERS, name, MODEL_NAMES)
 
 

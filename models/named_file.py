@@ -9,7 +9,9 @@ from pathlib import Path
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
 
-def named_file(kind: str, folder: Path, name: str | Path, shipped: Sequence[str] | None = None) -> Path:
+def named_file(
+    kind: str, folder: Path, name: str | Path, shipped: Sequence[str] | None = None, others: str = ""
+) -> Path:
     """The file behind `name`: a YAML file that ships in `folder`, or the user's own.
 
     Parameters
@@ -22,6 +24,8 @@ def named_file(kind: str, folder: Path, name: str | Path, shipped: Sequence[str]
         Name of a shipped file without its ending, or a path.
     shipped
         Names of the shipped files; by default every YAML file in `folder`.
+    others
+        What else may be given, for the message, as it goes on after those names.
 
     Raises
     ------
@@ -36,7 +40,9 @@ def named_file(kind: str, folder: Path, name: str | Path, shipped: Sequence[str]
         return Path(name)
     near = difflib.get_close_matches(text, known, n=1, cutoff=0.5)
     hint = f"; did you mean '{near[0]}'?" if near else ""
-    raise ConfigError(f"unknown {kind} '{text}': give one of {', '.join(known)} or the path of a {kind} file{hint}")
+    raise ConfigError(
+        f"unknown {kind} '{text}': give one of {', '.join(known)}{others} or the path of a {kind} file{hint}"
+    )
 
 
 def shipped_names(folder: Path) -> tuple[str, ...]:

@@ -81,7 +81,7 @@ def arc_displacement(theta: ca.SX, v: ca.SX, omega: ca.SX, dt: ca.SX, lateral: c
 
 
 def integrate_pose(
-    pose: ArrayLike, v: ArrayLike, omega: ArrayLike, dt: float, side_slip: ArrayLike = 0.0
+    pose: ArrayLike, v: ArrayLike, omega: ArrayLike, dt: ArrayLike, side_slip: ArrayLike = 0.0
 ) -> FloatArray:
     """Advance a pose along the exact arc of a constant twist.
 
@@ -92,7 +92,7 @@ def integrate_pose(
     v, omega
         (...) forward speed [m/s] and yaw rate [rad/s], constant over `dt`. They broadcast with `pose[..., 0]`.
     dt
-        Duration [s]; may be negative, which goes back along the same arc.
+        (...) duration [s]; may be negative, which goes back along the same arc.
     side_slip
         (...) lateral speed over -v omega [s]: the body drifts outward in a turn with side_slip v omega.
 
@@ -102,7 +102,7 @@ def integrate_pose(
         (..., 3) the pose after `dt`. theta is not wrapped.
     """
     pose = np.asarray(pose, dtype=float)
-    v, omega, side_slip = (np.asarray(given, dtype=float) for given in (v, omega, side_slip))
+    v, omega, dt, side_slip = (np.asarray(given, dtype=float) for given in (v, omega, dt, side_slip))
     dx, dy, dtheta = _displacement(_NUMERIC, pose[..., 2], v, omega, dt, -side_slip * v * omega)
     return np.stack(np.broadcast_arrays(pose[..., 0] + dx, pose[..., 1] + dy, pose[..., 2] + dtheta), axis=-1)
 

@@ -29,6 +29,12 @@ class RobotLimits(TwistBounds):
     wheel_speed: Positive = Field(description="wheel speed without load [rad/s]")
 
 
+class ReferenceAcceleration(TwistBounds):
+    """What a reference may ask of the robot."""
+
+    lateral: Positive = Field(description="bound of v omega where a path is timed smoothly [m/s^2]")
+
+
 class Robot(StrictModel):
     """Geometry, mass, encoder and limits of one robot."""
 
@@ -39,7 +45,7 @@ class Robot(StrictModel):
     mass: Positive = Field(description="mass [kg]")
     encoder_pulses: Positive = Field(description="encoder pulses per revolution of the output shaft")
     limits: RobotLimits
-    reference_acceleration: TwistBounds
+    reference_acceleration: ReferenceAcceleration
     command_slew: TwistBounds
 
 

@@ -249,16 +249,12 @@ class Controller:
         moved = not on_time and bool(tick.lib.ddmpc_is_new_tick(self._c, t))
         given.reference_time = pursuit.advance(since_start) if moved else since_start
         given.on_time = on_time
-        entered = time.perf_counter()
         pending = self._step(self._c, t, given)
-        core_time = time.perf_counter() - entered
         message = ""
         if pending == _NEEDS_TARGET:
             if not moved:
                 given.reference_time = pursuit.advance(since_start)
-            entered = time.perf_counter()
             pending, message = self._choose_target(since_start, given.reference_time)
-            core_time += time.perf_counter() - entered
         elif on_time:
             c = self._c_result
             if not c.reasons & self._words.not_a_new_tick:
@@ -266,12 +262,12 @@ class Controller:
                 pursuit.passed(since_start, followed=pending == _NEEDS_BACKEND or c.solver.status != self._not_run)
         elif moved:
             self._blocked_for = 0.0
-        refused = False
+        refused, solve_time = False, self._c_result.solve_time
         if pending == _NEEDS_BACKEND:
-            entered = time.perf_counter()
+            asked = time.perf_counter()
             refused = self._ask_backend()
-            core_time += time.perf_counter() - entered
-        return self._build(hold, message, (started, core_time), refused=refused)
+            solve_time += time.perf_counter() - asked
+        return self._build(hold, message, (started, solve_time), refused=refused)
 
     def _apply_pending(self, prepared: _Prepared) -> None:
         self._config, self._backend, self._pending = prepared.config, prepared.backend, None

@@ -50,8 +50,9 @@ class StepResult:
         How long the robot has not moved although it is asked to [s]; 0 when it does.
     step_time
         Duration of the whole step [s].
-    core_time
-        How much of it was spent in the compiled core and in the backend [s].
+    solve_time
+        How much of it went into linearising, condensing and solving, the backend included [s]; NaN if nothing was
+        solved.
     """
 
     command: FloatArray
@@ -63,7 +64,7 @@ class StepResult:
     estimate: Estimate | None
     blocked_for: float
     step_time: float
-    core_time: float = 0.0
+    solve_time: float = float("nan")
     _planned: tuple[ResultLayout, FloatArray] | None = None
 
     @property

@@ -62,7 +62,7 @@ def simulate(
     ticks = int(np.ceil((reference.duration + extra_time - TIME_TOLERANCE) / plant.sample_time)) + 1
     time = np.empty(ticks)
     true_pose, true_twist, command = np.empty((ticks, 3)), np.empty((ticks, 3)), np.empty((ticks, 2))
-    step_time = np.empty(ticks)
+    step_time, solve_time, iterations = np.empty(ticks), np.full(ticks, np.nan), np.full(ticks, np.nan)
     estimates, deviations = np.full((ticks, 5), np.nan), np.full((ticks, 5), np.nan)
     said: list[_Said] = []
     measurements: list[Measurement] = []
@@ -73,6 +73,9 @@ def simulate(
         step = controller.step(plant.time, measurement)
         command[k] = _checked(step.command, plant.time)
         step_time[k] = step.step_time
+        solve_time[k] = step.solve_time
+        if step.solver is not None:
+            iterations[k] = step.solver.iterations
         if isinstance(step, EstimatingStep) and step.estimate is not None:
             estimates[k, :3], estimates[k, 3:] = step.estimate.pose, step.estimate.twist
             deviations[k, :3], deviations[k, 3:] = step.estimate.pose_deviation, step.estimate.twist_deviation
@@ -100,6 +103,8 @@ def simulate(
         reference_arc_length=expected.arc_length,
         command=command[driven],
         step_time=step_time[driven],
+        solve_time=solve_time[driven],
+        solver_iterations=iterations[driven],
         modes=tuple(words.mode for words in said),
         messages=tuple(words.message for words in said),
         measurements=tuple(measurements),

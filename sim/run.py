@@ -64,6 +64,9 @@ class Run(ReadOnlyArrays):
         How the controller's solver ended at each tick, in words; empty texts for a controller without a solver.
     solver_paths
         Which way the solver took at each tick: "none", "unlimited", "active_set", "osqp" or "daqp".
+    solve_time, solver_iterations
+        (n,) how much of the step went into stating and solving the problem [s], and iterations of the solver; NaN where
+        nothing was solved.
     estimates
         (n, 5) x [m], y [m], theta [rad], v [m/s], omega [rad/s] that the command is based on; NaN where the controller
         had no estimate, and for one that does not tell.
@@ -88,6 +91,8 @@ class Run(ReadOnlyArrays):
     ended: str = ""
     solver_statuses: tuple[str, ...] = ()
     solver_paths: tuple[str, ...] = ()
+    solve_time: FloatArray = field(default_factory=lambda: np.empty(0))
+    solver_iterations: FloatArray = field(default_factory=lambda: np.empty(0))
     estimates: FloatArray = field(default_factory=lambda: np.empty((0, 5)))
     estimate_deviations: FloatArray = field(default_factory=lambda: np.empty((0, 5)))
 
@@ -97,6 +102,8 @@ class Run(ReadOnlyArrays):
         nothing = {
             "solver_statuses": ("",) * count,
             "solver_paths": (NO_SOLVER,) * count,
+            "solve_time": np.full(count, np.nan),
+            "solver_iterations": np.full(count, np.nan),
             "estimates": np.full((count, 5), np.nan),
             "estimate_deviations": np.full((count, 5), np.nan),
         }
@@ -178,7 +185,8 @@ class Run(ReadOnlyArrays):
             (_named("reference", motion), self.reference_twist),
             (_named("estimate", (*body, *motion)), self.estimates),
             (_named("estimate", uncertain), self.estimate_deviations),
-            (("step_time_s",), self.step_time),
+            (("step_time_s", "solve_time_s"), np.column_stack([self.step_time, self.solve_time])),
+            (("solver_iterations",), self.solver_iterations),
         ]
         columns = {
             name: column for names, rows in numbers for name, column in zip(names, np.atleast_2d(rows.T), strict=True)
@@ -215,12 +223,18 @@ class Run(ReadOnlyArrays):
             f", ended: {self.ended}" if self.ended else ""
         )
 
-    def with_step_time(self, step_time: ArrayLike) -> Self:
-        """Exchange the step times (n,) [s] for those of a separate timing pass; raises ValueError on another length."""
-        step_time = np.asarray(step_time, dtype=float)
-        if step_time.shape != self.time.shape:
-            raise ValueError(f"{step_time.shape} step times for a run of {len(self.time)} ticks")
-        timed = replace(self, step_time=step_time)
+    def with_step_time(self, step_time: ArrayLike, solve_time: ArrayLike | None = None) -> Self:
+        """Exchange the times (n,) [s] for those of a separate timing pass; NaN for a tick leaves it out of statistics.
+
+        Raises ValueError on another length.
+        """
+        times = [
+            np.asarray(one, dtype=float) for one in (step_time, self.solve_time if solve_time is None else solve_time)
+        ]
+        for one in times:
+            if one.shape != self.time.shape:
+                raise ValueError(f"{one.shape} step times for a run of {len(self.time)} ticks")
+        timed = replace(self, step_time=times[0], solve_time=times[1])
         vars(timed)["errors"] = self.errors  # the motion is the same: keep what was worked out
         return timed
 

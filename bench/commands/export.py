@@ -19,7 +19,7 @@ def export(
     config: ConfigFile = None,
     settings: Settings = None,
     trajectory: Annotated[
-        str, typer.Option(help="What the table holds: circle, square, s, cane, or the path of a file.")
+        str, typer.Option(help="What the table holds: a shipped name such as circle, or the path of a file.")
     ] = "circle",
     precision: Annotated[str, typer.Option(help="Number type: double or float.")] = "double",
     emulated: Annotated[

@@ -19,7 +19,9 @@ def list_models() -> None:
 
 
 @models_app.command(epilog="Example: diffdrive-mpc models show ssm")
-def show(name: Annotated[str, typer.Argument(metavar="NAME|FILE", help="mbm, sm, ssm, or a model file.")]) -> None:
+def show(
+    name: Annotated[str, typer.Argument(metavar="NAME|FILE", help="mbm, sm, ssm, kinematic, or a model file.")],
+) -> None:
     """Show one model: matrices, poles, gains, dead times, and where the numbers come from."""
     from diffdrive_mpc.bench.model_report import print_model  # noqa: PLC0415
 
@@ -48,8 +50,10 @@ def fit(
     from diffdrive_mpc.models.load import PARAMETERS  # noqa: PLC0415
 
     with ProgressBar("experiments and identification (about a minute)") as bar:
-        table = fit_models(out or PARAMETERS, on_progress=bar.at)
+        table, warnings = fit_models(out or PARAMETERS, on_progress=bar.at)
     output_console().print(table.rich())
+    for warning in warnings:
+        typer.echo(f"warning: {warning}", err=True)
 
 
 @models_app.command(epilog="Example: diffdrive-mpc models calibrate --out my_firmware.yaml")

@@ -48,7 +48,9 @@ Sweep = Annotated[
 ]
 Model = Annotated[
     str | None,
-    typer.Option(help="Velocity model: mbm, sm, ssm, or the path of a file.", show_default="ssm, or --config's"),
+    typer.Option(
+        help="Velocity model: mbm, sm, ssm, kinematic, or the path of a file.", show_default="ssm, or --config's"
+    ),
 ]
 Jobs = Annotated[int | None, typer.Option("--jobs", min=1, help="Processes.", show_default="one for each core")]
 

@@ -19,10 +19,10 @@ def node(
     context: typer.Context,
     *,
     config: Annotated[
-        str, typer.Option(help="mbm, sm, ssm, or the configuration file that was simulated with.")
+        str, typer.Option(help="mbm, sm, ssm, kinematic, or the configuration file that was simulated with.")
     ] = "ssm",
     trajectory: Annotated[
-        str, typer.Option(help="circle, square, s, cane, or the path of a file; empty: references come by topic.")
+        str, typer.Option(help="a shipped name such as circle, or the path of a file; empty: references come by topic.")
     ] = "circle",
     settings: Settings = None,
     autostart: Annotated[bool, typer.Option("--autostart", help="Configure and activate at start-up.")] = False,

@@ -1,4 +1,4 @@
-"""The commands that run and report: `simulate` one case, and the studies `bench`, `tracking`, `reproduce`, `speed`."""
+"""The commands that run and report: `simulate` one case, and the studies."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from diffdrive_mpc.bench.case import HORIZONS, split_names, split_numbers
+from diffdrive_mpc.bench.case import HORIZONS, parse_seeds, split_names, split_numbers
 from diffdrive_mpc.bench.commands.one_line_errors import FAILED
 from diffdrive_mpc.bench.commands.options import (
     ConfigFile,
@@ -25,6 +25,8 @@ EXAMPLES = {
     "bench": "Example: diffdrive-mpc bench --out results --models ssm --set weights.across=60,120,240",
     "tracking": "Example: diffdrive-mpc tracking --out results --quick --only cross,bound",
     "reproduce": "Example: diffdrive-mpc reproduce --out results --only virtual_track",
+    "peers": "Example: diffdrive-mpc peers --out results --peers pursuit,lqr+slip",
+    "robustness": "Example: diffdrive-mpc robustness --out results --only mass_left,frozen_pose --models sm,ssm",
     "speed": "Example: diffdrive-mpc speed --out results --quick --peers ours,acados",
 }
 
@@ -111,6 +113,57 @@ def reproduce(
 
     parts = PARTS if only is None else split_names(only, "--only")
     carry_out(ReproduceStudy(load_study(quick=quick), parts), out, jobs)
+
+
+def peers(
+    *,
+    out: Annotated[Path, out_option("peers.json, peers.md and gains.yaml")],
+    quick: Annotated[bool, typer.Option("--quick", help="One peer and a few settings, to see that it works.")] = False,
+    only: Annotated[
+        str | None, typer.Option("--peers", metavar="NAMES", help="Peers to tune.", show_default="all of them")
+    ] = None,
+    settings: Annotated[Path | None, file_option("Settings", "--settings")] = None,
+    jobs: Jobs = None,
+) -> None:
+    """Tune the peers, each by the same search with the same budget on the same runs: about 20 minutes on two cores."""
+    from diffdrive_mpc.bench.studies.peers.study import GAINS_FILE, PeersStudy, gains_text, load_settings  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+
+    loaded = load_settings(settings, quick=quick)
+    found = carry_out(PeersStudy(loaded, None if only is None else split_names(only, "--peers")), out, jobs)
+    (out / GAINS_FILE).write_text(gains_text(found, loaded), encoding="utf-8")
+
+
+def robustness(
+    *,
+    out: Annotated[Path, out_option("robustness.json, robustness.md and figures/")],
+    quick: Annotated[bool, typer.Option("--quick", help="A few conditions on one path.")] = False,
+    only: Annotated[str | None, typer.Option(metavar="NAMES", help="Conditions.", show_default="all of them")] = None,
+    conditions: Annotated[Path | None, file_option("Conditions", "--conditions")] = None,
+    controllers: Annotated[str, typer.Option(metavar="NAMES", help="mpc, or peers.")] = "mpc,kanayama",
+    models: Annotated[str, typer.Option(metavar="NAMES", help="Models of mpc.")] = "ssm",
+    trajectories: Annotated[
+        str | None, typer.Option(metavar="NAMES", help="Paths.", show_default="circle,s; circle with --quick")
+    ] = None,
+    seeds: Annotated[str, typer.Option(metavar="LIST", help="How many seeds, or a list of them.")] = "1",
+    jobs: Jobs = None,
+) -> None:
+    """Drive every controller on robots, floors and sensors that it was not tuned to: some minutes on two cores."""
+    from diffdrive_mpc.bench.studies.robustness.conditions import load_conditions  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.studies.robustness.study import RobustnessStudy  # noqa: PLC0415
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+
+    loaded = load_conditions(conditions)
+    names = split_names(only, "--only") if only is not None else loaded.quick if quick else None
+    study = RobustnessStudy(
+        loaded.chosen(names),
+        loaded.settled,
+        controllers=split_names(controllers, "--controllers"),
+        models=split_names(models, "--models"),
+        trajectories=split_names(trajectories or ("circle" if quick else "circle,s"), "--trajectories"),
+        seeds=parse_seeds(seeds),
+    )
+    carry_out(study, out, jobs)
 
 
 def speed(

@@ -9,12 +9,32 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from diffdrive_mpc.models.interface import FloatArray, TrackingController
 
-PEERS = {"kanayama": "kanayama.KanayamaController"}
-"""Module and class of every peer to choose on the command line, by name. A peer has no velocity model of ours."""
+LAWS = {
+    name + option: law
+    for name, law in {
+        "pursuit": "pursuit.PursuitLaw",
+        "kanayama": "kanayama.KanayamaLaw",
+        "lqr": "lqr.LqrLaw",
+        "mppi": "mppi.MppiLaw",
+    }.items()
+    for option in ("", "+slip")
+}
+"""Module and class of every tracking law: it acts on the predictive controller's own estimate, moved forward over the
+robot's delay; with "+slip" it makes up for the estimated side-slip too."""
+
+PEERS = dict.fromkeys(LAWS, "") | {
+    "kanayama-plain": "kanayama.KanayamaController",
+    "do-mpc": "do_mpc.DoMpcController",
+}
+"""Every peer to choose on the command line, by name: module and class, or one of `LAWS`. None has a model to choose."""
 
 
 def make_peer(name: str) -> TrackingController:
     """A fresh controller of a name in `PEERS`."""
+    if name in LAWS:
+        from diffdrive_mpc.bench.peers.tracking_peer import make_tracking_peer  # noqa: PLC0415 - --help does without it
+
+        return make_tracking_peer(name)
     module, _, kind = PEERS[name].partition(".")
     made: TrackingController = getattr(import_module(f"{__name__}.{module}"), kind)()
     return made
@@ -22,11 +42,15 @@ def make_peer(name: str) -> TrackingController:
 
 @dataclass(frozen=True, slots=True)
 class PeerStep:
-    """What a peer decided at one tick; satisfies `models.interface.ControlStep`."""
+    """What a peer decided at one tick; satisfies `models.interface.ControlStep`.
+
+    `solve_time` is what its law took of `step_time` [s]; the rest went into estimate and prediction.
+    """
 
     command: FloatArray
     mode: str
     message: str
     step_time: float
+    solve_time: float = float("nan")
     solver: None = None
     plan: FloatArray | None = None

@@ -1,7 +1,7 @@
-"""The nonlinear tracking law of Kanayama et al., a feedback controller without a model.
+"""The nonlinear tracking law of Kanayama et al., with and without estimate and prediction.
 
 Source: Y. Kanayama, Y. Kimura, F. Miyazaki, T. Noguchi, "A stable tracking control method for an autonomous mobile
-robot", ICRA 1990. Gains in `kanayama.yaml`.
+robot", ICRA 1990.
 """
 
 from __future__ import annotations
@@ -11,30 +11,63 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from pydantic import Field
 
 from diffdrive_mpc.bench.peers import PeerStep
-from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Delayed, Gains, NotNegative, Sight
+from diffdrive_mpc.models.checked_yaml import load_checked
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.pose import wrap_angle
-from diffdrive_mpc.models.robot import Positive, Robot, load_robot
+from diffdrive_mpc.models.robot import Robot, load_robot
 
 
-class KanayamaGains(StrictModel):
+class KanayamaGains(Gains):
     """Gains of the law."""
 
-    along: Positive
-    across: Positive
-    heading: Positive
+    along: AboveZero = Field(description="on the error along the path [1/s]")
+    across: AboveZero = Field(description="on the error across the path [1/m^2]")
+    heading: AboveZero = Field(description="on the sine of the heading error, by distance [1/m]")
+    turn: NotNegative = Field(0.0, description="the same by time, for turns on the spot; not in the paper [1/s]")
+
+
+def kanayama_twist(gains: KanayamaGains, feed_forward: FloatArray, error: FloatArray) -> FloatArray:
+    """(2,) v [m/s] and omega [rad/s]: feed-forward (2,) plus feedback of the error (3,), ahead, to the left, turned.
+
+    |v| stands at the heading term so that it also stabilises when reversing.
+    """
+    v, omega = feed_forward
+    ahead, left, turned = error
+    turning = abs(v) * gains.heading + gains.turn
+    return np.array(
+        [v * np.cos(turned) + gains.along * ahead, omega + v * gains.across * left + turning * np.sin(turned)]
+    )
+
+
+class KanayamaLaw:
+    """The law on an estimate that is moved forward over the robot's delay."""
+
+    gains = KanayamaGains
+
+    def __init__(self, gains: KanayamaGains, robot: Delayed) -> None:
+        del robot  # the prediction is all it knows of it
+        self._gains = gains
+
+    def start(self, reference: Reference) -> None:
+        """Begin to track `reference`: nothing to prepare."""
+
+    def decide(self, sight: Sight) -> FloatArray:
+        """(2,) wanted v [m/s] and omega [rad/s]."""
+        return kanayama_twist(self._gains, sight.feed_forward, sight.error)
 
 
 @cache
-def load_gains(path: Path | None = None) -> KanayamaGains:
-    """Read a file of gains, by default the shipped one; raises ConfigError when it has a mistake."""
+def load_plain_gains(path: Path | None = None) -> KanayamaGains:
+    """Read a file of gains for `KanayamaController`, by default the shipped one; raises ConfigError on a mistake."""
     return load_checked(KanayamaGains, path or Path(__file__).parent / "kanayama.yaml")
 
 
 class KanayamaController:
-    """Feedback of the last measured pose on top of the reference's twist.
+    """Feedback of the last measured pose on top of the reference's twist: the law without estimate and prediction.
 
     The error is taken at the instant the pose describes, so that a late pose does not look like a robot that lags.
 
@@ -47,7 +80,7 @@ class KanayamaController:
     """
 
     def __init__(self, gains: KanayamaGains | None = None, robot: Robot | None = None) -> None:
-        self._gains = gains or load_gains()
+        self._gains = gains or load_plain_gains()
         self._robot = robot or load_robot()
         self._reference: Reference | None = None
 
@@ -69,7 +102,7 @@ class KanayamaController:
         message = self._take_error(self._reference, measurement)
         finished = t - self._t0 >= self._reference.duration
         feed_forward = self._reference.sample([t - self._t0]).twist[0]
-        wish = np.zeros(2) if finished else self._law(feed_forward)
+        wish = np.zeros(2) if finished else kanayama_twist(self._gains, feed_forward, self._error)
         command = self._limited(wish, t)
         mode = "FINISHED" if finished else "TRACKING"
         return PeerStep(command, mode, message, time.perf_counter() - began)
@@ -85,18 +118,6 @@ class KanayamaController:
         c, s = np.cos(pose[2]), np.sin(pose[2])
         self._error = np.array([c * gap[0] + s * gap[1], c * gap[1] - s * gap[0], float(wrap_angle(gap[2]))])
         return ""
-
-    def _law(self, feed_forward: FloatArray) -> FloatArray:
-        """Feed-forward plus feedback, with |v| on the heading term so that it also stabilises when reversing."""
-        v, omega = feed_forward
-        ahead, left, turned = self._error
-        gains = self._gains
-        return np.array(
-            [
-                v * np.cos(turned) + gains.along * ahead,
-                omega + v * gains.across * left + abs(v) * gains.heading * np.sin(turned),
-            ]
-        )
 
     def _limited(self, wish: FloatArray, t: float) -> FloatArray:
         """Nearest command inside the robot's limits and within reach of the last one."""

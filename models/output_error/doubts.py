@@ -33,8 +33,10 @@ def at_bounds(fit: OutputErrorFit, label: str) -> list[str]:
     for name, value, lower, upper in zip(fit.layout.names, fit.parameters, low, high, strict=True):
         if min(value - lower, upper - value) < _AT_BOUND:
             side = "lower" if value - lower < upper - value else "upper"
-            shown = _readable(name)
-            sentences.append(f"{label}: {shown} lies at the {side} bound of the search: the data do not determine it")
+            shown, bound = _readable(name), np.exp(value) if name.startswith("log_") else value
+            sentences.append(
+                f"{label}: {shown} lies at the {side} bound of the search, {bound:.3g}: the data do not determine it"
+            )
     return sentences
 
 

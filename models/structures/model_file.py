@@ -46,8 +46,8 @@ class Uncertainty(StrictModel):
 class Provenance(StrictModel):
     """Where the numbers of a parameter file come from."""
 
-    origin: Literal["published", "identified"] = Field(
-        description="'published' only if the numbers stand in a paper's text"
+    origin: Literal["published", "identified", "assumed"] = Field(
+        description="'published' only if the numbers stand in a paper's text; 'assumed' if nobody measured them"
     )
     source: str = Field(description="paper and place, or robot or plant the experiments were run on")
     method: str = ""
@@ -99,7 +99,7 @@ def build_model(data: ModelFile) -> VelocityModel:
         B=B,
         C=C,
         dead_time=[data.dead_time.v, data.dead_time.omega],  # type: ignore[arg-type]  # converted on construction
-        provenance=data.provenance.model_dump(),
+        provenance=data.provenance.model_dump() | {"warnings": data.warnings},
     )
 
 

@@ -225,6 +225,7 @@ typedef struct {
     int notes; /* measurements that were rejected */
     ddmpc_note note[DDMPC_NOTES];
     ddmpc_report solver;
+    ddmpc_time solve_time; /* to linearise, condense and solve, a backend's not counted; NaN: nothing was solved [s] */
     real distance;   /* [m], see DDMPC_TOO_FAR */
     ddmpc_time gap;  /* since the last tick [s] */
     ddmpc_estimate estimate;

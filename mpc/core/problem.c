@@ -156,7 +156,7 @@ void ddmpc_problem_guess(ddmpc_controller *c)
 }
 
 /* What a plan adds to the twists of a linear model at the samples: a convolution. */
-DDMPC_HOT static void convolve(const real *response, const real *plan, int N, real *by_plan)
+static void convolve(const real *response, const real *plan, int N, real *by_plan)
 {
     memset(by_plan, 0, (size_t)(2 * (N + 1)) * sizeof(real));
     for (int channel = 0; channel < 2; channel++) {
@@ -331,7 +331,7 @@ typedef struct {
 
 /* The rows of one sample: positions, errors along and across, and their part of the gradient. The compiler is told that
    nothing overlaps, and so works on whole lanes. */
-DDMPC_HOT static void fill_row(int count, const row_weights *w, const real *restrict mean_v,
+static void fill_row(int count, const row_weights *w, const real *restrict mean_v,
                                const real *restrict mean_omega, const real *restrict before,
                                const real *restrict after, real *restrict moves_x, real *restrict moves_y,
                                real *restrict x, real *restrict y, real *restrict along, real *restrict across,
@@ -468,7 +468,7 @@ static void fill_rows(ddmpc_controller *c)
 }
 
 /* The rows' squares, tile by tile. A row is zero beyond the commands that it answers to. */
-DDMPC_HOT static void square_stack(const real *stack, int steps, int stacked, int width, int inputs, real *H)
+static void square_stack(const real *stack, int steps, int stacked, int width, int inputs, real *H)
 {
     for (int i = 0; i < inputs; i += DDMPC_LANES) {
         const int first = stacked * (i / 2);

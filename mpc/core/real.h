@@ -30,9 +30,6 @@ typedef double real;
 #define ddmpc_hypot hypot
 #endif
 
-#ifndef DDMPC_HOT
-#define DDMPC_HOT
-#endif
 
 /* Instants stay double: a float counts hours in steps of milliseconds. */
 typedef double ddmpc_time;

@@ -40,7 +40,7 @@ static int factorise_corner(real S[DDMPC_LANES][DDMPC_LANES], int count)
 }
 
 /* H = R'R by rows of blocks; what lies left of the diagonal stays zero. */
-DDMPC_HOT static int factorise(const real *H, int inputs, real *factor)
+static int factorise(const real *H, int inputs, real *factor)
 {
     enum { LANES = DDMPC_LANES };
     memset(factor, 0, (size_t)(inputs * inputs + LANES) * sizeof(real));
@@ -95,7 +95,7 @@ static inline real long_dot(const real *a, const real *b, int count)
 }
 
 /* x = -H^-1 g; returns the largest entry of H x + g. */
-DDMPC_HOT static real minimise(const real *H, const real *g, const real *factor, int inputs, real *x)
+static real minimise(const real *H, const real *g, const real *factor, int inputs, real *x)
 {
     real residual = R(0.0);
     for (int i = 0; i < inputs; i++)

@@ -1,6 +1,9 @@
 /* One tick straight down from measurement to command, and what happens when a part of it fails. */
+/* for clock_gettime, which C99 alone does not know */
+#define _POSIX_C_SOURCE 199309L
 #include <string.h>
 
+#include "clock.h"
 #include "internal.h"
 
 static void forget(ddmpc_controller *c)
@@ -259,11 +262,14 @@ static int use(ddmpc_controller *c)
 
 static int track(ddmpc_controller *c)
 {
+    const ddmpc_time began = ddmpc_now();
     ddmpc_problem_begin(c);
     if (!c->problem.has_guess)
         ddmpc_problem_guess(c);
     ddmpc_problem_condense(c);
-    return ddmpc_solve(c) == DDMPC_NEEDS_BACKEND ? DDMPC_NEEDS_BACKEND : use(c);
+    const int pending = ddmpc_solve(c);
+    c->result.solve_time = ddmpc_now() - began;
+    return pending == DDMPC_NEEDS_BACKEND ? pending : use(c);
 }
 
 /* Follow the reference where the robot is on its path and on time; otherwise somebody has to say what to do. */
@@ -336,6 +342,7 @@ static void clear(ddmpc_result *result)
 {
     const ddmpc_report not_run = {DDMPC_QP_NOT_RUN, DDMPC_NO_WAY, 0, 0, (real)NAN, (real)NAN};
     result->solver = not_run;
+    result->solve_time = (ddmpc_time)NAN;
     result->reasons = 0;
     result->notes = 0;
     result->has_estimate = result->has_plan = 0;

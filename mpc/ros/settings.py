@@ -22,11 +22,12 @@ class NodeSettings(StrictModel, strict=True):
     config: str = Field(
         "ssm",
         min_length=1,
-        description="configuration whose values are the defaults of all parameters of the controller: mbm, sm, ssm or "
-        "the path of the YAML file that was simulated with; read once, at start-up [-]",
+        description="configuration whose values are the defaults of all parameters of the controller: mbm, sm, ssm, "
+        "kinematic or the path of the YAML file that was simulated with; read once, at start-up [-]",
     )
     trajectory: str = Field(
-        "circle", description="circle, square, s, cane or the path of a file; empty: references come by topic [-]"
+        "circle",
+        description="a shipped name such as circle, or the path of a file; empty: references come by topic [-]",
     )
     start_at_robot: bool = Field(
         True, description="lay the trajectory so that it starts where the robot stands; false: as its file has it [-]"

@@ -22,12 +22,16 @@ class TrajectoryLimits:
         Largest forward acceleration [m/s^2].
     omega_acceleration
         Largest yaw acceleration [rad/s^2].
+    lateral_acceleration
+        Largest lateral acceleration |v omega|, which smooth timing keeps to [m/s^2]; by default that of the robot of
+        the papers.
     """
 
     v: float
     omega: float
     v_acceleration: float
     omega_acceleration: float
+    lateral_acceleration: float = load_robot().reference_acceleration.lateral
 
     def __post_init__(self) -> None:
         """Check that every bound is positive and finite; raises ValueError."""
@@ -45,4 +49,5 @@ class TrajectoryLimits:
             omega=robot.limits.omega,
             v_acceleration=robot.reference_acceleration.v,
             omega_acceleration=robot.reference_acceleration.omega,
+            lateral_acceleration=robot.reference_acceleration.lateral,
         )

@@ -1,4 +1,4 @@
-"""The fastest speed along a given path that keeps to the speed and acceleration limits, by two passes."""
+"""Time along a path: the fastest speed that keeps to the speed and acceleration limits, by two passes."""
 
 from __future__ import annotations
 
@@ -6,10 +6,17 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath
 
 
 def squared_speeds(
-    lengths: FloatArray, bend: FloatArray, bend_change: FloatArray, limits: TrajectoryLimits, cruise: float
+    lengths: FloatArray,
+    bend: FloatArray,
+    bend_change: FloatArray,
+    limits: TrajectoryLimits,
+    cruise: float | FloatArray,
+    *,
+    lateral: bool = False,
 ) -> FloatArray:
     """Squared speed at the ends of the pieces of a path, at rest at both ends of the path.
 
@@ -29,7 +36,9 @@ def squared_speeds(
     limits
         Speed and acceleration limits.
     cruise
-        Highest speed wanted [m/s].
+        Highest speed wanted, on all or on each (m,) of the pieces [m/s].
+    lateral
+        Whether the lateral acceleration |k| v^2 is limited too.
 
     Returns
     -------
@@ -38,9 +47,11 @@ def squared_speeds(
     """
     with np.errstate(divide="ignore", over="ignore"):
         cap = np.minimum(
-            min(cruise, limits.v) ** 2,
+            np.minimum(cruise, limits.v) ** 2,
             np.minimum((limits.omega / bend) ** 2, limits.omega_acceleration / bend_change),
         )
+        if lateral:
+            cap = np.minimum(cap, limits.lateral_acceleration / bend)
     # A node belongs to two pieces; the path starts and ends at rest.
     square = np.concatenate([[0.0], np.minimum(cap[:-1], cap[1:]), [0.0]])
     # Rise from b0 to b1: b1 <= b0 + 2 a_max ds, and |dk/ds| b1 + |k| (b1 - b0) / (2 ds) <= alpha_max, solved for b1.
@@ -58,3 +69,31 @@ def squared_speeds(
     for i in reversed(range(lengths.size)):
         square[i] = min(square[i], reachable(i, square[i + 1]))
     return square
+
+
+def timed(
+    path: SmoothPath, square: FloatArray, limits: TrajectoryLimits, sense: int = 1
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Instants (m + 1,) [s] from 0, poses (m + 1, 3) and their time derivatives at the ends of the pieces of `path`.
+
+    `square` are the squared speeds there [m^2/s^2], `sense` is 1 forwards and -1 backwards.
+    """
+    v = np.sqrt(square)
+    # Constant acceleration on each piece: its duration is its length over the mean of the speeds at its ends.
+    times = np.concatenate([[0.0], np.cumsum(2 * path.lengths / (v[:-1] + v[1:]))])
+    poses = np.column_stack([path.points, path.heading])
+    along = sense * np.column_stack([np.cos(path.heading), np.sin(path.heading)])
+    rates = v[:, None] * np.column_stack([along, path.curvature])
+    # Between the nodes the heading is a cubic, whose yaw acceleration may exceed the timed one by a hair.
+    slower = np.sqrt(max(1.0, _yaw_acceleration(times, path.heading, rates[:, 2]) / limits.omega_acceleration))
+    return times * slower, poses, rates / slower
+
+
+def _yaw_acceleration(times: FloatArray, heading: FloatArray, rate: FloatArray) -> float:
+    """Largest |second derivative| [rad/s^2] of the cubic pieces with these values and slopes at `times`."""
+    step = np.diff(times)
+    mean = np.diff(heading) / step
+    first, last = rate[:-1], rate[1:]
+    # The second derivative is linear on a piece: its extremes are at the ends.
+    ends = np.stack([6 * mean - 4 * first - 2 * last, -6 * mean + 2 * first + 4 * last]) / step
+    return float(np.abs(ends).max())

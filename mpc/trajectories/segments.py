@@ -1,8 +1,9 @@
-"""Sequences of (v, omega, duration), turned into a timed reference that a robot at rest can start and end.
+"""Sequences of (v, omega, duration), turned into a timed reference: what `timing: stop` and `commanded` mean.
 
 A segment fixes geometry and cruise speed: an arc of length |v| duration and curvature omega / v, driven backwards where
-v < 0; a turn on the spot where v = 0; a wait where both are zero. The geometry is kept exactly and time is
-added where the acceleration limits need it.
+v < 0; a turn on the spot where v = 0; a wait where both are zero. With `commanded` each twist lasts for its duration.
+With `stop` a robot at rest can start and end it, the geometry is kept exactly and time is added where the acceleration
+limits need it.
 
 On an arc omega = curvature * v, so where the curvature jumps, omega would jump too unless v = 0 there. Exact
 geometry with a bounded yaw acceleration thus forces the robot to rest between segments of different curvature, between
@@ -22,7 +23,7 @@ from pydantic import Field
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory, Stretch
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.timing import Phase, rest_to_rest
+from diffdrive_mpc.mpc.trajectories.timing import Phase, Timing, between, rest_to_rest
 
 # A slower twist is a wait: over any duration it leads nowhere, and its square would underflow.
 _STILL = 1e-100
@@ -53,6 +54,10 @@ class SegmentFile(StrictModel):
     name: str | None = Field(default=None, description="name for tables and figures; default: name of the file")
     start: tuple[float, float, float] = Field(default=(0.0, 0.0, 0.0), description="start pose x, y [m], theta [rad]")
     segments: list[Segment] = Field(description="segments in the order in which they are driven")
+    timing: Timing = Field(default="stop", description="how speed is laid over the path")
+    smoothing: float | None = Field(
+        default=None, gt=0, description="timing: smooth keeps within this distance of the path [m]; default: settings"
+    )
 
 
 def lay_segments(
@@ -72,6 +77,38 @@ def lay_segments(
     models.checked_yaml.ConfigError
         If there is no segment, or one is faster than `limits`.
     """
+    check_segments(segments, limits, where)
+    return ArcTrajectory.lay(name, start, [stretch for run in runs(segments) for stretch in timed_run(run, limits)])
+
+
+def lay_commanded(
+    segments: Sequence[Segment],
+    limits: TrajectoryLimits,
+    *,
+    name: str,
+    start: Sequence[float] = (0.0, 0.0, 0.0),
+    where: str = "trajectory",
+) -> ArcTrajectory:
+    """Take `segments` as a script would command them: each twist for its duration, with steps from one to the next.
+
+    Only at the start and at the end of all driving the twist follows a ramp within the accelerations, for which time is
+    added: a step from rest would say nothing of a path. Arguments and errors are those of `lay_segments`.
+    """
+    check_segments(segments, limits, where)
+    moving = [i for i, segment in enumerate(segments) if segment.cruise]
+    stretches = []
+    for i, segment in enumerate(segments):
+        cruise, length = segment.cruise, segment.cruise * segment.duration
+        phases = [Phase(0.0, 0.0, 0.0, segment.duration)]
+        if cruise:
+            entry, leave = (0.0 if i == end else cruise for end in (moving[0], moving[-1]))
+            phases = between(length, cruise, entry, leave, _acceleration([segment], limits))
+        stretches.append(Stretch(*segment.direction, length, phases))
+    return ArcTrajectory.lay(name, start, stretches)
+
+
+def check_segments(segments: Sequence[Segment], limits: TrajectoryLimits, where: str) -> None:
+    """Raise ConfigError if there is no segment, or one is faster than `limits`; `where` names their source."""
     if not segments:
         raise ConfigError(f"{where}: segments is empty; give at least one {{v, omega, duration}}")
     for i, segment in enumerate(segments):
@@ -81,10 +118,9 @@ def lay_segments(
                 raise ConfigError(
                     f"{where}: segments.{i}.{key} = {value:g} {unit} is beyond the limit of {bound:g} {unit}; lower it"
                 )
-    return ArcTrajectory.lay(name, start, [stretch for run in _runs(segments) for stretch in _timed(run, limits)])
 
 
-def _runs(segments: Sequence[Segment]) -> list[list[Segment]]:
+def runs(segments: Sequence[Segment]) -> list[list[Segment]]:
     """Group consecutive segments that may be joined without a stop."""
     runs = [[segments[0]]]
     for previous, segment in pairwise(segments):
@@ -103,17 +139,21 @@ def _joins(one: Segment, other: Segment) -> bool:
     )
 
 
-def _timed(run: Sequence[Segment], limits: TrajectoryLimits) -> list[Stretch]:
+def timed_run(run: Sequence[Segment], limits: TrajectoryLimits) -> list[Stretch]:
     """Time one run from rest to rest."""
     if not run[0].cruise:
         return [Stretch(0.0, 0.0, 0.0, [Phase(0.0, 0.0, 0.0, segment.duration)]) for segment in run]
-    bounds = (limits.v_acceleration, limits.omega_acceleration)
-    acceleration = min(
-        bound / abs(share) for segment in run for share, bound in zip(segment.direction, bounds, strict=True) if share
-    )
     lengths = [segment.cruise * segment.duration for segment in run]
-    phases = rest_to_rest(lengths, [segment.cruise for segment in run], acceleration)
+    phases = rest_to_rest(lengths, [segment.cruise for segment in run], _acceleration(run, limits))
     return [
         Stretch(*segment.direction, length, timing)
         for segment, length, timing in zip(run, lengths, phases, strict=True)
     ]
+
+
+def _acceleration(run: Sequence[Segment], limits: TrajectoryLimits) -> float:
+    """Largest change of the rate of progress that no segment of `run`, all moving, lacks room for."""
+    bounds = (limits.v_acceleration, limits.omega_acceleration)
+    return min(
+        bound / abs(share) for segment in run for share, bound in zip(segment.direction, bounds, strict=True) if share
+    )

@@ -18,6 +18,8 @@ class TrajectorySettings(StrictModel):
     speed_excess: float = Field(ge=0, description="share by which timed poses may exceed a speed limit")
     lateral_speed: float = Field(gt=0, description="sideways speed that timed poses may show [m/s]")
     least_turn_radius: float = Field(gt=0, description="tightest radius of a path through waypoints [m]")
+    smoothing: float = Field(gt=0, description="distance from the drawn path that smooth timing may use [m]")
+    smooth_piece: float = Field(gt=0, description="length of the pieces into which a smoothed path is cut [m]")
     longest_duration: float = Field(gt=0, description="longest trajectory [s]")
 
 

@@ -1,10 +1,10 @@
-"""Refuse a reference that the limits cannot follow, before the robot moves."""
+"""Refuse a reference that the limits cannot follow, before the robot moves; tell of one that steps."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from diffdrive_mpc.models.interface import Reference
+from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc.config.schema import Limits
 
 # A spline through timed poses may ring a little over its limit.
@@ -20,7 +20,7 @@ def check_speeds(reference: Reference, limits: Limits, dt: float) -> None:
     ValueError
         With one line that names reference, time, value and limit.
     """
-    times = np.linspace(0.0, reference.duration, min(int(reference.duration / dt) + 2, _MOST_SAMPLES))
+    times = _instants(reference, dt)
     twist = np.abs(reference.sample(times).twist)
     for row, (name, limit) in enumerate((("v", limits.v), ("omega", limits.omega))):
         worst = int(np.argmax(twist[:, row]))
@@ -30,3 +30,26 @@ def check_speeds(reference: Reference, limits: Limits, dt: float) -> None:
                 f"reference '{reference.name}': {name} = {value:.3g} at {times[worst]:.2f} s is more than "
                 f"limits.{name} = {limit:g}; slow the reference down or raise the limit"
             )
+
+
+def steps_beyond_slew(reference: Reference, limits: Limits, dt: float) -> str:
+    """One line on the largest steps of the reference's twist, where the command's slew takes longer for them than `dt`.
+
+    Such a reference is not refused: the controller rounds what the robot cannot follow. Empty where there is none.
+    """
+    # From before the start to after the end, where it rests.
+    times = np.concatenate([[-dt], _instants(reference, dt), [reference.duration + dt]])
+    steps = np.abs(np.diff(reference.sample(times).twist, axis=0)).max(axis=0)
+    said = [
+        f"{name} steps by up to {step:.3g} {unit}, for which limits.{name}_slew takes {step / slew:.2g} s"
+        for name, unit, step, slew in (
+            ("v", "m/s", steps[0], limits.v_slew),
+            ("omega", "rad/s", steps[1], limits.omega_slew),
+        )
+        if step > slew * (times[2] - times[1]) * (1 + 1e-6)
+    ]
+    return f"reference '{reference.name}': {'; '.join(said)}" if said else ""
+
+
+def _instants(reference: Reference, dt: float) -> FloatArray:
+    return np.linspace(0.0, reference.duration, min(int(reference.duration / dt) + 2, _MOST_SAMPLES))

@@ -27,14 +27,22 @@ class SplineTrajectory(Trajectory):
     table
         (16, m) coefficients of x, y, theta and arc length for each power of the time since the start of the piece,
         highest power first.
+    drawn
+        (m + 1,) distances from the path as it was drawn [m] at the breaks; None where it is that path.
     """
 
     breaks: FloatArray
     table: FloatArray
+    drawn: FloatArray | None = None
 
     @classmethod
-    def through(cls, name: str, times: FloatArray, poses: FloatArray, rates: FloatArray) -> SplineTrajectory:
-        """Interpolate poses (m + 1, 3) and their time derivatives (m + 1, 3) at `times` (m + 1,), which start at 0."""
+    def through(
+        cls, name: str, times: FloatArray, poses: FloatArray, rates: FloatArray, drawn: FloatArray | None = None
+    ) -> SplineTrajectory:
+        """Interpolate poses (m + 1, 3) and their time derivatives (m + 1, 3) at `times` (m + 1,), which start at 0.
+
+        `drawn` are the distances (m + 1,) from the path as it was drawn [m], where it is another.
+        """
         motion = CubicHermiteSpline(times, poses, rates)
         step = np.diff(times)
         inside = times[:-1, None] + step[:, None] * (_NODES + 1) / 2
@@ -46,7 +54,7 @@ class SplineTrajectory(Trajectory):
         arc_length = CubicHermiteSpline(times, np.concatenate([[0.0], np.cumsum(advance)]), slope)
         coefficients = np.concatenate([motion.c, arc_length.c[..., None]], axis=-1)
         table = np.ascontiguousarray(coefficients.transpose(0, 2, 1).reshape(16, -1))
-        return cls(name, float(times[-1]), times, table)
+        return cls(name, float(times[-1]), times, table, drawn)
 
     @cached_property
     def native(self) -> NativeTrajectory:
@@ -56,6 +64,12 @@ class SplineTrajectory(Trajectory):
     def sample(self, times: ArrayLike) -> ReferenceSample:
         """Evaluate at `times` (n,) [s]; see `Trajectory.sample`."""
         return self.native.sample(times)
+
+    def drawn_distance(self, times: ArrayLike) -> FloatArray:
+        """See `Trajectory.drawn_distance`."""
+        if self.drawn is None:
+            return super().drawn_distance(times)
+        return np.asarray(np.interp(np.asarray(times, dtype=float).reshape(-1), self.breaks, self.drawn))
 
     def __getstate__(self) -> dict[str, object]:
         """Without the memory of C."""

@@ -1,11 +1,20 @@
-"""Rest-to-rest speed profiles under an acceleration limit, in closed form."""
+"""Ways of timing, and rest-to-rest speed profiles under an acceleration limit, in closed form."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
+
+Timing = Literal["stop", "commanded", "smooth"]
+"""How speed is laid over a drawn path.
+
+stop: the path exactly, within the limits; the robot stops where the curvature jumps. commanded: twists as they are
+drawn, which step while the robot drives; a ramp at the start and one at the end. smooth: jumps of curvature rounded by
+clothoids, within the limits; the robot stops at cusps and turns on the spot only.
+"""
+TIMINGS: tuple[Timing, ...] = get_args(Timing)
 
 
 class Phase(NamedTuple):
@@ -47,7 +56,7 @@ def rest_to_rest(lengths: Sequence[float], cruises: Sequence[float], acceleratio
     for i in reversed(range(len(lengths))):
         joints[i] = min(joints[i], _reachable(joints[i + 1], lengths[i], acceleration))
     return [
-        _stretch(length, cruise, joints[i], joints[i + 1], acceleration)
+        between(length, cruise, joints[i], joints[i + 1], acceleration)
         for i, (length, cruise) in enumerate(zip(lengths, cruises, strict=True))
     ]
 
@@ -57,8 +66,13 @@ def _reachable(rate: float, length: float, acceleration: float) -> float:
     return math.sqrt(rate * rate + 2 * acceleration * length)
 
 
-def _stretch(length: float, cruise: float, entry: float, leave: float, acceleration: float) -> list[Phase]:
-    """Speed up from `entry`, cruise, slow down to `leave`."""
+def between(length: float, cruise: float, entry: float, leave: float, acceleration: float) -> list[Phase]:
+    """Speed up from `entry` or what `leave` can be reached from, cruise, slow down to `leave` or what can be reached.
+
+    Both are at most `cruise`; units and phases are those of `rest_to_rest`.
+    """
+    leave = min(leave, _reachable(entry, length, acceleration))
+    entry = min(entry, _reachable(leave, length, acceleration))
     peak = min(cruise, math.sqrt(acceleration * length + (entry**2 + leave**2) / 2))
     rise = (peak**2 - entry**2) / (2 * acceleration)
     fall = (peak**2 - leave**2) / (2 * acceleration)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.interface import ReferenceSample
+from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,3 +38,7 @@ class Trajectory(ABC):
         ReferenceSample
             pose (n, 3) [m, m, rad unwrapped], twist (n, 2) [m/s, rad/s], arc length (n,) [m].
         """
+
+    def drawn_distance(self, times: ArrayLike) -> FloatArray:
+        """Distance (n,) [m] at `times` (n,) [s] from the path as it was drawn: zero unless smooth timing changed it."""
+        return np.zeros(np.size(times))

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
-from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds
-from diffdrive_mpc.mpc.trajectories.smooth_path import smooth_path
+from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds, timed
+from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath, smooth_path
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc.mpc.trajectories.timing import Timing
 
 # A thousand kilometres: further is a mistake of units, and squares of it would overflow before long.
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
+
+# rad/s^2, no robot turns so.
+_UNLIMITED = 1e9
 
 
 class WaypointFile(StrictModel):
@@ -25,6 +29,7 @@ class WaypointFile(StrictModel):
     name: str | None = Field(default=None, description="name for tables and figures; default: name of the file")
     waypoints: list[tuple[Coordinate, Coordinate]] = Field(description="points x, y [m] in the order of passing")
     speed: float | None = Field(default=None, gt=0, description="cruise speed [m/s]; default: the speed limit")
+    timing: Timing = Field(default="stop", description="how speed is laid over the path")
 
 
 def lay_waypoints(
@@ -34,11 +39,14 @@ def lay_waypoints(
     name: str,
     speed: float | None = None,
     where: str = "trajectory",
+    timing: Timing = "stop",
 ) -> SplineTrajectory:
-    """Lay a smooth path through `waypoints` (x, y [m]) and time it, starting and ending at rest.
+    """Lay a smooth path through `waypoints` (x, y [m]) and time it.
 
-    The path is a natural cubic spline over chord length, so its curvature is continuous. It is driven forwards, as
-    fast as `speed` [m/s] and `limits` allow. `where` names the source of the waypoints in error messages.
+    The path is a natural cubic spline over chord length, so its curvature is continuous. It is driven forwards, from
+    rest to rest and as fast as `speed` [m/s] and `limits` allow; with `timing` "smooth" the lateral acceleration is
+    limited too. With "commanded" the speed is constant but for the ramps at both ends. `where` names the source of the
+    waypoints in error messages.
 
     Raises
     ------
@@ -51,22 +59,26 @@ def lay_waypoints(
     if speed is not None and speed > limits.v:
         raise ConfigError(f"{where}: speed = {speed:g} m/s is beyond the limit of {limits.v:g} m/s; lower it")
     path = smooth_path(np.asarray(waypoints, dtype=float), where)
-    square = squared_speeds(path.lengths, path.bend, path.bend_change, limits, speed or limits.v)
-    v = np.sqrt(square)
-    # Constant acceleration on each piece: its duration is its length over the mean of the speeds at its ends.
-    times = np.concatenate([[0.0], np.cumsum(2 * path.lengths / (v[:-1] + v[1:]))])
-    poses = np.column_stack([path.points, path.heading])
-    rates = v[:, None] * np.column_stack([np.cos(path.heading), np.sin(path.heading), path.curvature])
-    # Between the nodes the heading is a cubic, whose yaw acceleration may exceed the timed one by a hair.
-    slower = np.sqrt(max(1.0, _yaw_acceleration(times, path.heading, rates[:, 2]) / limits.omega_acceleration))
-    return SplineTrajectory.through(name, times * slower, poses, rates / slower)
+    if timing == "commanded":
+        limits = _unlimited_yaw_acceleration(path, speed or limits.v, limits, where)
+    square = squared_speeds(
+        path.lengths, path.bend, path.bend_change, limits, speed or limits.v, lateral=timing == "smooth"
+    )
+    return SplineTrajectory.through(name, *timed(path, square, limits))
 
 
-def _yaw_acceleration(times: FloatArray, heading: FloatArray, rate: FloatArray) -> float:
-    """Largest |second derivative| [rad/s^2] of the cubic pieces with these values and slopes at `times`."""
-    step = np.diff(times)
-    mean = np.diff(heading) / step
-    first, last = rate[:-1], rate[1:]
-    # The second derivative is linear on a piece: its extremes are at the ends.
-    ends = np.stack([6 * mean - 4 * first - 2 * last, -6 * mean + 2 * first + 4 * last]) / step
-    return float(np.abs(ends).max())
+def _unlimited_yaw_acceleration(
+    path: SmoothPath, speed: float, limits: TrajectoryLimits, where: str
+) -> TrajectoryLimits:
+    """Limits with which only the ramps at both ends are slower than `speed` [m/s]; omega follows the path.
+
+    Raises ConfigError where omega would be beyond its limit.
+    """
+    worst = int(np.argmax(path.bend))
+    if path.bend[worst] * speed > limits.omega:
+        x, y = path.points[worst]
+        raise ConfigError(
+            f"{where}: timing commanded: omega = {path.bend[worst] * speed:.3g} rad/s at x = {x:.3g} m, y = {y:.3g} m "
+            f"is beyond the limit of {limits.omega:g} rad/s; lower the speed, or take another timing"
+        )
+    return replace(limits, omega_acceleration=_UNLIMITED)

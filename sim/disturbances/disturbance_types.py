@@ -15,6 +15,7 @@ from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.robot import NotNegative, Positive
 
 Wheel = Literal["front_left", "front_right", "rear_left", "rear_right"]
+Sensor = Literal["pose", "wheels", "gyro"]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Span = tuple[float, float]
 """When a disturbance begins and when it is over [s]; infinity for one that lasts to the end of the run."""
@@ -127,8 +128,37 @@ class BatterySag(StrictModel):
 class DropOut(Window):
     """A sensor that delivers nothing."""
 
-    sensor: Literal["pose", "wheels", "gyro"] = Field(description="which sensor")
+    sensor: Sensor = Field(description="which sensor")
     duration: Positive = Field(description="how long [s]")
+
+
+class StuckSensor(Window):
+    """A sensor that repeats its last value, with stamps that go on."""
+
+    sensor: Sensor = Field(description="which sensor")
+
+
+class DeadEncoders(Window):
+    """Encoders of one or more wheels that count nothing; the motor drivers still know their speeds."""
+
+    wheels: Annotated[tuple[Wheel, ...], Field(min_length=1)] = Field(description="wheels that read zero")
+
+
+class GyroBias(Window):
+    """A gyro that is off by a constant."""
+
+    bias: float = Field(description="added to the yaw rate [rad/s]")
+
+
+class PoseError(Window):
+    """Poses that are off at once and drift away, in the world's frame; with their usual stamps and noise."""
+
+    x: float = Field(0.0, description="off from the start on [m]")
+    y: float = Field(0.0, description="off from the start on [m]")
+    heading: float = Field(0.0, description="off from the start on, to the left [rad]")
+    x_rate: float = Field(0.0, description="drift [m/s]")
+    y_rate: float = Field(0.0, description="drift [m/s]")
+    heading_rate: float = Field(0.0, description="drift to the left [rad/s]")
 
 
 class FalseCommand(Window):

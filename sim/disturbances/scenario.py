@@ -16,22 +16,27 @@ from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.sim.disturbances.disturbance_types import (
     BatterySag,
     Blockade,
+    DeadEncoders,
     DropOut,
     FalseCommand,
+    GyroBias,
     Patch,
     Payload,
+    PoseError,
     Push,
     SlippingWheel,
     Slope,
     Span,
     StartOffset,
+    StuckSensor,
     WeakMotor,
     Window,
 )
 from diffdrive_mpc.sim.disturbances.drawn_values import check_drawn, drawn, extremes
 
 SCENARIOS = Path(__file__).parent / "scenarios"
-_ANY_PLANT = ("start_offset", "drop_outs", "false_commands")
+_SENSOR_FAULTS = ("drop_outs", "stuck_sensors", "dead_encoders", "gyro_biases", "pose_errors")
+_ANY_PLANT = ("start_offset", "false_commands", *_SENSOR_FAULTS)
 
 # Spawn keys of sensors and encoders are 0, 1, 2 and 1000: a scenario changes no noise. Of the keys beyond, this one
 # gives the seeds 0 to 3 all four signs of the shipped start offset, and both of false command and push.
@@ -50,6 +55,10 @@ class Scenario(StrictModel):
     slipping_wheels: tuple[SlippingWheel, ...] = ()
     battery: BatterySag | None = None
     drop_outs: tuple[DropOut, ...] = ()
+    stuck_sensors: tuple[StuckSensor, ...] = ()
+    dead_encoders: tuple[DeadEncoders, ...] = ()
+    gyro_biases: tuple[GyroBias, ...] = ()
+    pose_errors: tuple[PoseError, ...] = ()
     false_commands: tuple[FalseCommand, ...] = ()
     pushes: tuple[Push, ...] = ()
     blockades: tuple[Blockade, ...] = ()
@@ -71,7 +80,7 @@ class Scenario(StrictModel):
             *self.weak_motors,
             *self.slipping_wheels,
             *([self.battery] if self.battery else ()),
-            *self.drop_outs,
+            *(fault for name in _SENSOR_FAULTS for fault in getattr(self, name)),
             *self.false_commands,
             *self.pushes,
             *self.blockades,

@@ -34,6 +34,7 @@ _SHOWN = (
     ("course", "rad", 1.0, 4, "course [rad]"),
     ("lateral", "m", 1.0, 4, "|lateral| [m]"),
     ("step_time", "s", 1e3, 2, "step time [ms]"),
+    ("solve_time", "s", 1e3, 2, "of it the solve [ms]"),
 )
 
 
@@ -42,7 +43,7 @@ class Metrics:
     """Statistics of one run; the field names are those of `bench.json`, units in their endings. They print as a table.
 
     `heading_*` other than the RMSE are of the absolute error. A value that cannot be computed (the robot never moved,
-    a pose was not finite) is NaN.
+    a pose was not finite, nothing was solved) is NaN. Times and iterations are those of the ticks that have one.
     """
 
     steps: int
@@ -65,6 +66,12 @@ class Metrics:
     step_time_p95_s: float
     step_time_p99_s: float
     step_time_max_s: float
+    solve_time_p50_s: float
+    solve_time_p95_s: float
+    solve_time_p99_s: float
+    solve_time_max_s: float
+    iterations_mean: float
+    iterations_max: float
     deadline_misses: int
     fallbacks: int
 
@@ -127,6 +134,16 @@ class ScoredRun(Protocol):
         ...
 
     @property
+    def solve_time(self) -> FloatArray:
+        """(n,) of that stating and solving the problem [s]; NaN where nothing was solved."""
+        ...
+
+    @property
+    def solver_iterations(self) -> FloatArray:
+        """(n,) iterations of the solver; NaN where there was none."""
+        ...
+
+    @property
     def modes(self) -> Sequence[str]:
         """Mode of the controller at each tick."""
         ...
@@ -154,8 +171,8 @@ def compute_metrics(run: ScoredRun) -> Metrics:
     heading = np.abs(run.errors.heading[counted])
     lateral = np.abs(run.errors.lateral[counted])
     course = run.errors.course[counted]
-    step_time = run.step_time[counted]
-    p50, p95, p99 = (float(value) for value in np.percentile(step_time, [50, 95, 99]))
+    step_time, iterations = run.step_time[counted], run.solver_iterations[counted]
+    iterations = iterations[np.isfinite(iterations)]
     return Metrics(
         steps=int(np.count_nonzero(counted)),
         completed=_completed(run),
@@ -173,13 +190,21 @@ def compute_metrics(run: ScoredRun) -> Metrics:
         lateral_p95_m=float(np.percentile(lateral, 95)),
         lateral_max_m=float(np.max(lateral)),
         in_band_percent=100.0 * float(np.mean(lateral <= metric_settings().band)),
-        step_time_p50_s=p50,
-        step_time_p95_s=p95,
-        step_time_p99_s=p99,
-        step_time_max_s=float(np.max(step_time)),
+        **_percentiles("step_time", step_time),
+        **_percentiles("solve_time", run.solve_time[counted]),
+        iterations_mean=float(np.mean(iterations)) if iterations.size else math.nan,
+        iterations_max=float(np.max(iterations)) if iterations.size else math.nan,
         deadline_misses=int(np.count_nonzero(step_time > run.sample_time)),
         fallbacks=sum(mode in FALLBACK_MODES for mode, used in zip(run.modes, counted, strict=True) if used),
     )
+
+
+def _percentiles(name: str, times: FloatArray) -> dict[str, float]:
+    times = times[np.isfinite(times)]
+    values = np.percentile(times, [50, 95, 99, 100]).tolist() if times.size else [math.nan] * 4
+    return {
+        f"{name}_{statistic}_s": value for statistic, value in zip(("p50", "p95", "p99", "max"), values, strict=True)
+    }
 
 
 def _rms(values: FloatArray) -> float:

@@ -12,19 +12,23 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import Robot
 from diffdrive_mpc.sim.disturbances.disturbance_types import Payload, Slope
 from diffdrive_mpc.sim.plants.plant import RobotLostError
-from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters
+from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, Tyre
 
 _TIPPED = math.pi / 4
 """Lean from which no robot with its wheels below its body comes back [rad]."""
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 _SETTLING_TIME = 1.0
+_CAPSULE = 1e-4
+"""Half the length of a wheel that is a capsule [m]: its two contact points are as good as one."""
 
 
 class Chassis:
     """Free body, four hinged wheels, one contact point per wheel.
 
-    The wheels are spheres to the contact solver: one smooth contact point each, midway across the tyre.
+    The wheels are spheres to the contact solver: one smooth contact point each, midway across the tyre. Where friction
+    across the rolling direction is another one than along it, they are very short capsules along the axle: MuJoCo
+    turns the contact frame of a sphere with the floor, that of a capsule with the capsule.
 
     Parameters
     ----------
@@ -38,6 +42,8 @@ class Chassis:
         A load on the body.
     slope
         Tilt of the floor; positions and headings stay those in its plane.
+    sideways
+        Sliding friction across the rolling direction over that along it.
     """
 
     def __init__(
@@ -48,6 +54,7 @@ class Chassis:
         step: float,
         payload: Payload | None = None,
         slope: Slope | None = None,
+        sideways: float = 1.0,
     ) -> None:
         import mujoco  # noqa: PLC0415 - an optional dependency, needed by this plant only
 
@@ -57,8 +64,10 @@ class Chassis:
         self._forward = mujoco.mj_forward
         self._restart = mujoco.mj_resetData
         self._largest = float(mujoco.mjMAXVAL)
-        self._model: Any = mujoco.MjModel.from_xml_string(_mjcf(robot, twin, friction, step, payload))
+        self._model: Any = mujoco.MjModel.from_xml_string(_mjcf(robot, twin, step, payload, sideways != 1.0))
         self._data: Any = mujoco.MjData(self._model)
+        self._sideways = sideways
+        self.set_friction(np.full(4, friction))
         self._torque = self._data.qfrc_applied[6:10]
         self._position, self._velocity = self._data.qpos, self._data.qvel
         for _ in range(round(_SETTLING_TIME / step)):
@@ -99,8 +108,9 @@ class Chassis:
         self._yaw += math.remainder(yaw - self._yaw, 2 * math.pi)
 
     def set_friction(self, friction: FloatArray) -> None:
-        """Change the sliding friction coefficient under each wheel (4,); it outlasts a reset."""
-        self._model.pair_friction[:, :2] = friction[:, None]
+        """Change the sliding friction coefficient under each wheel (4,), along its rolling; it outlasts a reset."""
+        self._model.pair_friction[:, 0] = self._sideways * friction
+        self._model.pair_friction[:, 1] = friction
 
     def release(self) -> None:
         """End all pushes."""
@@ -145,7 +155,7 @@ class Chassis:
     @property
     def wheels_on_floor(self) -> int:
         """Number of wheels that touch the floor."""
-        return int(self._data.ncon)
+        return len({self._data.contact[i].geom2 for i in range(self._data.ncon)})
 
     @property
     def wheel_loads(self) -> FloatArray:
@@ -180,25 +190,48 @@ def _tilted(gravity: FloatArray, slope: Slope) -> FloatArray:
     return np.asarray(np.linalg.norm(gravity) * direction)
 
 
-def _mjcf(robot: Robot, twin: TwinParameters, friction: float, step: float, payload: Payload | None) -> str:
-    """The model in MuJoCo's XML format."""
+def _of_two(tyre: Tyre) -> Tyre:
+    """The tyre of one of two contact points side by side that together are as stiff and as damped as `tyre`.
+
+    MuJoCo gives a contact of impedance d, time constant t and damping ratio z the regularisation (1 - d) / d of its
+    inverse mass, the damping 2 / (d t) and the stiffness 1 / (d t^2 z^2): twice the first, and the same of the others.
+    """
+    share = 1.0 / (1.0 + 2.0 * (1.0 / tyre.impedance - 1.0))
+    ratio = tyre.impedance / share
+    return tyre.model_copy(
+        update={
+            "impedance": share,
+            "contact_time": tyre.contact_time * ratio,
+            "contact_damping": tyre.contact_damping / ratio**0.5,
+            "creep_time": tyre.creep_time * ratio,
+        }
+    )
+
+
+def _mjcf(robot: Robot, twin: TwinParameters, step: float, payload: Payload | None, aligned: bool) -> str:
+    """The model in MuJoCo's XML format; `aligned` gives contacts whose first tangent is along the axle."""
     chassis, tyre, radius = twin.chassis, twin.tyre, robot.wheel_radius
     half_base, half_track = chassis.wheel_base / 2, robot.track / 2
+    shape = f'type="sphere" size="{radius}"'
+    if aligned:
+        shape, tyre = f'type="capsule" size="{radius} {_CAPSULE}" euler="90 0 0"', _of_two(tyre)
     places = [(half_base, half_track), (half_base, -half_track), (-half_base, half_track), (-half_base, -half_track)]
     wheels = "".join(
         f'<body pos="{x} {y} 0"><joint type="hinge" axis="0 1 0" armature="{twin.motor.rotor_inertia}"/>'
-        f'<geom name="{name}" type="sphere" size="{radius}" mass="{chassis.wheel_mass}"/></body>'
+        f'<geom name="{name}" {shape} mass="{chassis.wheel_mass}"/></body>'
         for name, (x, y) in zip(WHEELS, places, strict=True)
     )
     # Friction gets a time constant of its own: with that of the normal direction, fast skidding lifts the wheels.
     contacts = "".join(
-        f'<pair geom1="floor" geom2="{name}" condim="3" friction="{friction} {friction} 0 0 0"'
+        f'<pair geom1="floor" geom2="{name}" condim="3" friction="1 1 0 0 0"'
         f' solref="{tyre.contact_time} {tyre.contact_damping}" solreffriction="{tyre.creep_time} 1"'
         f' solimp="{tyre.impedance} {tyre.impedance} 0.001"/>'
         for name in WHEELS
     )
     length, width, height = (size / 2 for size in chassis.body_size)
     body_mass = robot.mass - 4 * chassis.wheel_mass
+    # The wheels stay where they are: the body alone has to move the centre of the whole.
+    ahead, left = (robot.mass / body_mass * offset for offset in chassis.centre_of_mass)
     load = ""
     if payload is not None:
         load = (
@@ -212,6 +245,6 @@ def _mjcf(robot: Robot, twin: TwinParameters, friction: float, step: float, payl
         '<default><geom contype="0" conaffinity="0"/></default>'
         '<worldbody><geom name="floor" type="plane" size="0 0 1"/>'
         f'<body pos="0 0 {radius}"><freejoint/><geom type="box" size="{length} {width} {height}"'
-        f' pos="0 0 {chassis.body_height}" mass="{body_mass}"/>{load}{wheels}</body></worldbody>'
+        f' pos="{ahead} {left} {chassis.body_height}" mass="{body_mass}"/>{load}{wheels}</body></worldbody>'
         f"<contact>{contacts}</contact></mujoco>"
     )

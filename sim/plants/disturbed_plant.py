@@ -5,24 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement
-from diffdrive_mpc.models.robot import TwistBounds
+from diffdrive_mpc.models.robot import Robot
+from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.disturbances.disturbance_types import Span
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
+from diffdrive_mpc.sim.disturbances.sensor_faults import SensorFaults
 from diffdrive_mpc.sim.plants.link import clip_command
 from diffdrive_mpc.sim.plants.plant import Plant
 
-_FIELDS = {"pose": ("pose",), "wheels": ("wheel_twist", "wheel_speeds"), "gyro": ("yaw_rate",)}
-"""Fields of a measurement by the sensor that fills them."""
-
 
 class DisturbedPlant:
-    """Start offset, sensor drop-outs and false commands around any plant; see `sim.plants.plant.Plant`.
+    """Start offset, sensor faults and false commands around any plant; see `sim.plants.plant.Plant`.
 
     Parameters
     ----------
@@ -30,8 +28,8 @@ class DisturbedPlant:
         The plant, which brings about all other disturbances of the scenario itself.
     scenario
         What happens when.
-    limits
-        Commands are clipped to these, and `sent` says so.
+    robot
+        Commands are clipped to its limits, and `sent` says so; a dead encoder spoils the twist by its wheels.
     crossed
         Gives the spans of the patches that the plant has met so far.
     """
@@ -40,10 +38,11 @@ class DisturbedPlant:
         self,
         plant: Plant,
         scenario: Scenario,
-        limits: TwistBounds,
+        robot: Robot,
         crossed: Callable[[], Sequence[Span]] = tuple,
     ) -> None:
-        self._plant, self._scenario, self._limits, self._crossed = plant, scenario, limits, crossed
+        self._plant, self._scenario, self._limits, self._crossed = plant, scenario, robot.limits, crossed
+        self._faults = SensorFaults(scenario, WheelKinematics(robot.wheel_radius, robot.track))
         self.reset(np.zeros(3))
 
     @property
@@ -91,14 +90,12 @@ class DisturbedPlant:
             c, s = np.cos(start[2]), np.sin(start[2])
             start += [c * offset.along - s * offset.across, s * offset.along + c * offset.across, offset.heading]
         self._sent: tuple[float, float] | None = None
+        self._faults.reset()
         self._plant.reset(start)
 
     def measure(self) -> Measurement:
-        """Everything that the sensors delivered since the last call, without what dropped out."""
-        measurement = self._plant.measure()
-        lost = [item.sensor for item in self._scenario.drop_outs if item.holds(self.time)]
-        changes: dict[str, Any] = {field: None for sensor in lost for field in _FIELDS[sensor]}
-        return replace(measurement, sent=self._sent, **changes)
+        """Everything that the sensors delivered since the last call, with their faults."""
+        return replace(self._faults.apply(self._plant.measure(), self.time), sent=self._sent)
 
     def advance(self, command: ArrayLike) -> None:
         """Send `command` (2,), or a false one in its place, and let one sample pass; raises ValueError as any plant."""

@@ -10,10 +10,11 @@ from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.plant import Plant
+from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
-_MODEL_PREFIX = "model:"
+_PHYSICS, _MODEL_PREFIX = "mujoco", "model:"
 
 
 def make_plant(
@@ -30,8 +31,8 @@ def make_plant(
     Parameters
     ----------
     name
-        "mujoco" for the physics, or "model:NAME" for a velocity model with the base effects of its file, NAME as
-        `models.load_model` takes it.
+        "mujoco" for the physics, "mujoco:NAME" for another robot in it, NAME shipped or the path of a robot file, or
+        "model:NAME" for a velocity model with the base effects of its file, NAME as `models.load_model` takes it.
         "model:NAME+SECONDS" puts that dead time on top of the model's own, as `extra_dead_time` does: "model:sm+0.04".
         Where a file has the whole of NAME+SECONDS for a path, it is that file.
     surface
@@ -58,19 +59,30 @@ def make_plant(
         raise ConfigError(f"seed {seed!r}: give an integer that is not negative")
     floor, sensor_set = load_surface(surface), load_sensor_set(sensors)
     happening = load_scenario(scenario).draw(seed)
-    if name == "mujoco":
+    if name == _PHYSICS or name.startswith(f"{_PHYSICS}:"):
         if floor.friction is None:
             raise ConfigError(f"surface '{surface}' has no friction: it is for 'model:' plants; wheels need it to push")
         if extra_dead_time:
             raise ConfigError(
-                "extra_dead_time is for 'model:' plants; 'mujoco' has link.dead_time in its parameter file"
+                "extra_dead_time is for 'model:' plants; 'mujoco:PATH' has twin.link.dead_time in its robot file"
             )
         from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
 
+        _, colon, file = name.partition(":")
+        build = load_simulated_robot(file) if colon else None
+        robot = MujocoPlant(
+            floor.friction,
+            sensor_set,
+            seed,
+            robot=build.robot if build else None,
+            twin=build.twin if build else None,
+            firmware=build.firmware if build else None,
+            scenario=happening if happening.physical else None,
+            sideways=floor.sideways,
+        )
         if not happening.kinds:
-            return MujocoPlant(floor.friction, sensor_set, seed)
-        robot = MujocoPlant(floor.friction, sensor_set, seed, scenario=happening if happening.physical else None)
-        return DisturbedPlant(robot, happening, load_robot().limits, lambda: robot.crossed)
+            return robot
+        return DisturbedPlant(robot, happening, build.robot if build else load_robot(), lambda: robot.crossed)
     if name.startswith(_MODEL_PREFIX):
         from diffdrive_mpc.models.load import load_base_effects, load_model  # noqa: PLC0415 - only this plant needs it
         from diffdrive_mpc.sim.plants.model_plant import ModelPlant  # noqa: PLC0415
@@ -92,9 +104,10 @@ def make_plant(
             extra_dead_time=extra_dead_time,
             effects=load_base_effects(model),
         )
-        return DisturbedPlant(plant, happening, load_robot().limits) if happening.kinds else plant
+        return DisturbedPlant(plant, happening, load_robot()) if happening.kinds else plant
     raise ConfigError(
-        f"unknown plant '{name}': give 'mujoco' or 'model:NAME' (mbm, sm, ssm or the path of a model file), with more "
+        f"unknown plant '{name}': give 'mujoco', 'mujoco:NAME' (another robot, such as 'heavy', or the path of a robot "
+        "file) or 'model:NAME' (mbm, sm, ssm, a robot such as 'husky', or the path of a model file), with more "
         "dead time 'model:NAME+SECONDS'"
     )
 

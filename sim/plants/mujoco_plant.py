@@ -37,6 +37,8 @@ class MujocoPlant:
         Other robots than the shipped one.
     scenario
         What happens to chassis and motors; the rest of it is for `sim.plants.disturbed_plant.DisturbedPlant`.
+    sideways
+        Friction across the rolling direction of the wheels over that along it.
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class MujocoPlant:
         twin: TwinParameters | None = None,
         firmware: Firmware | None = None,
         scenario: Scenario | None = None,
+        sideways: float = 1.0,
     ) -> None:
         robot, twin = robot or load_robot(), twin or load_twin_parameters()
         self._robot = robot
@@ -57,7 +60,7 @@ class MujocoPlant:
         pulse = 2 * np.pi / robot.encoder_pulses
         phase = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_ENCODER_PHASE_KEY,))).random(4)
         load, slope = (scenario.payload, scenario.slope) if scenario else (None, None)
-        self._chassis = Chassis(robot, twin, friction, step, load, slope)
+        self._chassis = Chassis(robot, twin, friction, step, load, slope, sideways)
         self._line = DelayLine(twin.link.dead_time)
         self._shaper = CommandShaper(firmware or load_firmware(), robot, step)
         self._observer = SpeedObserver(twin.driver.observer_bandwidth, pulse, step, phase)

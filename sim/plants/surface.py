@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.named_file import named_file
@@ -26,7 +26,23 @@ class Surface(StrictModel):
     """One floor."""
 
     friction: Positive | None = Field(default=None, description="sliding friction coefficient of tyre on floor")
+    sideways_friction: Positive | None = Field(
+        default=None, description="that coefficient across the rolling direction, where it is another one"
+    )
     slip: Slip = Field(description="slip of a plant that is a velocity model")
+
+    @model_validator(mode="after")
+    def _both_ways(self) -> Surface:
+        if self.sideways_friction is not None and self.friction is None:
+            raise ValueError("sideways_friction: give friction, along the rolling direction, too")
+        return self
+
+    @property
+    def sideways(self) -> float:
+        """Sliding friction across the rolling direction over that along it; 1 where both are the same."""
+        return (
+            1.0 if self.friction is None or self.sideways_friction is None else self.sideways_friction / self.friction
+        )
 
 
 def load_surface(name: str | Path) -> Surface:

@@ -22,6 +22,9 @@ class ChassisParameters(StrictModel):
     body_size: tuple[Positive, Positive, Positive] = Field(description="length, width, height of the body [m]")
     body_height: float = Field(description="centre of the body above the axles [m]")
     wheel_mass: Positive = Field(description="mass of one wheel [kg]")
+    centre_of_mass: tuple[float, float] = Field(
+        description="of the whole robot, ahead and to the left of the middle between the wheels [m]"
+    )
 
 
 class Tyre(StrictModel):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked, load_variation
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.robot import NotNegative
 
@@ -21,6 +21,12 @@ class PoseSensor(StrictModel):
     latency: float = Field(ge=0, le=2, description="from the instant a pose describes to its delivery [s]")
     position_sd: NotNegative = Field(description="standard deviation of x and of y [m]")
     heading_sd: NotNegative = Field(description="standard deviation of theta [rad]")
+    stated_position_sd: NotNegative | None = Field(
+        default=None, description="what the pose says of position_sd [m]; null: the truth"
+    )
+    stamped_on_arrival: bool = Field(
+        default=False, description="whether the stamp is the instant of delivery, as if the pose were not late"
+    )
 
 
 class Gyro(StrictModel):
@@ -45,11 +51,12 @@ class SensorSet(StrictModel):
 
 
 def load_sensor_set(name: str | Path) -> SensorSet:
-    """Read a sensor set by shipped name or path.
+    """Read a sensor set by shipped name or path; what its file leaves out is as in the default set.
 
     Raises
     ------
     models.checked_yaml.ConfigError
         If there is no such set or its file has a mistake.
     """
-    return load_checked(SensorSet, named_file("sensor set", SENSOR_SETS, name))
+    usual = load_checked(SensorSet, SENSOR_SETS / "default.yaml")
+    return load_variation(SensorSet, named_file("sensor set", SENSOR_SETS, name), usual.model_dump())

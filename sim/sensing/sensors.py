@@ -47,7 +47,10 @@ class Sensors:
         self._pose_sd = np.array([pose.position_sd, pose.position_sd, pose.heading_sd])
         self._speed_noise = speed_sd if noisy_encoders else 0.0
         to_body = kinematics.wheels_to_body
-        self._pose_covariance = _stated(np.diag(self._pose_sd**2))
+        stated_sd = self._pose_sd.copy()
+        if pose.stated_position_sd is not None:
+            stated_sd[:2] = pose.stated_position_sd
+        self._pose_covariance = _stated(np.diag(stated_sd**2))
         self._gyro_covariance = _stated(np.array([[gyro.noise_sd**2]]))
         self._speed_covariance = _stated(speed_sd**2 * np.eye(4))
         self._twist_covariance = _stated(speed_sd**2 * (to_body @ to_body.T))
@@ -59,7 +62,7 @@ class Sensors:
             np.random.default_rng(stream) for stream in np.random.SeedSequence(self._seed).spawn(3)
         )
         self._gyro_bias = self._parameters.gyro.bias_sd * self._gyro_stream.standard_normal()
-        self._on_the_way: deque[Stamped] = deque()
+        self._on_the_way: deque[tuple[float, Stamped]] = deque()
         # Back to the first pose that has arrived by time 0.
         self._next_pose = -int(np.ceil((self._parameters.pose.latency - _TIME_TOLERANCE) / self._period))
         for time in self.poses_due(0.0):
@@ -78,7 +81,9 @@ class Sensors:
         """The pose sensor looks at the true `pose` (3,) at `time` [s]."""
         value = np.asarray(pose, dtype=float) + self._pose_sd * self._pose_stream.standard_normal(3)
         value[2] = -wrap_angle(-value[2])  # into (-pi, pi], as SLAM reports it
-        self._on_the_way.append(Stamped(value, time, self._pose_covariance))
+        arrival = time + self._parameters.pose.latency
+        stamp = arrival if self._parameters.pose.stamped_on_arrival else time
+        self._on_the_way.append((arrival, Stamped(value, stamp, self._pose_covariance)))
 
     def see_motion(self, time: float, wheel_speeds: ArrayLike, yaw_rate: float) -> None:
         """Encoders and gyro are read at the tick at `time` [s]: wheel speeds (4,) [rad/s], true yaw rate [rad/s]."""
@@ -91,8 +96,8 @@ class Sensors:
     def collect(self, time: float, sent: tuple[float, float] | None) -> Measurement:
         """Everything delivered up to `time` [s] and not collected yet; of several poses the newest."""
         pose = None
-        while self._on_the_way and self._on_the_way[0].time + self._parameters.pose.latency <= time + _TIME_TOLERANCE:
-            pose = self._on_the_way.popleft()
+        while self._on_the_way and self._on_the_way[0][0] <= time + _TIME_TOLERANCE:
+            _, pose = self._on_the_way.popleft()
         measurement = Measurement(
             pose=pose,
             wheel_twist=self._wheel_twist,

@@ -69,7 +69,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("simulate --plant foo", "unknown plant 'foo'"),
         ("simulate --surface foo", "unknown surface 'foo'"),
         ("simulate --sensors foo", "unknown sensor set 'foo'"),
-        ("simulate --scenario pusch", "unknown scenario 'pusch': give one of battery_sag, blocked"),
+        ("simulate --scenario pusch", "unknown scenario 'pusch': give one of battery_sag, biased_gyro, blocked"),
         ("simulate --scenario pusch", "did you mean 'push'?"),
         ("simulate --scenario {folder}/tilted.yaml", "slope.angle: Input should be less than or equal to 0.6"),
         ("simulate --scenario push --plant model:ssm", "needs a plant with mass, wheels and motors (pushes)"),

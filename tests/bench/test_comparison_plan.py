@@ -18,7 +18,14 @@ from diffdrive_mpc.bench.studies.comparison.plan import (
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_config
 
-QUICK = {"plants": ("model:ssm",), "surfaces": ("ideal",), "sensors": ("perfect",), "models": ("ssm",)}
+QUICK = {
+    "controllers": ("mpc",),
+    "models": ("ssm",),
+    "plants": ("model:ssm",),
+    "surfaces": ("ideal",),
+    "sensors": ("perfect",),
+    "beyond": False,
+}
 
 
 def experiment(**changes: object) -> ComparisonSettings:
@@ -31,10 +38,11 @@ def asked(**given: Any) -> ComparisonSettings:
     return read_options(values, **given)
 
 
-def test_the_default_is_three_models_four_trajectories_five_seeds_and_six_horizons() -> None:
+def test_the_default_is_a_peer_and_three_models_four_trajectories_five_seeds_and_six_horizons() -> None:
     chosen = asked()
     assert chosen == default_settings()
-    assert set(chosen.models) == {"mbm", "sm", "ssm"}
+    assert chosen.controllers == ("pursuit+slip", "mpc")
+    assert set(chosen.models) == {"kinematic", "mbm", "sm", "ssm"}
     assert set(chosen.trajectories) == {"circle", "square", "s", "cane"}
     assert len(chosen.seeds) == 5
     assert chosen.horizons == (5, 10, 15, 20, 30, 50)

@@ -11,10 +11,14 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.case import DIMENSIONS, Case, Dimension, combinations
 from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.controllers import check_cases, load_reference
 from diffdrive_mpc.bench.outcomes import Outcome, by_driver
 from diffdrive_mpc.bench.studies.comparison.plan import default_settings, read_options
+from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
+from diffdrive_mpc.bench.studies.comparison.tables import path_table
+from diffdrive_mpc.models.checked_yaml import ConfigError
 
-NAMES = ["controller", "model", "trajectory", "plant", "surface", "sensors", "scenario", "seed"]
+NAMES = ["controller", "model", "trajectory", "timing", "plant", "surface", "sensors", "scenario", "seed"]
 PLACES = [one for one in DIMENSIONS if one.place]
 
 
@@ -59,3 +63,28 @@ def test_combinations_vary_the_last_field_fastest() -> None:
         ("slippery", 1),
     ]
     assert {case.plant for case in cases} == {"mujoco"}
+
+
+def test_timing_makes_another_reference_of_a_trajectory() -> None:
+    filed, stopping, commanded = (
+        load_reference(Case(trajectory="slalom", timing=timing)) for timing in ("file", "stop", "commanded")
+    )
+    assert commanded.duration < filed.duration < stopping.duration
+    with pytest.raises(ConfigError, match="timing 'fast': give stop, commanded or smooth"):
+        check_cases([Case(), Case(timing="fast")])
+
+
+def test_rows_and_tables_tell_of_timing_and_smoothing_only_where_they_matter() -> None:
+    plain, smooth = quick_outcome(trajectory="cane"), quick_outcome(trajectory="cane", timing="smooth")
+    silent = default_settings()
+    rows = ComparisonResults(silent, (plain,), ()).rows()
+    assert not {"timing", "drawn_max_m"} & set(rows[0])
+    assert "drawn" not in path_table([plain]).markdown()
+    asked = silent.model_copy(update={"timings": ("file", "smooth")})
+    rows = ComparisonResults(asked, (plain, smooth), ()).rows()
+    assert [row["timing"] for row in rows] == ["file", "smooth"]
+    assert rows[0]["drawn_max_m"] == 0.0
+    assert 0.005 < rows[1]["drawn_rms_m"] * 2 < rows[1]["drawn_max_m"] * 2 <= 0.04
+    text = path_table([plain, smooth]).markdown()
+    assert "reference to drawn path, max [m]" in text
+    assert "SSM, smooth" in text

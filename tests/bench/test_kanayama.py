@@ -8,7 +8,7 @@ from bench_parts import Arc, DisplacedUnicycle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diffdrive_mpc.bench.peers.kanayama import KanayamaController, load_gains
+from diffdrive_mpc.bench.peers.kanayama import KanayamaController, load_plain_gains
 from diffdrive_mpc.models.interface import Measurement, Stamped
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim import simulate
@@ -30,7 +30,7 @@ def test_it_converges_backwards() -> None:
 
 def test_the_law_is_that_of_the_paper() -> None:
     """Robot on the x axis, reference ahead by 0.02, to the left by 0.01 and turned left by 0.1."""
-    gains = load_gains()
+    gains = load_plain_gains()
     arc = Arc(duration=100.0)
     controller = KanayamaController()
     controller.start(arc, 0.0)
@@ -47,7 +47,7 @@ def test_the_law_is_that_of_the_paper() -> None:
 
 
 def test_gains_are_critically_damped_as_the_paper_asks() -> None:
-    gains = load_gains()
+    gains = load_plain_gains()
     assert gains.heading**2 == pytest.approx(4 * gains.across, rel=2e-3)
 
 

@@ -9,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.model_report import model_text
 from diffdrive_mpc.bench.studies.identification.model_fitting import IDENTIFICATIONS, PaperExperiments, fit_models
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models import load_model
@@ -79,6 +80,24 @@ def test_the_fit_command_prints_the_table(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.stderr
     assert "FIT" in result.stdout
     assert sorted(path.name for path in (tmp_path / "fitted").iterdir()) == ["mbm.yaml", "sm.yaml"]
+
+
+@pytest.mark.usefixtures("quick_parts")
+def test_parameters_at_their_bounds_are_named_in_the_file_and_on_the_command_line(tmp_path: Path) -> None:
+    """One step of a robot whose yaw rate has one lag does not tell of a second pole."""
+    result = runner.invoke(app, ["models", "fit", "--out", str(tmp_path)])
+    said = (
+        "omega: the shorter time constant lies at the lower bound of the search, 0.00233: the data do not determine it"
+    )
+    assert f"warning: SM: {said}" in result.stderr.splitlines()
+    assert said in load_model(tmp_path / "sm.yaml").provenance["warnings"]
+    assert said in model_text(load_model(tmp_path / "sm.yaml"))
+
+
+def test_the_shipped_sm_says_what_is_not_known() -> None:
+    shipped = load_model("sm").provenance["warnings"]
+    assert any("omega: the shorter time constant lies at the lower bound" in warning for warning in shipped)
+    assert any("natural_frequency = 150 is badly known" in warning for warning in shipped)
 
 
 @pytest.mark.usefixtures("no_long_work")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Callable
@@ -25,11 +26,13 @@ from diffdrive_mpc.bench.studies.comparison.tables import (
     horizon_table,
     report_tables,
     scenario_table,
+    solver_table,
     summary_table,
     time_table,
 )
 from diffdrive_mpc.bench.study import markdown, write_report
 from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.bench.timing import TimingPass
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_config
 
@@ -62,13 +65,23 @@ FIELDS = {
     "step_time_p95_s": float,
     "step_time_p99_s": float,
     "step_time_max_s": float,
+    "solve_time_p50_s": float,
+    "solve_time_p95_s": float,
+    "solve_time_p99_s": float,
+    "solve_time_max_s": float,
+    "iterations_mean": float,
+    "iterations_max": float,
     "deadline_misses": int,
     "fallbacks": int,
     "path_unlimited_percent": float,
     "path_active_set_percent": float,
     "path_backend_percent": float,
     "not_solved": int,
+    "timed_clean_percent": float,
 }
+
+SILENT = ("scenario", "timing")
+"""Dimensions that nobody asked for."""
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +94,7 @@ def results(outcome: Outcome) -> ComparisonResults:
     peer = quick_outcome(trajectory="cane", controller="kanayama", model="none")
     short = quick_outcome(trajectory="cane", overrides=(("horizon", 15),))
     settings = default_settings().model_copy(update={"seeds": (0,), "horizons": (15, 30)})
-    return ComparisonResults(settings, (outcome, peer), (short, outcome), 0.99)
+    return ComparisonResults(settings, (outcome, peer), (short, outcome), TimingPass(0.9, 0.2, 1.4e-5))
 
 
 def written(results: ComparisonResults, folder: Path, done: Callable[[], None] = lambda: None) -> dict[str, object]:
@@ -99,7 +112,7 @@ def text_of(results: ComparisonResults) -> str:
 
 
 def test_a_row_has_exactly_the_published_fields(outcome: Outcome) -> None:
-    values = row(outcome, ["scenario"])
+    values = row(outcome, SILENT)
     assert list(values) == list(FIELDS)
     for name, kind in FIELDS.items():
         assert type(values[name]) is kind, name
@@ -117,8 +130,8 @@ def test_the_ways_of_the_solver_are_shares_of_the_solved_ticks(outcome: Outcome)
     assert values["path_active_set_percent"] == pytest.approx(100 * 20 / solved)
     assert values["path_unlimited_percent"] == pytest.approx(100 * (solved - 40) / solved)
     assert values["not_solved"] == 5
-    (cells,) = time_table([Outcome(outcome.case, run)]).rows
-    assert cells[-4:] == (f"{100 * (solved - 40) / solved:.1f}", *(2 * [f"{2000 / solved:.1f}"]), "5")
+    (cells,) = solver_table([Outcome(outcome.case, run)]).rows
+    assert cells[1:5] == (f"{100 * (solved - 40) / solved:.1f}", *(2 * [f"{2000 / solved:.1f}"]), "5")
     peer = row(Outcome(outcome.case, replace(outcome.run, solver_paths=("none",) * ticks)), ["scenario"])
     assert (peer["path_unlimited_percent"], peer["not_solved"]) == (None, solved + 5)
 
@@ -129,7 +142,7 @@ def test_a_swept_value_is_added_to_its_row(outcome: Outcome) -> None:
 
 
 def test_a_scenario_is_added_to_its_row_only_where_scenarios_were_asked_for(outcome: Outcome) -> None:
-    added = [name for name in row(outcome, silent=()) if name not in FIELDS]
+    added = [name for name in row(outcome, silent=("timing",)) if name not in FIELDS]
     recovery = ["recovery_time_s", "overshoot_m", "command_energy_v", "command_energy_omega"]
     assert added == ["scenario", "ended", "disturbance_s", *recovery]
 
@@ -198,8 +211,44 @@ def test_tables_show_means_over_runs_and_worst_cases(outcome: Outcome) -> None:
     a, b = outcome.run.metrics, worse.metrics
     assert cells[0] == "SSM"
     assert float(cells[1]) == pytest.approx(0.5 * (a.position_rmse_m + b.position_rmse_m), abs=5e-5)
-    assert float(cells[2]) == pytest.approx(b.position_max_m, abs=5e-5)
+    assert float(cells[2]) == pytest.approx(0.5 * (a.lateral_rmse_m + b.lateral_rmse_m), abs=5e-5)
     assert cells[-1] == "2/2"
+
+
+def times_in(table: Table, line: int = 0) -> list[str]:
+    names = [i for i, name in enumerate(table.columns) if name.startswith(("solve p", "step p"))]
+    return [table.rows[line][i] for i in names]
+
+
+def test_times_are_those_of_undisturbed_ticks_and_a_row_that_has_others_is_marked(outcome: Outcome) -> None:
+    times = np.full(len(outcome.run.time), 2e-3)
+    times[: len(times) // 2] = np.nan  # disturbed whenever they were measured
+    half = Outcome(outcome.case, outcome.run.with_step_time(times, times / 4), clean_share=0.5)
+    table = summary_table([half])
+    assert times_in(table) == ["0.50*", "0.50*", "2.00*", "2.00*"]
+    assert "*: something else ran; 50.0 % of the ticks" in table.note
+    assert row(half, SILENT)["timed_clean_percent"] == 50.0
+    assert row(half, SILENT)["solve_time_p99_s"] == pytest.approx(5e-4)
+    whole = Outcome(outcome.case, outcome.run.with_step_time(np.full(len(times), 2e-3), np.full(len(times), 1e-3)))
+    assert times_in(summary_table([whole])) == ["1.00", "1.00", "2.00", "2.00"]
+    assert "*" not in summary_table([whole]).note
+    assert "*" not in "".join(time_table([whole]).rows[0])
+
+
+def test_json_and_tables_hold_the_same_times(outcome: Outcome) -> None:
+    values = row(outcome, SILENT)
+    (cells,) = time_table([outcome]).rows
+    shown = dict(zip(time_table([outcome]).columns, cells, strict=True))
+    for what, statistic in itertools.product(("solve", "step"), ("p50", "p95", "p99", "max")):
+        written_ms = 1e3 * float(values[f"{what}_time_{statistic}_s"])  # type: ignore[arg-type]
+        assert float(shown[f"{what} {statistic} [ms]"]) == pytest.approx(written_ms, abs=5.1e-4)
+
+
+def test_a_solve_is_a_part_of_its_step(outcome: Outcome) -> None:
+    solved = np.isfinite(outcome.run.solve_time)
+    assert solved.sum() > 0.9 * len(solved)
+    assert (outcome.run.solve_time[solved] < outcome.run.step_time[solved]).all()
+    assert (outcome.run.solve_time[solved] > 0).all()
 
 
 def test_the_horizon_table_is_sorted_by_horizon(results: ComparisonResults) -> None:
@@ -224,7 +273,7 @@ def test_a_report_says_which_configuration_it_is_of(results: ComparisonResults, 
     swept = tuple((("weights.across", value), ("estimator.history", 0.4)) for value in (60, 120))
     changes = {"config": str(path), "models": ("ssm",), "settings": swept}
     settings = results.settings.model_copy(update=changes)
-    meta = describe(settings, 1.0)
+    meta = describe(settings, TimingPass())
     used = json.loads(json.dumps(meta["configuration"]))
     assert used["file"] == "tuned"
     assert used["set"] == {"weights.across": [60, 120], "estimator.history": [0.4]}
@@ -237,19 +286,21 @@ def test_a_report_says_which_configuration_it_is_of(results: ComparisonResults, 
     assert "* Configuration: file tuned; weights.across=60,120; estimator.history=0.4.\n" in head
     assert str(tmp_path) not in head + json.dumps(meta)
     assert "Configuration:" not in text_of(results)
-    assert [c["model"] for c in describe(results.settings, 1.0)["configuration"]["controllers"]] == ["mbm", "sm", "ssm"]
+    assert [c["model"] for c in describe(results.settings, TimingPass())["configuration"]["controllers"]] == [
+        *default_settings().values("models")
+    ]
 
 
 def test_the_path_of_a_model_file_is_not_in_the_report(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text((Path(__file__).parents[2] / "models" / "parameters" / "ssm.yaml").read_text())
-    meta = describe(default_settings().model_copy(update={"models": (str(path),)}), 1.0)
+    meta = describe(default_settings().model_copy(update={"models": (str(path),)}), TimingPass())
     assert meta["configuration"]["controllers"][0]["values"]["model"] == "mine"
     assert str(tmp_path) not in json.dumps(meta)
 
 
 def test_a_report_of_peers_alone_names_no_model() -> None:
-    meta = describe(default_settings().model_copy(update={"controllers": ("kanayama",)}), 1.0)
+    meta = describe(default_settings().model_copy(update={"controllers": ("kanayama",)}), TimingPass())
     assert meta["configuration"]["controllers"] == []
     assert meta["experiment"]["models"] == []
 

@@ -21,9 +21,13 @@ def verdict(results, *words):
 
 
 def test_the_paper_s_own_numbers_hold():
-    """Results made up after the papers: everything holds but what the papers' own tables contradict."""
-    no = [claim for claim, value in verdicts(made_up()).items() if value != "yes"]
-    assert no == ["the printed tests give the printed p1 within 2 standard deviations"]
+    """Results made up after the papers: everything holds but what the papers' own tables contradict, or leave open."""
+    other = {claim: value for claim, value in verdicts(made_up()).items() if value != "yes"}
+    assert other == {
+        "the printed tests give the printed p1 within 2 standard deviations": "no",
+        "tracks exchanged by mistake (tests 1, 2 with 7, 8; ours) explain the printed p1 within 2 standard "
+        "deviations": "inconclusive",
+    }
 
 
 def test_who_beats_whom_is_counted_by_repetition():
@@ -64,8 +68,11 @@ def test_the_circle_has_to_be_worst_for_both():
     [
         ((0.0, 90.0, 90.1, 90.6, 80.0), "orders 3 and 4 bring", "no"),
         ((0.0, 90.0, 90.3, 90.2, 80.0), "order 4 has the best", "no"),
+        ((0.0, 90.0, 90.1, 90.2, 80.0), "order 4 has the best", "no"),
+        ((0.0, 90.0, 90.1, 90.4, 80.0), "order 4 has the best", "yes"),
         ((0.0, 90.0, 90.1, 90.2, 90.1), "order 5 explains omega worse", "no"),
-        ((0.0, 90.0, 90.1, 90.2, 89.9), "order 5 explains omega worse", "yes"),
+        ((0.0, 90.0, 90.1, 90.2, 89.999), "order 5 explains omega worse", "no"),
+        ((0.0, 90.0, 90.1, 90.2, 89.89), "order 5 explains omega worse", "yes"),
     ],
 )
 def test_orders_are_judged_by_their_test_fit(omega, words, expected):
@@ -80,6 +87,7 @@ def test_orders_that_were_not_run_are_not_judged():
 
 def test_cost_is_judged_by_means():
     assert verdict(replace(made_up(), cost=cost(mbm=3e-6, sm=3e-6)), "a step of SM takes") == "no"
+    assert verdict(replace(made_up(), cost=cost(mbm=3e-6, sm=3e-6)), "a whole simulation of SM") == "no"
     assert verdict(replace(made_up(), cost=cost(sm=3e-6, one=1e-6)), "a step of SSM") == "no"
 
 
@@ -89,3 +97,19 @@ def test_tests_on_the_printed_line_would_hold():
     assert isinstance(found, VirtualTrackResult)
     mended = replace(found, fitted=fit_line(found.exchanged))
     assert verdict(replace(results, virtual_track=mended), "the printed tests") == "yes"
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"by_radius_exchanged": 0.9}, "inconclusive"),
+        ({"fitting": 1}, "inconclusive"),
+        ({"fitting": 1, "by_radius_exchanged": 0.9}, "yes"),
+    ],
+)
+def test_an_exchange_explains_what_few_others_do_and_what_the_radii_side_with(changes, expected):
+    results = made_up()
+    track = replace(results.virtual_track, **changes)
+    assert verdict(replace(results, virtual_track=track), "exchanged by mistake") == expected
+    not_given = replace(track, fitted_exchanged=track.fitted)
+    assert verdict(replace(results, virtual_track=not_given), "exchanged by mistake") == "no"

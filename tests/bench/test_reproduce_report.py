@@ -34,6 +34,8 @@ def test_every_table_is_filled_and_published_numbers_stand_beside_ours():
         "SSM by order",
         "SSM velocity on free drives",
         "SSM odometry on free drives",
+        "SSM velocity on fast free drives",
+        "SSM odometry on fast free drives",
         "Cost of a simulation",
         "Virtual track",
     ]
@@ -52,6 +54,8 @@ def test_averages_of_the_free_drives_are_the_paper_s():
     tables = {table.title: table for table in report_of(made_up()).tables}
     averages = [cells for cells in tables["SSM odometry on free drives"].rows if cells[1] == "average"]
     assert averages[0][2:6] == ("0.85", "0.67", "0.53", "1.65")
+    averages = [cells for cells in tables["SSM velocity on free drives"].rows if cells[1] == "average"]
+    assert averages[0][2:4] == ("94.70", "91.71")
 
 
 def test_the_report_has_every_figure_and_the_verdicts(report: Path):

@@ -29,7 +29,7 @@ META = {
 }
 
 
-def measured(solver, horizon, whole, inside=1e-4, model="ssm"):
+def measured(solver, horizon, whole, inside=1e-4, model="ssm", clean=1.0):
     times = np.full((2, 4), whole)
     return SpeedRecord(
         solver=solver,
@@ -45,6 +45,7 @@ def measured(solver, horizon, whole, inside=1e-4, model="ssm"):
         active_share=0.5,
         unsolved=0,
         samples=8,
+        clean_share=clean,
         ticks=4,
         build_s=0.1,
         memory_bytes=5e7,
@@ -94,6 +95,15 @@ def test_models_and_tails_are_held_against_their_own_median():
     tables = {table.title: table for table in speed_tables(SpeedResults(tuple(records), ()))}
     assert tables["Against SSM"].rows == (("MBM", "ours", "1.20"),)
     assert tables["Tail by horizon MBM"].rows == (("ours", "1.0 (1.0)"),)
+
+
+def test_a_median_with_disturbed_steps_is_marked_and_they_do_not_count():
+    whole = np.array([[1e-3, np.nan, 3e-3], [np.nan, np.nan, 5e-3]])
+    statistics = time_statistics(whole, whole / 2)
+    assert (statistics["step_p50_s"], statistics["step_max_s"], statistics["solver_max_s"]) == (3e-3, 5e-3, 2.5e-3)
+    assert statistics["tick_max_s"] == 4e-3
+    (table, *_) = speed_tables(SpeedResults((measured("ours", 30, 1e-3, clean=0.9), measured("b", 30, 1e-3)), ()))
+    assert table.rows == (("ours", "1.000* (0.100)"), ("b", "1.000 (0.100)"))
 
 
 def test_a_missing_peer_is_named_with_its_reason():

@@ -46,7 +46,8 @@ def test_times_are_in_order_and_counted(report):
     for record in report["records"]:
         assert 0 < record["solver_p50_s"] <= record["step_max_s"]
         assert record["step_p50_s"] <= record["step_p95_s"] <= record["step_p99_s"] <= record["step_max_s"]
-        assert record["samples"] in (30, 60)
+        assert 0 < record["samples"] <= 60
+        assert 0 <= record["clean_share"] <= 1
         assert record["memory_bytes"] > record["memory_growth_bytes"] > 0
 
 

@@ -1,4 +1,4 @@
-"""The timing pass replays a run exactly, or says that it cannot."""
+"""The timing pass replays a run exactly, or says that it cannot; every outcome gets its own times."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 from bench_parts import Arc, DisplacedUnicycle, quick_outcome
 
+from diffdrive_mpc.bench.counters import CoreCounters, Effort
 from diffdrive_mpc.bench.errors import NotReproducibleError
 from diffdrive_mpc.bench.outcomes import run_cases
 from diffdrive_mpc.bench.peers import PeerStep
 from diffdrive_mpc.bench.peers.kanayama import KanayamaController
 from diffdrive_mpc.bench.timing import quiet_core, replay, time_outcomes
-from diffdrive_mpc.models.interface import Measurement
-from diffdrive_mpc.sim import simulate
+from diffdrive_mpc.bench.turns import BLOCK, COLD
+from diffdrive_mpc.models.interface import FloatArray, Measurement, TrackingController
+from diffdrive_mpc.sim import Run, simulate
 
 
 class Moody(KanayamaController):
@@ -40,11 +42,19 @@ class Dawdling(KanayamaController):
         return step
 
 
+def replay_all(controller: TrackingController, run: Run) -> FloatArray:
+    controller.start(run.reference, 0.0)
+    return replay(controller, run, 0, len(run.time))
+
+
 def test_a_replay_measures_every_whole_step_itself() -> None:
     run = simulate(KanayamaController(), DisplacedUnicycle([0.0, 0.1, 0.0]), Arc(duration=1.0))
-    times = replay(Dawdling(), run, len(run.time))
-    assert times.shape == run.time.shape
-    assert (times >= 2e-3).all()
+    controller = Dawdling()
+    controller.start(run.reference, 0.0)
+    times = replay(controller, run, 0, len(run.time))
+    assert times.shape == (len(run.time), 2)
+    assert (times[:, 0] >= 2e-3).all()
+    assert np.isnan(times[:, 1]).all()
 
 
 def test_the_step_times_of_the_recording_are_replaced() -> None:
@@ -57,13 +67,23 @@ def test_the_step_times_of_the_recording_are_replaced() -> None:
 
 
 def test_every_outcome_gets_the_times_of_its_own_replay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Step times are the trajectory's duration plus the tick's own time, in whatever order the blocks are replayed."""
     outcomes = [quick_outcome(controller="kanayama", model="none", trajectory=name) for name in ("circle", "s")]
-    expected = [np.linspace(1.0, 2.0, len(outcome.run.time)) + k for k, outcome in enumerate(outcomes)]
-    measured = iter(expected)
-    monkeypatch.setattr("diffdrive_mpc.bench.timing.time_steps", lambda case, run: next(measured))
+
+    def timed_by_tick(controller: object, run: Run, first: int, last: int) -> FloatArray:
+        steps = run.reference.duration + run.time[first:last]
+        return np.column_stack([steps, steps / 2])
+
+    monkeypatch.setattr("diffdrive_mpc.bench.timing.replay", timed_by_tick)
+    monkeypatch.setattr(Effort, "undisturbed", lambda self, best: True)
+    monkeypatch.setattr(CoreCounters, "disturbed", False)
     timed, _ = time_outcomes(outcomes, lambda: None)
-    for outcome, times in zip(timed, expected, strict=True):
-        assert np.array_equal(outcome.run.step_time, times)
+    for outcome, before in zip(timed, outcomes, strict=True):
+        timed_ticks = np.arange(len(before.run.time)) % BLOCK >= COLD
+        expected = np.where(timed_ticks, before.run.reference.duration + before.run.time, np.nan)
+        assert np.array_equal(outcome.run.step_time, expected, equal_nan=True)
+        assert np.array_equal(outcome.run.solve_time, expected / 2, equal_nan=True)
+        assert outcome.clean_share == 1.0
 
 
 def test_a_difference_in_the_last_bit_is_found() -> None:
@@ -71,21 +91,22 @@ def test_a_difference_in_the_last_bit_is_found() -> None:
     command = run.command.copy()
     command[77, 1] = np.nextafter(command[77, 1], 1.0)
     with pytest.raises(NotReproducibleError, match=r"arc, t = 1\.555 s"):
-        replay(KanayamaController(), replace(run, command=command), len(run.time))
+        replay_all(KanayamaController(), replace(run, command=command))
 
 
 def test_a_controller_with_hidden_state_is_found_out() -> None:
     run = simulate(Moody(), DisplacedUnicycle([0.0, 0.1, 0.0]), Arc())
     with pytest.raises(NotReproducibleError, match="not deterministic"):
-        replay(Moody(), run, len(run.time))
+        replay_all(Moody(), run)
 
 
 def test_the_predictive_controller_replays_bit_for_bit() -> None:
     outcome = quick_outcome(sensors="default", surface="default")
-    (timed,), share = time_outcomes([outcome], lambda: None)
+    (timed,), timing = time_outcomes([outcome], lambda: None)
     assert timed.run.metrics.position_rmse_m == outcome.run.metrics.position_rmse_m
-    assert timed.run.metrics.step_time_max_s > 0
-    assert share > 0
+    assert 0 < timed.run.metrics.solve_time_max_s < timed.run.metrics.step_time_max_s
+    assert timing.yardstick > 0
+    assert 0 <= timing.clean_share == timed.clean_share <= 1
 
 
 def test_the_quiet_core_is_given_back() -> None:

@@ -93,3 +93,15 @@ def test_the_registry_calls_each_by_the_name_in_its_files(name):
     assert structure.name == name == structure_name(structure.file)
     assert name in MODEL_NAMES
     assert load_model(name).structure == name
+
+
+def test_kinematic_is_sm_that_obeys_at_once():
+    """Its gains are SM's, it says that nobody measured it, and one sample later nothing is left of the one before."""
+    kinematic, sm = load_model("kinematic"), load_model("sm")
+    assert kinematic.provenance["origin"] == "assumed"
+    np.testing.assert_allclose(kinematic.dc_gain, sm.dc_gain, rtol=1e-12)
+    sampled = kinematic.discretise(0.0202)
+    assert sampled.delay.tolist() == [0, 0]
+    commands = np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.5], [0.0, 0.0]])
+    expected = np.vstack([np.zeros(2), commands[:-1] @ kinematic.dc_gain.T])
+    np.testing.assert_allclose(sampled.simulate(commands), expected, atol=1e-6)

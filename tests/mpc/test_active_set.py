@@ -231,3 +231,87 @@ def test_random_problems_are_solved(seed, n, m, hard_share, tightness):
     x, flag, _ = with_daqp(p)
     assert flag > 0
     assert cost(p, found.plan) == pytest.approx(cost(p, x), rel=1e-6, abs=1e-5)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(3, 30), st.integers(0, 3), st.floats(0.4, 1.5))
+def test_problems_like_a_robot_s_are_solved(seed, steps, extra, tight):
+    """Boxes and increments that depend on each other, and more soft rows than there are inputs."""
+    p = robot_problem(np.random.default_rng(seed), steps, extra, tight)
+    found, (x, flag, _) = solve(p), with_daqp(p)
+    if found.status == INFEASIBLE:
+        assert flag < 0
+        return
+    assert found.status == PROVEN
+    assert_optimal(p, found)
+    assert cost(p, found.plan) == pytest.approx(cost(p, x), rel=1e-6, abs=1e-5)
+
+
+def pressing_problem(seed, steps=20):
+    """A robot's problem on which many rows press, and its solution from a cold start."""
+    p = robot_problem(np.random.default_rng(seed), steps)
+    return p, solve(p)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_start_at_the_solution_ends_there_at_once(seed):
+    p, cold = pressing_problem(seed)
+    warm = solve(p, cold.multipliers)
+    assert cold.active > 10
+    assert cold.iterations > 3
+    assert warm.iterations <= 2
+    assert warm.plan == pytest.approx(cold.plan, abs=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_neighbour_s_multipliers_save_iterations(seed):
+    """As from tick to tick: the cost's gradient moves a little."""
+    p, cold = pressing_problem(seed)
+    p.g = p.g + 0.002 * np.abs(p.g).max() * np.random.default_rng(seed).normal(size=p.g.shape)
+    anew, warm = solve(p), solve(p, cold.multipliers)
+    assert warm.status == PROVEN
+    assert warm.iterations < 0.7 * anew.iterations
+    assert warm.plan == pytest.approx(anew.plan, abs=1e-7)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1.0, 1e3, np.nan, np.inf]))
+def test_a_wrong_start_costs_iterations_only(seed, size):
+    rng = np.random.default_rng(seed)
+    p = robot_problem(rng, 10)
+    found = solve(p, size * rng.normal(size=len(p.A)))
+    assert found.status == PROVEN
+    assert_optimal(p, found)
+    assert found.plan == pytest.approx(solve(p).plan, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_iteration_limit_is_kept_and_what_it_leaves_is_nothing(seed):
+    p, found = pressing_problem(seed)
+    needed = found.iterations
+    for most in (1, needed - 1):
+        stopped = solve(p, most_iterations=most)
+        assert (stopped.status, stopped.iterations) == (NOT_PROVEN, most)
+        assert stopped.plan == pytest.approx(-np.linalg.solve(p.H, p.g))
+        assert not stopped.multipliers.any()
+    assert solve(p, most_iterations=needed).status == PROVEN
+
+
+def test_hard_rows_that_contradict_each_other_are_found():
+    p = robot_problem(np.random.default_rng(0), 8)
+    # From 0.9 every command would have to fall faster than its increments may.
+    p.lower[:8], p.upper[:8] = np.where(np.arange(8) % 2, -0.9, 0.7), np.where(np.arange(8) % 2, -0.7, 0.9)
+    found = solve(p)
+    assert found.status == INFEASIBLE
+    assert found.plan == pytest.approx(-np.linalg.solve(p.H, p.g))
+
+
+def test_in_single_precision_what_is_proven_is_the_solution():
+    """With most inputs pressed on at once rounding leaves some problems without a proof, and none with a wrong one."""
+    problems = [pressing_problem(seed, steps=15) for seed in range(30)]
+    found = [solve(p, number="float", slack=1e-5) for p, _ in problems]
+    assert {one.status for one in found} <= {PROVEN, NOT_PROVEN}
+    assert np.mean([one.status == PROVEN for one in found]) > 0.7
+    for one, (_, exact) in zip(found, problems, strict=True):
+        if one.status == PROVEN:
+            assert one.plan == pytest.approx(exact.plan, abs=2e-4)

@@ -11,7 +11,7 @@ from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.solver.backend import ask
 from diffdrive_mpc.mpc.solver.backends import BACKENDS
 from diffdrive_mpc.mpc.solver.report import SolverStatus
-from diffdrive_mpc.sim import make_plant
+from diffdrive_mpc.sim import make_plant, simulate
 
 STEPS, HARD, KINDS = 6, 4, 9
 # Cheap enough that some soft limits are exceeded, dear enough that others are kept.
@@ -76,9 +76,10 @@ def solver_settings(backend, **changes):
     return load_config("ssm", {f"solver.{key}": value for key, value in values.items()}).solver
 
 
-def solve(program, backend, kinds=tuple(range(KINDS))):
-    chosen = BACKENDS[backend](STEPS, KINDS, solver_settings(backend), WEIGHTS)
-    return chosen.solve(program, kinds, program.guess, program.multipliers)
+def solve(program, backend, kinds=tuple(range(KINDS)), near=None, **changes):
+    """From nothing, or from a solution that is near."""
+    chosen = BACKENDS[backend](STEPS, KINDS, solver_settings(backend, **changes), WEIGHTS)
+    return chosen.solve(program, kinds, *((program.guess, program.multipliers) if near is None else near))
 
 
 def assert_optimal(program, plan, pressing, within):
@@ -144,6 +145,58 @@ def test_numbers_that_are_none_are_reported(backend):
     program.g = np.full_like(program.g, np.nan)
     _, report = ask(BACKENDS[backend](STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9)
     assert not report.status.usable
+
+
+def test_osqp_ends_at_its_tolerance():
+    for seed in range(5):
+        program = random_program(seed)
+        exact = solve(program, "daqp").plan
+        found = [solve(program, "osqp", tolerance=tolerance, check_every=1) for tolerance in (1e-2, 1e-5, 1e-9)]
+        assert {one.status for one in found} == {SolverStatus.SOLVED}
+        iterations = [one.iterations for one in found]
+        errors = [np.abs(one.plan - exact).max() for one in found]
+        assert iterations == sorted(set(iterations))
+        assert errors[0] > 10 * errors[1] > 100 * errors[2]
+
+
+def test_osqp_starts_from_the_plan_and_the_multipliers_that_it_is_given():
+    for seed in range(5):
+        program = random_program(seed)
+        cold = solve(program, "osqp", check_every=1)
+        warm = solve(program, "osqp", check_every=1, near=(cold.plan, cold.multipliers))
+        assert warm.status is SolverStatus.SOLVED
+        assert warm.iterations < 0.5 * cold.iterations
+
+
+@every_backend
+def test_the_iteration_limit_is_kept(backend):
+    """Of 10 iterations OSQP needs more to any tolerance worth the name; DAQP where enough limits press."""
+    program = random_program(0, tightness=2.0)
+    assert solve(program, backend).status is SolverStatus.SOLVED
+    stopped = solve(program, backend, max_iterations=10)
+    assert stopped.status is SolverStatus.MAX_ITERATIONS
+    assert stopped.iterations <= 11  # DAQP counts the one that it did not begin
+
+
+@pytest.mark.parametrize("most", [0, 1, 500])
+def test_beyond_its_iterations_the_active_set_leaves_it_to_the_backend(most):
+    tight = {"limits.v_slew": 0.9, "limits.omega_slew": 1.5, "limits.omega": 0.51, "limits.predicted_v": 0.48}
+    config = load_config("ssm", {"horizon": 15, "solver.backend": "daqp", **tight})
+    drives = {}
+    for iterations in (most, 500):
+        changed = config.model_copy(
+            update={"solver": config.solver.model_copy(update={"active_set_iterations": iterations})}
+        )
+        drives[iterations] = simulate(
+            Controller(changed), make_plant("model:ssm", "ideal", "perfect"), load_trajectory("circle")
+        )
+    ways, many = (np.array(drives[iterations].solver_paths) for iterations in (most, 500))
+    assert "daqp" not in many
+    pressed = many == "active_set"
+    assert pressed.sum() > 20
+    assert set(ways[pressed]) == {0: {"daqp"}, 1: {"daqp", "active_set"}, 500: {"active_set"}}[most]
+    # Whoever solves it, the robot does the same.
+    assert drives[most].command == pytest.approx(drives[500].command, abs=1e-5)
 
 
 @every_backend

@@ -97,7 +97,9 @@ def test_a_mistake_in_a_yaml_file_is_told_in_one_line(tmp_path: Path, text: str,
 
 def test_an_unknown_name_gets_the_nearest_and_all_known() -> None:
     message = error_line("cirle")
-    assert message.startswith(f"unknown trajectory 'cirle': give one of {', '.join(BUILT_IN)} or the path of")
+    assert message.startswith(
+        f"unknown trajectory 'cirle': give one of {', '.join(BUILT_IN)}, spline-SEED or the path of"
+    )
     assert message.endswith("; did you mean 'circle'?")
 
 
@@ -107,7 +109,7 @@ def test_a_missing_file_is_named(tmp_path: Path, name: str) -> None:
     assert message.startswith(f"unknown trajectory '{tmp_path / name}': give one of")
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize("name", ["circle", "square", "s", "cane"])
 def test_timed_poses_of_a_trajectory_give_it_back(tmp_path: Path, name: str) -> None:
     original = load_trajectory(name)
     times = np.append(np.arange(0, original.duration, 0.02), original.duration)

@@ -98,8 +98,9 @@ def test_built_in_trajectories_end_where_exact_arcs_say(
     assert np.all(largest_shares(trajectory, TrajectoryLimits.of_robot()) <= 1 + 1e-8)
 
 
-def test_the_four_built_in_trajectories_are_known() -> None:
-    assert set(BUILT_IN) == {"circle", "square", "s", "cane"}
+def test_the_built_in_trajectories_are_known() -> None:
+    edge = {"fast_circle", "figure8", "slalom", "reverse_slalom", "k_turn", "spiral", "tight"}
+    assert set(BUILT_IN) == {"circle", "square", "s", "cane"} | edge
 
 
 def test_circle_keeps_its_radius() -> None:

@@ -83,6 +83,7 @@ class FixedStep:
     solver: None = None
     plan: None = None
     step_time: float = 1e-3
+    solve_time: float = float("nan")
 
 
 class FeedForward:

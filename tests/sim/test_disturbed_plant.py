@@ -28,7 +28,7 @@ def _scenario(**parts: Any) -> Scenario:
 
 
 def _disturbed(name: str, **parts: Any) -> DisturbedPlant:
-    return DisturbedPlant(make_plant(name, sensors="perfect"), _scenario(**parts), load_robot().limits)
+    return DisturbedPlant(make_plant(name, sensors="perfect"), _scenario(**parts), load_robot())
 
 
 def _trace(plant: Plant, ticks: int) -> list[Any]:
@@ -141,8 +141,7 @@ def test_what_lasts_to_the_end_is_never_over_and_hides_no_other_end() -> None:
     weak = {"wheel": "front_left", "factor": 0.5, "start": 0.1}
     plant = make_plant("mujoco", sensors="perfect")
     alone, both = (
-        DisturbedPlant(plant, _scenario(weak_motors=[weak], pushes=pushes), load_robot().limits)
-        for pushes in ([], [push])
+        DisturbedPlant(plant, _scenario(weak_motors=[weak], pushes=pushes), load_robot()) for pushes in ([], [push])
     )
     both.reset(np.zeros(3))
     for _ in range(25):

@@ -88,10 +88,13 @@ def test_bad_command_is_refused(name: str, command: list[float]) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"name": "gazebo"}, "unknown plant 'gazebo': give 'mujoco' or 'model:NAME'"),
+        ({"name": "gazebo"}, "unknown plant 'gazebo': give 'mujoco', 'mujoco:NAME'"),
         ({"name": "model:smm"}, "unknown model 'smm'"),
         ({"name": "mujoco", "surface": "slipery"}, "did you mean 'slippery'"),
-        ({"name": "mujoco", "surface": "sand"}, "unknown surface 'sand': give one of default, grippy, ideal, slippery"),
+        (
+            {"name": "mujoco", "surface": "sand"},
+            "unknown surface 'sand': give one of carpet, deep_carpet, default, grippy, husky_tile, ice, ",
+        ),
         ({"name": "mujoco", "surface": "ideal"}, "surface 'ideal' has no friction"),
         ({"name": "mujoco", "sensors": "gps"}, "unknown sensor set 'gps': give one of default, perfect, slam"),
         ({"name": "mujoco", "seed": -1}, "seed -1"),

@@ -31,6 +31,7 @@ class Belief:
 class Solver:
     status: str = "solved"
     path: str = "unlimited"
+    iterations: int = 3
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class TellingStep:
     message: str = ""
     plan: None = None
     step_time: float = 1e-3
+    solve_time: float = 4e-4
 
 
 class Telling(FeedForward):
@@ -66,6 +68,9 @@ def test_the_loop_gathers_what_a_controller_believes_and_how_it_solves(run: Run)
     assert run.solver_paths[:3] == ("none", "unlimited", "none")
     assert run.solver_statuses[:3] == ("", "solved", "")
     assert len(run.solver_paths) == len(run.solver_statuses) == len(run.time)
+    np.testing.assert_array_equal(run.solver_iterations[:3], [np.nan, 3.0, np.nan])
+    assert (run.solve_time == 4e-4).all() and run.metrics.solve_time_max_s == 4e-4
+    assert (run.metrics.iterations_mean, run.metrics.iterations_max) == (3.0, 3.0)
 
 
 def test_a_controller_that_tells_nothing_has_empty_rows() -> None:
@@ -86,7 +91,7 @@ def arrays(run: Run) -> dict[str, FloatArray]:
 
 def test_arrays_of_a_run_cannot_be_written_to_nor_after_a_trip_to_another_process(run: Run) -> None:
     for held in (run, pickle.loads(pickle.dumps(run)), copy.copy(run), run.with_step_time(run.step_time)):
-        assert len(arrays(held)) == 14
+        assert len(arrays(held)) == 16
         for name, array in arrays(held).items():
             with pytest.raises(ValueError, match="read-only"):
                 array[0] = 0.0
@@ -123,12 +128,13 @@ def test_a_run_prints_as_a_table() -> None:
     run = run_along(ConstantTwist(1.0, 0.0, 3.0, name="line"), offset, twist, np.arange(4.0))
     assert str(run).splitlines() == [
         "Run along 'line': 4 ticks of 1 s",
-        "                  rmse    mean     std   p50     p95   p99     max",
-        "position [m]    0.0500  0.0500  0.0000     -       -     -  0.0500",
-        "heading [rad]   0.0100  0.0100  0.0000     -       -     -  0.0100",
-        "course [rad]    0.0100       -       -     -       -     -       -",
-        "|lateral| [m]   0.0500  0.0500       -     -  0.0500     -  0.0500",
-        "step time [ms]       -       -       -  1.00    1.00  1.00    1.00",
+        "                        rmse    mean     std   p50     p95   p99     max",
+        "position [m]          0.0500  0.0500  0.0000     -       -     -  0.0500",
+        "heading [rad]         0.0100  0.0100  0.0000     -       -     -  0.0100",
+        "course [rad]          0.0100       -       -     -       -     -       -",
+        "|lateral| [m]         0.0500  0.0500       -     -  0.0500     -  0.0500",
+        "step time [ms]             -       -       -  1.00    1.00  1.00    1.00",
+        "of it the solve [ms]       -       -       -     -       -     -       -",
         "4 steps, completed; in the band 100.0 %; deadlines missed 0, fall-backs 0",
     ]
     assert str(run.metrics) == "\n".join(str(run).splitlines()[1:])

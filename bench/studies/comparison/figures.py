@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -22,7 +22,20 @@ from diffdrive_mpc.bench.figure_style import (
     line_style,
     new_figure,
 )
-from diffdrive_mpc.bench.outcomes import Outcome, by, by_driver, by_horizon, by_model, mean, step_times
+from diffdrive_mpc.bench.outcomes import (
+    Outcome,
+    Score,
+    by,
+    by_driver,
+    by_horizon,
+    by_model,
+    group,
+    mean,
+    model_name,
+    solve_times,
+    step_times,
+    time_percentile,
+)
 from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
 from diffdrive_mpc.bench.study import Draw
 from diffdrive_mpc.sim import Run
@@ -31,14 +44,16 @@ from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 def drawings(results: ComparisonResults) -> dict[str, Draw]:
     """What draws each figure by file name, the overview first. Only runs of the first seed are drawn one by one."""
-    figures: dict[str, Draw] = {
-        "overview.png": partial(draw_overview, results.main),
-        "step-time.png": partial(draw_step_times, results.main),
-    }
+    figures: dict[str, Draw] = {"overview.png": partial(draw_overview, results.main)}
+    if results.speed:
+        figures["speed.png"] = partial(draw_speed, results.speed)
+    if results.dead_time:
+        figures["dead-time.png"] = partial(draw_dead_time, results.dead_time, results.main[0].run.sample_time)
+    figures["step-time.png"] = partial(draw_step_times, results.main)
     if results.horizon:
         figures["horizon.png"] = partial(draw_horizons, results.horizon)
-    for name, group in by_driver(results.main).items():
-        for outcome in group:
+    for name, runs in by_driver(results.main).items():
+        for outcome in runs:
             if outcome.case.seed == results.settings.values("seeds")[0]:
                 title = f"{name}, {outcome.case.labels['trajectory']}"
                 figures[free_name(title, figures)] = partial(
@@ -75,9 +90,9 @@ def _path(axes: Axes, outcome: Outcome) -> None:
 
 def _bars(axes: Axes, compared: dict[str, list[Outcome]]) -> None:
     """Mean position RMSE with the range over trajectories."""
-    for i, group in enumerate(compared.values()):
-        parts = [1e3 * mean(runs, "position_rmse_m") for runs in by("trajectory", group).values()]
-        value = 1e3 * mean(group, "position_rmse_m")
+    for i, own in enumerate(compared.values()):
+        parts = [1e3 * mean(runs, "position_rmse_m") for runs in by("trajectory", own).values()]
+        value = 1e3 * mean(own, "position_rmse_m")
         axes.bar(i, value, 0.6, color=colour(i), alpha=0.85)
         axes.plot([i, i], [min(parts), max(parts)], color="black", linewidth=1.0, marker="_", markersize=8)
         axes.annotate(f"{value:.1f}", (i + 0.06, value), (2, 2), textcoords="offset points", ha="left")
@@ -87,19 +102,72 @@ def _bars(axes: Axes, compared: dict[str, list[Outcome]]) -> None:
     axes.grid(axis="x", visible=False)
 
 
+def draw_speed(scores: Sequence[Score], path: Path) -> None:
+    """Draw position and lateral RMSE against the top speed, one line per controller, with the range over seeds."""
+    with new_figure(path, 10.0, 3.8) as figure:
+        panels = figure.subplots(1, 2)
+        _errors_against(panels, scores, lambda score: score.case.top_speed or 0.0)
+        for axes in panels:
+            axes.set_xlabel(f"top speed [m/s] of {' and '.join(by('trajectory', scores))}")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right center")
+
+
+def draw_dead_time(scores: Sequence[Score], sample_time: float, path: Path) -> None:
+    """Draw position and lateral RMSE against the plant's dead time less the configured one, a line per controller."""
+    with new_figure(path, 10.0, 3.8) as figure:
+        panels = figure.subplots(1, 2)
+        _errors_against(panels, scores, lambda score: 1e3 * sample_time * score.case.late)
+        for axes in panels:
+            axes.set_xlabel("dead time of the plant less the configured one [ms]")
+            axes.axvline(0.0, color="black", linewidth=0.8, linestyle=":")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right center")
+
+
+def _driver(score: Score) -> str:
+    """Model of the predictive controller, or name of a peer."""
+    labels = score.case.labels
+    return model_name(labels["model"]) if labels["controller"] == "mpc" else labels["controller"]
+
+
+def _errors_against(panels: Sequence[Axes], scores: Sequence[Score], key: Callable[[Score], float]) -> None:
+    """Mean errors over what is driven at each abscissa, and the range of the seeds' own means."""
+    names = group(scores, _driver)
+    for axes, metric in zip(panels, ("position_rmse_m", "lateral_rmse_m"), strict=True):
+        for i, (name, runs) in enumerate(names.items()):
+            at = dict(sorted(group(runs, key).items()))
+            value = np.array([1e3 * mean(part, metric) for part in at.values()])
+            seeds = [[1e3 * mean(own, metric) for own in by("seed", part).values()] for part in at.values()]
+            spread = [[value[k] - min(own), max(own) - value[k]] for k, own in enumerate(seeds)]
+            axes.errorbar(
+                list(at),
+                value,
+                yerr=np.transpose(spread),
+                color=colour(i),
+                linestyle=line_style(i),
+                marker=MARKERS[i % len(MARKERS)],
+                markersize=4,
+                capsize=3,
+                label=name,
+            )
+        axes.set_ylabel(f"{metric.split('_')[0]} RMSE [mm]")
+        _scale(axes)
+
+
 def draw_horizons(outcomes: Sequence[Outcome], path: Path) -> None:
-    """Draw mean position RMSE, mean heading RMSE and the 99th percentile of the step time against the horizon."""
+    """Draw mean position RMSE, and median and 99th percentile of solve and step, against the horizon."""
     with new_figure(path, 10.0, 3.4) as figure:
-        position, heading, cost = figure.subplots(1, 3)
-        for i, (name, group) in enumerate(by_model(outcomes).items()):
-            at = by_horizon(group)
+        position, solve, step = figure.subplots(1, 3)
+        for i, (name, own) in enumerate(by_model(outcomes).items()):
+            at = by_horizon(own)
             look = {"color": colour(i), "linestyle": line_style(i), "marker": MARKERS[i % len(MARKERS)], "label": name}
             steps = list(at)
             position.plot(steps, [1e3 * mean(runs, "position_rmse_m") for runs in at.values()], **look)
-            heading.plot(steps, [1e3 * mean(runs, "heading_rmse_rad") for runs in at.values()], **look)
-            cost.plot(steps, [1e3 * float(np.percentile(step_times(runs), 99)) for runs in at.values()], **look)
-        labels = ("position RMSE [mm]", "heading RMSE [mrad]", "step p99 [ms]")
-        for axes, label in zip((position, heading, cost), labels, strict=True):
+            for axes, of in ((solve, solve_times), (step, step_times)):
+                for percent, strength in ((50, 1.0), (99, 0.4)):
+                    times = [1e3 * time_percentile(of(runs), percent) for runs in at.values()]
+                    axes.plot(steps, times, **look, alpha=strength)
+        labels = ("position RMSE [mm]", "solve p50, pale p99 [ms]", "step p50, pale p99 [ms]")
+        for axes, label in zip((position, solve, step), labels, strict=True):
             axes.set(xlabel=f"horizon [steps of {1e3 * outcomes[0].run.sample_time:.1f} ms]", ylabel=label)
             _scale(axes)
         position.legend()
@@ -125,8 +193,8 @@ def draw_step_times(outcomes: Sequence[Outcome], path: Path) -> None:
 
 def tail_of_step_times(axes: Axes, outcomes: Sequence[Outcome]) -> None:
     """Complementary distribution of the step time on `axes`, with the sample time as a limit."""
-    for i, (name, group) in enumerate(by_driver(outcomes).items()):
-        draw_tail(axes, step_times(group), name, colour(i), line_style(i))
+    for i, (name, own) in enumerate(by_driver(outcomes).items()):
+        draw_tail(axes, step_times(own), name, colour(i), line_style(i))
     sample = 1e3 * outcomes[0].run.sample_time
     axes.axvline(sample, color="black", linewidth=0.8, linestyle=":")
     axes.axhline(0.01, color="black", linewidth=0.5, alpha=0.5)

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import Field, create_model
 
 from diffdrive_mpc.bench.case import DIMENSIONS, HORIZONS, NO_MODEL, Case, Overrides, combinations, label, split_numbers
-from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases, chosen_model
+from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases, chosen_model, controller_config
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.sweep import sweep_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
@@ -23,6 +23,7 @@ class ComparisonSettings(StrictModel):
     horizons: tuple[Annotated[int, Field(ge=1)], ...] = Field((), description="of the sweep [steps]; empty for none")
     config: str | None = Field(None, description="controller configuration file in place of the shipped ones")
     settings: tuple[Overrides, ...] = Field(((),), description="combinations of swept configuration values")
+    beyond: bool = Field(False, description="other speeds, dead times and seeds beside the tables, see `CasePlan`")
 
     def values(self, dimension: str) -> tuple[Any, ...]:
         """Values of a dimension by its name in the plural."""
@@ -35,6 +36,15 @@ class ComparisonSettings(StrictModel):
         return not set(self.values("controllers")) <= set(PEERS)
 
 
+SPEEDS = (0.3, 0.6, 0.9, 1.2)
+"""Top speeds of the error against speed [m/s]."""
+SPEED_TRAJECTORIES, SPEED_SEEDS = ("circle", "s"), 2
+"""What is driven at these speeds, and with how many of the seeds."""
+LATE_TICKS, LATE_TRAJECTORY = (-3, -2, -1, 0, 1, 2, 3, 5), "s"
+"""By how many samples the plant's dead time is longer than the configured one, and what is driven there."""
+OTHER_SEEDS = tuple(range(10, 20))
+"""Seeds over which the order of the controllers is looked at once more."""
+
 _DIMENSIONS: dict[str, Any] = {
     one.several: (Annotated[tuple[one.kind, ...], Field(min_length=1)], one.compared)  # type: ignore[name-defined]
     for one in DIMENSIONS
@@ -44,7 +54,7 @@ _WithDimensions = create_model("ComparisonSettings", __base__=ComparisonSettings
 
 def default_settings() -> ComparisonSettings:
     """What `bench` runs without options."""
-    return _WithDimensions(horizons=HORIZONS)
+    return _WithDimensions(horizons=HORIZONS, beyond=True)
 
 
 def read_options(
@@ -69,6 +79,9 @@ def read_options(
     default = default_settings()
     given = {one: text for one in DIMENSIONS if (text := values.get(one.several)) is not None}
     asked: dict[str, object] = {one.several: one.read(text, one.list_option) for one, text in given.items()}
+    if "controllers" not in asked and (config is not None or settings or "models" in asked):
+        asked["controllers"] = ("mpc",)  # who asks for a model or a configuration asks about that
+    asked["beyond"] = not (quick or config or settings or set(asked) - {"controllers", "models", "seeds"})
     chosen = default.model_copy(update={"settings": tuple(sweep_settings(settings)), **asked})
     if not chosen.ours:
         if any((values.get("models") is not None, config is not None, settings, horizons is not None)):
@@ -96,7 +109,7 @@ def _horizons(text: str, settings: Sequence[str]) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class CasePlan:
-    """Cases of a comparison. A case may belong to both parts; it is run once.
+    """Cases of a comparison. A case may belong to both parts that are timed; it is run once.
 
     Attributes
     ----------
@@ -104,15 +117,29 @@ class CasePlan:
         Every combination of controllers, models, settings and the other dimensions.
     horizon
         Models x horizons x trajectories with the first of everything else.
+    speed, dead_time
+        Every controller at other top speeds; on plants that are later or earlier than it was told. A controller that
+        cannot be told of a longer dead time has later plants only.
+    other_seeds
+        `main` over other seeds.
     """
 
     main: tuple[Case, ...]
     horizon: tuple[Case, ...]
+    speed: tuple[Case, ...] = ()
+    dead_time: tuple[Case, ...] = ()
+    other_seeds: tuple[Case, ...] = ()
 
     @property
     def all(self) -> tuple[Case, ...]:
-        """Every case once, in order."""
+        """Every case that is timed once, in order."""
         return tuple(dict.fromkeys((*self.main, *self.horizon)))
+
+    @property
+    def beyond(self) -> tuple[Case, ...]:
+        """Every other case once, in order."""
+        cases = (*self.speed, *self.dead_time, *self.other_seeds)
+        return tuple(case for case in dict.fromkeys(cases) if case not in set(self.all))
 
 
 def plan_cases(settings: ComparisonSettings) -> CasePlan:
@@ -140,8 +167,37 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
         for case, steps, trajectory in itertools.product(ours, settings.horizons, several["trajectory"])
     ]
     plan = CasePlan(tuple(main), tuple(horizon))
-    check_cases(plan.all)
+    if settings.beyond:
+        each = [replace(case, **first) for name in controllers for case in peers.get(name, drivers)]
+        seeds = several["seed"][:SPEED_SEEDS]
+        plan = replace(
+            plan,
+            speed=tuple(
+                replace(case, trajectory=trajectory, top_speed=speed, seed=seed)
+                for case, trajectory, speed, seed in itertools.product(each, SPEED_TRAJECTORIES, SPEEDS, seeds)
+            ),
+            dead_time=tuple(
+                _late(replace(case, trajectory=LATE_TRAJECTORY), ticks)
+                for case, ticks in itertools.product(each, LATE_TICKS)
+                if ticks >= 0 or case.controller not in PEERS
+            ),
+            other_seeds=tuple(
+                dict.fromkeys(replace(case, seed=seed) for case, seed in itertools.product(main, OTHER_SEEDS))
+            ),
+        )
+    check_cases((*plan.all, *plan.beyond))
     return plan
+
+
+def _late(case: Case, ticks: int) -> Case:
+    """On a plant that is later than the configuration says, or with a configuration that says too much."""
+    if ticks >= 0:
+        return replace(case, late=ticks)
+    known = controller_config(case.model, case.config, case.overrides)
+    for channel in ("v", "omega"):
+        told = getattr(known.extra_dead_time, channel) - ticks * known.sample_time
+        case = case.with_override(f"extra_dead_time.{channel}", round(told, 6))
+    return replace(case, late=ticks)
 
 
 def _at_horizon(case: Case, steps: int) -> Case:

@@ -6,14 +6,23 @@ from collections.abc import Container
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from diffdrive_mpc.bench.case import DIMENSIONS, NO_SCENARIO, label
+import numpy as np
+
+from diffdrive_mpc.bench.case import DIMENSIONS, NO_SCENARIO, Case, label
 from diffdrive_mpc.bench.controllers import controller_config
-from diffdrive_mpc.bench.outcomes import STATISTICS, Outcome, metrics_row, plain
+from diffdrive_mpc.bench.outcomes import STATISTICS, Outcome, Score, drawn_distances, metrics_row, plain
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.studies.comparison.plan import ComparisonSettings
+from diffdrive_mpc.bench.studies.comparison.properties import Property, property_rows
+from diffdrive_mpc.bench.timing import UNDISTURBED, TimingPass
+from diffdrive_mpc.bench.turns import AGAIN, BLOCK
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
-TIMING = "serial replay of the recorded measurements, one core, one BLAS thread, garbage collection off, whole step"
+TIMING = (
+    "replays of the recorded measurements on one core, one BLAS thread, garbage collection off; controllers take turns "
+    f"every {BLOCK} ticks, the first of which is not timed; blocks that counters or the yardstick call disturbed are "
+    f"measured again, up to {AGAIN} times"
+)
 
 
 @dataclass(frozen=True)
@@ -28,14 +37,22 @@ class ComparisonResults:
         Outcomes of the comparison.
     horizon
         Outcomes of the horizon sweep; they may be among `main` too.
-    cpu_share
-        Processor time over elapsed time of the timing pass [-].
+    timing
+        How the machine was while all was timed.
+    properties
+        Of the models on the plants.
+    speed, dead_time, other_seeds
+        See `CasePlan`; empty where they were not run.
     """
 
     settings: ComparisonSettings
     main: tuple[Outcome, ...]
     horizon: tuple[Outcome, ...]
-    cpu_share: float = 1.0
+    timing: TimingPass = UNDISTURBED
+    properties: tuple[Property, ...] = ()
+    speed: tuple[Score, ...] = ()
+    dead_time: tuple[Score, ...] = ()
+    other_seeds: tuple[Score, ...] = ()
 
     @property
     def all(self) -> tuple[Outcome, ...]:
@@ -49,11 +66,20 @@ class ComparisonResults:
 
     def rows(self) -> list[dict[str, object]]:
         """Every run as plain values; what could not be computed is None."""
-        swept = any(self.settings.settings)
-        return [row(outcome, self.silent, with_settings=swept) for outcome in self.all]
+        swept, smoothed = any(self.settings.settings), bool(drawn_distances(self.all).any())
+        return [row(one, self.silent, with_settings=swept, with_drawn=smoothed) for one in self.all]
+
+    def content(self) -> dict[str, object]:
+        """Everything as rows of plain values by name; parts that were not run are left out."""
+        scored = {"speed": self.speed, "dead_time": self.dead_time, "other_seeds": self.other_seeds}
+        rows = {"runs": self.rows(), "properties": property_rows(self.properties, self.main)}
+        rows |= {name: [score_row(one, self.silent) for one in scores] for name, scores in scored.items()}
+        return {name: part for name, part in rows.items() if part}
 
 
-def row(outcome: Outcome, silent: Container[str], *, with_settings: bool = False) -> dict[str, object]:
+def row(
+    outcome: Outcome, silent: Container[str], *, with_settings: bool = False, with_drawn: bool = False
+) -> dict[str, object]:
     """One run as plain values.
 
     Parameters
@@ -65,14 +91,29 @@ def row(outcome: Outcome, silent: Container[str], *, with_settings: bool = False
         its time, begin and end of the disturbance [s] and the figures of the recovery from it.
     with_settings
         Add the swept configuration values under "set".
+    with_drawn
+        Add how far the reference is from the path as it was drawn.
     """
     case, run = outcome.case, outcome.run
     values = case.as_row(silent) | {"horizon": case.horizon} | metrics_row(outcome)
+    values["timed_clean_percent"] = 100.0 * outcome.clean_share
     if with_settings:
         values["set"] = dict(case.overrides)
+    if with_drawn:
+        distance = drawn_distances([outcome])
+        values |= {"drawn_max_m": distance.max(), "drawn_rms_m": np.sqrt(np.mean(distance**2))}
     if "scenario" not in silent:
         values |= {"ended": run.ended or None, "disturbance_s": run.disturbance} | asdict(run.recovery)
     row: dict[str, object] = plain(values)
+    return row
+
+
+def score_row(score: Score, silent: Container[str]) -> dict[str, object]:
+    """A run that was not timed as plain values; `late_s` is by how much the plant was later than told."""
+    case = score.case
+    sample_time = controller_config(Case().model).sample_time
+    values = case.as_row(silent) | {"top_speed_m_s": case.top_speed, "late_s": case.late * sample_time}
+    row: dict[str, object] = plain(values | metrics_row(score, timed=False))
     return row
 
 
@@ -90,22 +131,22 @@ def incomplete(results: ComparisonResults) -> str | None:
     return f"{len(failed)} of {len(ours)} runs of mpc did not complete, the first: {first}; bench.json lists them"
 
 
-def describe(settings: ComparisonSettings, cpu_share: float) -> dict[str, object]:
+def describe(settings: ComparisonSettings, timing: TimingPass) -> dict[str, object]:
     """Definitions, and what was asked for, for the `meta` part of `bench.json`.
 
     Parameters
     ----------
     settings
         What was asked for.
-    cpu_share
-        Processor time over elapsed time of the timing pass [-].
+    timing
+        How the machine was while all was timed.
     """
     asked: dict[str, object] = {one.several: labelled(settings, one.several) for one in DIMENSIONS}
     if not settings.ours:
         asked["models"] = []
     return {
         "step_times": TIMING,
-        "step_times_cpu_share": round(cpu_share, 3),
+        "timing": asdict(timing),
         "statistics": STATISTICS,
         "thresholds": metric_settings().model_dump(),
         "experiment": asked | {"horizons": settings.horizons},

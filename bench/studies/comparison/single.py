@@ -9,7 +9,7 @@ from typing import Any
 
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
-from diffdrive_mpc.bench.controllers import build, chosen_model
+from diffdrive_mpc.bench.controllers import build, chosen_model, controller_config
 from diffdrive_mpc.bench.outcomes import Outcome, by_driver
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
@@ -17,6 +17,7 @@ from diffdrive_mpc.bench.studies.comparison.tables import error_table, path_tabl
 from diffdrive_mpc.bench.sweep import single_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.whole_file import whole_file
+from diffdrive_mpc.mpc.trajectories.speed_check import steps_beyond_slew
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.log_csv import write_rows
 
@@ -73,6 +74,11 @@ def _print(outcome: Outcome) -> None:
     shown = [summary_table, error_table, path_table]
     for make in (*shown, scenario_table) if outcome.case.scenario != NO_SCENARIO else shown:
         console.print(make([outcome]).rich())
+    if outcome.case.controller not in PEERS:
+        config = controller_config(outcome.case.model, outcome.case.config, outcome.case.overrides)
+        steps = steps_beyond_slew(outcome.run.reference, config.limits, config.sample_time)
+        if steps:
+            console.print(steps, markup=False, highlight=False)
     if outcome.run.ended:
         console.print(f"not completed: {outcome.run.ended}", markup=False, highlight=False)
     said = [message for message in dict.fromkeys(outcome.run.messages) if message]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from diffdrive_mpc.bench.case import DIMENSIONS
-from diffdrive_mpc.bench.outcomes import STATISTICS, run_cases
+from diffdrive_mpc.bench.outcomes import STATISTICS, Score, run_cases, score_cases
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.studies.comparison.plan import CasePlan, ComparisonSettings, plan_cases
+from diffdrive_mpc.bench.studies.comparison.properties import measure_properties
 from diffdrive_mpc.bench.studies.comparison.results import (
     TIMING,
     ComparisonResults,
@@ -15,7 +18,7 @@ from diffdrive_mpc.bench.studies.comparison.results import (
 )
 from diffdrive_mpc.bench.studies.comparison.tables import report_tables
 from diffdrive_mpc.bench.study import Report, Study
-from diffdrive_mpc.bench.timing import time_outcomes
+from diffdrive_mpc.bench.timing import TimingPass, time_outcomes
 
 
 class ComparisonStudy(Study[CasePlan, ComparisonResults]):
@@ -35,11 +38,21 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         """Run every case, and time the controllers' steps; raises NotReproducibleError where a replay differs."""
         bar.begin(f"running, {jobs} at a time", len(plan.all))
         recorded = run_cases(plan.all, jobs, bar.advance)
-        bar.begin("timing, one at a time", len(recorded))
-        timed, cpu_share = time_outcomes(recorded, bar.advance)
+        bar.begin("timing, in turns", len(recorded))
+        timed, timing = time_outcomes(recorded, bar.advance)
         outcomes = {outcome.case: outcome for outcome in timed}
         main, horizon = (tuple(outcomes[case] for case in cases) for cases in (plan.main, plan.horizon))
-        return ComparisonResults(self.settings, main, horizon, cpu_share)
+        results = ComparisonResults(self.settings, main, horizon, timing)
+        if not self.settings.beyond:
+            return results
+        bar.begin(f"beyond the tables, {jobs} at a time", len(plan.beyond))
+        scores = {score.case: score for score in score_cases(plan.beyond, jobs, bar.advance)}
+        scores |= {case: Score.of_outcome(outcome) for case, outcome in outcomes.items()}
+        speed, dead_time, others = (
+            tuple(scores[case] for case in cases) for cases in (plan.speed, plan.dead_time, plan.other_seeds)
+        )
+        properties = tuple(measure_properties(plan.main, jobs))
+        return replace(results, properties=properties, speed=speed, dead_time=dead_time, other_seeds=others)
 
     def report(self, results: ComparisonResults, seconds: float) -> Report:
         """The overview above the tables, the runs of the first seed one by one below."""
@@ -54,17 +67,24 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         chosen = chosen_configuration(self.settings)
         return Report(
             counted=f"{len(results.all)} runs",
-            meta=describe(self.settings, results.cpu_share),
-            content={"runs": results.rows()},
+            meta=describe(self.settings, results.timing),
+            content=results.content(),
             facts=[
                 f"{len(results.all)} runs in {seconds} s; {', '.join(asked)}.",
                 *([f"Configuration: {chosen}."] if chosen else []),
             ],
             notes=[
                 f"Errors: {STATISTICS}.",
-                f"Step times: {TIMING}; the process had the core for {100 * results.cpu_share:.0f} % of that time.",
+                f"Times: {TIMING}. {_undisturbed(results.timing)}",
             ],
             tables=report_tables(results),
             figures=drawings(results),
-            figures_first=1,
+            figures_first=3 if results.speed else 1,
         )
+
+
+def _undisturbed(timing: TimingPass) -> str:
+    return (
+        f"In the end {100 * timing.clean_share:.1f} % of the ticks were undisturbed; other programs had the core for "
+        f"{100 * timing.others_share:.0f} % of the time, and the yardstick took {1e6 * timing.yardstick:.1f} us."
+    )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -18,49 +19,83 @@ from diffdrive_mpc.bench.cells import (
     total_of,
     worst_of,
 )
-from diffdrive_mpc.bench.outcomes import Outcome, by, by_driver, by_horizon, by_model, step_times, with_mean
+from diffdrive_mpc.bench.outcomes import (
+    Outcome,
+    by,
+    by_driver,
+    by_horizon,
+    by_model,
+    disturbed_share,
+    drawn_distances,
+    mean,
+    solve_times,
+    step_times,
+    time_percentile,
+    with_mean,
+)
+from diffdrive_mpc.bench.studies.comparison.order import order_table
+from diffdrive_mpc.bench.studies.comparison.properties import property_table
 from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
 from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.interface import FloatArray
 
 Group = Sequence[Outcome]
 
 
-def _step(percent: float, digits: int = 2) -> Cell:
-    return lambda group: number(1e3 * float(np.percentile(step_times(group), percent)), digits)
+def _time(of: Callable[[Group], FloatArray], percent: float, digits: int) -> Cell:
+    """A percentile of times [ms], with an asterisk where not all of them are undisturbed."""
+
+    def cell(group: Group) -> str:
+        times = of(group)
+        mark = "*" if times.size and disturbed_share(group) > 0 else ""
+        return number(1e3 * time_percentile(times, percent), digits) + mark
+
+    return cell
+
+
+def _times(percents: Sequence[int] = (50, 99), digits: int = 2) -> dict[str, Cell]:
+    """Columns of the solve, then of the whole step."""
+    return {
+        f"{name} {'max' if percent == 100 else f'p{percent}'} [ms]": _time(of, percent, digits)
+        for name, of in (("solve", solve_times), ("step", step_times))
+        for percent in percents
+    }
 
 
 _POSITION = {f"position {what} [m]": mean_of(f"position_{what.lower()}_m") for what in ("RMSE", "mean", "std", "max")}
 _HEADING = {f"heading {what} [rad]": mean_of(f"heading_{what.lower()}_rad") for what in ("RMSE", "mean", "std", "max")}
 _LATERAL = {f"lateral {what} [m]": mean_of(f"lateral_{what.lower()}_m") for what in ("RMSE", "MAE", "p95", "max")}
 _IN_BAND = {"in band [%]": mean_of("in_band_percent", partial(number, digits=1))}
-_STEP = {"step p50 [ms]": _step(50), "step p99 [ms]": _step(99)}
+_COURSE = {"course RMSE [rad]": mean_of("course_rmse_rad")}
+_DRAWN: dict[str, Cell] = {
+    "max": lambda group: number(float(drawn_distances(group).max())),
+    "rms": lambda group: number(float(np.sqrt(np.mean(drawn_distances(group) ** 2)))),
+}
 _TRACKING = {
     "position RMSE [m]": mean_of("position_rmse_m"),
-    "position max [m]": worst_of("position_max_m"),
-    "heading RMSE [rad]": mean_of("heading_rmse_rad"),
+    "lateral RMSE [m]": mean_of("lateral_rmse_m"),
+    **_COURSE,
 }
 
 
 def report_tables(results: ComparisonResults) -> list[Table]:
     """Every table of a report, in order; those of horizons and scenarios only where there are any."""
-    tables = [make(results.main) for make in (summary_table, error_table, path_table, time_table)]
+    tables = [make(results.main) for make in (summary_table, error_table, path_table, time_table, solver_table)]
     if "scenario" not in results.silent:
         tables.append(scenario_table(results.main))
-    return tables + ([horizon_table(results.horizon)] if results.horizon else [])
+    tables += [horizon_table(results.horizon)] if results.horizon else []
+    if len(by_driver(results.main)) > 1:
+        tables.append(order_table(results.main, results.other_seeds))
+    return tables + ([property_table(results.properties, results.main)] if results.properties else [])
 
 
 def summary_table(outcomes: Group) -> Table:
     """One row for each controller: how well it tracks and what it costs."""
-    columns = {
-        **_TRACKING,
-        "lateral RMSE [m]": mean_of("lateral_rmse_m"),
-        **_IN_BAND,
-        **_STEP,
-        "deadline misses": total_of("deadline_misses"),
-        "fallbacks": total_of("fallbacks"),
-        "completed": completed,
-    }
-    note = "Means over trajectories and seeds; maxima and counts over all runs."
+    columns = {**_TRACKING, **_times(), "fallbacks": total_of("fallbacks"), "completed": completed}
+    note = (
+        "Errors: means over trajectories and seeds; counts over all runs. Solve: linearising, condensing and solving, "
+        "or a peer's law; step: all from measurement to command."
+    ) + _disturbed_note(outcomes)
     return Table.of("Summary", ("controller",), columns, _by_driver(outcomes), note)
 
 
@@ -72,8 +107,11 @@ def error_table(outcomes: Group) -> Table:
 
 def path_table(outcomes: Group) -> Table:
     """Errors against the path rather than the timed reference, by trajectory."""
-    columns = {"course RMSE [rad]": mean_of("course_rmse_rad"), **_LATERAL, **_IN_BAND}
+    columns = {**_LATERAL, **_COURSE, **_IN_BAND}
     note = "Means over seeds. Lateral: by projection onto the path. Course: direction of travel against its tangent."
+    if drawn_distances(outcomes).any():
+        columns |= {f"reference to drawn path, {what} [m]": cell for what, cell in _DRAWN.items()}
+        note += " The path is that of the reference, which smooth timing lays beside the drawn one."
     return _by_trajectory("Error against the path", outcomes, columns, note)
 
 
@@ -95,34 +133,54 @@ def scenario_table(outcomes: Group) -> Table:
 
 
 def time_table(outcomes: Group) -> Table:
-    """Percentiles of the step time over all ticks of a controller."""
+    """Percentiles of solve and whole step over all ticks of a controller, and which way its solver took."""
     columns: dict[str, Cell] = {
         "horizon": lambda group: " ".join(map(str, by_horizon(group))) or "-",
         "steps": lambda group: str(step_times(group).size),
-        **{f"p{percent} [ms]": _step(percent, 3) for percent in (50, 95, 99)},
-        "max [ms]": _step(100, 3),
+        **_times((50, 95, 99, 100), 3),
+        "deadline misses": total_of("deadline_misses"),
+        "undisturbed [%]": lambda group: number(100 * (1 - disturbed_share(group)), 1),
+    }
+    note = "Over the steps that could be timed undisturbed." + _disturbed_note(outcomes)
+    return Table.of("Step time", ("controller",), columns, _by_driver(outcomes), note)
+
+
+def solver_table(outcomes: Group) -> Table:
+    """Which way the solver took, and its iterations."""
+    columns: dict[str, Cell] = {
         "unlimited [%]": share_of("path_unlimited_percent"),
         "active set [%]": share_of("path_active_set_percent"),
         "backend [%]": share_of("path_backend_percent"),
         "not solved": lambda group: str(sum(one.shares.not_solved for one in group)),
+        "iterations mean": mean_of("iterations_mean", partial(number, digits=2)),
+        "iterations max": worst_of("iterations_max", partial(number, digits=0)),
     }
     note = (
-        "Whole step, serial replay on one core with one BLAS thread. Ways of the solver, in shares of solved steps: "
-        "no limit active; the active set guessed and proven; OSQP or DAQP."
+        "Shares of solved steps: no limit active, which is one factorisation and no iteration; the active set guessed "
+        "and proven; OSQP or DAQP."
     )
-    return Table.of("Step time", ("controller",), columns, _by_driver(outcomes), note)
+    solving = [(name, group) for name, group in _by_driver(outcomes) if math.isfinite(mean(group, "iterations_mean"))]
+    return Table.of("Ways of the solver", ("controller",), columns, solving, note)
 
 
 def horizon_table(outcomes: Group) -> Table:
-    """Tracking error and step time against the horizon, by model."""
+    """Tracking error and times against the horizon, by model."""
     columns: dict[str, Cell] = {
         "horizon [steps]": lambda group: str(group[0].case.horizon),
         **_TRACKING,
-        **_IN_BAND,
-        **_STEP,
+        **_times(),
     }
     entries = [((name,), runs) for name, group in by_model(outcomes).items() for runs in by_horizon(group).values()]
-    return Table.of("Horizon", ("model",), columns, entries, f"Means over trajectories; {_where(outcomes[0])}.")
+    note = f"Means over trajectories; {_where(outcomes[0])}.{_disturbed_note(outcomes)}"
+    return Table.of("Horizon", ("model",), columns, entries, note)
+
+
+def _disturbed_note(outcomes: Group) -> str:
+    """What an asterisk means, where there is one."""
+    share = disturbed_share(outcomes)
+    if not share:
+        return ""
+    return f" *: something else ran; {100 * share:.1f} % of the ticks could not be timed undisturbed, and are left out."
 
 
 def _where(outcome: Outcome) -> str:

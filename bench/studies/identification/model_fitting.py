@@ -28,7 +28,7 @@ from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
 from diffdrive_mpc.models.robot import Positive, load_robot
 from diffdrive_mpc.models.structures.mbm import Motors
-from diffdrive_mpc.models.structures.two_poles import TwoPoles, identify_channel
+from diffdrive_mpc.models.structures.two_poles import IdentifiedChannel, TwoPoles, identify_channel
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, random_commands, step_commands
@@ -45,8 +45,8 @@ _METHOD = (
 IDENTIFICATIONS = len(CHANNELS) + 2 * len(Motors.model_fields)
 """Transfer functions that are fitted in all: both channels of SM, and each motor of MBM twice."""
 
-Identify = Callable[[list[Experiment], float | None], ParameterEstimate]
-"""From experiments of one channel, and its dead time [s] where that is known, to its parameters."""
+Identify = Callable[[str, list[Experiment], float | None], IdentifiedChannel]
+"""From the name of a channel, its experiments, and its dead time [s] where that is known, to what was found."""
 
 
 class FittingSettings(StrictModel):
@@ -87,8 +87,8 @@ def fit_models(
     folder: Path = PARAMETERS,
     date: datetime.date | None = None,
     on_progress: Callable[[int, int], None] | None = None,
-) -> Table:
-    """Identify MBM and SM, write `mbm.yaml` and `sm.yaml` to `folder`, and return a table of their FIT.
+) -> tuple[Table, list[str]]:
+    """Identify MBM and SM, write `mbm.yaml` and `sm.yaml` to `folder`; return a table of their FIT, and warnings.
 
     Parameters
     ----------
@@ -108,21 +108,21 @@ def fit_models(
     announce = on_progress or (lambda _done, _total: None)
     count = itertools.count(1)
 
-    def identify(experiments: list[Experiment], dead_time: float | None) -> ParameterEstimate:
+    def identify(label: str, experiments: list[Experiment], dead_time: float | None) -> IdentifiedChannel:
         shortest = fitting_settings().shortest
         # The simulated sensors have no outliers, and the experiments stay below every limit.
-        found = identify_channel(
-            experiments, "experiments", limit=False, robust=False, dead_time=dead_time, shortest=shortest
-        ).parameters
+        found = identify_channel(experiments, label, limit=False, robust=False, dead_time=dead_time, shortest=shortest)
         announce(next(count), IDENTIFICATIONS)
         return found
 
     with staged(folder) as stage:
         announce(0, IDENTIFICATIONS)
         logs = run_experiments()
-        _write(stage / "sm.yaml", _fit_sm(logs, identify), (logs.v, logs.omega), day)
-        _write(stage / "mbm.yaml", _fit_mbm(logs, identify), (logs.wheels, logs.omega), day)
-    return validation_table(folder)
+        sm, mbm = _fit_sm(logs, identify), _fit_mbm(logs, identify)
+        _write(stage / "sm.yaml", sm, (logs.v, logs.omega), day)
+        _write(stage / "mbm.yaml", mbm, (logs.wheels, logs.omega), day)
+    warnings = [f"{name}: {text}" for name, data in (("MBM", mbm), ("SM", sm)) for text in data["warnings"]]
+    return validation_table(folder), warnings
 
 
 def _write(path: Path, data: dict[str, Any], used: tuple[list[Drive], list[Drive]], day: str) -> None:
@@ -181,10 +181,12 @@ def best_extra_dead_time(model: VelocityModel, logs: list[Drive]) -> FloatArray:
 def _fit_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     fits = {}
     for row, (channel, used) in enumerate(zip(CHANNELS, (logs.v, logs.omega), strict=True)):
-        fits[channel] = identify([_experiment(log, log.command[:, row], log.output[:, row]) for log in used], None)
+        experiments = [_experiment(log, log.command[:, row], log.output[:, row]) for log in used]
+        fits[channel] = identify(channel, experiments, None)
     return {
-        "dead_time": {channel: round(fit.value("dead_time"), 5) for channel, fit in fits.items()},
-        "channels": {channel: _rounded(fit) for channel, fit in fits.items()},
+        "warnings": [warning for fit in fits.values() for warning in fit.warnings],
+        "dead_time": {channel: round(fit.parameters.value("dead_time"), 5) for channel, fit in fits.items()},
+        "channels": {channel: _rounded(fit.parameters) for channel, fit in fits.items()},
     }
 
 
@@ -196,17 +198,21 @@ def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
             _experiment(log, log.command[:, 0] / robot.wheel_radius, log.wheel_speeds[:, wheel]) for log in logs.wheels
         ]
 
+    names = tuple(Motors.model_fields)
     # The command reaches all four motors over one link: one dead time for all.
-    shared = float(np.mean([identify(experiments(wheel), None).value("dead_time") for wheel in range(4)]))
-    motors = [identify(experiments(wheel), shared) for wheel in range(4)]
+    alone = [identify(name, experiments(wheel), None).parameters for wheel, name in enumerate(names)]
+    shared = float(np.mean([parameters.value("dead_time") for parameters in alone]))
+    found = [identify(name, experiments(wheel), shared) for wheel, name in enumerate(names)]
+    motors = [one.parameters for one in found]
     difference = np.concatenate([side_difference(log.wheel_speeds, robot.wheel_radius) for log in logs.omega])
     gyro = np.concatenate([log.yaw_rate for log in logs.omega])
     commanded = np.concatenate([log.command[:, 1] for log in logs.omega])
     settled = np.concatenate([_settled(log) for log in logs.omega])
     gain = np.mean([motor.value("gain") for motor in motors])
     return {
+        "warnings": [warning for one in found for warning in one.warnings],
         "dead_time": {channel: round(shared, 5) for channel in CHANNELS},
-        "motors": {name: _rounded(motor) for name, motor in zip(Motors.model_fields, motors, strict=True)},
+        "motors": {name: _rounded(motor) for name, motor in zip(names, motors, strict=True)},
         "wheel_radius": robot.wheel_radius,
         "firmware_track": round(identify_track(difference[settled], commanded[settled]) / float(gain), 5),
         "effective_track": round(identify_track(difference[settled], gyro[settled]), 5),
@@ -250,7 +256,7 @@ def _yaml(name: str, data: dict[str, Any]) -> str:
     body: dict[str, Any] = {
         "name": name.upper(),
         "structure": name,
-        **{key: data[key] for key in ("provenance", "fit_percent") if key in data},
+        **{key: data[key] for key in ("provenance", "fit_percent", "warnings") if data.get(key)},
     }
-    body |= {key: value for key, value in data.items() if key not in body}
+    body |= {key: value for key, value in data.items() if key not in body and key != "warnings"}
     return head + yaml.safe_dump(body, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from diffdrive_mpc.bench.studies.reproduce.settings import PaperRange
 from diffdrive_mpc.models.discrete_model import DiscreteModel, zero_order_hold
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
@@ -17,7 +18,12 @@ from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.trajectories import load_segments
 from diffdrive_mpc.sim import make_plant
-from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands, step_commands
+from diffdrive_mpc.sim.plants.open_loop import (
+    drive_open_loop,
+    load_command_parameters,
+    random_commands,
+    step_commands,
+)
 
 StepKind = Literal["wheels", "v", "omega"]
 STEP_KINDS: tuple[StepKind, ...] = ("wheels", "v", "omega")
@@ -122,10 +128,13 @@ class RobotLogs:
         """The steps of "wheels", "v" or "omega"; see `sim.plants.open_loop.step_commands`."""
         return self._driven(f"step of {kind}", step_commands(kind))
 
-    def free(self, drives: int, duration: float) -> list[Record]:
-        """Free drives of `duration` [s] each: smoothed random set-points."""
+    def free(self, drives: int, duration: float, largest: PaperRange | None = None) -> list[Record]:
+        """Free drives of `duration` [s] each: smoothed random set-points, stretched to end at `largest` if given."""
+        own = load_command_parameters().random
+        ends = np.array([own.v_range[1], own.omega_range[1]])
+        stretch = np.array([largest.v, largest.omega]) / ends if largest else np.ones(2)
         return [
-            record_of(f"free drive, seed {seed}", seed, random_commands(seed, duration=duration))
+            record_of(f"free drive, seed {seed}", seed, stretch * random_commands(seed, duration=duration))
             for seed in (next(self._seeds) for _ in range(drives))
         ]
 

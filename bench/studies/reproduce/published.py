@@ -44,6 +44,7 @@ class PublishedDrive(PublishedFit):
 class PublishedCost(StrictModel):
     """Mean and standard deviation over runs."""
 
+    simulation_time: tuple[float, float]
     time_per_step: tuple[float, float]
     memory: tuple[float, float]
 
@@ -54,6 +55,7 @@ class PublishedTrack(StrictModel):
     p1: float
     p0: float
     tests: list[tuple[float, float]]
+    radii: list[tuple[float, float]]
     exchanged: list[tuple[int, int]]
 
 
@@ -65,6 +67,8 @@ class Rules(StrictModel):
     quicker: float
     much_quicker: float
     certain: float
+    told_apart_fit_percent: float
+    chance: float
 
 
 class Published(StrictModel):
@@ -75,6 +79,7 @@ class Published(StrictModel):
     odometry: dict[str, dict[str, PublishedErrors]]
     orders: dict[int, PublishedFit]
     free_drives: list[PublishedDrive]
+    free_drives_average: PublishedDrive
     cost: dict[str, PublishedCost]
     virtual_track: PublishedTrack
     rules: Rules
@@ -99,7 +104,7 @@ class Finding:
     published, plant
         The numbers behind it, in the paper and on the simulated robot (means over repetitions).
     holds
-        For each repetition, whether the rule holds there.
+        For each repetition, whether the rule holds there; empty where the numbers do not decide it.
     """
 
     claim: str
@@ -110,7 +115,9 @@ class Finding:
 
     @property
     def verdict(self) -> str:
-        """Yes, no, or in how many repetitions."""
+        """Yes, no, in how many repetitions, or inconclusive."""
+        if not self.holds:
+            return "inconclusive"
         if all(self.holds):
             return "yes"
         return f"{sum(self.holds)} of {len(self.holds)}" if any(self.holds) else "no"

@@ -24,6 +24,13 @@ class MbmSmStudy(StrictModel):
     free_duration: Positive = Field(description="[s]")
 
 
+class PaperRange(StrictModel):
+    """How fast the set-points of the paper's free drives went."""
+
+    v: Positive = Field(description="[m/s]")
+    omega: Positive = Field(description="[rad/s]")
+
+
 class SsmStudy(StrictModel):
     """SSM of several orders from one free drive."""
 
@@ -32,6 +39,7 @@ class SsmStudy(StrictModel):
     test_drives: Count
     free_drives: Count
     free_duration: Positive = Field(description="[s]")
+    paper_range: PaperRange
 
 
 class CostStudy(StrictModel):
@@ -39,6 +47,7 @@ class CostStudy(StrictModel):
 
     runs: int = Field(ge=2, description="a spread takes two")
     steps: Count
+    simulation_steps: dict[str, Count] = Field(description="of the whole simulations, by model")
 
 
 class ReproduceSettings(StrictModel):

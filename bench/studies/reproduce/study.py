@@ -80,12 +80,12 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         timed = "cost" in self._only
         bar.begin("running", len(plan) + 2 * self.settings.cost.runs * timed)
         done = run_tasks(plan, jobs, bar.advance)
-        tracked = "virtual_track" in self._only
+        tracked, published = "virtual_track" in self._only, load_published()
         return ReproduceResults(
             ssm=tuple(result for result in done if isinstance(result, SsmResult)),
             mbm_sm=tuple(result for result in done if isinstance(result, MbmSmResult)),
             cost=measure_cost(self.settings.cost, bar.advance) if timed else None,
-            virtual_track=check_virtual_track(load_published().virtual_track) if tracked else None,
+            virtual_track=check_virtual_track(published.virtual_track, published.rules.certain) if tracked else None,
         )
 
     def report(self, results: ReproduceResults, seconds: float) -> Report:
@@ -159,6 +159,9 @@ def findings_table(findings: Sequence[Finding], repetitions: int) -> Table:
     """Every rule with its verdict."""
     rows = tuple((one.claim, one.source, one.published, one.plant, one.verdict) for one in findings)
     count = "one repetition" if repetitions == 1 else f"{repetitions} repetitions, with drives and noise of their own"
-    note = f"From {count}. Holds: in all (yes), in none (no), or in how many. Numbers are means over repetitions."
+    note = (
+        f"From {count}. Holds: in all (yes), in none (no), or in how many; inconclusive: the numbers do not decide it. "
+        "Numbers are means over repetitions."
+    )
     columns = ("finding", "source", "published", "on our plant", "holds")
     return Table("Findings", columns, rows, text_columns=len(columns), note=note)

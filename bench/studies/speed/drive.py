@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from diffdrive_mpc.bench.counters import Effort
 from diffdrive_mpc.bench.peers.command_limits import nearest_command
 from diffdrive_mpc.bench.studies.speed.process.subject import Subject, TimedStep
 from diffdrive_mpc.bench.studies.speed.settings import SpeedSettings
@@ -56,8 +57,8 @@ class Drive:
     ----------
     ticks, peer_data
         What the subject was told at each tick, for a replay; and what a peer would have been told there.
-    steps
-        What it said.
+    steps, efforts
+        What it said, and what that took of its process.
     pose, twist, command
         True pose (3,) and twist (2,) before each tick, and the command sent (2,).
     """
@@ -70,6 +71,7 @@ class Drive:
     ticks: list[tuple[Any, ...]] = field(default_factory=list)
     peer_data: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
     steps: list[TimedStep] = field(default_factory=list)
+    efforts: list[Effort] = field(default_factory=list)
     pose: list[FloatArray] = field(default_factory=list)
     twist: list[FloatArray] = field(default_factory=list)
     command: list[FloatArray] = field(default_factory=list)
@@ -90,7 +92,7 @@ class Drive:
         data = (t, measurement) if self.ours else peer_data
         if not self.ticks:
             self.subject.reset(data)
-        (step,) = self.subject.run([data])
+        (step,), effort = self.subject.run([data])
         command = np.array(step.command)
         if not np.isfinite(command).all():
             command = np.zeros(2)
@@ -98,6 +100,7 @@ class Drive:
         self.ticks.append(data)
         self.peer_data.append(peer_data)
         self.steps.append(step)
+        self.efforts.append(effort)
         self.pose.append(plant.true_pose)
         self.twist.append(plant.true_twist[[0, 2]])
         self.command.append(command)

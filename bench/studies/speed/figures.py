@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 from matplotlib.ticker import NullFormatter
 
 from diffdrive_mpc.bench.figure_style import MARKERS, colour, draw_tail, line_style, new_figure
@@ -46,7 +47,7 @@ def draw_tails(results: SpeedResults, horizon: int, path: Path) -> None:
         shown = [one for one in results.records if (one.model, one.horizon) == (model, horizon)]
         for one in shown:
             i = results.solvers.index(one.solver)
-            draw_tail(axes, one.whole.ravel(), one.solver, colour(i), line_style(i // 7))
+            draw_tail(axes, one.whole[np.isfinite(one.whole)], one.solver, colour(i), line_style(i // 7))
         axes.axhline(0.01, color="black", linewidth=0.5, alpha=0.5)
         axes.set_xlabel("whole step [ms]")
         axes.set_title(f"{model.upper()}, N = {horizon}")

@@ -1,16 +1,19 @@
-"""Measure every subject on one problem: closed loops in turn, tick by tick; then replays in turn, block by block."""
+"""Measure every subject at one horizon: closed loops in turn, tick by tick; then replays in turn, block by block."""
 
 from __future__ import annotations
 
+import itertools
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from diffdrive_mpc.bench.controllers import controller_config
+from diffdrive_mpc.bench.counters import Effort
 from diffdrive_mpc.bench.peers.command_limits import slew_step
 from diffdrive_mpc.bench.studies.speed.closed_loop_cost import closed_loop_cost
 from diffdrive_mpc.bench.studies.speed.drive import Drive
@@ -19,12 +22,14 @@ from diffdrive_mpc.bench.studies.speed.process.subject import Subject, SubjectEr
 from diffdrive_mpc.bench.studies.speed.results import Missing, SpeedRecord, time_statistics
 from diffdrive_mpc.bench.studies.speed.settings import SpeedSettings, SubjectSettings
 from diffdrive_mpc.bench.studies.speed.stage import StageProblem, stage_problem
+from diffdrive_mpc.bench.turns import TurnTimes, take_turns
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import Controller
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
+T = TypeVar("T")
 _AT_LIMIT = 1e-5
 """A command this close to a limit stands at it [m/s, rad/s]."""
 
@@ -40,16 +45,42 @@ class SpeedProblem:
     stages: StageProblem
 
 
-@dataclass
+@dataclass(eq=False)
 class _Running:
-    """A subject in the middle of it."""
+    """A subject in the middle of it; satisfies `bench.turns.Replay`."""
 
     name: str
     problem: SpeedProblem
     drive: Drive
     built: dict[str, float]
-    replays: list[list[TimedStep]]
+    times: TurnTimes | None = None
     lost: str = ""
+
+    @property
+    def ticks(self) -> int:
+        """Of the drive."""
+        return len(self.drive.ticks)
+
+    def restart(self) -> None:
+        """Begin the drive anew."""
+        self.guarded(lambda: self.drive.subject.reset(self.drive.ticks[0]))
+
+    def run(self, first: int, last: int) -> tuple[FloatArray, Effort] | None:
+        """Times (ticks, 2) of whole steps and inside the solver [s]; None where the subject has failed."""
+        found = self.guarded(lambda: self.drive.subject.run(self.drive.ticks[first:last]))
+        return None if found is None else (_times(found[0]), found[1])
+
+    def guarded(self, act: Callable[[], T]) -> T | None:
+        """Let the subject act; one that fails drops out with its reason, the others go on."""
+        try:
+            return None if self.lost else act()
+        except SubjectError as error:
+            self.lost = str(error)
+            return None
+
+
+def _times(steps: Sequence[TimedStep]) -> FloatArray:
+    return np.array([(step.whole, step.inside) for step in steps])
 
 
 def load_problem(settings: SpeedSettings, model: str, horizon: int) -> SpeedProblem:
@@ -62,17 +93,17 @@ def load_problem(settings: SpeedSettings, model: str, horizon: int) -> SpeedProb
 
 def measure(
     settings: SpeedSettings,
-    problem: SpeedProblem,
+    problems: Sequence[SpeedProblem],
     environment: PeerEnvironment | SubjectError | None,
     folder: Path,
     core: int | None,
     on_tick: Callable[[], None],
 ) -> tuple[list[SpeedRecord], list[Missing]]:
-    """Measure all subjects of `settings` on `problem`.
+    """Measure all subjects of `settings` on all of `problems`, which are compared with each other.
 
     Parameters
     ----------
-    settings, problem
+    settings, problems
         What to run.
     environment
         Of the peers that need their own; or why there is none.
@@ -86,32 +117,45 @@ def measure(
     missing: list[Missing] = []
     running: list[_Running] = []
     with ExitStack() as stack:
-        for name, chosen in settings.subjects.items():
+        for problem, (name, chosen) in itertools.product(problems, settings.subjects.items()):
+            place = folder / problem.name / _plain(name)
             try:
-                subject, built = _build(stack, settings, problem, chosen, environment, folder / _plain(name), core)
+                subject, built = _build(stack, settings, problem, chosen, environment, place, core)
             except SubjectError as error:
                 missing.append(Missing(name, problem.name, problem.horizon, str(error)))
                 continue
             drive = Drive(problem.config, problem.model, settings, subject, chosen.kind == "ours")
-            running.append(_Running(name, problem, drive, built, []))
+            running.append(_Running(name, problem, drive, built))
         for _ in range(settings.ticks):
             for one in running:
-                _guarded(one, one.drive.step)
+                one.guarded(one.drive.step)
             on_tick()
-        for _ in range(settings.repetitions):
-            replayed = [one for one in running if not one.lost and _typical(one) < settings.replayed_below]
-            turns = [(one, _replay(one, settings.block)) for one in replayed]
-            for _ in range(0, settings.ticks, settings.block):
-                for one, turn in turns:
-                    _guarded(one, lambda turn=turn: next(turn))  # type: ignore[misc]
-        converged, _ = _build(stack, settings, problem, settings.converged, None, folder / "converged", core)
+        _replay([one for one in running if not one.lost], settings, core)
+        converged = {
+            problem.name: _build(
+                stack, settings, problem, settings.converged, None, folder / problem.name / "converged", core
+            )[0]
+            for problem in problems
+        }
         measured = []
         for one in running:
             if not one.lost:
-                measured.append(_measured(one, _gaps(one, converged, settings.gap_every)))
+                measured.append(_measured(one, _gaps(one, converged[one.problem.name], settings.gap_every)))
             else:
-                missing.append(Missing(one.name, problem.name, problem.horizon, one.lost))
+                missing.append(Missing(one.name, one.problem.name, one.problem.horizon, one.lost))
     return measured, missing
+
+
+def _replay(running: Sequence[_Running], settings: SpeedSettings, core: int | None) -> None:
+    """Time all of them; those too slow to be replayed have the times of their closed loop."""
+    quick = [one for one in running if _typical(one) < settings.replayed_below]
+    (found,), best = take_turns([quick], repetitions=settings.repetitions, block=settings.block, core=core)
+    for one, times in zip(quick, found, strict=True):
+        one.times = times
+    best = min([best, *(effort.pace for one in running for effort in one.drive.efforts)])
+    for one in running:
+        clean = np.array([[effort.undisturbed(best) for effort in one.drive.efforts]])
+        one.times = one.times or TurnTimes(_times(one.drive.steps)[None], clean)
 
 
 def _build(
@@ -137,28 +181,8 @@ def _build(
     return subject, subject.build(asdict(problem.stages), chosen.settings, core)
 
 
-def _guarded(one: _Running, act: Callable[[], object]) -> None:
-    """Let a subject act; one that fails drops out with its reason, the others go on."""
-    if one.lost:
-        return
-    try:
-        act()
-    except SubjectError as error:
-        one.lost = str(error)
-
-
 def _typical(one: _Running) -> float:
     return float(np.median([step.whole for step in one.drive.steps]))
-
-
-def _replay(one: _Running, block: int) -> Iterator[None]:
-    """The whole drive again, a block at a time."""
-    ticks = one.drive.ticks
-    one.drive.subject.reset(ticks[0])
-    one.replays.append([])
-    for first in range(0, len(ticks), block):
-        one.replays[-1] += one.drive.subject.run(ticks[first : first + block])
-        yield
 
 
 def _gaps(one: _Running, converged: Subject, every: int) -> FloatArray:
@@ -167,7 +191,7 @@ def _gaps(one: _Running, converged: Subject, every: int) -> FloatArray:
     for k in range(0, len(one.drive.ticks), every):
         data = one.drive.peer_data[k]
         converged.reset(data)
-        (step,) = converged.run([data])
+        (step,), _ = converged.run([data])
         if step.solved:
             gaps.append(np.abs(np.subtract(one.drive.steps[k].command, step.command)))
     return np.array(gaps or [np.full(2, np.nan)])
@@ -175,9 +199,8 @@ def _gaps(one: _Running, converged: Subject, every: int) -> FloatArray:
 
 def _measured(one: _Running, gaps: FloatArray) -> SpeedRecord:
     drive, problem = one.drive, one.problem
-    runs = one.replays or [drive.steps]
-    whole = np.array([[step.whole for step in run] for run in runs])
-    inside = np.array([[step.inside for step in run] for run in runs])
+    assert one.times is not None
+    whole, inside = np.moveaxis(one.times.kept, -1, 0)
     iterations = [step.iterations for step in drive.steps]
     command = np.array(drive.command)
     cost = closed_loop_cost(
@@ -197,7 +220,8 @@ def _measured(one: _Running, gaps: FloatArray) -> SpeedRecord:
         gap_omega_max=float(gaps[:, 1].max()),
         active_share=_active_share(command, problem.config),
         unsolved=sum(not step.solved for step in drive.steps),
-        samples=whole.size,
+        samples=int(np.isfinite(whole).sum()),
+        clean_share=one.times.share,
         ticks=len(command),
         build_s=one.built["build_s"],
         memory_bytes=memory,

@@ -41,12 +41,13 @@ class SpeedRecord:
         Share of ticks at which the command stood at a hard limit of range or slew.
     unsolved
         Ticks at which the solver gave up.
-    samples, ticks
-        Steps that were timed, and ticks of the drive.
+    samples, clean_share, ticks
+        Steps that were timed, the share of them that were undisturbed, and ticks of the drive.
     build_s, memory_bytes, memory_growth_bytes
         Time to set it up [s]; the largest memory of its process, and by how much it grew since its modules were loaded.
     whole
-        (repetitions, ticks) times of the whole step [s], for the figure of the tail; not written.
+        (repetitions, ticks) times of the whole step [s], NaN where it was disturbed or cold, for the figure of the
+        tail; not written.
     """
 
     solver: str
@@ -72,6 +73,7 @@ class SpeedRecord:
     active_share: float
     unsolved: int
     samples: int
+    clean_share: float
     ticks: int
     build_s: float
     memory_bytes: float
@@ -95,13 +97,13 @@ class Missing:
 
 
 def time_statistics(whole: FloatArray, inside: FloatArray) -> dict[str, float]:
-    """Percentiles of times (repetitions, ticks) [s] under the names of a record's fields."""
-    ticks = np.median(whole, axis=0)
+    """Percentiles of times (repetitions, ticks) [s] under the names of a record's fields; what is NaN is left out."""
+    ticks = np.nanmedian(whole[:, np.isfinite(whole).any(axis=0)], axis=0)
     statistics = {"tick_p99_s": float(np.percentile(ticks, 99)), "tick_max_s": float(ticks.max())}
     for name, times in (("step", whole), ("solver", inside)):
         for percent in (50, 95, 99):
-            statistics[f"{name}_p{percent}_s"] = float(np.percentile(times, percent))
-        statistics[f"{name}_max_s"] = float(times.max())
+            statistics[f"{name}_p{percent}_s"] = float(np.nanpercentile(times, percent))
+        statistics[f"{name}_max_s"] = float(np.nanmax(times))
     return statistics
 
 

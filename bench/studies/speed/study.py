@@ -7,6 +7,8 @@ import tempfile
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.studies.speed.measure import SpeedProblem, load_problem, measure
 from diffdrive_mpc.bench.studies.speed.process.environment import REQUIREMENTS, PeerEnvironment, peer_environment
@@ -17,7 +19,7 @@ from diffdrive_mpc.bench.studies.speed.tables import detailed_horizon, speed_tab
 from diffdrive_mpc.bench.study import Report, Study
 
 
-class SpeedStudy(Study[list[SpeedProblem], SpeedResults]):
+class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
     """What `settings` ask for.
 
     Parameters
@@ -35,12 +37,12 @@ class SpeedStudy(Study[list[SpeedProblem], SpeedResults]):
         self.settings = settings
         self._peer_folder = peer_folder
 
-    def plan(self) -> list[SpeedProblem]:
-        """A problem for each model and horizon; raises ConfigError or ValueError if one cannot be used."""
+    def plan(self) -> list[list[SpeedProblem]]:
+        """A problem for each horizon and model; raises ConfigError or ValueError if one cannot be used."""
         s = self.settings
-        return [load_problem(s, model, n) for model in s.models for n in s.horizons]
+        return [[load_problem(s, model, n) for model in s.models] for n in s.horizons]
 
-    def run(self, plan: list[SpeedProblem], jobs: int, bar: ProgressBar) -> SpeedResults:
+    def run(self, plan: list[list[SpeedProblem]], jobs: int, bar: ProgressBar) -> SpeedResults:
         """One after the other on one core, whatever `jobs` is; raises ValueError if no subject could be run."""
         del jobs
         load = os.getloadavg()[0]
@@ -51,9 +53,9 @@ class SpeedStudy(Study[list[SpeedProblem], SpeedResults]):
         environment = self._environment()
         bar.begin("driving", len(plan) * self.settings.ticks)
         with tempfile.TemporaryDirectory() as scratch:
-            for problem in plan:
-                place = Path(scratch) / f"{problem.name}-{problem.horizon}"
-                found, lost = measure(self.settings, problem, environment, place, core, bar.advance)
+            for problems in plan:
+                place = Path(scratch) / str(problems[0].horizon)
+                found, lost = measure(self.settings, problems, environment, place, core, bar.advance)
                 records += found
                 missing += lost
         if not records:
@@ -79,6 +81,7 @@ class SpeedStudy(Study[list[SpeedProblem], SpeedResults]):
         lines = REQUIREMENTS.read_text(encoding="utf-8").splitlines()
         shown = ("comma-deps-acados", "casadi", "do-mpc")
         peers = [line.replace("==", " ") for line in lines if line.partition("==")[0] in shown]
+        clean = float(np.mean([record.clean_share for record in results.records]))
         load = {"before": before, "after": after}
         return Report(
             counted=f"{len(results.records)} records",
@@ -88,7 +91,11 @@ class SpeedStudy(Study[list[SpeedProblem], SpeedResults]):
                 f"{s.ticks} ticks of {s.trajectory}, {s.repetitions} replays in blocks of {s.block} ticks, {core}, one "
                 f"BLAS thread, in {seconds} s; {before:.1f} processes ran on the machine before, {after:.1f} after."
             ],
-            notes=[f"Peers: {', '.join(peers)}. Missing: {missing}."],
+            notes=[
+                f"{100 * clean:.1f} % of the steps were undisturbed: no other process, no slower machine. The others "
+                "are left out, and medians of rows that have some are marked *.",
+                f"Peers: {', '.join(peers)}. Missing: {missing}.",
+            ],
             tables=speed_tables(results),
             figures={
                 "horizon.png": partial(draw_horizons, results),

@@ -67,9 +67,11 @@ def _by_horizon(
 def _medians(results: SpeedResults, model: str) -> Table:
     def cell(solver: str, model: str, n: int) -> str:
         whole, inside = (number(1e3 * results.value(solver, model, n, clock), 3) for clock in (_whole, _inside))
-        return f"{whole} ({inside})"
+        return f"{whole}{'*' if results.value(solver, model, n, lambda r: r.clean_share) < 1 else ''} ({inside})"
 
-    note = "Whole step from Python, in brackets the time inside the solver."
+    note = (
+        "Whole step from Python, in brackets the time inside the solver. *: some steps could not be kept undisturbed."
+    )
     return _by_horizon(results, f"Median step {model.upper()}", model, cell, note, unit=" [ms]")
 
 

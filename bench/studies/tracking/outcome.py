@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.bench.case import NO_SCENARIO, Case
-from diffdrive_mpc.bench.controllers import controller_config, run_case
+from diffdrive_mpc.bench.controllers import controller_config, load_reference, run_case
 from diffdrive_mpc.bench.outcomes import SolverShares, metrics_row, plain
 from diffdrive_mpc.bench.peers.clairvoyant import ClairvoyantController
 from diffdrive_mpc.bench.peers.known_plant import know_plant
 from diffdrive_mpc.bench.studies.tracking.plan import BOUND, TrackingPlan
 from diffdrive_mpc.bench.studies.tracking.settings import TrackingSettings, load_targets
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim import Metrics, Run, make_plant, simulate
 from diffdrive_mpc.sim.metrics.metrics import steady_arc_lateral, steady_arcs
 from diffdrive_mpc.sim.metrics.recovery import Recovery
@@ -65,8 +64,7 @@ class ReducedOutcome:
     def as_json(self) -> dict[str, object]:
         """Labels and numbers as plain values, without step times and series; what is not finite is None."""
         values = self.case.as_row() | {"set": dict(self.case.overrides), "late_lateral_m": self.late_lateral_m}
-        kept = {k: v for k, v in metrics_row(self).items() if "step_time" not in k and k != "deadline_misses"}
-        numbers = {"steady_arcs_m": self.arcs} | kept | asdict(self.recovery)
+        numbers = {"steady_arcs_m": self.arcs} | metrics_row(self, timed=False) | asdict(self.recovery)
         row: dict[str, object] = plain(values | numbers, _DIGITS)
         return row
 
@@ -146,7 +144,7 @@ def _run_bound(case: Case, trajectories: tuple[str, ...]) -> Run:
     known = know_plant(case.plant, case.surface, trajectories)
     controller = ClairvoyantController(known, controller_config(Case().model))
     plant = make_plant(case.plant, surface=case.surface, sensors=case.sensors, seed=case.seed)
-    return simulate(controller, plant, load_trajectory(case.trajectory))
+    return simulate(controller, plant, load_reference(case))
 
 
 @dataclass(frozen=True)

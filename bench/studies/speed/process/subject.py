@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import diffdrive_mpc
+from diffdrive_mpc.bench.counters import Effort
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 
 if TYPE_CHECKING:
@@ -93,9 +94,10 @@ class Subject:
         """Start a drive anew with the data of its first tick."""
         self._ask("reset", *data)
 
-    def run(self, ticks: list[tuple[Any, ...]]) -> list[TimedStep]:
-        """Step through ticks."""
-        return [TimedStep(*answer) for answer in self._ask("run", *ticks)]
+    def run(self, ticks: list[tuple[Any, ...]]) -> tuple[list[TimedStep], Effort]:
+        """Step through ticks, and what they took of the process."""
+        answers, effort = self._ask("run", *ticks)
+        return [TimedStep(*answer) for answer in answers], Effort(*effort)
 
     def memory(self) -> float:
         """The largest memory it had so far [bytes]."""

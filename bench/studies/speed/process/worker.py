@@ -24,6 +24,9 @@ KINDS = {
 }
 """Module and class behind each kind of subject."""
 
+Answer = tuple[list[float], float, float, int, bool]
+"""Of a step: command, time of the whole step and inside the solver [s], iterations, solved."""
+
 
 class Worker:
     """Holds one subject; public methods are what can be asked of it."""
@@ -32,6 +35,8 @@ class Worker:
         module, name = KINDS[kind]
         self._make = getattr(importlib.import_module(module), name)
         self._subject: Any = None
+        # Not at the top: its folder is on the path only by now.
+        self._watched = importlib.import_module("diffdrive_mpc.bench.counters").watched
 
     def build(self, problem: object, settings: dict[str, Any], folder: str, core: int | None) -> dict[str, float]:
         """Make the subject; returns the time that took [s] and the memory before [bytes]."""
@@ -49,15 +54,16 @@ class Worker:
         """Start a drive anew; `data` are those of its first tick."""
         self._subject.reset(*data)
 
-    def run(self, *ticks: tuple[object, ...]) -> list[tuple[list[float], float, float, int, bool]]:
-        """Step through ticks: command, time of the whole step and inside the solver [s], iterations, solved."""
-        subject, answers = self._subject, []
-        for data in ticks:
-            began = time.perf_counter()
-            command = subject.solve(*data)
-            whole = time.perf_counter() - began
-            answers.append((command.tolist(), whole, *subject.report()))
-        return answers
+    def run(self, *ticks: tuple[object, ...]) -> tuple[list[Answer], tuple[float, float, int, float]]:
+        """Step through ticks: an answer for each, and the `bench.counters.Effort` of all."""
+        answers, effort = self._watched(lambda: [self._timed(data) for data in ticks])
+        return answers, tuple(effort)
+
+    def _timed(self, data: tuple[object, ...]) -> Answer:
+        began = time.perf_counter()
+        command = self._subject.solve(*data)
+        whole = time.perf_counter() - began
+        return (command.tolist(), whole, *self._subject.report())
 
     def memory(self) -> float:
         """The largest memory that this process had [bytes]."""

@@ -1,4 +1,4 @@
-"""Our controller as a subject: the whole step from measurement to command, and what of it is the core's."""
+"""Our controller as a subject: the whole step from measurement to command, and what of it is the solve."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from diffdrive_mpc.mpc.step_result import Mode
 
 
 class OurSubject:
-    """The controller. The time inside the solver is that inside the compiled core and the backend, estimator included.
+    """The controller. The time inside the solver is that of linearising, condensing and solving, the backend included.
 
     Parameters
     ----------
@@ -46,4 +46,4 @@ class OurSubject:
         """Of the last step."""
         step = self._step
         assert step is not None
-        return SolveReport(step.core_time, step.solver.iterations, step.mode is Mode.TRACKING)
+        return SolveReport(step.solve_time, step.solver.iterations, step.mode is Mode.TRACKING)

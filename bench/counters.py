@@ -1,0 +1,113 @@
+"""Whether somebody disturbed what was timed, by counters. Standard library only: the processes of peers use it, too.
+
+A short stretch of work is undisturbed if its thread was never put aside, had the processor for all of the time, and the
+machine was as fast before and after it as at its best. The last is measured by a yardstick, a fixed bit of arithmetic:
+a processor that is throttled, or shares its core with a neighbour that the system does not show, is slower at it.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+try:
+    import resource
+except ImportError:  # a system without it counts no switches
+    resource = None  # type: ignore[assignment]
+
+T = TypeVar("T")
+
+AWAY = (2e-5, 0.01)
+"""An undisturbed stretch may lack the processor for so long [s] and so much of its time: clocks are read apart."""
+SLOWER = 1.15
+"""From this on, in units of its best time, the yardstick says that the machine is slow."""
+_PROBES, _SUMMANDS = 3, 300
+
+
+class Effort(NamedTuple):
+    """What some work took: elapsed and own processor time [s], involuntary switches, time of the yardstick [s]."""
+
+    elapsed: float
+    own: float
+    switches: int
+    pace: float
+
+    def undisturbed(self, best_pace: float) -> bool:
+        """Whether nobody disturbed it, on a machine whose yardstick takes `best_pace` [s] at its best."""
+        away = self.elapsed - self.own
+        return self.switches == 0 and away <= AWAY[0] + AWAY[1] * self.elapsed and self.pace <= SLOWER * best_pace
+
+
+def watched(work: Callable[[], T]) -> tuple[T, Effort]:
+    """Do `work`; what it gave, and what it took of this thread. The yardstick is measured before and after it."""
+    pace = yardstick()
+    began, own, switches = time.perf_counter(), time.thread_time(), _switches()
+    result = work()
+    effort = (time.perf_counter() - began, time.thread_time() - own, _switches() - switches)
+    return result, Effort(*effort, max(pace, yardstick()))
+
+
+def yardstick() -> float:
+    """The time that a fixed sum takes [s], the shortest of a few: a few dozen microseconds in all."""
+    return min(_one_sum() for _ in range(_PROBES))
+
+
+def _one_sum() -> float:
+    began = time.perf_counter()
+    total = 0
+    for i in range(_SUMMANDS):
+        total += i * i
+    return time.perf_counter() - began
+
+
+def _switches() -> int:
+    if resource is None:
+        return 0
+    return resource.getrusage(getattr(resource, "RUSAGE_THREAD", resource.RUSAGE_SELF)).ru_nivcsw
+
+
+class CoreCounters(NamedTuple):
+    """What the system says of one core since it was started; zero where it does not.
+
+    Time that programs and the kernel had it, and that the host took from it [s], in steps of some milliseconds; how
+    often it was throttled.
+    """
+
+    busy: float = 0.0
+    stolen: float = 0.0
+    throttled: int = 0
+
+    @classmethod
+    def read(cls, core: int | None) -> CoreCounters:
+        """Of a core by its number; zeros for None."""
+        if core is None:
+            return cls()
+        lines = _text("/proc/stat").splitlines()
+        # user, nice, system, idle, iowait, irq, softirq, steal
+        ticks = next(
+            ([int(word) for word in line.split()[1:9]] for line in lines if line.startswith(f"cpu{core} ")), None
+        )
+        throttled = _text(f"/sys/devices/system/cpu/cpu{core}/thermal_throttle/core_throttle_count")
+        if ticks is None or len(ticks) < 8:
+            return cls(throttled=int(throttled or 0))
+        each = 1.0 / os.sysconf("SC_CLK_TCK")
+        return cls(each * (sum(ticks[:3]) + ticks[5] + ticks[6]), each * ticks[7], int(throttled or 0))
+
+    def since(self, before: CoreCounters) -> CoreCounters:
+        """What was counted since `before`."""
+        return CoreCounters(self.busy - before.busy, self.stolen - before.stolen, self.throttled - before.throttled)
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether, counted since something began, the host took time or the core was throttled."""
+        return self.stolen > 0 or self.throttled > 0
+
+
+def _text(path: str) -> str:
+    try:
+        return Path(path).read_text(encoding="ascii")
+    except OSError:
+        return ""

@@ -1,0 +1,123 @@
+"""What every peer is given: the predictive controller's own estimate, moved forward over the robot's delay.
+
+A command shows its effect one lag later, so a law that answers to the present pose answers too late. Commands that are
+on their way are known: the velocity model says where they take the robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
+from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc import Controller, ControllerConfig
+from diffdrive_mpc.mpc.estimation.estimate import Estimate
+from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.hold import Hold
+
+_HOLD = Hold("it only estimates")
+
+
+class HeldEstimator:
+    """The estimator of the predictive controller: the same compiled tick, held so that it does not solve.
+
+    Parameters
+    ----------
+    config
+        Configuration whose estimator and velocity model it is.
+    """
+
+    def __init__(self, config: ControllerConfig) -> None:
+        self._controller = Controller(config)
+        self._sent: tuple[float, float] | None = None
+
+    @property
+    def model(self) -> VelocityModel:
+        """The velocity model, extra dead time included."""
+        model = self._controller.model
+        assert isinstance(model, VelocityModel)
+        return model
+
+    def start(self, reference: Reference, t0: float) -> None:
+        """Begin anew; `reference` and `t0` [s] as `Controller.start` takes and checks them."""
+        self._controller.start(reference, t0)
+
+    def step(self, t: float, measurement: Measurement) -> Estimate | None:
+        """The estimate at the tick at `t` [s] from what arrived since the last one; None before the first pose."""
+        if measurement.sent is None and self._sent is not None:
+            measurement = replace(measurement, sent=self._sent)
+        return self._controller.step(t, measurement, _HOLD).estimate
+
+    def sent(self, command: FloatArray) -> None:
+        """Say what was commanded (2,) at this tick: the held controller believes that it brakes."""
+        self._sent = (float(command[0]), float(command[1]))
+
+
+class Motion(NamedTuple):
+    """Where the robot will be, and how it will move there."""
+
+    pose: FloatArray
+    """(3,) x [m], y [m], theta [rad, unwrapped]."""
+    twist: FloatArray
+    """(2,) v [m/s], omega [rad/s] of the body, slip included."""
+
+
+class DelayPredictor:
+    """Moves an estimate forward through the commands that are on their way; the last of them stays in force.
+
+    Parameters
+    ----------
+    model
+        The velocity model, dead time included.
+    dt
+        Sample time [s].
+    lead
+        How far ahead [s]; it need not be a multiple of `dt`.
+    """
+
+    def __init__(self, model: VelocityModel, dt: float, lead: float) -> None:
+        sampled = model.discretise(dt)
+        self._memory = sampled.memory
+        whole = int(np.floor(lead / dt + 1e-9))
+        self._durations = np.append(np.full(whole, dt), max(0.0, lead - whole * dt))
+        self._share = self._durations[-1] / dt
+        # The outputs are linear in state and commands: those of unit ones are the columns of the matrices.
+        ticks, n = whole + 2, sampled.order
+        units = np.eye(2 * self._memory).reshape(-1, self._memory, 2)
+        states = [sampled.simulate(np.zeros((ticks, 2)), state=unit).ravel() for unit in np.eye(n)]
+        pasts = [sampled.simulate(np.tile(unit[-1], (ticks, 1)), past=unit).ravel() for unit in units]
+        self._outputs = np.column_stack(states + pasts)
+        self._past = np.zeros((self._memory, 2))
+
+    def reset(self) -> None:
+        """Forget the commands, for a robot that stands still."""
+        self._past[:] = 0.0
+
+    def sent(self, command: FloatArray) -> None:
+        """Enter the command (2,) of this tick."""
+        self._past = np.vstack([self._past[1:], command])
+
+    def predict(self, pose: FloatArray, state: FloatArray, slip: Slip) -> Motion:
+        """The motion one lead later.
+
+        Parameters
+        ----------
+        pose, state
+            (3,) pose and (n,) states of the velocity model now.
+        slip
+            What lies between the model's twist and the body's.
+        """
+        outputs = (self._outputs @ np.concatenate([state, self._past.ravel()])).reshape(-1, 2)
+        twists = slip.gains * (outputs + slip.offset)
+        v, omega = 0.5 * (twists[:-1] + twists[1:]).T
+        turned = np.cumsum(omega * self._durations)
+        starts = np.zeros((len(v), 3))
+        starts[:, 2] = pose[2]
+        starts[1:, 2] += turned[:-1]
+        moved = integrate_pose(starts, v, omega, self._durations, slip.side_slip)[:, :2].sum(axis=0)
+        after = np.array([pose[0] + moved[0], pose[1] + moved[1], pose[2] + turned[-1]])
+        return Motion(after, (1 - self._share) * twists[-2] + self._share * twists[-1])

@@ -1,0 +1,84 @@
+"""LTV-LQR along the reference: feed-forward, and state feedback whose gains come from a Riccati recursion backwards.
+
+The state is the error in the reference's frame, its integral across the path, and the twist's lag behind the reference:
+de/dt = (omega c + dv, -omega a + v h, dw, c, ...) with each twist a first-order lag behind its command. The textbook
+form: B. Anderson, J. Moore, "Optimal control: linear quadratic methods", 1990, chapters 2 and 3.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from diffdrive_mpc.bench.peers.tracking_peer import STANDING, AboveZero, Delayed, Gains, NotNegative, Sight
+from diffdrive_mpc.models.interface import FloatArray, Reference
+
+_STATES = 6
+_MOST_INTEGRAL = 0.1
+"""Bound of the integral of the error across the path [m s]."""
+
+
+class LqrGains(Gains):
+    """Weights, relative to 1 s^2/m^2 on the deviation of v from its feed-forward."""
+
+    along: AboveZero = Field(description="squared error along the path [1/m^2]")
+    across: AboveZero = Field(description="squared error across the path [1/m^2]")
+    heading: NotNegative = Field(description="squared heading error [1/rad^2]")
+    integral: NotNegative = Field(description="squared integral of the error across the path [1/(m s)^2]")
+    omega: AboveZero = Field(description="squared deviation of omega from its feed-forward [s^2/rad^2]")
+
+
+class LqrLaw:
+    """Time-varying state feedback around the reference."""
+
+    gains = LqrGains
+
+    def __init__(self, gains: LqrGains, robot: Delayed) -> None:
+        self._dt, self._time_constant = robot.sample_time, robot.time_constant
+        self._Q = np.diag([gains.along, gains.across, gains.heading, gains.integral, 0.0, 0.0])
+        self._R = np.diag([1.0, gains.omega])
+
+    def start(self, reference: Reference) -> None:
+        """Work out the gains along `reference`."""
+        self._reference, self._integral = reference, 0.0
+        count = int(np.ceil(reference.duration / self._dt)) + 1
+        twists = reference.sample(self._dt * (np.arange(count) + 0.5)).twist
+        # Rest at the end: from there on the last weights count once more.
+        self._K, P = np.empty((count, 2, _STATES)), self._Q
+        for k in reversed(range(count)):
+            self._K[k], P = self.backwards(P, *self.linearised(*twists[k]))
+
+    def linearised(self, v: float, omega: float) -> tuple[FloatArray, FloatArray]:
+        """A (6, 6) and B (6, 2) of one sample around a reference of constant twist.
+
+        The states are errors along [m] and across [m], of heading [rad], the integral of the second [m s], and of v
+        [m/s] and omega [rad/s].
+        """
+        dt = self._dt
+        decay = np.exp(-dt / self._time_constant)
+        A, B = np.eye(_STATES), np.zeros((_STATES, 2))
+        A[0, 1], A[1, 0], A[1, 2] = dt * omega, -dt * omega, dt * v
+        A[0, 4], A[2, 5] = dt, dt
+        # A robot that stands can do nothing about an error across: it must not add up.
+        A[3, 1] = dt if abs(v) > STANDING else 0.0
+        A[4, 4], A[5, 5] = decay
+        B[4, 0], B[5, 1] = 1 - decay
+        return A, B
+
+    def backwards(self, P: FloatArray, A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Gain K (2, 6) and cost-to-go (6, 6) one sample before that of P (6, 6)."""
+        K = np.asarray(np.linalg.solve(self._R + B.T @ P @ B, B.T @ P @ A), dtype=float)
+        before = self._Q + A.T @ P @ (A - B @ K)
+        return K, np.asarray(0.5 * (before + before.T))
+
+    def decide(self, sight: Sight) -> FloatArray:
+        """(2,) wanted v [m/s] and omega [rad/s]."""
+        gap = sight.motion.pose - sight.reference
+        c, s = np.cos(sight.reference[2]), np.sin(sight.reference[2])
+        along, across = c * gap[0] + s * gap[1], c * gap[1] - s * gap[0]
+        expected = self._reference.sample([sight.time]).twist[0]
+        if abs(expected[0]) > STANDING:
+            self._integral = float(np.clip(self._integral + self._dt * across, -_MOST_INTEGRAL, _MOST_INTEGRAL))
+        state = np.array([along, across, gap[2], self._integral, *(sight.motion.twist - expected)])
+        row = min(max(int(sight.time / self._dt), 0), len(self._K) - 1)
+        return np.asarray(sight.feed_forward - self._K[row] @ state)

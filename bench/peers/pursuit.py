@@ -1,0 +1,75 @@
+"""Regulated pure pursuit of a timed reference.
+
+Source: S. Macenski, S. Singh, F. Martin, J. Gines, "Regulated pure pursuit for robot path tracking", Autonomous Robots
+2023, as Nav2 has it: a look-ahead distance that grows with speed between bounds, the arc through that point, speed
+taken back on tight arcs, and turning to the heading where the robot stands. Its users give it a path; a reference has
+times too, so the speed is that of the reference plus a feedback of the lag along it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from diffdrive_mpc.bench.peers.tracking_peer import STANDING, AboveZero, Delayed, Gains, NotNegative, Sight
+from diffdrive_mpc.models.interface import FloatArray, Reference
+
+_FARTHEST = 1.0
+"""Bound of the look-ahead distance [m]."""
+_AHEAD = np.arange(0.0, 2.0, 0.05)
+"""Times from now on at which the path ahead is looked at [s]: in the last the slowest start covers the least bound."""
+
+
+class PursuitGains(Gains):
+    """What is tuned."""
+
+    look_ahead_time: AboveZero = Field(description="look-ahead distance over speed [s]")
+    look_ahead_min: AboveZero = Field(description="its lower bound [m]")
+    along: NotNegative = Field(description="on the lag along the path [1/s]")
+    turn: NotNegative = Field(description="on the heading error while turning on the spot [1/s]")
+    least_radius: NotNegative = Field(description="on tighter arcs the speed shrinks with their radius [m]")
+
+
+class PursuitLaw:
+    """The arc through a point on the path ahead, at the reference's pace."""
+
+    gains = PursuitGains
+
+    def __init__(self, gains: PursuitGains, robot: Delayed) -> None:
+        del robot  # the prediction is all it knows of it
+        self._gains = gains
+
+    def start(self, reference: Reference) -> None:
+        """Begin to track `reference`."""
+        self._reference = reference
+
+    def decide(self, sight: Sight) -> FloatArray:
+        """(2,) wanted v [m/s] and omega [rad/s]."""
+        gains, (v, omega) = self._gains, sight.feed_forward
+        ahead, _, turned = sight.error
+        if abs(v) <= STANDING:
+            return np.array([gains.along * ahead, omega + gains.turn * turned])
+        x, y = self.carrot(sight)
+        curvature = 2 * y / (x * x + y * y)
+        pace = v + gains.along * ahead
+        # A tight arc: slow enough to get round, but never the other way.
+        regulated = pace * min(1.0, 1.0 / max(abs(curvature) * gains.least_radius, 1e-9))
+        return np.array([regulated, regulated * curvature])
+
+    def carrot(self, sight: Sight) -> FloatArray:
+        """(2,) the point to reach in the robot's frame [m]; a path that ends or turns back is thought to go on."""
+        gains, v = self._gains, sight.feed_forward[0]
+        direction = np.sign(v)
+        distance = float(np.clip(gains.look_ahead_time * abs(v), gains.look_ahead_min, _FARTHEST))
+        path = self._reference.sample(sight.time + _AHEAD)
+        with_it = direction * path.twist[:, 0] > STANDING
+        begin = int(np.argmax(with_it))
+        rest = np.flatnonzero(~with_it[begin:])
+        last = begin + int(rest[0]) if with_it.any() and rest.size else len(_AHEAD) - 1 if with_it.any() else 0
+        covered = path.arc_length[: last + 1] - path.arc_length[0]
+        point = np.array([np.interp(distance, covered, path.pose[: last + 1, i]) for i in (0, 1)])
+        beyond = direction * max(0.0, distance - covered[-1])
+        heading = path.pose[last, 2]
+        gap = point + beyond * np.array([np.cos(heading), np.sin(heading)]) - sight.motion.pose[:2]
+        c, s = np.cos(sight.motion.pose[2]), np.sin(sight.motion.pose[2])
+        return np.array([c * gap[0] + s * gap[1], c * gap[1] - s * gap[0]])

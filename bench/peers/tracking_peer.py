@@ -1,0 +1,209 @@
+"""A tracking law between estimate and limits: what all peers share, so that only their laws differ."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any, Protocol
+
+import numpy as np
+from pydantic import Field
+
+from diffdrive_mpc.bench.peers import LAWS, PeerStep
+from diffdrive_mpc.bench.peers.command_limits import nearest_command
+from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, Motion
+from diffdrive_mpc.models.checked_yaml import StrictModel, check, read_yaml
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
+from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.mpc import ControllerConfig, load_config
+from diffdrive_mpc.mpc.config.schema import Limits
+
+GAINS = Path(__file__).parent / "gains.yaml"
+"""Gains of every peer by its name, as the study `peers` found them."""
+STANDING = 0.01
+"""A reference slower than this stands, or turns on the spot [m/s]."""
+MODEL = "sm"
+"""Configuration and model of every peer: the one that tells dead time and lag apart."""
+
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+AboveZero = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class Gains(StrictModel):
+    """What is tuned of a peer: the gains of its law, and how far ahead it acts."""
+
+    lead: NotNegative = Field(0.0, description="the law acts on the pose so far ahead [s]")
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What a law is told at one tick; all of it belongs to the instant at which its command takes effect.
+
+    Attributes
+    ----------
+    time
+        Since the start of the reference [s].
+    motion
+        Predicted pose (3,) and twist (2,). With compensation of side-slip the heading is that of travel.
+    reference
+        (3,) pose of the reference; the heading is on the robot's turn, less than pi away from its heading.
+    feed_forward
+        (2,) twist that the reference asks for, each channel its own lag ahead [m/s, rad/s].
+    """
+
+    time: float
+    motion: Motion
+    reference: FloatArray
+    feed_forward: FloatArray
+
+    @property
+    def error(self) -> FloatArray:
+        """(3,) from robot to reference in the robot's frame: ahead [m], to the left [m], turned left [rad]."""
+        x, y, turned = self.reference - self.motion.pose
+        c, s = np.cos(self.motion.pose[2]), np.sin(self.motion.pose[2])
+        return np.array([c * x + s * y, c * y - s * x, turned])
+
+
+@dataclass(frozen=True)
+class Delayed:
+    """What a law may know of the robot beside the prediction.
+
+    Attributes
+    ----------
+    sample_time
+        Of the ticks [s].
+    time_constant
+        (2,) lag of v and omega behind their commands, without dead time [s].
+    limits
+        Range and slew of the command.
+    """
+
+    sample_time: float
+    time_constant: FloatArray
+    limits: Limits
+
+
+class Law(Protocol):
+    """A tracking law: from what is seen to the twist that the body is to have.
+
+    It is made from its gains and a `Delayed`; the type of its gains is its attribute `gains`.
+    """
+
+    def start(self, reference: Reference) -> None:
+        """Begin to track `reference`."""
+        ...
+
+    def decide(self, sight: Sight) -> FloatArray:
+        """(2,) wanted v [m/s] and omega [rad/s] of the body."""
+        ...
+
+
+class TrackingPeer:
+    """Estimate, prediction over the delay, law, command inside range and slew; see `models.interface`.
+
+    The twist that the law wants becomes a command by the inverse of the model's gain and of the estimated slip, as the
+    feed-forward of the predictive controller does.
+
+    Parameters
+    ----------
+    law
+        The law.
+    lead
+        How far ahead it acts [s].
+    side_slip
+        Whether the estimated side-slip is made up for: the robot then leans into the curve, so that it travels along
+        the path.
+    config
+        Limits, estimator and velocity model; by default those of the shipped configuration of SM, the model that tells
+        dead time and lag apart.
+    """
+
+    def __init__(
+        self, law: Law, lead: float, *, side_slip: bool = False, config: ControllerConfig | None = None
+    ) -> None:
+        self._law, self._lead, self._side_slip = law, lead, side_slip
+        self._config = config or load_config(MODEL)
+        self._estimator = HeldEstimator(self._config)
+        model = self._estimator.model
+        self._predictor = DelayPredictor(model, self._config.sample_time, lead)
+        self._inverse_gain, self._lag = np.linalg.inv(model.dc_gain), np.maximum(model.lag, 0.0)
+        self._last = np.zeros(2)
+        self._reference: Reference | None = None
+
+    def start(self, reference: Reference, t0: float) -> None:
+        """Begin to track `reference`, whose time 0 is `t0` [s]; raises ValueError where it is beyond the limits."""
+        self._estimator.start(reference, t0)
+        self._law.start(reference)
+        self._reference, self._t0 = reference, t0
+
+    def step(self, t: float, measurement: Measurement) -> PeerStep:
+        """Decide the command for the tick at `t` [s]; without a recent pose it brakes.
+
+        Raises RuntimeError if `start` was not called.
+        """
+        began = time.perf_counter()
+        if self._reference is None:
+            raise RuntimeError("call start(reference, t0) before step")
+        estimate, since_start = self._estimator.step(t, measurement), t - self._t0
+        wish, mode, message, took = np.zeros(2), "TRACKING", "", 0.0
+        if estimate is None or not estimate.pose_age <= self._config.failure.max_pose_age:
+            mode, message = "BRAKING", "no recent pose"
+        elif since_start >= self._reference.duration:
+            mode = "FINISHED"
+        else:
+            slip = estimate.slip
+            motion = self._predictor.predict(estimate.pose, estimate.state, slip)
+            sight = self._sight(self._reference, since_start, motion, slip.side_slip if self._side_slip else 0.0)
+            thinking = time.perf_counter()
+            twist = self._law.decide(sight)
+            took = time.perf_counter() - thinking
+            wish = self._inverse_gain @ (twist / slip.gains - slip.offset)
+        command = nearest_command(wish, self._config.limits, self._config.sample_time, self._last)
+        self._estimator.sent(command)
+        self._predictor.sent(command)
+        self._last = command
+        return PeerStep(command, mode, message, time.perf_counter() - began, took)
+
+    def _sight(self, reference: Reference, since_start: float, motion: Motion, side_slip: float) -> Sight:
+        sample = reference.sample(since_start + np.array([self._lead, *self._lag]))
+        feed_forward = sample.twist[[1, 2], [0, 1]]
+        # Turning on the spot, a robot does not slip sideways.
+        crab = side_slip * feed_forward[1] if abs(feed_forward[0]) > STANDING else 0.0
+        travel = motion.pose - np.array([0.0, 0.0, crab])
+        pose = sample.pose[0].copy()
+        pose[2] = travel[2] + float(wrap_angle(pose[2] - travel[2]))
+        return Sight(since_start + self._lead, Motion(travel, motion.twist), pose, feed_forward)
+
+
+def make_tracking_peer(name: str, gains: Gains | None = None, config: ControllerConfig | None = None) -> TrackingPeer:
+    """The peer of a name in `bench.peers.LAWS`, with the shipped gains by default.
+
+    "NAME+slip" is the law NAME with compensation of side-slip; it has gains of its own.
+    """
+    kind = law_kind(name)
+    config = config or load_config(MODEL)
+    gains = gains or load_gains(name)
+    model = load_model(MODEL)
+    robot = Delayed(config.sample_time, model.lag - model.dead_time, config.limits)
+    return TrackingPeer(kind(gains, robot), gains.lead, side_slip=name.endswith("+slip"), config=config)
+
+
+def law_kind(name: str) -> Any:  # noqa: ANN401 - each law has gains of its own type
+    """The class of the law of a peer."""
+    module, _, kind = LAWS[name].partition(".")
+    return getattr(import_module(f"diffdrive_mpc.bench.peers.{module}"), kind)
+
+
+def load_gains(name: str, path: Path = GAINS) -> Gains:
+    """Gains of one peer from a file of gains by peer, by default the shipped one; raises ConfigError on a mistake."""
+    found: Gains = check(law_kind(name).gains, _read(path)[name], f"{path.name}: {name}")
+    return found
+
+
+@cache
+def _read(path: Path) -> Any:  # noqa: ANN401 - checked where it is used
+    return read_yaml(path)

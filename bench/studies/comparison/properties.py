@@ -1,0 +1,134 @@
+"""What a model is worth before it drives: open-loop FIT and pose drift on the plant, beside its tracking error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+from scipy.stats import spearmanr
+
+from diffdrive_mpc.bench.case import DIMENSIONS, Case
+from diffdrive_mpc.bench.controllers import controller_config
+from diffdrive_mpc.bench.outcomes import Outcome, group, mean, model_name
+from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.bench.runner import OnDone, run_tasks
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.identification.poses import pose_drift
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc import Controller
+from diffdrive_mpc.sim import make_plant
+from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
+
+EXCITATION_SEEDS = (2001, 2002)
+"""Of random set-points and noise: drives that no model is identified from."""
+DRIFT_AFTER = 2.0
+"""Length of a free prediction of the pose [s]: about three horizons."""
+_FEWEST = 5
+"""Pairs of model and plant from which on a rank correlation says anything."""
+
+
+@dataclass(frozen=True)
+class Property:
+    """One model on one plant.
+
+    Attributes
+    ----------
+    case
+        Model, configuration and plant.
+    fit_v, fit_omega
+        FIT of a free run from the commands alone [%].
+    drift
+        Root mean square of the position error after `DRIFT_AFTER` [m].
+    """
+
+    case: Case
+    fit_v: float
+    fit_omega: float
+    drift: float
+
+    @classmethod
+    def of(cls, case: Case) -> Property | None:
+        """Drive the plant of `case` open loop; None for a model that is a function, which cannot be run freely."""
+        config = controller_config(case.model, case.config, case.overrides)
+        model = Controller(config).model
+        if not isinstance(model, VelocityModel):
+            return None
+        sampled, records, twists, outputs = model.discretise(config.sample_time), [], [], []
+        for seed in EXCITATION_SEEDS:
+            plant = make_plant(case.plant, case.surface, case.sensors, seed)
+            drive = drive_open_loop(plant, random_commands(seed, sample_time=config.sample_time))
+            records.append(Record(f"seed {seed}", 0.0, config.sample_time, drive.command, pose=drive.true_pose))
+            twists.append(sampled.simulate(drive.command))
+            outputs.append(drive.output)
+        fit_v, fit_omega = (pooled_fit_percent([y[:, i] for y in outputs], [y[:, i] for y in twists]) for i in (0, 1))
+        (drift,) = pose_drift(records, twists, horizons=[DRIFT_AFTER])
+        return cls(case, fit_v, fit_omega, drift.position_rmse)
+
+
+def measure_properties(cases: Sequence[Case], jobs: int, on_done: OnDone = lambda: None) -> list[Property]:
+    """Of every pair of model and plant among `cases`, once."""
+    wanted = dict.fromkeys(_property_case(case) for case in cases if case.controller not in PEERS)
+    found = run_tasks([partial(Property.of, case) for case in wanted], jobs, on_done)
+    return [one for one in found if one is not None]
+
+
+def _property_case(case: Case) -> Case:
+    """What the properties depend on."""
+    plain = {one.name: one.default for one in DIMENSIONS if one.name in ("trajectory", "seed", "scenario", "timing")}
+    return replace(case, **plain)
+
+
+def property_rows(properties: Sequence[Property], outcomes: Sequence[Outcome]) -> list[dict[str, object]]:
+    """Each as plain values with the tracking error of the same model on the same plant."""
+    tracked = group(outcomes, lambda outcome: _property_case(outcome.case))
+    return [
+        {
+            "model": one.case.labels["model"],
+            **{name: one.case.labels[name] for name in ("plant", "surface", "sensors")},
+            "fit_v_percent": one.fit_v,
+            "fit_omega_percent": one.fit_omega,
+            "drift_m": one.drift,
+            "position_rmse_m": mean(tracked.get(one.case, []), "position_rmse_m"),
+        }
+        for one in properties
+    ]
+
+
+def property_table(properties: Sequence[Property], outcomes: Sequence[Outcome]) -> Table:
+    """FIT, drift and tracking error; and which of the first two goes with the third."""
+    rows = property_rows(properties, outcomes)
+    cells = tuple(
+        (
+            model_name(str(row["model"])),
+            ", ".join(str(row[name]) for name in ("plant", "surface", "sensors")),
+            *(number(float(row[name]), 1) for name in ("fit_v_percent", "fit_omega_percent")),  # type: ignore[arg-type]
+            *(number(1e3 * float(row[name]), 1) for name in ("drift_m", "position_rmse_m")),  # type: ignore[arg-type]
+        )
+        for row in rows
+    )
+    columns = (
+        "model",
+        "plant",
+        "FIT v [%]",
+        "FIT omega [%]",
+        f"drift after {DRIFT_AFTER:g} s [mm]",
+        "position RMSE [mm]",
+    )
+    note = (
+        "FIT and drift: free runs from the commands alone, dead time included, over "
+        f"{len(EXCITATION_SEEDS)} drives with random set-points; slip is not in them. {predicts(rows)}"
+    )
+    return Table("Which property of a model predicts tracking", columns, cells, text_columns=2, note=note)
+
+
+def predicts(rows: Sequence[dict[str, object]]) -> str:
+    """The rank correlation of each property with the tracking error, or that there are too few points for one."""
+    if len(rows) < _FEWEST:
+        return f"{len(rows)} pairs of model and plant are too few for a correlation with the tracking error."
+    error = [row["position_rmse_m"] for row in rows]
+    names = {"fit_v_percent": "FIT of v", "fit_omega_percent": "FIT of omega", "drift_m": "drift"}
+    found = [f"{shown} {spearmanr([row[name] for row in rows], error).statistic:+.2f}" for name, shown in names.items()]
+    return f"Rank correlation with the position RMSE over {len(rows)} pairs of model and plant: {', '.join(found)}."

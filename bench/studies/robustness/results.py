@@ -1,0 +1,146 @@
+"""What the study keeps of a run, and its tables."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.cells import Cell, completed, mean_of, millis, worst_of
+from diffdrive_mpc.bench.controllers import run_case
+from diffdrive_mpc.bench.outcomes import SolverShares, group, mean, metrics_row, model_name, plain
+from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.sim import Metrics
+from diffdrive_mpc.sim.metrics.recovery import Recovery
+
+_DIGITS = 6
+"""Of every number in `robustness.json`."""
+
+
+@dataclass(frozen=True)
+class ConditionOutcome:
+    """What is kept of a run under a condition; satisfies `bench.outcomes.Scored`.
+
+    Attributes
+    ----------
+    condition
+        Name of the condition.
+    case
+        What was run.
+    metrics, recovery, shares
+        Statistics, return after a disturbance, and the ways of the solver.
+    late_lateral_m
+        Largest |lateral| of the ticks from `settled` on; NaN where there are none.
+    ended
+        Why the robot was lost; empty where it was not.
+    message
+        What the controller said most often; empty where it said nothing.
+    said_percent
+        Share of the ticks at which it said anything [%].
+    """
+
+    condition: str
+    case: Case
+    metrics: Metrics
+    recovery: Recovery
+    shares: SolverShares
+    late_lateral_m: float
+    ended: str
+    message: str
+    said_percent: float
+
+    @property
+    def driver(self) -> str:
+        """The controller as tables write it: a peer's name, or that of the model."""
+        return self.case.controller if self.case.controller in PEERS else model_name(self.case.labels["model"])
+
+    def as_json(self) -> dict[str, object]:
+        """Labels and numbers as plain values, without step times."""
+        own = ("condition", "late_lateral_m", "ended", "message", "said_percent")
+        kept = {k: v for k, v in metrics_row(self).items() if "step_time" not in k and k != "deadline_misses"}
+        settings = {"set": dict(self.case.overrides)}
+        row: dict[str, object] = plain(
+            {name: getattr(self, name) for name in own} | self.case.as_row() | settings | kept, _DIGITS
+        )
+        return row
+
+
+def run_condition(condition: str, case: Case, settled: float) -> ConditionOutcome:
+    """Drive one case and keep what the study shows; lateral errors count from `settled` [s] on."""
+    run = run_case(case)
+    late = np.abs(run.errors.lateral[run.counted & (run.time >= settled)])
+    said = Counter(message for message in run.messages if message)
+    return ConditionOutcome(
+        condition,
+        case,
+        run.metrics,
+        run.recovery,
+        SolverShares.of(run),
+        float(np.max(late)) if late.size else float("nan"),
+        run.ended,
+        said.most_common(1)[0][0] if said else "",
+        100.0 * said.total() / len(run.messages),
+    )
+
+
+Rows = Sequence[ConditionOutcome]
+
+
+def by_condition(rows: Rows) -> dict[str, dict[str, list[ConditionOutcome]]]:
+    """Outcomes by condition, and in it by controller, in the order of first appearance."""
+    return {
+        name: group(theirs, lambda one: one.driver) for name, theirs in group(rows, lambda one: one.condition).items()
+    }
+
+
+def ratios(drivers: Mapping[str, Rows]) -> dict[str, float]:
+    """Mean position RMSE of each controller over that of the best one that completed every run; NaN without one."""
+    errors = {name: mean(theirs, "position_rmse_m") for name, theirs in drivers.items()}
+    arrived = [errors[name] for name, theirs in drivers.items() if all(one.metrics.completed for one in theirs)]
+    best = min(arrived, default=float("nan"))
+    return {name: error / best for name, error in errors.items()}
+
+
+def study_tables(rows: Rows) -> list[Table]:
+    """Errors under each condition; where there are several controllers, how far each is behind; what they said."""
+    conditions = by_condition(rows)
+    entries = [((name, driver), runs) for name, drivers in conditions.items() for driver, runs in drivers.items()]
+    columns: dict[str, Cell] = {
+        "position RMSE [mm]": mean_of("position_rmse_m", millis),
+        "largest late lateral [mm]": lambda runs: millis(max(one.late_lateral_m for one in runs)),
+        "position max [mm]": worst_of("position_max_m", millis),
+        "completed": completed,
+    }
+    note = "Mean RMSE and largest errors over trajectories and seeds; of a run that ended early, of what was driven."
+    tables = [Table.of("Conditions", ("condition", "controller"), columns, entries, note)]
+    if len({driver for _, driver in (names for names, _ in entries)}) > 1:
+        tables.append(_ratio_table(conditions))
+    return [*tables, _message_table(rows)]
+
+
+def _ratio_table(conditions: Mapping[str, Mapping[str, Rows]]) -> Table:
+    names = list(dict.fromkeys(driver for drivers in conditions.values() for driver in drivers))
+    columns: dict[str, Callable[[Mapping[str, float]], str]] = {
+        name: lambda row, name=name: number(row.get(name, float("nan")), 2)  # type: ignore[misc]
+        for name in names
+    }
+    entries = [((name,), ratios(drivers)) for name, drivers in conditions.items()]
+    note = "Mean position RMSE over that of the best controller that completed every run there."
+    return Table.of("Error over the best one's", ("condition",), columns, entries, note)
+
+
+def _message_table(rows: Rows) -> Table:
+    """The most frequent message of the run in which a controller said most."""
+    loudest = [
+        max(runs, key=lambda one: one.said_percent)
+        for drivers in by_condition(rows).values()
+        for runs in drivers.values()
+    ]
+    said = [((one.condition, one.driver, one.ended or one.message), one) for one in loudest if one.ended or one.message]
+    columns: dict[str, Callable[[ConditionOutcome], str]] = {"ticks [%]": lambda one: number(one.said_percent, 0)}
+    note = "The most frequent message of the run with most of them, and the share of ticks at which anything was said."
+    return Table.of("What the controllers said", ("condition", "controller", "message"), columns, said, note)

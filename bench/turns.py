@@ -1,0 +1,187 @@
+"""Times that are compared come from replays that take turns, block by block, and disturbed blocks are measured again.
+
+What the machine does meanwhile then meets all of them alike, and caches are as warm for one as for the other.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffdrive_mpc.bench.counters import CoreCounters, Effort
+from diffdrive_mpc.models.interface import FloatArray
+
+BLOCK = 25
+"""Ticks that one replay goes on before the next has its turn."""
+COLD = 1
+"""Ticks at the begin of a turn that are not timed: the caches are full of others' data, and they take four times as
+long."""
+AGAIN = 4
+"""How many more times all is replayed where blocks were disturbed, at most."""
+PATIENCE = 2.0
+"""How long that may go on, in units of the time that the wanted replays took."""
+
+
+class Replay(Protocol):
+    """A recorded drive that can be repeated from its start, as often as wanted."""
+
+    @property
+    def ticks(self) -> int:
+        """How many it has."""
+        ...
+
+    def restart(self) -> None:
+        """Be before the first tick."""
+        ...
+
+    def run(self, first: int, last: int) -> tuple[FloatArray, Effort] | None:
+        """Go on through the ticks `first` to `last` - 1: times (ticks, 2) of the whole step and of the solve [s].
+
+        None if it has failed: it takes no more turns.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class TurnTimes:
+    """Times of one replay.
+
+    Attributes
+    ----------
+    times
+        (repetitions, ticks, 2) of the whole step and of the solve [s]; NaN where there is none, and for cold ticks.
+    clean
+        (repetitions, ticks) whether the tick's block was undisturbed.
+    """
+
+    times: FloatArray
+    clean: NDArray[np.bool_]
+
+    @property
+    def share(self) -> float:
+        """Share of the wanted ticks that are clean."""
+        return float(self.clean.mean())
+
+    @property
+    def kept(self) -> FloatArray:
+        """The times with NaN for disturbed ticks, unless none is clean: then all of them."""
+        return np.where(self.clean[..., None] if self.clean.any() else True, self.times, np.nan)
+
+
+@dataclass(eq=False)
+class _Measured:
+    """One turn."""
+
+    times: FloatArray
+    effort: Effort
+    disturbed: bool = False
+
+
+@dataclass(eq=False)
+class _Track:
+    """A replay, and what its blocks gave so far."""
+
+    replay: Replay
+    repetitions: int
+    blocks: dict[int, list[_Measured]] = field(default_factory=dict)
+    failed: bool = False
+
+    def clean(self, block: int, best: float) -> list[_Measured]:
+        """Undisturbed turns of the block that begins at a tick."""
+        return [one for one in self.blocks.get(block, []) if not one.disturbed and one.effort.undisturbed(best)]
+
+    def end(self, best: float, block: int) -> int:
+        """The tick after the last block that lacks clean turns; 0 if none does."""
+        starts = range(0, 0 if self.failed else self.replay.ticks, block)
+        lacking = [first for first in starts if len(self.clean(first, best)) < self.repetitions]
+        return min(lacking[-1] + block, self.replay.ticks) if lacking else 0
+
+    def result(self, best: float) -> TurnTimes:
+        times = np.full((self.repetitions, self.replay.ticks, 2), np.nan)
+        clean = np.zeros(times.shape[:2], dtype=bool)
+        for first, turns in self.blocks.items():
+            good = self.clean(first, best)
+            # Where there are too few, disturbed ones stand in; they stay marked as such.
+            chosen = (good + [one for one in turns if one not in good])[: self.repetitions]
+            for row, one in enumerate(chosen):
+                place = slice(first, first + len(one.times))
+                times[row, place], clean[row, place] = one.times, row < len(good)
+                times[row, first : first + COLD] = np.nan
+        return TurnTimes(times, clean)
+
+
+def take_turns(
+    groups: Sequence[Sequence[Replay]],
+    *,
+    repetitions: int = 1,
+    block: int = BLOCK,
+    core: int | None = None,
+    on_replay: Callable[[], None] = lambda: None,
+) -> tuple[list[list[TurnTimes]], float]:
+    """Replay everything until every block was measured undisturbed, `AGAIN` times more than wanted or out of patience.
+
+    Parameters
+    ----------
+    groups
+        Replays that are compared with each other; those of a group take turns.
+    repetitions
+        Undisturbed measurements that are wanted of each block.
+    block
+        Ticks of a turn.
+    core
+        The core that all of them run on, for its counters; None where that is not known.
+    on_replay
+        Called for each replay of the first pass.
+
+    Returns
+    -------
+    times
+        Of each replay of each group.
+    best
+        The shortest time of the yardstick [s]; see `bench.counters`.
+    """
+    tracks = [[_Track(replay, repetitions) for replay in group] for group in groups]
+    best = np.inf
+    began, deadline = time.perf_counter(), np.inf
+    for again in range(repetitions + AGAIN):
+        if again == repetitions:
+            deadline = began + (1.0 + PATIENCE) * (time.perf_counter() - began)
+        for group in tracks:
+            if time.perf_counter() > deadline:
+                break
+            _go_round([track for track in group if track.end(best, block)], best, block, core)
+            best = min(
+                [best, *(one.effort.pace for track in group for turns in track.blocks.values() for one in turns)]
+            )
+            for _ in group if again == 0 else []:
+                on_replay()
+    return [[track.result(best) for track in group] for group in tracks], float(best)
+
+
+def _go_round(group: list[_Track], best: float, block: int, core: int | None) -> None:
+    """One pass of a group, each as far as it lacks clean blocks."""
+    ends = {id(track): track.end(best, block) for track in group}
+    for track in group:
+        track.replay.restart()
+    for turn, first in enumerate(range(0, max(ends.values(), default=0), block)):
+        before, measured = CoreCounters.read(core), []
+        # Each is the first once in a while.
+        for track in itertools.islice(itertools.cycle(group), turn % len(group), turn % len(group) + len(group)):
+            last = min(first + block, ends[id(track)])
+            if track.failed or first >= last:
+                continue
+            found = track.replay.run(first, last)
+            if found is None:
+                track.failed = True
+                continue
+            measured.append(_Measured(*found))
+            track.blocks.setdefault(first, []).append(measured[-1])
+        disturbed = CoreCounters.read(core).since(before).disturbed
+        for one in measured:
+            one.disturbed = disturbed

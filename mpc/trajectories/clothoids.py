@@ -1,0 +1,144 @@
+"""Paths of continuous, piecewise linear curvature: clothoids in place of the jumps of curvature between arcs.
+
+Around a joint of two arcs three clothoids replace what lies within a reach on both sides; they meet both arcs with
+equal position, heading and curvature, so the path is changed nowhere else and returns to what was drawn. Three are
+what such a joint needs: Bertolazzi and Frego, "On the G2 Hermite interpolation problem with clothoids", J. Comput.
+Appl. Math. 341 (2018). The parts keep one proportion here, which leaves two curvatures and the length to be found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq, root
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.pose import integrate_pose
+
+# The middle part's share of a joint: longer it turns the curvature more gently, shorter it overshoots it by less.
+_MIDDLE = 0.4
+_PARTS = np.array([(1 - _MIDDLE) / 2, _MIDDLE, (1 - _MIDDLE) / 2])
+_MOST_TURN = math.pi / 2
+_LOOKS = np.linspace(0.0, 1.0, 41)
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+
+
+class Clothoid(NamedTuple):
+    """A stretch of path whose curvature goes linearly over its arc length."""
+
+    length: float
+    """[m], positive."""
+    first: float
+    """Curvature at its start [1/m], radians turned for each metre of path, forwards or backwards."""
+    last: float
+    """Curvature at its end [1/m]."""
+
+
+class Joint(NamedTuple):
+    """What stands in place of a jump of curvature."""
+
+    before: float
+    """Curvature of the arc that ends there [1/m]."""
+    after: float
+    """Curvature of the arc that begins there [1/m]."""
+    reach: float
+    """By how much both arcs are shortened [m]."""
+    parts: tuple[Clothoid, ...]
+    """In order; none where the curvature does not jump."""
+
+
+def along(parts: Sequence[Clothoid], at: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Poses and curvatures of a path of clothoids that is driven forwards from the origin.
+
+    Parameters
+    ----------
+    parts
+        One after the other.
+    at
+        (n,) arc lengths [m], increasing from 0.
+
+    Returns
+    -------
+    FloatArray, FloatArray
+        (n, 3) x, y [m], theta [rad]; (n,) curvature [1/m].
+    """
+    lengths, first, last = np.array(parts).T
+    ends = np.cumsum(lengths)
+    turned = np.concatenate([[0.0], np.cumsum(lengths * (first + last) / 2)])
+
+    def bent(s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        piece = np.minimum(np.searchsorted(ends, s, side="left"), len(ends) - 1)
+        since = s - (ends - lengths)[piece]
+        slope = ((last - first) / lengths)[piece]
+        return turned[piece] + since * (first[piece] + slope * since / 2), first[piece] + slope * since
+
+    heading, curvature = bent(at)
+    step = np.diff(at)[:, None]
+    inside, _ = bent(at[:-1, None] + step * (_NODES + 1) / 2)
+    points = np.stack([np.cos(inside) @ _WEIGHTS, np.sin(inside) @ _WEIGHTS], axis=1) * step / 2
+    return np.column_stack([np.concatenate([np.zeros((1, 2)), np.cumsum(points, axis=0)]), heading]), curvature
+
+
+@lru_cache(maxsize=1024)
+def joint(before: float, after: float, longest: float, distance: float) -> Joint:
+    """Clothoids between an arc of curvature `before` and one of curvature `after` [1/m].
+
+    They reach as far as they can: at most `longest` [m] to either side, and at most `distance` [m] from the arcs.
+    """
+    if before == after:
+        return Joint(before, after, 0.0, ())
+    most = min(longest, _MOST_TURN / max(abs(before), abs(after)))
+
+    def made(reach: float) -> Joint:
+        return Joint(before, after, reach, _fit(before, after, reach))
+
+    def excess(reach: float) -> float:
+        found = made(reach)
+        length = sum(part.length for part in found.parts)
+        return float(distances(along(found.parts, _LOOKS * length)[0], found).max()) - distance
+
+    if excess(most) <= 0:
+        return made(most)
+    # The distance goes with the square of the reach. A hair less, so that it is kept and not only met.
+    return made(most * brentq(lambda share: excess(share * most) + 0.001 * distance, 1e-6, 1.0, xtol=1e-6))
+
+
+def _fit(before: float, after: float, reach: float) -> tuple[Clothoid, ...]:
+    """Clothoids from `reach` [m] before a joint of arcs to `reach` after it."""
+    target = integrate_pose(integrate_pose(np.zeros(3), 1.0, before, reach), 1.0, after, reach)
+    overshoot = 0.1 * (after - before)
+
+    def parts(unknown: FloatArray) -> tuple[Clothoid, ...]:
+        knots = (before, unknown[0] / reach, unknown[1] / reach, after)
+        lengths = _PARTS * unknown[2] * reach
+        return tuple(Clothoid(*one) for one in zip(lengths.tolist(), knots[:-1], knots[1:], strict=True))
+
+    def gap(unknown: FloatArray) -> FloatArray:
+        found = parts(unknown)
+        poses, _ = along(found, np.concatenate([[0.0], np.cumsum([one.length for one in found])]))
+        return np.asarray((poses[-1] - target) / (reach, reach, 1.0))
+
+    guess = np.array([(before - overshoot) * reach, (after + overshoot) * reach, 2.0])
+    solution = root(gap, guess, tol=1e-13)
+    assert np.abs(gap(solution.x)).max() < 1e-9, "arcs that turn by no more than a quarter can be joined"
+    return parts(solution.x)
+
+
+def distances(poses: FloatArray, to: Joint) -> FloatArray:
+    """Distances (n,) [m] from the arcs that a joint replaces, of poses (n, 3) seen from where it begins.
+
+    Seen from where the arcs meet, along their common tangent, a pose behind has its foot on the first arc and a pose
+    ahead has it on the second, as long as each turns by less than half a turn.
+    """
+    x, y, theta = integrate_pose(np.zeros(3), 1.0, to.before, to.reach)
+    cos, sin = math.cos(theta), math.sin(theta)
+    ahead = cos * (poses[:, 0] - x) + sin * (poses[:, 1] - y)
+    aside = cos * (poses[:, 1] - y) - sin * (poses[:, 0] - x)
+    curvature = np.where(ahead < 0, to.before, to.after)
+    # To the circle of that curvature through the origin, in a form that holds for a straight line too.
+    far = 2 * aside - curvature * (ahead**2 + aside**2)
+    return np.asarray(np.abs(far) / (1 + np.hypot(curvature * ahead, 1 - curvature * aside)))

@@ -1,0 +1,71 @@
+"""Random smooth paths by seed, under names of their own: `spline-0`, `spline-1`, and so on."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from pydantic import Field
+
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.smooth_path import smooth_path
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc.mpc.trajectories.timing import Timing
+from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
+
+PATTERN = "spline-SEED"
+"""How the names look."""
+
+
+class RandomSplines(StrictModel):
+    """What random paths are drawn from."""
+
+    timing: Timing = Field(description="how speed is laid over the path")
+    legs: int = Field(ge=1, description="number of legs between waypoints")
+    leg: tuple[float, float] = Field(description="shortest and longest leg [m]")
+    turn: float = Field(gt=0, description="most by which a leg turns from the one before [rad]")
+    turn_radius: float = Field(gt=0, description="tightest radius of a path [m]")
+    speed: float = Field(gt=0, description="highest speed [m/s]")
+    omega: float = Field(gt=0, description="highest yaw rate [rad/s]")
+
+    def waypoints(self, seed: int) -> FloatArray:
+        """(legs + 1, 2) x, y [m] of the path of a seed, from the origin with the first leg along x."""
+        random = np.random.default_rng(seed)
+        while True:
+            heading = np.append(0.0, np.cumsum(random.uniform(-self.turn, self.turn, self.legs - 1)))
+            steps = random.uniform(*self.leg, self.legs)[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+            found = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+            try:
+                path = smooth_path(found, f"seed {seed}")
+            except ConfigError:  # a turn that is nearly a cusp
+                continue
+            if path.bend.max() * self.turn_radius <= 1:
+                return found
+
+
+@cache
+def random_splines() -> RandomSplines:
+    """What the package draws random paths from."""
+    return load_checked(RandomSplines, Path(__file__).parent / "random_spline.yaml")
+
+
+def seed_of(name: str | Path) -> int | None:
+    """The seed in a name such as `spline-7`; None for any other name."""
+    found = re.fullmatch(r"spline-(\d{1,1000})", str(name), re.ASCII)
+    return int(found[1]) if found else None
+
+
+def lay_random_spline(seed: int, limits: TrajectoryLimits, timing: Timing | None = None) -> SplineTrajectory:
+    """The path of a seed, the same bit for bit at each call, within `limits` and those of the settings.
+
+    `timing` replaces that of the settings. Raises ConfigError if it is "commanded" and the path turns too fast for it.
+    """
+    of = random_splines()
+    slower = replace(limits, v=min(limits.v, of.speed), omega=min(limits.omega, of.omega))
+    points = [(float(x), float(y)) for x, y in of.waypoints(seed)]
+    return lay_waypoints(points, slower, name=f"spline-{seed}", where=f"spline-{seed}", timing=timing or of.timing)

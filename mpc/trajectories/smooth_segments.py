@@ -1,0 +1,128 @@
+"""Segments driven without a stop where the curvature jumps: clothoids round the jumps, a speed within all limits.
+
+Only the path is changed, by no more than a stated distance. The robot still stops where it has to: at cusps, and before
+and after a turn on the spot or a wait, which stay what they are. A segment that turns more tightly than the settings'
+least radius counts as a turn on the spot.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import groupby, pairwise
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.mpc.trajectories.clothoids import Clothoid, Joint, along, distances, joint
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds, timed
+from diffdrive_mpc.mpc.trajectories.segments import Segment, check_segments, runs, timed_run
+from diffdrive_mpc.mpc.trajectories.settings import load_settings
+from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+
+# Of a turn on the spot that is not quite one, between two nodes.
+_TURN_STEP = 0.05
+# Of an arc that its joints leave over [m].
+_NOTHING = 1e-9
+
+Nodes = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Times (n,) [s] from the first node, poses (n, 3), rates (n, 3), distances from the drawn path (n,) [m]."""
+
+
+def lay_smooth(
+    segments: Sequence[Segment],
+    limits: TrajectoryLimits,
+    *,
+    name: str,
+    start: Sequence[float] = (0.0, 0.0, 0.0),
+    where: str = "trajectory",
+    smoothing: float | None = None,
+) -> SplineTrajectory:
+    """Turn `segments` into a trajectory of continuous curvature, from rest to rest, that stops only where it must.
+
+    Parameters
+    ----------
+    segments, limits, name, start, where
+        As of `segments.lay_segments`; the lateral acceleration is limited too.
+    smoothing
+        Largest distance from the drawn path [m]; by default that of the settings.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If there is no segment, or one is faster than `limits`.
+    """
+    check_segments(segments, limits, where)
+    distance = load_settings().smoothing if smoothing is None else smoothing
+    pose, time = np.asarray(start, dtype=float), 0.0
+    laid: list[Nodes] = [(np.zeros(1), pose[None], np.zeros((1, 3)), np.zeros(1))]
+    for sense, group in groupby(segments, _sense):
+        run = list(group)
+        pieces = (_driven(run, sense, pose, limits, distance),) if sense else _turned(run, pose, limits)
+        for times, poses, rates, drawn in pieces:
+            laid.append((time + times[1:], poses[1:], rates[1:], drawn[1:]))
+            time, pose = time + float(times[-1]), poses[-1]
+    return SplineTrajectory.through(name, *(np.concatenate(rows) for rows in zip(*laid, strict=True)))
+
+
+def _sense(segment: Segment) -> int:
+    """1 forwards, -1 backwards, 0 for a turn on the spot, or nearly so, and for a wait."""
+    turning = abs(segment.omega) * load_settings().least_turn_radius > abs(segment.v)
+    return 0 if turning or not segment.cruise else int(math.copysign(1, segment.v))
+
+
+def _turned(group: Sequence[Segment], pose: FloatArray, limits: TrajectoryLimits) -> Iterator[Nodes]:
+    """Nodes of turns on the spot and waits, as they are without smoothing."""
+    for stretch in (stretch for run in runs(group) for stretch in timed_run(run, limits)):
+        for phase in stretch.phases:
+            turn = abs(stretch.turn) * phase.duration * (phase.rate + phase.acceleration * phase.duration / 2)
+            times = np.linspace(0.0, phase.duration, 1 + max(1, math.ceil(turn / _TURN_STEP)))
+            rate = phase.rate + phase.acceleration * times
+            progress = phase.offset + times * (phase.rate + phase.acceleration * times / 2)
+            poses = integrate_pose(pose, stretch.forward * progress, stretch.turn * progress, 1.0)
+            forward = stretch.forward * rate
+            rates = np.column_stack([forward * np.cos(poses[:, 2]), forward * np.sin(poses[:, 2]), stretch.turn * rate])
+            yield times, poses, rates, np.zeros(times.size)
+        pose = integrate_pose(pose, stretch.forward, stretch.turn, stretch.length)
+
+
+def _driven(run: Sequence[Segment], sense: int, pose: FloatArray, limits: TrajectoryLimits, distance: float) -> Nodes:
+    """Nodes of segments that are driven in one direction, from rest to rest."""
+    bends = [segment.omega / abs(segment.v) for segment in run]
+    lengths = [abs(segment.v) * segment.duration for segment in run]
+    # Half of a segment for the joint at each of its ends, all of it where it has only one.
+    room = [length / 2 for length in lengths]
+    room[0], room[-1] = lengths[0], lengths[-1]
+    joints = [joint(*pair, min(spaces), distance) for pair, spaces in zip(pairwise(bends), pairwise(room), strict=True)]
+    reaches = [0.0, *(one.reach for one in joints), 0.0]
+    blocks: list[tuple[tuple[Clothoid, ...], float, Joint | None]] = []
+    for i, (segment, bend, length) in enumerate(zip(run, bends, lengths, strict=True)):
+        left = length - reaches[i] - reaches[i + 1]
+        if left > _NOTHING:
+            blocks.append(((Clothoid(left, bend, bend),), abs(segment.v), None))
+        if i < len(joints) and joints[i].parts:
+            blocks.append((joints[i].parts, min(abs(segment.v), abs(run[i + 1].v)), joints[i]))
+
+    spacing = load_settings().smooth_piece
+    at: list[FloatArray] = [np.zeros(1)]
+    cruises: list[FloatArray] = []
+    drawn: list[FloatArray] = [np.zeros(1)]
+    for parts, cruise, rounded in blocks:
+        counts = [math.ceil(part.length / spacing) for part in parts]
+        since = np.cumsum(np.repeat([part.length / n for part, n in zip(parts, counts, strict=True)], counts))
+        at.append(at[-1][-1] + since)
+        cruises.append(np.full(since.size, cruise))
+        local, _ = along(parts, np.append(0.0, since))
+        drawn.append(np.zeros(since.size) if rounded is None else distances(local, rounded)[1:])
+    arc_lengths = np.concatenate(at)
+    local, curvature = along([part for parts, *_ in blocks for part in parts], arc_lengths)
+    cos, sin = sense * math.cos(pose[2]), sense * math.sin(pose[2])
+    points = pose[:2] + local[:, :2] @ np.array([[cos, sin], [-sin, cos]])
+    steps, bent = np.diff(arc_lengths), np.abs(curvature)
+    most, change = np.maximum(bent[:-1], bent[1:]), np.abs(np.diff(curvature)) / steps
+    path = SmoothPath(points, pose[2] + local[:, 2], curvature, steps, most, change)
+    square = squared_speeds(steps, most, change, limits, np.concatenate(cruises), lateral=True)
+    return *timed(path, square, limits, sense), np.concatenate(drawn)

@@ -1,0 +1,80 @@
+"""Sensors that lie: what their faults make of a measurement, while the robot itself goes on as it did."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import Any, get_args
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
+from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.models.wheels import WheelKinematics
+from diffdrive_mpc.sim.disturbances.disturbance_types import Wheel
+from diffdrive_mpc.sim.disturbances.scenario import Scenario
+
+_FIELDS = {"pose": ("pose",), "wheels": ("wheel_twist", "wheel_speeds"), "gyro": ("yaw_rate",)}
+"""Fields of a measurement by the sensor that fills them."""
+
+
+class SensorFaults:
+    """The sensor faults of a scenario: first what is wrong with a value, then whether it is an old or no value.
+
+    Times are those at which a measurement is delivered.
+
+    Parameters
+    ----------
+    scenario
+        What happens when.
+    kinematics
+        By which wheel speeds became the twist of a measurement.
+    """
+
+    def __init__(self, scenario: Scenario, kinematics: WheelKinematics) -> None:
+        self._scenario, self._kinematics = scenario, kinematics
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing has been delivered yet."""
+        self._last: dict[str, Any] = {}
+
+    def apply(self, measurement: Measurement, time: float) -> Measurement:
+        """What is delivered at `time` [s] in place of `measurement`."""
+        scenario = self._scenario
+        for error in scenario.pose_errors:
+            if error.holds(time) and measurement.pose is not None:
+                rates = np.array([error.x_rate, error.y_rate, error.heading_rate])
+                off = np.array([error.x, error.y, error.heading]) + (time - error.start) * rates
+                measurement = replace(measurement, pose=_moved(measurement.pose, off))
+        for biased in scenario.gyro_biases:
+            if biased.holds(time) and measurement.yaw_rate is not None:
+                rate = np.float64(measurement.yaw_rate.value) + biased.bias  # type: ignore[arg-type]
+                measurement = replace(measurement, yaw_rate=replace(measurement.yaw_rate, value=rate))
+        dead = {wheel for one in scenario.dead_encoders if one.holds(time) for wheel in one.wheels}
+        if dead and measurement.wheel_speeds is not None and measurement.wheel_twist is not None:
+            speeds = np.where([name in dead for name in get_args(Wheel)], 0.0, measurement.wheel_speeds.value)
+            measurement = replace(
+                measurement,
+                wheel_speeds=replace(measurement.wheel_speeds, value=speeds),
+                wheel_twist=replace(measurement.wheel_twist, value=self._kinematics.twist(speeds)),
+            )
+        stuck = {field for one in scenario.stuck_sensors if one.holds(time) for field in _FIELDS[one.sensor]}
+        lost = {field for one in scenario.drop_outs if one.holds(time) for field in _FIELDS[one.sensor]}
+        changes: dict[str, Any] = {}
+        for field in itertools.chain.from_iterable(_FIELDS.values()):
+            stamped: Stamped | None = getattr(measurement, field)
+            if field in lost or stamped is None:
+                changes[field] = None
+            elif field in stuck and field in self._last:
+                changes[field] = replace(stamped, value=self._last[field])
+            else:
+                self._last[field] = stamped.value
+        return replace(measurement, **changes)
+
+
+def _moved(pose: Stamped, off: FloatArray) -> Stamped:
+    """`pose` off by x [m], y [m], theta [rad], its heading in (-pi, pi]."""
+    value = np.asarray(pose.value, dtype=float) + off
+    value[2] = -wrap_angle(-value[2])
+    return replace(pose, value=value)

@@ -1,0 +1,49 @@
+"""A robot of the `mujoco` plant: one YAML file, of which only what differs from the digital twin has to be written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field, model_validator
+
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_variation
+from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.models.robot import Robot, load_robot
+from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
+
+ROBOTS = Path(__file__).parent / "robots"
+
+
+class SimulatedRobot(StrictModel):
+    """Everything of a robot that the physics needs; keys and units are those of the files of the twin."""
+
+    description: str = Field(min_length=1, description="what robot this is, in one line")
+    robot: Robot = Field(description="as models/parameters/robot.yaml")
+    twin: TwinParameters = Field(description="as sim/plants/parameters/twin.yaml")
+    firmware: Firmware = Field(description="as sim/plants/parameters/firmware.yaml")
+
+    @model_validator(mode="after")
+    def _stands_on_its_wheels(self) -> SimulatedRobot:
+        chassis, robot = self.twin.chassis, self.robot
+        if not robot.mass > 4 * chassis.wheel_mass:
+            raise ValueError(f"robot.mass {robot.mass} kg: its wheels alone weigh {4 * chassis.wheel_mass:g} kg")
+        ahead, left = chassis.centre_of_mass
+        if not (abs(ahead) < chassis.wheel_base / 2 and abs(left) < robot.track / 2):
+            raise ValueError(
+                f"twin.chassis.centre_of_mass [{ahead}, {left}] m: it must lie between the wheels, "
+                f"{chassis.wheel_base / 2:g} m ahead and {robot.track / 2:g} m to the left at most, or it tips over"
+            )
+        return self
+
+
+def load_simulated_robot(name: str | Path) -> SimulatedRobot:
+    """Read a robot by shipped name or path; what its file leaves out is as in the digital twin.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If there is no such robot or its file has a mistake.
+    """
+    parts = {"robot": load_robot(), "twin": load_twin_parameters(), "firmware": load_firmware()}
+    twin = {key: part.model_dump() for key, part in parts.items()}
+    return load_variation(SimulatedRobot, named_file("robot", ROBOTS, name), twin)

@@ -1,0 +1,190 @@
+"""What the bench shows beyond its tables of errors: other speeds and dead times, the order, properties of models."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bench_parts import quick_case, quick_outcome
+
+from diffdrive_mpc.bench.case import COMPARED, Case
+from diffdrive_mpc.bench.controllers import build, controller_config
+from diffdrive_mpc.bench.late_plant import LatePlant
+from diffdrive_mpc.bench.machine import describe_run
+from diffdrive_mpc.bench.outcomes import Outcome, Score
+from diffdrive_mpc.bench.studies.comparison.order import interval, order, order_table, reversed_pairs
+from diffdrive_mpc.bench.studies.comparison.plan import LATE_TICKS, OTHER_SEEDS, SPEEDS, default_settings, plan_cases
+from diffdrive_mpc.bench.studies.comparison.plan import read_options as read
+from diffdrive_mpc.bench.studies.comparison.properties import measure_properties, predicts, property_table
+from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
+from diffdrive_mpc.bench.studies.comparison.study import ComparisonStudy
+from diffdrive_mpc.bench.study import write_report
+from diffdrive_mpc.sim import make_plant
+
+
+def test_the_bench_compares_the_pairs_that_are_named_in_one_place() -> None:
+    settings = default_settings().model_copy(update={"trajectories": ("s",), "seeds": (0,), "horizons": ()})
+    plan = plan_cases(settings)
+    assert [(case.controller, case.model) for case in plan.main] == list(COMPARED)
+    assert {case.top_speed for case in plan.speed} == set(SPEEDS)
+    assert {case.seed for case in plan.other_seeds} == set(OTHER_SEEDS)
+    ours = [case.late for case in plan.dead_time if case.model == "ssm"]
+    peer = [case.late for case in plan.dead_time if case.controller == COMPARED[0][0]]
+    assert ours == list(LATE_TICKS)
+    assert peer == [ticks for ticks in LATE_TICKS if ticks >= 0]
+    assert not set(plan.beyond) & set(plan.all)
+
+
+@pytest.mark.parametrize("given", [{"trajectories": "s"}, {"plants": "model:ssm"}])
+def test_who_asks_for_something_else_gets_that_alone(given: dict[str, str]) -> None:
+    assert default_settings().beyond
+    assert read({"models": "ssm"}).beyond
+    assert not read(dict(given)).beyond  # type: ignore[arg-type]
+    assert not read({}, quick=True).beyond
+    assert read({"models": "ssm"}).values("controllers") == ("mpc",)
+    assert read({"models": "ssm", "controllers": "mpc,kanayama"}).values("controllers") == ("mpc", "kanayama")
+
+
+def test_another_top_speed_is_another_time_along_the_same_path() -> None:
+    (_, _, slow), (_, _, fast) = (build(quick_case(trajectory="s", top_speed=speed)) for speed in (0.5, 1.0))
+    (_, _, shipped) = build(quick_case(trajectory="s"))
+    times = np.linspace(0.0, 1.0, 400)
+    references = [one.sample(times * one.duration) for one in (shipped, slow, fast)]
+    assert np.allclose(references[0].pose, references[1].pose)
+    assert [np.abs(one.twist[:, 0]).max() for one in references] == pytest.approx([0.5, 0.5, 1.0], rel=1e-2)
+    assert references[2].arc_length[-1] == pytest.approx(references[0].arc_length[-1])
+    assert references[2].pose[-1] == pytest.approx(references[0].pose[-1])
+
+
+def test_a_late_plant_does_the_same_so_many_ticks_later() -> None:
+    plain, late = (make_plant("model:ssm", "ideal", "perfect") for _ in range(2))
+    behind = LatePlant(late, 3)
+    for plant in (plain, behind):
+        plant.reset([0.0, 0.0, 0.0])
+    commands = np.random.default_rng(1).uniform(-0.5, 0.5, (60, 2))
+    motion: list[list[np.ndarray]] = [[], []]
+    for command in commands:
+        for plant, poses in zip((plain, behind), motion, strict=True):
+            plant.measure()
+            plant.advance(command)
+            poses.append(plant.true_pose)
+    np.testing.assert_allclose(motion[1][3:], motion[0][:-3], atol=1e-12)
+    assert behind.measure().sent == pytest.approx(tuple(commands[-1])), "what was sent, not what arrived"
+    assert behind.time == plain.time
+
+
+def test_a_plant_that_is_earlier_than_told_is_told_of_more_dead_time() -> None:
+    settings = default_settings().model_copy(update={"trajectories": ("s",), "seeds": (0,), "horizons": ()})
+    (case,) = (case for case in plan_cases(settings).dead_time if (case.model, case.late) == ("ssm", -2))
+    told, shipped = controller_config("ssm", None, case.overrides), controller_config("ssm")
+    assert told.extra_dead_time.omega == pytest.approx(shipped.extra_dead_time.omega + 2 * shipped.sample_time)
+    assert not isinstance(build(case)[1], LatePlant)
+    assert isinstance(build(replace(case, overrides=(), late=2))[1], LatePlant)
+
+
+@pytest.fixture(scope="module")
+def outcome() -> Outcome:
+    return quick_outcome(trajectory="cane")
+
+
+def scores(outcome: Outcome, **errors: list[float]) -> list[Score]:
+    """Controllers with these position RMSE [m] over two trajectories and as many seeds as it takes."""
+    plain = Score.of_outcome(outcome)
+    return [
+        replace(
+            plain,
+            case=Case(model=model, trajectory=("s", "cane")[i % 2], seed=i // 2),
+            metrics=replace(plain.metrics, position_rmse_m=error),
+        )
+        for model, values in errors.items()
+        for i, error in enumerate(values)
+    ]
+
+
+def test_the_order_says_who_is_told_apart(outcome: Outcome) -> None:
+    """SM is always 1 mm behind MBM; SSM is as often ahead of SM as behind."""
+    base = np.array([5e-3, 9e-3, 5.2e-3, 9.1e-3, 5.1e-3, 8.8e-3])
+    found = scores(
+        outcome, mbm=list(base), sm=list(base + 1e-3), ssm=list(base + 1e-3 + 4e-4 * np.array([1, -1, 2, 1, -1, -1]))
+    )
+    places = order(found)
+    assert [place.name for place in places] == ["MBM", "SM", "SSM"]
+    assert places[1].behind == pytest.approx([1e-3, 1e-3])
+    assert places[1].told_apart and not places[2].told_apart
+    assert places[0].rmse == pytest.approx(base.mean())
+    assert places[0].spread == pytest.approx(np.std(base.reshape(3, 2).mean(axis=1)))
+
+
+def test_a_reversed_order_is_named_and_whether_it_could_be_told_apart(outcome: Outcome) -> None:
+    one = scores(outcome, mbm=[5e-3] * 4, sm=[6e-3] * 4, ssm=[6.1e-3, 5.95e-3, 6.1e-3, 5.95e-3])
+    other = scores(outcome, mbm=[7e-3] * 4, sm=[6e-3] * 4, ssm=[5.9e-3, 6.05e-3, 5.9e-3, 6.05e-3])
+    certain, open_ = reversed_pairs(one, other)
+    assert certain == ["MBM and SM", "MBM and SSM"]
+    assert open_ == ["SM and SSM"]
+    assert "The order of MBM and SM, MBM and SSM is reversed" in order_table(one, other).note
+    assert "The order is the same over the other seeds" in order_table(one, one).note
+    assert [row[0] for row in order_table(one, other).rows] == ["2 (these)"] * 3 + ["2 (others)"] * 3
+
+
+def test_the_bootstrap_covers_the_mean_and_repeats_itself() -> None:
+    values = np.random.default_rng(3).normal(2.0, 1.0, 400)
+    low, high = interval(values)
+    assert low < values.mean() < high
+    assert high - low == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.1)
+    assert np.array_equal(interval(values), (low, high))
+
+
+def test_the_plants_own_model_explains_it_and_another_does_not() -> None:
+    cases = [quick_case(model=model, seed=seed) for model in ("ssm", "sm") for seed in (0, 1)]
+    own, other = measure_properties([*cases, quick_case(controller="kanayama", model="none")], 1)
+    # The plant lacks the extra dead time of the shipped configuration, a quarter of a sample.
+    assert own.fit_v > 97 and own.fit_omega > 95
+    assert own.fit_omega > other.fit_omega + 2
+    assert 0 <= own.drift < other.drift
+
+
+def test_the_table_holds_property_and_error_of_the_same_model_and_plant(outcome: Outcome) -> None:
+    (found,) = measure_properties([outcome.case], 1)
+    (cells,) = property_table([found], [outcome]).rows
+    assert cells[:2] == ("SSM", "model:ssm, ideal, perfect")
+    assert float(cells[-1]) == pytest.approx(1e3 * outcome.metrics.position_rmse_m, abs=0.051)
+
+
+def test_a_rank_correlation_needs_a_few_points() -> None:
+    rows = [
+        {"fit_v_percent": 90.0 + k, "fit_omega_percent": 50.0 - k, "drift_m": d, "position_rmse_m": 1e-3 * k}
+        for k, d in enumerate((3.0, 1.0, 4.0, 2.0, 5.0))
+    ]
+    assert "FIT of v +1.00, FIT of omega -1.00, drift +0.50" in predicts(rows)
+    assert "too few" in predicts(rows[:4])
+
+
+def test_the_report_shows_and_holds_what_was_run_beyond_the_tables(outcome: Outcome, tmp_path: Path) -> None:
+    plain = Score.of_outcome(outcome)
+    late = replace(plain, case=replace(outcome.case, late=2))
+    fast = replace(plain, case=replace(outcome.case, top_speed=1.2))
+    peer = quick_outcome(trajectory="cane", controller="kanayama", model="none")
+    results = ComparisonResults(
+        default_settings().model_copy(update={"seeds": (0,)}),
+        (outcome, peer),
+        (),
+        properties=tuple(measure_properties([outcome.case], 1)),
+        speed=(plain, fast),
+        dead_time=(plain, late),
+        other_seeds=(replace(plain, case=replace(outcome.case, seed=10)),),
+    )
+    study = ComparisonStudy(results.settings)
+    report = study.report(results, 1.0)
+    write_report(study, report, describe_run(1.0) | report.meta, tmp_path)
+    data = json.loads((tmp_path / "bench.json").read_text())
+    assert set(data) == {"meta", "runs", "properties", "speed", "dead_time", "other_seeds"}
+    assert data["speed"][1]["top_speed_m_s"] == 1.2
+    assert data["dead_time"][1]["late_s"] == pytest.approx(2 * 0.0202)
+    assert not [name for name in data["speed"][0] if "_time_" in name]
+    assert list(report.figures)[:3] == ["overview.png", "speed.png", "dead-time.png"]
+    assert (tmp_path / "figures" / "dead-time.png").is_file()
+    text = (tmp_path / "bench.md").read_text()
+    assert "## Order" in text and "## Which property of a model predicts tracking" in text

@@ -1,0 +1,123 @@
+"""The robustness study: conditions that can all be run, ratios and tables from made-up rows, and a small real study."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from tracking_parts import metrics, recovery
+from typer.testing import CliRunner
+
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.controllers import controller_config
+from diffdrive_mpc.bench.outcomes import SolverShares
+from diffdrive_mpc.bench.studies.robustness.conditions import load_conditions
+from diffdrive_mpc.bench.studies.robustness.results import ConditionOutcome, ratios, study_tables
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.load import ROBOT_NAMES
+from diffdrive_mpc.sim import make_plant
+
+CONDITIONS = load_conditions()
+runner = CliRunner()
+
+
+def test_there_are_at_least_forty_conditions_that_differ() -> None:
+    cases = {condition.case("mpc", "ssm", "circle", 0) for condition in CONDITIONS.conditions.values()}
+    assert len(cases) == len(CONDITIONS.conditions) >= 40
+    assert CONDITIONS.conditions["default"].case("mpc", "ssm", "circle", 0) == Case()
+    every = [condition.plant for condition in CONDITIONS.conditions.values()]
+    assert {f"model:{name}" for name in ROBOT_NAMES} <= set(every)
+
+
+@pytest.mark.parametrize("name", CONDITIONS.conditions)
+def test_every_condition_has_a_plant_and_settings_that_exist(name: str) -> None:
+    case = CONDITIONS.conditions[name].case("mpc", "ssm", "circle", 1)
+    config = controller_config(case.model, case.config, case.overrides)
+    plant = make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario)
+    assert plant.sample_time == config.sample_time
+    plant.reset([0.0, 0.0, 0.0])
+    plant.measure()
+    plant.advance([0.1, 0.0])
+    assert plant.time == plant.sample_time
+
+
+def test_a_peer_is_told_nothing() -> None:
+    case = CONDITIONS.conditions["long"].case("kanayama", "ssm", "s", 2)
+    assert (case.model, case.overrides) == ("none", ())
+
+
+def _row(condition: str, case: Case, error: float, **changes: object) -> ConditionOutcome:
+    made = metrics(position_rmse_m=error, **{k: v for k, v in changes.items() if k == "completed"})  # type: ignore[arg-type]
+    row = ConditionOutcome(condition, case, made, recovery(), SolverShares(90.0, 10.0, 0.0, 0), 0.01, "", "", 0.0)
+    return replace(row, **{k: v for k, v in changes.items() if k != "completed"})  # type: ignore[arg-type]
+
+
+def test_ratios_are_to_the_best_that_arrived_everywhere() -> None:
+    ours, peer = Case(), Case(controller="kanayama", model="none")
+    lost = _row("a", ours, 0.001, completed=False)
+    drivers = {"SSM": [lost, _row("a", ours, 0.003)], "kanayama": [_row("a", peer, 0.004)]}
+    assert ratios(drivers) == {"SSM": pytest.approx(0.5), "kanayama": 1.0}
+    assert all(math.isnan(ratio) for ratio in ratios({"SSM": [lost]}).values())
+
+
+def test_tables_show_every_condition_and_what_was_said() -> None:
+    ours, peer = Case(), Case(controller="kanayama", model="none")
+    rows = [
+        _row("a", ours, 0.004, message="the reference waits", said_percent=40.0, late_lateral_m=0.0021),
+        _row("a", replace(ours, seed=1), 0.006, message="braking", said_percent=10.0),
+        _row("a", peer, 0.010),
+        _row("b", ours, 0.020, ended="tipped over", completed=False),
+        _row("b", peer, 0.010),
+    ]
+    errors, behind, said = study_tables(rows)
+    assert errors.rows[0][:3] == ("a", "SSM", "5.0")
+    assert errors.rows[0][-1] == "2/2"
+    assert errors.rows[2][-1] == "0/1"
+    assert behind.rows == (("a", "1.00", "2.00"), ("b", "2.00", "1.00"))
+    assert [row[:3] for row in said.rows] == [("a", "SSM", "the reference waits"), ("b", "SSM", "tipped over")]
+
+
+def test_a_small_study_runs_and_repeats(tmp_path: Path) -> None:
+    path = tmp_path / "short.yaml"
+    path.write_text("name: short\nsegments:\n- {v: 0.3, omega: 0.4, duration: 1.0}\n")
+    runs = []
+    for jobs in ("1", "2"):
+        out = tmp_path / jobs
+        words = ["--only", "mass_left,noise_2cm", "--trajectories", str(path), "--seeds", "7,", "--jobs", jobs]
+        result = runner.invoke(app, ["robustness", "--out", str(out), *words])
+        assert result.exit_code == 0, result.output
+        runs.append(json.loads((out / "robustness.json").read_text())["runs"])
+        assert (out / "figures" / "ratios.png").stat().st_size > 0
+    assert runs[0] == runs[1]
+    assert [(run["condition"], run["controller"]) for run in runs[0]] == [
+        (condition, controller) for condition in ("mass_left", "noise_2cm") for controller in ("mpc", "kanayama")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--only", "nowhere"], "--only: unknown condition 'nowhere'; known: default, heavy"),
+        (["--controllers", "pid"], "--controllers: unknown controller 'pid'; known: mpc"),
+        (["--models", "smm"], "unknown model 'smm'"),
+    ],
+)
+def test_a_mistake_gives_one_line(words: list[str], line: str, tmp_path: Path) -> None:
+    result = runner.invoke(app, ["robustness", "--quick", "--out", str(tmp_path / "out"), *words])
+    assert result.exit_code == 2
+    assert line in result.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_file_of_conditions_is_checked(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("settled: 2.0\nquick: [b]\nconditions: {a: {surfce: ice}}\n")
+    with pytest.raises(ConfigError, match=r"mine\.yaml: unknown key 'conditions\.a\.surfce'"):
+        load_conditions(path)
+    path.write_text("settled: 2.0\nquick: [b]\nconditions: {a: {surface: ice}}\n")
+    with pytest.raises(ConfigError, match=r"mine\.yaml: quick: unknown condition 'b'; known: a$"):
+        load_conditions(path)

@@ -1,0 +1,285 @@
+"""What the three timings promise: twists as commanded, or a smooth path near the drawn one within every limit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from trajectory_checks import assert_holds_its_ends, largest_integration_gap, largest_shares
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc.mpc.trajectories import BUILT_IN, Trajectory, TrajectoryLimits, load_segments, load_trajectory
+from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded, lay_segments
+from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
+from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds, steps_beyond_slew
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
+
+LIMITS = TrajectoryLimits.of_robot()
+FILED = [name for name in BUILT_IN if name not in {"circle", "square", "s", "cane"}]
+
+
+def segment(v: float, omega: float, duration: float) -> Segment:
+    return Segment(v=v, omega=omega, duration=duration)
+
+
+@st.composite
+def segment_lists(draw: st.DrawFn) -> list[Segment]:
+    """One to six segments: arcs forwards and backwards, straights, turns on the spot, waits."""
+    speeds = st.sampled_from([-0.8, -0.3, 0.0, 0.4, 0.9, 1.3])
+    turns = st.sampled_from([-1.4, -0.5, 0.0, 0.3, 1.0])
+    pieces = st.tuples(speeds, turns, st.floats(0.3, 4.0))
+    return [segment(*piece) for piece in draw(st.lists(pieces, min_size=1, max_size=6))]
+
+
+def instants(trajectory: Trajectory, count: int = 4001) -> FloatArray:
+    return np.linspace(0.0, trajectory.duration, count)
+
+
+def drawn_path(segments: list[Segment]) -> FloatArray:
+    """(n, 2) x, y [m] along the segments, a millimetre apart."""
+    pose, points = np.zeros(3), [np.zeros((1, 2))]
+    for one in segments:
+        share = np.linspace(0.0, one.duration, 2 + int(abs(one.v) * one.duration / 1e-3))
+        poses = integrate_pose(pose, one.v * share, one.omega * share, 1.0)
+        points.append(poses[:, :2])
+        pose = poses[-1]
+    return np.concatenate(points)
+
+
+# --- commanded
+
+
+@settings(max_examples=40, deadline=None)
+@given(segment_lists())
+def test_commanded_twists_are_those_of_the_segments(segments: list[Segment]) -> None:
+    # A step in front, and one behind, which have the ramps.
+    ends = [segment(0.5, 0.0, 1.0)]
+    trajectory = lay_commanded([*ends, *segments, *ends], LIMITS, name="test")
+    begin = trajectory.duration - 1.25 - sum(one.duration for one in segments)
+    assert begin == pytest.approx(1.25)
+    for one in segments:
+        inside = begin + one.duration * np.array([1e-6, 0.3, 0.5, 1 - 1e-6])
+        np.testing.assert_allclose(trajectory.sample(inside).twist, [(one.v, one.omega)] * 4, rtol=0, atol=1e-12)
+        begin += one.duration
+
+
+@settings(max_examples=40, deadline=None)
+@given(segment_lists())
+def test_the_pose_integrates_commanded_twists_along_the_drawn_path(segments: list[Segment]) -> None:
+    trajectory = lay_commanded(segments, LIMITS, name="test")
+    assert largest_integration_gap(trajectory, trajectory.breaks, pieces=20) < 1e-9
+    end = np.zeros(3)
+    for one in segments:
+        end = integrate_pose(end, one.v, one.omega, one.duration)
+    np.testing.assert_allclose(trajectory.sample([trajectory.duration]).pose[0], end, rtol=0, atol=1e-12)
+    assert_holds_its_ends(trajectory)
+    stopping = lay_segments(segments, LIMITS, name="test")
+    assert trajectory.duration <= stopping.duration + 1e-9
+
+
+def test_commanded_ramps_at_both_ends_keep_the_accelerations() -> None:
+    trajectory = lay_commanded([segment(1.0, 0.5, 4.0)], LIMITS, name="test")
+    assert np.all(largest_shares(trajectory, LIMITS) <= 1 + 1e-8)
+    assert trajectory.duration == pytest.approx(5.0)
+
+
+def test_a_first_segment_too_short_for_its_ramp_leaves_at_what_it_reaches() -> None:
+    trajectory = lay_commanded([segment(1.0, 0.0, 0.02), segment(1.0, 1.0, 2.0)], LIMITS, name="test")
+    reached = np.sqrt(2 * LIMITS.v_acceleration * 0.02)
+    assert trajectory.sample([reached - 1e-9]).twist[0] == pytest.approx((reached, 0.0), abs=1e-6)
+    assert trajectory.sample([reached + 1e-6]).twist[0] == pytest.approx((1.0, 1.0), abs=1e-12)
+
+
+def test_waypoints_as_commanded_are_driven_at_one_speed() -> None:
+    trajectory = lay_waypoints(
+        [(0, 0), (2, 0.5), (4, -0.5), (6, 0)], LIMITS, name="test", speed=0.8, timing="commanded"
+    )
+    inside = np.linspace(0.8 + 0.01, trajectory.duration - 0.8 - 0.01, 500)
+    np.testing.assert_allclose(trajectory.sample(inside).twist[:, 0], 0.8, rtol=1e-6)
+    with pytest.raises(ConfigError, match="timing commanded: omega = .* is beyond the limit of 2 rad/s"):
+        lay_waypoints([(0, 0), (0.3, 0.3), (0.6, 0)], LIMITS, name="test", speed=1.5, timing="commanded")
+
+
+def test_steps_are_not_refused_and_their_size_is_told() -> None:
+    config = load_config("ssm")
+    stepping = lay_commanded([segment(0.5, 1.0, 2.0), segment(0.5, -1.0, 2.0)], LIMITS, name="two arcs")
+    check_speeds(stepping, config.limits, config.sample_time)
+    said = steps_beyond_slew(stepping, config.limits, config.sample_time)
+    assert said == "reference 'two arcs': omega steps by up to 2 rad/s, for which limits.omega_slew takes 0.33 s"
+    for timing in ("stop", "smooth"):
+        assert steps_beyond_slew(load_trajectory("s", timing=timing), config.limits, config.sample_time) == ""
+
+
+# --- smooth
+
+
+@settings(max_examples=40, deadline=None)
+@given(segment_lists())
+def test_a_smooth_path_stays_near_the_drawn_one_and_says_how_near(segments: list[Segment]) -> None:
+    trajectory = lay_smooth(segments, LIMITS, name="test", smoothing=0.02)
+    times = instants(trajectory, 1500)
+    points = trajectory.sample(times).pose[:, :2]
+    drawn = drawn_path(segments)
+    nearest = np.array([np.hypot(*(drawn - point).T).min() for point in points])
+    told = trajectory.drawn_distance(times)
+    assert told.max() <= 0.02
+    # Nearer than told: the path may pass elsewhere; further: the drawn one is sampled every millimetre.
+    assert np.all(nearest <= told + 6e-4)
+    end = lay_segments(segments, LIMITS, name="test")
+    np.testing.assert_allclose(
+        trajectory.sample([trajectory.duration]).pose, end.sample([end.duration]).pose, rtol=0, atol=1e-7
+    )
+
+
+@settings(max_examples=40, deadline=None)
+@given(segment_lists())
+def test_a_smooth_trajectory_keeps_every_limit(segments: list[Segment]) -> None:
+    trajectory = lay_smooth(segments, LIMITS, name="test")
+    assert np.all(largest_shares(trajectory, LIMITS) <= 1.002)
+    v, omega = trajectory.sample(instants(trajectory)).twist.T
+    assert np.abs(v * omega).max() <= LIMITS.lateral_acceleration * 1.002
+    assert np.abs(v).max() <= max(abs(one.v) for one in segments) * 1.001 + 1e-9
+    assert_holds_its_ends(trajectory)
+
+
+@settings(max_examples=40, deadline=None)
+@given(segment_lists())
+def test_smooth_pose_twist_and_arc_length_agree(segments: list[Segment]) -> None:
+    trajectory = lay_smooth(segments, LIMITS, name="test")
+    assert largest_integration_gap(trajectory, trajectory.breaks, pieces=1) < 2e-5
+
+
+def test_the_curvature_of_a_smooth_path_is_continuous_and_uses_the_room_it_is_given() -> None:
+    distances, durations = [], []
+    for smoothing in (0.005, 0.01, 0.02):
+        arcs = [segment(1.0, 0.5, 3.0), segment(1.0, -0.5, 6.0), segment(1.0, 0.5, 3.0)]
+        trajectory = lay_smooth(arcs, LIMITS, name="test", smoothing=smoothing)
+        middle = np.linspace(1.5, trajectory.duration - 1.5, 6001)
+        sample = trajectory.sample(middle)
+        curvature = sample.twist[:, 1] / sample.twist[:, 0]
+        # It goes from one arc's to the other's over most of a metre, not from one sample to the next.
+        assert np.abs(np.diff(curvature) / np.diff(sample.arc_length)).max() < 6.0
+        assert curvature.min() < -0.5 < 0.5 < curvature.max()
+        distances.append(trajectory.drawn_distance(instants(trajectory)).max())
+        durations.append(trajectory.duration)
+    np.testing.assert_allclose(distances, [0.005, 0.01, 0.02], rtol=0.01)
+    assert durations == sorted(durations, reverse=True)
+    assert durations[0] < lay_segments(arcs, LIMITS, name="test").duration
+
+
+@pytest.mark.parametrize("name", ["s", "cane", *FILED])
+def test_smooth_is_faster_than_stopping_where_curvature_jumps(name: str) -> None:
+    jumps = len(load_segments(name)) > 1
+    faster = load_trajectory(name, timing="stop").duration - load_trajectory(name, timing="smooth").duration
+    assert faster > 0.3 if jumps else abs(faster) < 0.01
+
+
+def test_smooth_stops_at_cusps_and_turns_on_the_spot_only() -> None:
+    arcs = [segment(0.5, 0.3, 2.0), segment(0.5, -0.3, 2.0), segment(-0.5, 0.3, 2.0), segment(0.0, 1.0, 1.0)]
+    trajectory = lay_smooth([*arcs, *arcs], LIMITS, name="test")
+    v = trajectory.sample(instants(trajectory, 40001)).twist[1:-1, 0]
+    standing = np.abs(v) < 1e-3
+    stops = np.count_nonzero(np.diff(standing.astype(int)) == 1)
+    # Inside: cusp, turn, cusp, and the turn at the very end.
+    assert stops == 4
+    square = load_trajectory("square", timing="smooth")
+    sample = square.sample(instants(square))
+    turning = np.abs(sample.twist[:, 1]) > 1e-9
+    assert np.abs(sample.twist[turning, 0]).max() < 1e-9
+    assert square.drawn_distance(instants(square)).max() == 0.0
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.tuples(st.floats(0.6, 1.5), st.floats(-1.2, 1.2)), min_size=1, max_size=5))
+def test_waypoints_with_smooth_timing_keep_the_lateral_acceleration(legs: list[tuple[float, float]]) -> None:
+    heading = np.cumsum([turn for _, turn in legs])
+    steps = np.array([length for length, _ in legs])[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+    points = [(0.0, 0.0), *((float(x), float(y)) for x, y in np.cumsum(steps, axis=0))]
+    trajectory = lay_waypoints(points, LIMITS, name="test", timing="smooth")
+    v, omega = trajectory.sample(instants(trajectory)).twist.T
+    assert np.abs(v * omega).max() <= LIMITS.lateral_acceleration * 1.001
+    assert np.all(largest_shares(trajectory, LIMITS) <= 1.001)
+    assert not trajectory.drawn_distance(instants(trajectory)).any()
+
+
+def test_cubic_pieces_are_exact_enough_at_the_highest_speeds() -> None:
+    arcs = [segment(1.2, 1.2, 3.0), segment(1.2, -1.2, 3.0), segment(-1.2, 1.2, 3.0), segment(-1.2, -0.4, 2.0)]
+    trajectory = lay_smooth(arcs, LIMITS, name="test")
+    assert isinstance(trajectory, SplineTrajectory)
+    fine = np.linspace(0.0, trajectory.duration, 40001)
+    sample = trajectory.sample(fine)
+    # Integrated anew by short arcs of the mean twist of each step, whose error goes with the square of the step.
+    twist = trajectory.sample((fine[1:] + fine[:-1]) / 2).twist
+    pose = np.zeros(3)
+    gap = 0.0
+    for step, expected in zip(twist * np.diff(fine)[:, None], sample.pose[1:], strict=True):
+        pose = integrate_pose(pose, step[0], step[1], 1.0)
+        gap = max(gap, float(np.hypot(*(pose - expected)[:2])))
+    assert gap < 5e-5
+    cos, sin = np.cos(sample.pose[:, 2]), np.sin(sample.pose[:, 2])
+    rate = np.gradient(sample.pose, fine, axis=0, edge_order=2)
+    assert np.abs(rate[:, 1] * cos - rate[:, 0] * sin).max() < 1e-3
+
+
+# --- files
+
+
+def test_the_word_in_the_file_and_its_replacement(tmp_path: Path) -> None:
+    path = tmp_path / "bends.yaml"
+    text = (
+        "timing: smooth\nsmoothing: 0.003\nsegments: [{v: 1, omega: 0, duration: 3}, {v: 1, omega: 1, duration: 3}]\n"
+    )
+    path.write_text(text)
+    filed = load_trajectory(path)
+    assert filed.drawn_distance(instants(filed)).max() == pytest.approx(0.003, rel=0.01)
+    assert isinstance(load_trajectory(path, timing="stop"), ArcTrajectory)
+    path.write_text(text.replace("smooth\n", "smoth\n"))
+    with pytest.raises(ConfigError, match="timing: Input should be 'stop', 'commanded' or 'smooth'"):
+        load_trajectory(path)
+
+
+def test_an_unknown_timing_and_timed_poses_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="timing 'smoth': give stop, commanded or smooth"):
+        load_trajectory("circle", timing="smoth")
+    path = tmp_path / "poses.csv"
+    path.write_text("t,x,y,theta\n0,0,0,0\n1,0.5,0,0\n")
+    with pytest.raises(ConfigError, match=r"poses\.csv: timing 'smooth': timed poses have times of their own"):
+        load_trajectory(path, timing="smooth")
+
+
+# --- what ships
+
+
+@pytest.mark.parametrize("name", [*FILED, "spline-0", "spline-7"])
+def test_shipped_paths_keep_the_limits_of_shipped_configurations(name: str) -> None:
+    trajectory = load_trajectory(name)
+    assert trajectory.name == name
+    for model in ("mbm", "sm", "ssm"):
+        config = load_config(model)
+        check_speeds(trajectory, config.limits, config.sample_time)
+    speeds = largest_shares(trajectory, LIMITS)
+    assert np.all(speeds[: 2 if name == "tight" else 4] <= 1.002)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 12, 2**70])
+def test_random_paths_are_theirs_bit_for_bit_and_differ(seed: int) -> None:
+    one, again, other = (load_trajectory(f"spline-{n}") for n in (seed, seed, seed + 1))
+    assert isinstance(one, SplineTrajectory) and isinstance(again, SplineTrajectory)
+    assert one.table.tobytes() == again.table.tobytes()
+    assert one.duration != other.duration
+    twist = np.abs(one.sample(instants(one)).twist)
+    assert twist[:, 0].max() > 1.1
+    assert twist[:, 1].max() > 1.0
+
+
+def test_names_of_random_paths_are_told() -> None:
+    with pytest.raises(ConfigError, match="spline-SEED or the path of a trajectory file"):
+        load_trajectory("spline-x")
