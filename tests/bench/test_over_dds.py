@@ -57,8 +57,8 @@ def test_commands_are_those_in_one_process_but_for_what_messages_leave_out(compa
 
 
 def test_a_process_that_fails_is_named_with_its_words(tmp_path):
-    bad = Case(surface="ice")
-    with pytest.raises(DriveFailedError, match="robot: ended with code 2; it said: error: unknown surface 'ice'"):
+    bad = Case(surface="sand")
+    with pytest.raises(DriveFailedError, match="robot: ended with code 2; it said: error: unknown surface 'sand'"):
         drive_over_dds(bad, 1.0, tmp_path / "bag", lock_step=True, timeout=BOUND)
 
 

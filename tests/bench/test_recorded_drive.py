@@ -48,6 +48,8 @@ def test_a_recorded_run_has_the_statistics_of_the_run(tmp_path):
     found = read_drive(write(tmp_path / "bag"), REFERENCE, DT)
     timed = {"step_time_p50_s", "step_time_p95_s", "step_time_p99_s", "step_time_max_s", "deadline_misses", "fallbacks"}
     ours, theirs = asdict(found.metrics), asdict(RUN.metrics)
+    # A recording does not hold what happened inside a step.
+    timed |= {name for name in ours if name.startswith(("solve_time", "iterations"))}
     for name in ours.keys() - timed:
         assert ours[name] == pytest.approx(theirs[name], rel=1e-9, abs=1e-9), name
     assert found.metrics.completed

@@ -61,7 +61,7 @@ class ConditionOutcome:
     def as_json(self) -> dict[str, object]:
         """Labels and numbers as plain values, without step times."""
         own = ("condition", "late_lateral_m", "ended", "message", "said_percent")
-        kept = {k: v for k, v in metrics_row(self).items() if "step_time" not in k and k != "deadline_misses"}
+        kept = {k: v for k, v in metrics_row(self).items() if not k.startswith(("step_time", "solve_time", "deadline"))}
         settings = {"set": dict(self.case.overrides)}
         row: dict[str, object] = plain(
             {name: getattr(self, name) for name in own} | self.case.as_row() | settings | kept, _DIGITS

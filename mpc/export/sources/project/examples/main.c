@@ -17,8 +17,9 @@ typedef struct {
 
 static void move(const ddmpc_controller *model, robot *r, const real command[2])
 {
-    const real slip[SLIP] = {R(0.0), R(1.0), R(1.0), R(1.0), R(0.0)};
-    const real dt = (real)ddmpc_this_constants.sample_time;
+    /* No slip: all zero but the gains. */
+    const real slip[SLIP] = {R(0.0), R(1.0), R(1.0), R(1.0)};
+    const real dt = (real)ddmpc_this_constants.sample_time, acceleration = R(0.0);
     static real next[DDMPC_STATES], jacobian[DDMPC_STATES * (DDMPC_STATES + 2 * SENT)];
     real after[2], mean[2], moved[3];
     memmove(r->sent, r->sent + 1, (SENT - 1) * sizeof r->sent[0]);
@@ -28,7 +29,7 @@ static void move(const ddmpc_controller *model, robot *r, const real command[2])
     ddmpc_velocity_output(model, r->state, after, 0);
     for (int channel = 0; channel < 2; channel++)
         mean[channel] = R(0.5) * (r->twist[channel] + after[channel]);
-    const real *arguments[4] = {mean, slip, r->pose + 2, &dt};
+    const real *arguments[5] = {mean, slip, r->pose + 2, &acceleration, &dt};
     real *results[2] = {moved, 0};
     ddmpc_f_move(arguments, results, 0, 0, 0);
     for (int i = 0; i < 3; i++)
