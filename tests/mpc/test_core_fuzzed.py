@@ -11,7 +11,7 @@ from diffdrive_mpc.mpc.core.sources import core_texts
 HERE = Path(__file__).parent
 FLAGS = (
     "-std=c99",
-    "-D_POSIX_C_SOURCE=200809L",
+    "-D_POSIX_C_SOURCE=199309L",
     "-O1",
     "-Wall",
     "-Wextra",
