@@ -43,7 +43,7 @@ speed: $(READY) ## step times beside acados, do-mpc and CasADi's solvers on the 
 	$(BIN)/diffdrive-mpc speed --out $(SPEED_OUT) $(SPEED)
 
 test: $(READY) ## all tests
-	$(BIN)/pytest -n 2 $(TEST)
+	$(BIN)/pytest -n 2 --dist worksteal $(TEST)
 
 lint: $(READY) ## style and format
 	$(BIN)/ruff check .
