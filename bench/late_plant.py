@@ -10,34 +10,16 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.sim import Plant
+from diffdrive_mpc.sim.plants.plant import PlantAround
 
 
-class LatePlant:
+class LatePlant(PlantAround):
     """`plant` behind a line that holds every command for `ticks` samples; see `sim.plants.plant.Plant`."""
 
     def __init__(self, plant: Plant, ticks: int) -> None:
-        self._plant, self._ticks = plant, ticks
+        super().__init__(plant)
+        self._ticks = ticks
         self._under_way: deque[FloatArray] = deque()
-
-    @property
-    def sample_time(self) -> float:
-        """Of the plant [s]."""
-        return self._plant.sample_time
-
-    @property
-    def time(self) -> float:
-        """Of the plant [s]."""
-        return self._plant.time
-
-    @property
-    def true_pose(self) -> FloatArray:
-        """(3,) of the plant."""
-        return self._plant.true_pose
-
-    @property
-    def true_twist(self) -> FloatArray:
-        """(3,) of the plant."""
-        return self._plant.true_twist
 
     def reset(self, pose: ArrayLike) -> None:
         """Reset the plant, with nothing under way."""

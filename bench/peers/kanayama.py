@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from diffdrive_mpc.bench.peers import PeerStep
-from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Delayed, Gains, NotNegative, Sight
+from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Delayed, Gains, NotNegative, Sight, ahead_and_left
 from diffdrive_mpc.models.checked_yaml import load_checked
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.pose import wrap_angle
@@ -115,8 +115,7 @@ class KanayamaController:
         if not np.isfinite(pose).all():
             return "the pose is not finite; the last error is kept"
         gap = reference.sample([measurement.pose.time - self._t0]).pose[0] - pose
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        self._error = np.array([c * gap[0] + s * gap[1], c * gap[1] - s * gap[0], float(wrap_angle(gap[2]))])
+        self._error = np.array([*ahead_and_left(gap, pose[2]), float(wrap_angle(gap[2]))])
         return ""
 
     def _limited(self, wish: FloatArray, t: float) -> FloatArray:

@@ -10,7 +10,15 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from diffdrive_mpc.bench.peers.tracking_peer import STANDING, AboveZero, Delayed, Gains, NotNegative, Sight
+from diffdrive_mpc.bench.peers.tracking_peer import (
+    STANDING,
+    AboveZero,
+    Delayed,
+    Gains,
+    NotNegative,
+    Sight,
+    ahead_and_left,
+)
 from diffdrive_mpc.models.interface import FloatArray, Reference
 
 _STATES = 6
@@ -74,8 +82,7 @@ class LqrLaw:
     def decide(self, sight: Sight) -> FloatArray:
         """(2,) wanted v [m/s] and omega [rad/s]."""
         gap = sight.motion.pose - sight.reference
-        c, s = np.cos(sight.reference[2]), np.sin(sight.reference[2])
-        along, across = c * gap[0] + s * gap[1], c * gap[1] - s * gap[0]
+        along, across = ahead_and_left(gap, sight.reference[2])
         expected = self._reference.sample([sight.time]).twist[0]
         if abs(expected[0]) > STANDING:
             self._integral = float(np.clip(self._integral + self._dt * across, -_MOST_INTEGRAL, _MOST_INTEGRAL))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Delayed, Gains, NotNegative, Sight
+from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Delayed, Gains, NotNegative, Sight, ahead_and_left
 from diffdrive_mpc.models.interface import FloatArray, Reference
 
 Floats32 = NDArray[np.float32]
@@ -91,10 +91,7 @@ class MppiLaw:
         middle = turned - 0.5 * dt * omega
         x, y = np.cumsum(v * np.cos(middle) * dt, axis=1), np.cumsum(v * np.sin(middle) * dt, axis=1)
         here, heading = sight.motion.pose, sight.motion.pose[2]
-        gap = reference[:, :2] - here[:2]
-        c, s = np.cos(heading), np.sin(heading)
-        goal_x = (c * gap[:, 0] + s * gap[:, 1]).astype(np.float32)
-        goal_y = (c * gap[:, 1] - s * gap[:, 0]).astype(np.float32)
+        goal_x, goal_y = (one.astype(np.float32) for one in ahead_and_left(reference[:, :2] - here[:2], heading))
         unwrapped = reference[:, 2] + 2 * np.pi * np.round((sight.reference[2] - reference[0, 2]) / (2 * np.pi))
         goal = (unwrapped - heading).astype(np.float32)
         dx, dy = x - goal_x, y - goal_y

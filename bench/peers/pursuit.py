@@ -11,7 +11,15 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from diffdrive_mpc.bench.peers.tracking_peer import STANDING, AboveZero, Delayed, Gains, NotNegative, Sight
+from diffdrive_mpc.bench.peers.tracking_peer import (
+    STANDING,
+    AboveZero,
+    Delayed,
+    Gains,
+    NotNegative,
+    Sight,
+    ahead_and_left,
+)
 from diffdrive_mpc.models.interface import FloatArray, Reference
 
 _FARTHEST = 1.0
@@ -71,5 +79,4 @@ class PursuitLaw:
         beyond = direction * max(0.0, distance - covered[-1])
         heading = path.pose[last, 2]
         gap = point + beyond * np.array([np.cos(heading), np.sin(heading)]) - sight.motion.pose[:2]
-        c, s = np.cos(sight.motion.pose[2]), np.sin(sight.motion.pose[2])
-        return np.array([c * gap[0] + s * gap[1], c * gap[1] - s * gap[0]])
+        return np.array(ahead_and_left(gap, sight.motion.pose[2]))

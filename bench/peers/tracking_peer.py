@@ -39,6 +39,12 @@ class Gains(StrictModel):
     lead: NotNegative = Field(0.0, description="the law acts on the pose so far ahead [s]")
 
 
+def ahead_and_left(gap: FloatArray, heading: float) -> tuple[Any, Any]:
+    """The first two of `gap` (..., 2 or more) [m] in a frame turned by `heading` [rad]: ahead and to the left."""
+    c, s = np.cos(heading), np.sin(heading)
+    return c * gap[..., 0] + s * gap[..., 1], c * gap[..., 1] - s * gap[..., 0]
+
+
 @dataclass(frozen=True, slots=True)
 class Sight:
     """What a law is told at one tick; all of it belongs to the instant at which its command takes effect.
@@ -63,9 +69,8 @@ class Sight:
     @property
     def error(self) -> FloatArray:
         """(3,) from robot to reference in the robot's frame: ahead [m], to the left [m], turned left [rad]."""
-        x, y, turned = self.reference - self.motion.pose
-        c, s = np.cos(self.motion.pose[2]), np.sin(self.motion.pose[2])
-        return np.array([c * x + s * y, c * y - s * x, turned])
+        gap = self.reference - self.motion.pose
+        return np.array([*ahead_and_left(gap, self.motion.pose[2]), gap[2]])
 
 
 @dataclass(frozen=True)

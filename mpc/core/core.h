@@ -51,8 +51,7 @@ typedef struct {
     /* estimator */
     const real *noise;         /* [n][n] process noise of one sample */
     real pose_noise[3];
-    real prior[9], uncertainty[9], drift[9]; /* of slip and gyro bias: at the start, with its deviation; variance per
-                                                   sample */
+    real prior[9], uncertainty[9], drift[9]; /* of slip and gyro bias: start, its deviation, variance per sample */
     real wheel_yaw_ratio;            /* yaw rate by encoders over that of the model */
     real surprise, patience;         /* limit [-], and how long it may last [samples] */
     real least_yaw_rate, least_speed, least_gain, most_gain;

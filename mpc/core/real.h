@@ -30,7 +30,6 @@ typedef double real;
 #define ddmpc_hypot hypot
 #endif
 
-
 /* Instants stay double: a float counts hours in steps of milliseconds. */
 typedef double ddmpc_time;
 

@@ -8,12 +8,13 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.core.tick import ResultLayout
-from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.estimation.slip import SLIPS, Slip
 
 SENSORS = ("wheel_speed", "wheel_yaw_rate", "yaw_rate", "pose")
 """Names of the sensors, in the order in which the filter counts them."""
-_AFTER_STATES = 12
-_SLIPS = 8
+_SLIPS = len(SLIPS)
+# Slip, gyro bias and pose.
+_AFTER_STATES = _SLIPS + 1 + 3
 
 
 class Estimate:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -54,3 +54,7 @@ class Slip:
     def offset(self) -> FloatArray:
         """(2,) what is added to the twist of the model before the gains [m/s, rad/s]."""
         return np.array([self.v_offset, 0.0])
+
+
+SLIPS: tuple[str, ...] = tuple(one.name for one in fields(Slip))
+"""Names of what slip consists of, in the order of the filter's state."""

@@ -5,7 +5,7 @@ They go into memory for use from Python, or as text into an exported library: in
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.config.thresholds import AHEAD, BEHIND, STANDING, TURNING
+from diffdrive_mpc.mpc.estimation.slip import SLIPS, Slip
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem.prediction import Prediction, build_prediction
 from diffdrive_mpc.mpc.problem.terms import Term
@@ -114,29 +115,17 @@ class Problem:
     def _estimation(self) -> Constants:
         model, s, on, wheels = self.model, self.config.estimator, self.config.compensation, self.config.wheels
         estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, *[on.side_slip] * 4, True])
-        slips = (
-            "v_offset",
-            "omega_gain",
-            "longitudinal_gain",
-            "yaw_gain",
-            "side_slip",
-            "turn_ahead",
-            "turn_left",
-            "load_shift",
-            "gyro_bias",
-        )
+        slips = (*SLIPS, "gyro_bias")
         uncertainty = estimated * np.array([getattr(s, f"{name}_uncertainty") for name in slips])
         drift = estimated * np.array([getattr(s, f"{name}_drift") for name in slips])
-        # An offset, three gains, side-slip, turning point, load shift, and the gyro's bias.
-        prior = np.array([0.0, 1.0, 1.0, 1.0, s.side_slip, 0.0, 0.0, s.load_shift, 0.0])
-        prior[4:] *= on.side_slip
+        prior = Slip(side_slip=s.side_slip, load_shift=s.load_shift) if on.side_slip else Slip()
         drive = model.drive
         inputs = np.array([s.v_input_noise, s.omega_input_noise])
         pose_drift = np.square([s.position_drift, s.position_drift, s.heading_drift])
         return {
             "noise": (drive * inputs**2) @ drive.T,
             "pose_noise": pose_drift * model.dt,
-            "prior": prior,
+            "prior": [*astuple(prior), 0.0],
             "uncertainty": uncertainty,
             "drift": model.dt * np.square(drift),
             # Per unit of omega_ref the wheels turn with the ratio of the tracks, and the model with its steady gain.

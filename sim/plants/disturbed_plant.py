@@ -9,17 +9,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.interface import FloatArray, Measurement
+from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.models.robot import Robot
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.disturbances.disturbance_types import Span
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.disturbances.sensor_faults import SensorFaults
 from diffdrive_mpc.sim.plants.link import clip_command
-from diffdrive_mpc.sim.plants.plant import Plant
+from diffdrive_mpc.sim.plants.plant import Plant, PlantAround
 
 
-class DisturbedPlant:
+class DisturbedPlant(PlantAround):
     """Start offset, sensor faults and false commands around any plant; see `sim.plants.plant.Plant`.
 
     Parameters
@@ -41,29 +41,10 @@ class DisturbedPlant:
         robot: Robot,
         crossed: Callable[[], Sequence[Span]] = tuple,
     ) -> None:
-        self._plant, self._scenario, self._limits, self._crossed = plant, scenario, robot.limits, crossed
+        super().__init__(plant)
+        self._scenario, self._limits, self._crossed = scenario, robot.limits, crossed
         self._faults = SensorFaults(scenario, WheelKinematics(robot.wheel_radius, robot.track))
         self.reset(np.zeros(3))
-
-    @property
-    def sample_time(self) -> float:
-        """Time between two control ticks [s]."""
-        return self._plant.sample_time
-
-    @property
-    def time(self) -> float:
-        """Time since the last reset [s]."""
-        return self._plant.time
-
-    @property
-    def true_pose(self) -> FloatArray:
-        """(3,) x [m], y [m], theta [rad, unwrapped] midway between the wheels."""
-        return self._plant.true_pose
-
-    @property
-    def true_twist(self) -> FloatArray:
-        """(3,) forward and lateral speed [m/s] and yaw rate [rad/s], body frame."""
-        return self._plant.true_twist
 
     @property
     def scenario(self) -> Scenario:

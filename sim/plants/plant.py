@@ -62,3 +62,30 @@ class Plant(Protocol):
             If the robot does not come through the sample.
         """
         ...
+
+
+class PlantAround:
+    """What stands around a plant and is one itself: clock and true motion are those of the plant inside."""
+
+    def __init__(self, plant: Plant) -> None:
+        self._plant = plant
+
+    @property
+    def sample_time(self) -> float:
+        """Time between two control ticks [s]."""
+        return self._plant.sample_time
+
+    @property
+    def time(self) -> float:
+        """Time since the last reset [s]."""
+        return self._plant.time
+
+    @property
+    def true_pose(self) -> FloatArray:
+        """(3,) x [m], y [m], theta [rad, unwrapped] midway between the wheels."""
+        return self._plant.true_pose
+
+    @property
+    def true_twist(self) -> FloatArray:
+        """(3,) forward and lateral speed [m/s] and yaw rate [rad/s], body frame."""
+        return self._plant.true_twist
