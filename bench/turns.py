@@ -6,9 +6,9 @@ What the machine does meanwhile then meets all of them alike, and caches are as 
 from __future__ import annotations
 
 import itertools
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from time import perf_counter
 from typing import Protocol
 
 import numpy as np
@@ -148,12 +148,12 @@ def take_turns(
     """
     tracks = [[_Track(replay, repetitions) for replay in group] for group in groups]
     best = np.inf
-    began, deadline = time.perf_counter(), np.inf
+    began, deadline = perf_counter(), np.inf
     for again in range(repetitions + AGAIN):
         if again == repetitions:
-            deadline = began + (1.0 + PATIENCE) * (time.perf_counter() - began)
+            deadline = began + (1.0 + PATIENCE) * (perf_counter() - began)
         for group in tracks:
-            if time.perf_counter() > deadline:
+            if perf_counter() > deadline:
                 break
             _go_round([track for track in group if track.end(best, block)], best, block, core)
             best = min(

@@ -6,18 +6,18 @@ on their way are known: the velocity model says where they take the robot.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
-from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import Controller, ControllerConfig
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.hold import Hold
+from diffdrive_mpc.mpc.problem.formulas import formula
 
 _HOLD = Hold("it only estimates")
 
@@ -82,6 +82,7 @@ class DelayPredictor:
     def __init__(self, model: VelocityModel, dt: float, lead: float) -> None:
         sampled = model.discretise(dt)
         self._memory = sampled.memory
+        self._twist, self._move, self._sample_time = formula("twist"), formula("move"), dt
         whole = int(np.floor(lead / dt + 1e-9))
         self._durations = np.append(np.full(whole, dt), max(0.0, lead - whole * dt))
         self._share = self._durations[-1] / dt
@@ -112,12 +113,11 @@ class DelayPredictor:
             What lies between the model's twist and the body's.
         """
         outputs = (self._outputs @ np.concatenate([state, self._past.ravel()])).reshape(-1, 2)
-        twists = slip.gains * (outputs + slip.offset)
-        v, omega = 0.5 * (twists[:-1] + twists[1:]).T
-        turned = np.cumsum(omega * self._durations)
-        starts = np.zeros((len(v), 3))
-        starts[:, 2] = pose[2]
-        starts[1:, 2] += turned[:-1]
-        moved = integrate_pose(starts, v, omega, self._durations, slip.side_slip)[:, :2].sum(axis=0)
-        after = np.array([pose[0] + moved[0], pose[1] + moved[1], pose[2] + turned[-1]])
-        return Motion(after, (1 - self._share) * twists[-2] + self._share * twists[-1])
+        slips = list(astuple(slip))
+        twists = np.array(self._twist(outputs.T, slips)[0]).T
+        acceleration = np.diff(twists[:, 0]) / self._sample_time
+        theta = pose[2] + np.concatenate([[0.0], np.cumsum(0.5 * (twists[:-1, 1] + twists[1:, 1]) * self._durations)])
+        middle = 0.5 * (outputs[:-1] + outputs[1:])
+        rows = (one[None] for one in (theta[:-1], acceleration, self._durations))
+        moved = np.array(self._move(middle.T, slips, *rows)[0]).sum(axis=1)
+        return Motion(pose + moved, (1 - self._share) * twists[-2] + self._share * twists[-1])

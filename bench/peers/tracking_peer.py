@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -21,6 +21,8 @@ from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.schema import Limits
+from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.problem.formulas import formula
 
 GAINS = Path(__file__).parent / "gains.yaml"
 """Gains of every peer by its name, as the study `peers` found them."""
@@ -110,8 +112,8 @@ class Law(Protocol):
 class TrackingPeer:
     """Estimate, prediction over the delay, law, command inside range and slew; see `models.interface`.
 
-    The twist that the law wants becomes a command by the inverse of the model's gain and of the estimated slip, as the
-    feed-forward of the predictive controller does.
+    The twist that the law wants becomes a command by the feed-forward of the predictive controller, which inverts the
+    model's gain and the estimated slip.
 
     Parameters
     ----------
@@ -135,6 +137,7 @@ class TrackingPeer:
         self._estimator = HeldEstimator(self._config)
         model = self._estimator.model
         self._predictor = DelayPredictor(model, self._config.sample_time, lead)
+        self._feed_forward, self._aim = formula("feed_forward"), formula("aim")
         self._inverse_gain, self._lag = np.linalg.inv(model.dc_gain), np.maximum(model.lag, 0.0)
         self._last = np.zeros(2)
         self._reference: Reference | None = None
@@ -162,22 +165,23 @@ class TrackingPeer:
         else:
             slip = estimate.slip
             motion = self._predictor.predict(estimate.pose, estimate.state, slip)
-            sight = self._sight(self._reference, since_start, motion, slip.side_slip if self._side_slip else 0.0)
+            sight = self._sight(self._reference, since_start, motion, slip if self._side_slip else Slip())
             thinking = time.perf_counter()
             twist = self._law.decide(sight)
             took = time.perf_counter() - thinking
-            wish = self._inverse_gain @ (twist / slip.gains - slip.offset)
+            wish = np.array(self._feed_forward(twist, list(astuple(slip)), self._inverse_gain)).ravel()
         command = nearest_command(wish, self._config.limits, self._config.sample_time, self._last)
         self._estimator.sent(command)
         self._predictor.sent(command)
         self._last = command
         return PeerStep(command, mode, message, time.perf_counter() - began, took)
 
-    def _sight(self, reference: Reference, since_start: float, motion: Motion, side_slip: float) -> Sight:
+    def _sight(self, reference: Reference, since_start: float, motion: Motion, slip: Slip) -> Sight:
         sample = reference.sample(since_start + np.array([self._lead, *self._lag]))
         feed_forward = sample.twist[[1, 2], [0, 1]]
-        # Turning on the spot, a robot does not slip sideways.
-        crab = side_slip * feed_forward[1] if abs(feed_forward[0]) > STANDING else 0.0
+        # Turning on the spot, there is no direction of travel.
+        crab = float(self._aim(np.zeros(3), feed_forward, list(astuple(slip)))[3])
+        crab = crab if abs(feed_forward[0]) > STANDING else 0.0
         travel = motion.pose - np.array([0.0, 0.0, crab])
         pose = sample.pose[0].copy()
         pose[2] = travel[2] + float(wrap_angle(pose[2] - travel[2]))

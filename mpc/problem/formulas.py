@@ -190,6 +190,11 @@ def formulas() -> tuple[ca.Function, ...]:
     )
 
 
+def formula(name: str) -> ca.Function:
+    """The formula `ddmpc_f_NAME`, to evaluate with numbers; with more columns it answers for each of them."""
+    return {one.name(): one for one in formulas()}[f"ddmpc_f_{name}"]
+
+
 def term_symbols(parameters: int) -> dict[str, ca.SX]:
     """The inputs of a term by name, with `parameters` stage parameters."""
     return {name: ca.SX.sym(name, length) for name, length in {**TERM_INPUTS, "parameters": parameters}.items()}

@@ -8,12 +8,19 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from diffdrive_mpc.bench import turns
 from diffdrive_mpc.bench.counters import SLOWER, CoreCounters, Effort, watched
 from diffdrive_mpc.bench.turns import AGAIN, take_turns
 from diffdrive_mpc.models.interface import FloatArray
 
 QUIET = Effort(elapsed=1e-3, own=1e-3, switches=0, pace=1e-5)
 PUT_ASIDE = QUIET._replace(switches=1)
+
+
+@pytest.fixture(autouse=True)
+def a_clock_that_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing here is out of patience, however busy the machine is."""
+    monkeypatch.setattr(turns, "perf_counter", lambda: 0.0)
 
 
 class Scripted:

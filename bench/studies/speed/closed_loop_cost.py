@@ -12,7 +12,7 @@ from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
-from diffdrive_mpc.mpc.problem.formulas import formulas
+from diffdrive_mpc.mpc.problem.formulas import formula
 
 
 def closed_loop_cost(
@@ -78,9 +78,8 @@ def _fed_forward(ahead: FeedForward, twist: FloatArray, n: int) -> FloatArray:
     """(n, 2) commands that would keep the reference's twist, without slip."""
     rows = np.arange(n)[:, None] + ahead.whole
     now, after = twist[rows, [0, 1]], twist[rows + 1, [0, 1]]
-    (command,) = (function for function in formulas() if function.name() == "ddmpc_f_feed_forward")
     wanted = (now + ahead.rest * (after - now)).T
-    return np.asarray(command.map(n)(wanted, list(astuple(Slip())), ahead.inverse_gain)).T
+    return np.asarray(formula("feed_forward").map(n)(wanted, list(astuple(Slip())), ahead.inverse_gain)).T
 
 
 def _in_path(pose: FloatArray, reference: FloatArray) -> FloatArray:
