@@ -75,7 +75,7 @@ def test_in_real_time_stamps_stand_on_the_samples(tmp_path):
         (["--command-timeout", "0"], "base settings: command_timeout: Input should be greater than 0"),
         (["--duration", "0"], "--duration 0.0: give a time in seconds, more than zero"),
         (["--sed", "3"], "unknown argument '--sed'"),
-        (["--surface", "ice"], "unknown surface 'ice'"),
+        (["--surface", "lava"], "unknown surface 'lava'"),
         (["--ros-args", "--foo"], "ROS cannot start with the arguments '--ros-args --foo'"),
         (["--record", "."], "is there already"),
     ],
