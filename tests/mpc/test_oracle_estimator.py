@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from diffdrive_mpc.models import Measurement, Stamped, integrate_pose, load_model
 from diffdrive_mpc.mpc.config.schema import Compensation, Estimator
+from diffdrive_mpc.mpc.estimation.estimate import SENSORS
 from diffdrive_mpc.mpc.estimation.slip import Slip
 from oracle.estimator import StateEstimator
 
@@ -219,25 +220,25 @@ def test_a_false_command_is_not_learned_as_slip():
     assert after.slip.side_slip == pytest.approx(before.side_slip, abs=0.05)
 
 
-@pytest.mark.parametrize("sensor", ["pose", "wheel_speed", "wheel_yaw_rate", "yaw_rate"])
-def test_innovations_are_as_large_as_the_filter_expects(sensor):
+def test_innovations_are_as_large_as_the_filter_expects():
     """On a robot that is as noisy as the filter assumes, the mean over seeds lies inside its 99.9 % interval.
 
     Squared innovations over their variances, k numbers in each of n, are distributed as chi-squared with n k degrees
     of freedom, over n k.
     """
-    values, numbers = [], {"pose": 3}.get(sensor, 1)
+    values, numbers = [], np.array([3 if sensor == "pose" else 1 for sensor in SENSORS])
     for seed in range(20):
         estimator, robot = StateEstimator(MODEL, Estimator()), NoisyRobot(MODEL, Estimator(), seed)
         for k in range(150):
             estimator.advance(robot.time)
             estimator.update(robot.time, robot.measure())
             if k >= 10:
-                values.append(estimator.estimate.innovations[sensor])
+                values.append([estimator.estimate.innovations[sensor] for sensor in SENSORS])
             estimator.commands.append(COMMANDS[k])
             robot.advance(COMMANDS[k])
     low, high = chi2.interval(0.999, numbers * len(values))
-    assert low < numbers * np.sum(values) < high
+    total = numbers * np.sum(values, axis=0)
+    assert (low < total).all() and (total < high).all(), dict(zip(SENSORS, total / numbers / len(values), strict=True))
 
 
 def test_errors_are_as_large_as_the_estimator_says():

@@ -48,11 +48,11 @@ def test_heading_curvature_and_length_belong_to_the_points(angle, start_bend, en
     chord = np.hypot(*step.T)
     middle = 0.5 * (path.heading[0, 1:] + path.heading[0, :-1])
     assert np.abs(wrap_angle(np.arctan2(step[:, 1], step[:, 0]) - middle)).max() < 1e-3
-    assert path.lengths[0] == pytest.approx(chord, rel=1e-3)
+    assert np.abs(path.lengths[0] / chord - 1.0).max() < 1e-3
     turned = np.concatenate(
         [[0.0], np.cumsum(0.5 * (path.curvature[0, 1:] + path.curvature[0, :-1]) * path.lengths[0])]
     )
-    assert path.heading[0] - path.heading[0, 0] == pytest.approx(turned, abs=1e-3)
+    assert np.abs(path.heading[0] - path.heading[0, 0] - turned).max() < 1e-3
 
 
 @given(ends, bends, st.floats(0.0, 0.6), st.floats(0.0, 0.6))

@@ -29,11 +29,12 @@ def test_a_delay_is_worked_off_exactly_and_inside_the_bounds(rate, delay):
 @given(rates, delays)
 def test_progress_is_the_integral_of_the_rate(rate, delay):
     profile = settling_profile(rate, delay, 2.0 - FASTEST, FASTEST, RAMP)
-    fine = np.linspace(0.0, profile.times[-1] + 1.0, 20001)
+    # The rate is linear between its nodes: with them in the grid the trapezoids are exact.
+    fine = np.union1d(np.linspace(0.0, profile.times[-1] + 1.0, 301), profile.times)
     integral = np.concatenate(
         [[0.0], np.cumsum(0.5 * np.diff(fine) * (profile.rate(fine[1:]) + profile.rate(fine[:-1])))]
     )
-    assert profile.progress(fine) == pytest.approx(integral, abs=1e-5)
+    assert np.abs(profile.progress(fine) - integral).max() < 1e-9
 
 
 def test_the_quickest_way_is_taken():
