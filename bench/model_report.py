@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from diffdrive_mpc.bench.progress import output_console
@@ -55,6 +57,15 @@ def calibration_table(firmware: Firmware) -> Table:
     ]
     title = "The published SSM against the simulated robot, drives held out from calibration"
     return Table(title, ("seed", "set-points", "FIT v [%]", "FIT omega [%]"), tuple(rows), text_columns=2)
+
+
+def neighbours_table(errors: Mapping[str, Sequence[float]]) -> Table:
+    """What `neighbour_errors` found."""
+    rows = [(name, *(f"{error:.3f}" for error in around)) for name, around in errors.items()]
+    title = "Error on the drives of the calibration with one parameter moved either way, over that without [-]"
+    return Table(
+        title, ("parameter", "less", "more"), tuple((*row, "at its bound")[:3] for row in rows), text_columns=1
+    )
 
 
 def _pole(pole: complex) -> str:

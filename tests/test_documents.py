@@ -16,6 +16,7 @@ FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 # What make would set up is set up already; .ci/run calls these as they stand.
 CI_SCRIPT = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+RUN_IN_CI = {line.strip() for line in CI_SCRIPT.splitlines()}
 RUN_BY_CI = re.compile(r"make (bench|tracking|reproduce|speed|test|lint|types)$")
 
 
@@ -43,7 +44,7 @@ def test_every_command_and_example_runs(document, tmp_path):
                 if words[0] == "make":
                     assert RUN_BY_CI.match(line), f"{named(document)}: `{line}` is run by no test"
                 elif "$DIFFDRIVE_MPC_DATA" in line or "real-logs" in line:
-                    assert f"\n{line}\n" in CI_SCRIPT, f"{named(document)}: .ci/run does not have `{line}`"
+                    assert line in RUN_IN_CI, f"{named(document)}: .ci/run does not have `{line}`"
                 else:
                     assert words[0] == "diffdrive-mpc"
                     run([str(COMMAND), *words[1:]], tmp_path)

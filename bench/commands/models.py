@@ -63,23 +63,34 @@ def calibrate(
     ] = None,
     check: Annotated[
         bool,
-        typer.Option("--check", help="Only report how well the shipped calibration predicts drives held out from it."),
+        typer.Option(
+            "--check",
+            help="Only report how well the shipped calibration predicts drives held out from it, and prove that no "
+            "neighbour of its values fits better.",
+        ),
     ] = False,
 ) -> None:
     """Fit the simulated robot's firmware so that the published SSM predicts what it measures."""
-    from diffdrive_mpc.bench.model_report import calibration_table  # noqa: PLC0415
+    from diffdrive_mpc.bench.model_report import calibration_table, neighbours_table  # noqa: PLC0415
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
+    from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.calibration import calibrate as fit_firmware  # noqa: PLC0415
+    from diffdrive_mpc.sim.plants.calibration import neighbour_errors  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.twin_parameters import FIRMWARE_FILE, load_firmware  # noqa: PLC0415
 
     if check and out is not None:
         raise ValueError(f"--out {out}: --check writes nothing; give one of them")
+    around: dict[str, tuple[float, ...]] = {}
     if check:
-        firmware = load_firmware()
+        firmware, around = load_firmware(), neighbour_errors()
+        output_console().print(neighbours_table(around).rich())
     else:
         with ProgressBar("calibration (a few minutes), parameters tried:") as bar:
             firmware = fit_firmware(out or FIRMWARE_FILE, on_evaluation=bar.advance)
     output_console().print(calibration_table(firmware).rich())
+    better = [name for name, errors in around.items() if min(errors) <= 1.0]
+    if better:
+        raise ConfigError(f"firmware.yaml: another value of {', '.join(better)} fits better: run make calibrate")
 
 
 @models_app.command(epilog="Example: diffdrive-mpc models truths --quick")

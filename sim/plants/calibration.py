@@ -10,10 +10,11 @@ import datetime
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import yaml
+from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.discrete_model import DiscreteModel
@@ -53,6 +54,7 @@ class CalibrationParameters(StrictModel):
     seeds: list[int]
     held_out_seeds: list[int]
     bounds: Bounds
+    neighbour: Annotated[float, Field(gt=0, lt=1)]
     required_fit: RequiredFit
 
 
@@ -97,6 +99,23 @@ def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | No
     return fits
 
 
+def neighbour_errors(firmware: Firmware | None = None) -> dict[str, tuple[float, ...]]:
+    """Error of the target with each calibrated parameter moved to either side, over that of `firmware` [-].
+
+    Where a parameter is at its bound it has one neighbour. All above one: on the drives of the calibration these are the
+    best values. `firmware` is the shipped one by default.
+    """
+    parameters = load_calibration_parameters()
+    firmware = firmware or load_firmware()
+    least, errors = _error(firmware), {}
+    for name in Bounds.model_fields:
+        low, high = getattr(parameters.bounds, name)
+        value, away = getattr(firmware, name), parameters.neighbour * (high - low)
+        moved = [at for at in (value - away, value + away) if low <= at <= high]
+        errors[name] = tuple(_error(firmware.model_copy(update={name: at})) / least for at in moved)
+    return errors
+
+
 def calibrate(
     path: str | Path = FIRMWARE_FILE,
     date: datetime.date | None = None,
@@ -128,13 +147,11 @@ def _calibrated(date: datetime.date, on_evaluation: Callable[[], None] | None) -
     from scipy.optimize import minimize  # noqa: PLC0415 - loads slowly
 
     parameters = load_calibration_parameters()
-    target = load_model(parameters.target).discretise(load_robot().sample_time)
     names = list(Bounds.model_fields)
     low, high = np.transpose([getattr(parameters.bounds, name) for name in names])
 
     def cost(scaled: FloatArray) -> float:
-        firmware = _firmware(names, low + scaled * (high - low), {})
-        error = sum(_squared_error(_drive(firmware, seed, smooth=True), target) for seed in parameters.seeds)
+        error = _error(_firmware(names, low + scaled * (high - low), {}))
         if on_evaluation is not None:
             on_evaluation()
         return error
@@ -170,6 +187,13 @@ def _drive(firmware: Firmware, seed: int, smooth: bool) -> Drive:
     return drive_open_loop(
         MujocoPlant(friction, load_sensor_set("default"), seed, firmware=firmware), random_commands(seed, smooth)
     )
+
+
+def _error(firmware: Firmware) -> float:
+    """Error energy of the target on the drives of the calibration."""
+    parameters = load_calibration_parameters()
+    target = load_model(parameters.target).discretise(load_robot().sample_time)
+    return sum(_squared_error(_drive(firmware, seed, smooth=True), target) for seed in parameters.seeds)
 
 
 def _squared_error(drive: Drive, target: DiscreteModel) -> float:
