@@ -102,8 +102,8 @@ def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | No
 def neighbour_errors(firmware: Firmware | None = None) -> dict[str, tuple[float, ...]]:
     """Error of the target with each calibrated parameter moved to either side, over that of `firmware` [-].
 
-    Where a parameter is at its bound it has one neighbour. All above one: on the drives of the calibration these are the
-    best values. `firmware` is the shipped one by default.
+    Where a parameter is at its bound it has one neighbour. All above one: on the drives of the calibration these are
+    the best values. `firmware` is the shipped one by default.
     """
     parameters = load_calibration_parameters()
     firmware = firmware or load_firmware()
