@@ -92,6 +92,13 @@ class Outcome:
     run: Run
     clean_share: float = 1.0
 
+    @classmethod
+    def of(cls, case: Case) -> Outcome:
+        """Run a case, and work out its errors where there are several processes to do it."""
+        run = run_case(case)
+        _ = run.errors
+        return cls(case, run)
+
     @property
     def metrics(self) -> Metrics:
         """Statistics of the run."""
@@ -108,10 +115,14 @@ class Outcome:
         return SolverShares.of(self.run)
 
 
-def run_cases(cases: Sequence[Case], jobs: int, on_done: OnDone) -> list[Outcome]:
-    """Run cases, see `bench.runner.run_tasks`."""
-    runs = run_tasks([partial(_recorded, case) for case in cases], jobs, on_done)
-    return [Outcome(case, run) for case, run in zip(cases, runs, strict=True)]
+def run_cases(
+    cases: Sequence[Case], jobs: int, on_done: OnDone, scored: Sequence[Case] = ()
+) -> tuple[list[Outcome], list[Score]]:
+    """Run cases, see `bench.runner.run_tasks`, and others of which only the statistics are wanted."""
+    tasks: list[Callable[[], Outcome | Score]] = [partial(Outcome.of, case) for case in cases]
+    tasks += [partial(Score.of, case) for case in scored]
+    found = run_tasks(tasks, jobs, on_done)
+    return [one for one in found if isinstance(one, Outcome)], [one for one in found if isinstance(one, Score)]
 
 
 @dataclass(frozen=True)
@@ -132,18 +143,6 @@ class Score:
     def of_outcome(cls, outcome: Outcome) -> Score:
         """What is kept of one that was run."""
         return cls(outcome.case, outcome.metrics, outcome.recovery, outcome.shares)
-
-
-def score_cases(cases: Sequence[Case], jobs: int, on_done: OnDone) -> list[Score]:
-    """Run cases whose times are of no interest, see `bench.runner.run_tasks`."""
-    return run_tasks([partial(Score.of, case) for case in cases], jobs, on_done)
-
-
-def _recorded(case: Case) -> Run:
-    """Run a case and work out its errors where there are several processes to do it."""
-    run = run_case(case)
-    _ = run.errors
-    return run
 
 
 def mean(outcomes: Iterable[Scored], metric: str) -> float:

@@ -10,6 +10,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -17,7 +18,7 @@ from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.outcomes import plain
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
-from diffdrive_mpc.bench.runner import OnDone, available_cores
+from diffdrive_mpc.bench.runner import OnDone, available_cores, run_tasks
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
@@ -26,6 +27,7 @@ R = TypeVar("R")
 Draw = Callable[[Path], None]
 Meta = Mapping[str, Any]
 FIGURES = "figures"
+_DRAWN_ALONE = 8
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,7 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
         run = describe_run(time.perf_counter() - began)
         report = study.report(results, run["wall_time_s"])
         bar.begin("drawing figures", len(report.figures))
-        write_report(study, report, run | report.meta, folder, bar.advance)
+        write_report(study, report, run | report.meta, folder, bar.advance, jobs or available_cores())
     console = output_console()
     for table in report.tables:
         console.print(table.rich())
@@ -118,15 +120,18 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
 
 
 def write_report(
-    study: Study[P, R], report: Report, meta: Meta, folder: Path, on_figure: OnDone = lambda: None
+    study: Study[P, R], report: Report, meta: Meta, folder: Path, on_figure: OnDone = lambda: None, jobs: int = 1
 ) -> None:
-    """Write `NAME.json`, the figures and `NAME.md` into `folder`, which exists; `on_figure` is called after each."""
+    """Write `NAME.json`, the figures and `NAME.md` into `folder`, which exists; `on_figure` is called after each.
+
+    Where there are many figures, `jobs` processes draw them.
+    """
     (folder / f"{study.name}.json").write_text(json_text(meta, report.content), encoding="utf-8")
     if report.figures:
         (folder / FIGURES).mkdir()
-    for name, draw in report.figures.items():
-        draw(folder / FIGURES / name)
-        on_figure()
+    draws = [partial(draw, folder / FIGURES / name) for name, draw in report.figures.items()]
+    # A process that draws has to load matplotlib first.
+    run_tasks(draws, jobs if len(draws) > _DRAWN_ALONE else 1, on_figure)
     (folder / f"{study.name}.md").write_text(markdown(study.title, report, meta), encoding="utf-8")
 
 

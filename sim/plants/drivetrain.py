@@ -106,7 +106,7 @@ class VelocityLoops:
     def __init__(self, driver: Driver, motor: Motor, pulse: float, step: float) -> None:
         self._driver = driver
         self._no_load_speed = motor.no_load_speed
-        self._stall_torque = motor.stall_torque * np.array(motor.spread)
+        self._stall_torque = [motor.stall_torque * share for share in motor.spread]
         # Slower than one count per control sample or so the counter cannot tell from rest.
         self._rest_speed = pulse / step / 10
         self._step = step
@@ -115,7 +115,7 @@ class VelocityLoops:
 
     def reset(self) -> None:
         """Empty integrators."""
-        self._integral = np.zeros(4)
+        self._integral = [0.0] * 4
 
     def torque(self, set_points: FloatArray, measured: FloatArray, speeds: FloatArray) -> FloatArray:
         """Motor torques.
@@ -134,13 +134,20 @@ class VelocityLoops:
         FloatArray
             (4,) torques at the wheels [N m].
         """
-        error = set_points - measured
-        # At a zero set-point the driver brakes and forgets: otherwise it would hunt for a fraction of a count.
-        resting = (set_points == 0.0) & (np.abs(measured) < self._rest_speed)
-        self._integral[resting] = 0.0
-        wanted = set_points / self._no_load_speed + self._driver.proportional_gain * error + self._integral
-        duty = np.minimum(np.maximum(wanted, -1.0), 1.0)
-        duty[resting] = 0.0
-        # The integrators stand still while the duty is at its limit.
-        self._integral += np.where(duty == wanted, self._step * self._driver.integral_gain * error, 0.0)
-        return np.asarray(self._stall_torque * (self.supply * duty - speeds / self._no_load_speed))
+        # Number by number: for four of them arrays take several times as long, ten times a sample.
+        torques = []
+        proportional, integral = self._driver.proportional_gain, self._step * self._driver.integral_gain
+        wheels = zip(set_points.tolist(), measured.tolist(), speeds.tolist(), self._stall_torque, strict=True)
+        for i, (set_point, seen, speed, stall_torque) in enumerate(wheels):
+            error = set_point - seen
+            # At a zero set-point the driver brakes and forgets: otherwise it would hunt for a fraction of a count.
+            resting = set_point == 0.0 and abs(seen) < self._rest_speed
+            if resting:
+                self._integral[i] = 0.0
+            wanted = set_point / self._no_load_speed + proportional * error + self._integral[i]
+            duty = 0.0 if resting else min(max(wanted, -1.0), 1.0)
+            # The integrators stand still while the duty is at its limit.
+            if duty == wanted:
+                self._integral[i] += integral * error
+            torques.append(stall_torque * (self.supply * duty - speed / self._no_load_speed))
+        return np.array(torques)

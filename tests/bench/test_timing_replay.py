@@ -124,8 +124,8 @@ def test_the_quiet_core_is_given_back() -> None:
 def test_runs_do_not_depend_on_the_number_of_processes() -> None:
     cases = [quick_outcome(controller="kanayama", model="none", trajectory=name).case for name in ("circle", "s")]
     done: list[int] = []
-    alone = run_cases(cases, 1, lambda: done.append(1))
-    together = run_cases(cases, 2, lambda: done.append(1))
+    alone, _ = run_cases(cases, 1, lambda: done.append(1))
+    together, _ = run_cases(cases, 2, lambda: done.append(1))
     assert len(done) == 4
     for one, other in zip(alone, together, strict=True):
         assert one.case == other.case

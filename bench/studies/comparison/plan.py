@@ -40,6 +40,8 @@ SPEEDS = (0.3, 0.6, 0.9, 1.2)
 """Top speeds of the error against speed [m/s]."""
 SPEED_TRAJECTORIES, SPEED_SEEDS = ("circle", "s"), 1
 """What is driven at these speeds, and with how many of the seeds."""
+SWEPT_TRAJECTORIES = ("s", "cane")
+"""Over which horizons are swept in a bench without options: the others show the same."""
 LATE_TICKS, LATE_TRAJECTORY = (-3, -2, 0, 2, 4), "s"
 """By how many samples the plant's dead time is longer than the configured one, and what is driven there."""
 OTHER_SEEDS = (10, 11, 12)
@@ -116,7 +118,7 @@ class CasePlan:
     main
         Every combination of controllers, models, settings and the other dimensions.
     horizon
-        Models x horizons x trajectories with the first of everything else.
+        Models x horizons x trajectories with the first of everything else; see `SWEPT_TRAJECTORIES`.
     speed, dead_time
         Every controller at other top speeds; on plants that are later or earlier than it was told. A controller that
         cannot be told of a longer dead time has later plants only.
@@ -162,9 +164,10 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
     places = [{name: getattr(case, name) for name in several} for case in combinations(**several)]
     main = [replace(driver, **place) for name in controllers for driver in peers.get(name, drivers) for place in places]
     first = {name: values[0] for name, values in several.items() if name != "trajectory"}
+    swept = [one for one in several["trajectory"] if not settings.beyond or one in SWEPT_TRAJECTORIES]
     horizon = [
         _at_horizon(replace(case, overrides=settings.settings[0], trajectory=trajectory, **first), steps)
-        for case, steps, trajectory in itertools.product(ours, settings.horizons, several["trajectory"])
+        for case, steps, trajectory in itertools.product(ours, settings.horizons, swept)
     ]
     plan = CasePlan(tuple(main), tuple(horizon))
     if settings.beyond:

@@ -171,7 +171,8 @@ def horizon_table(outcomes: Group) -> Table:
         **_times(),
     }
     entries = [((name,), runs) for name, group in by_model(outcomes).items() for runs in by_horizon(group).values()]
-    note = f"Means over trajectories; {_where(outcomes[0])}.{_disturbed_note(outcomes)}"
+    paths = ", ".join(dict.fromkeys(outcome.case.labels["trajectory"] for outcome in outcomes))
+    note = f"Means over {paths}; {_where(outcomes[0])}.{_disturbed_note(outcomes)}"
     return Table.of("Horizon", ("model",), columns, entries, note)
 
 
