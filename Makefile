@@ -5,6 +5,8 @@ OUT ?= out/bench
 TRACKING_OUT ?= out/tracking
 REPRODUCE_OUT ?= out/reproduce
 SPEED_OUT ?= out/speed
+EDGE_OUT ?= out/edge
+PEERS_OUT ?= out/peers
 # Options of the studies: make tracking TRACKING=--quick
 TRACKING ?=
 REPRODUCE ?=
@@ -18,7 +20,7 @@ READY := $(VENV)/.ready
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench tracking reproduce speed test lint types format models calibrate readme requirements clean
+.PHONY: help bench edge peers tracking reproduce speed test lint types format models calibrate readme requirements clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -32,6 +34,14 @@ $(READY): requirements.txt pyproject.toml
 
 bench: $(READY) ## models x trajectories x seeds and the horizon sweep: tables and figures in out/bench
 	$(BIN)/diffdrive-mpc bench --out $(OUT)
+
+edge: $(READY) ## fast and tight paths, all models beside their peers, path by path: out/edge
+	$(BIN)/diffdrive-mpc bench --out $(EDGE_OUT) --controllers mpc,pursuit+slip,kanayama+slip,lqr+slip,mppi+slip \
+		--models kinematic,mbm,sm,ssm --horizons none --seeds 2 \
+		--trajectories fast_circle,figure8,slalom,reverse_slalom,k_turn,spiral,tight,spline-0,spline-1,spline-2
+
+peers: $(READY) ## tune the peers again, and show that their neighbours are no better: out/peers
+	$(BIN)/diffdrive-mpc peers --out $(PEERS_OUT)
 
 tracking: $(READY) ## what the tracking reaches, what each part is worth, how much is left: tables and figures in out/tracking
 	$(BIN)/diffdrive-mpc tracking --out $(TRACKING_OUT) $(TRACKING)
@@ -62,8 +72,8 @@ models: $(READY) ## identify MBM and SM again from experiments on the simulated 
 calibrate: $(READY) ## fit the simulated robot to the published SSM again
 	$(BIN)/diffdrive-mpc models calibrate
 
-readme: $(READY) ## copy the tables and figures of the last `make bench`, `make tracking`, `make reproduce` and `make speed` into README and docs
-	$(BIN)/python -m diffdrive_mpc.bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT))
+readme: $(READY) ## copy the tables and figures of the last `make bench`, `make edge`, `make tracking`, `make reproduce` and `make speed` into README and docs
+	$(BIN)/python -m diffdrive_mpc.bench.documents $(OUT) $(wildcard $(EDGE_OUT) $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT))
 
 requirements: ## pin all dependencies anew (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \

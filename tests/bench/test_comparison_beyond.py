@@ -21,6 +21,7 @@ from diffdrive_mpc.bench.studies.comparison.plan import read_options as read
 from diffdrive_mpc.bench.studies.comparison.properties import measure_properties, predicts, property_table
 from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
 from diffdrive_mpc.bench.studies.comparison.study import ComparisonStudy
+from diffdrive_mpc.bench.studies.comparison.tables import side_by_side_table
 from diffdrive_mpc.bench.study import write_report
 from diffdrive_mpc.sim import make_plant
 
@@ -188,3 +189,14 @@ def test_the_report_shows_and_holds_what_was_run_beyond_the_tables(outcome: Outc
     assert (tmp_path / "figures" / "dead-time.png").is_file()
     text = (tmp_path / "bench.md").read_text()
     assert "## Order" in text and "## Which property of a model predicts tracking" in text
+
+
+def test_controllers_stand_side_by_side_path_by_path(outcome: Outcome) -> None:
+    """Another path of another controller: where one did not drive there is a dash."""
+    other = replace(outcome, case=replace(outcome.case, model="mbm", trajectory="s"))
+    table = side_by_side_table([outcome, replace(outcome, case=replace(outcome.case, seed=1)), other])
+    error = f"{1e3 * outcome.metrics.position_rmse_m:.1f}"
+    assert table.columns == ("trajectory", outcome.case.model.upper(), "MBM")
+    assert table.rows[0] == (outcome.case.trajectory, error, "-")
+    assert table.rows[1] == ("s", "-", error)
+    assert table.rows[2] == ("mean", error, error)

@@ -81,6 +81,8 @@ _TRACKING = {
 def report_tables(results: ComparisonResults) -> list[Table]:
     """Every table of a report, in order; those of horizons and scenarios only where there are any."""
     tables = [make(results.main) for make in (summary_table, error_table, path_table, time_table, solver_table)]
+    if len(by_driver(results.main)) > 1:
+        tables.insert(1, side_by_side_table(results.main))
     if "scenario" not in results.silent:
         tables.append(scenario_table(results.main))
     tables += [horizon_table(results.horizon)] if results.horizon else []
@@ -97,6 +99,20 @@ def summary_table(outcomes: Group) -> Table:
         "or a peer's law; step: all from measurement to command."
     ) + _disturbed_note(outcomes)
     return Table.of("Summary", ("controller",), columns, _by_driver(outcomes), note)
+
+
+def side_by_side_table(outcomes: Group) -> Table:
+    """Position RMSE, a row for each trajectory and a column for each controller."""
+    drivers = {name: by("trajectory", group) for name, group in by_driver(outcomes).items()}
+    paths = by("trajectory", outcomes)
+    rows = [
+        (path, *(number(1e3 * mean(driver.get(path, ()), "position_rmse_m"), 1) for driver in drivers.values()))
+        for path in paths
+    ]
+    means = (number(1e3 * mean(group, "position_rmse_m"), 1) for group in by_driver(outcomes).values())
+    rows += [("mean", *means)] if len(paths) > 1 else []
+    note = "Position RMSE [mm], means over seeds; of runs that did not complete, up to their end."
+    return Table("Path by path", ("trajectory", *drivers), tuple(rows), note=note)
 
 
 def error_table(outcomes: Group) -> Table:
