@@ -58,7 +58,8 @@ TRACKING = ShownReport("tracking", ("ablation.png", "error-sources.png"), (), "t
 REPRODUCE = ShownReport("reproduce", ("odometry.png", "orders.png", "virtual-track.png"), (), "reproduce.md")
 SPEED = ShownReport("speed", ("horizon.png", "tail.png"), ("speed.json",), "performance.md")
 EDGE = ShownReport("edge", (), ("bench.json",), "peers.md", study="bench")
-SHOWN = (BENCH, EDGE, TRACKING, REPRODUCE, SPEED)
+PEERS = ShownReport("peers", (), (), "peers.md")
+SHOWN = (BENCH, EDGE, PEERS, TRACKING, REPRODUCE, SPEED)
 
 
 def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
