@@ -236,7 +236,7 @@ class Rehearsal(Group):
         0.0, description="share of the correction that is lost at each lap [-]"
     )
     smoothing: Annotated[float, Field(ge=0.02, le=5)] = Field(
-        0.2, description="time over which measured poses are averaged, with no delay [s]"
+        0.1, description="time over which errors and the correction are averaged, without delay [s]"
     )
     largest: Positive = Field(0.03, description="largest correction of the position [m]")
     largest_heading: Positive = Field(0.1, description="largest correction of the heading [rad]")
