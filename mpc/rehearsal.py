@@ -76,7 +76,7 @@ class Rehearsal:
     def forget(self) -> None:
         """Be as new."""
         self._reference: Reference | None = None
-        self._lap, self._t0 = _Lap(), 0.0
+        self._lap, self._t0, self._told = _Lap(), 0.0, False
         self.time: FloatArray = np.empty(0)
         self._begin_anew("")
 
@@ -104,13 +104,14 @@ class Rehearsal:
             count = max(int(np.ceil(reference.duration / self._dt)), 1) + 1
             self.time = np.linspace(0.0, reference.duration, count)
             self._begin_anew("")
-        self._reference, self._lap, self._t0 = reference, _Lap(), t0
+        self._reference, self._lap, self._t0, self._told = reference, _Lap(), t0, False
         return corrected(reference, self.time, self.correction) if self.correction.any() else reference
 
     def take(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
         """Record the tick at `t` [s]; returns `result`, at the first tick with what was learned in its message."""
-        lap, now, words = self._lap, t - self._t0, f"rehearsal: {self.said}" if self.said else ""
-        self.said = ""
+        lap, now = self._lap, t - self._t0
+        words = f"rehearsal: {self.said}" if self.said and not self._told else ""
+        self._told = True
         if now <= self.time[-1] + self._dt and not lap.spoilt:
             estimate = result.estimate
             if estimate is None or result.mode not in _ON_ITS_WAY or result.reference_delay != 0.0:
@@ -118,7 +119,9 @@ class Rehearsal:
             else:
                 lap.motion.append(np.concatenate([[now], estimate.pose, estimate.twist, estimate.slip.gains]))
             if measurement.pose is not None and np.isfinite(measurement.pose.value).all():
-                lap.poses.append(np.concatenate([[measurement.pose.time - self._t0], np.asarray(measurement.pose.value)]))
+                lap.poses.append(
+                    np.concatenate([[measurement.pose.time - self._t0], np.asarray(measurement.pose.value)])
+                )
         return replace(result, message="; ".join(filter(None, (result.message, words)))) if words else result
 
     def _is_same(self, one: Reference, other: Reference) -> bool:
@@ -141,7 +144,9 @@ class Rehearsal:
         if self.laps:
             change = float(np.abs(gains / self._gains - 1).max())
             if change > settings.floor_change:
-                self._begin_anew(f"what was learned is forgotten: another floor, gains of slip {100 * change:.0f} % off")
+                self._begin_anew(
+                    f"what was learned is forgotten: another floor, gains of slip {100 * change:.0f} % off"
+                )
                 return
             if size > settings.worse * self._first_error:
                 self._begin_anew(f"what was learned is forgotten: {in_words}, {1e3 * self._first_error:.1f} mm before")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -45,9 +46,8 @@ def simulate(
     from diffdrive_mpc.bench.studies.comparison.laps import simulate_laps  # noqa: PLC0415 - --help does without it
     from diffdrive_mpc.bench.studies.comparison.single import simulate_one  # noqa: PLC0415
 
-    if laps > 1:
-        return simulate_laps(values, laps, config=config, settings=settings or [], out=out, log=log)
-    simulate_one(values, config=config, settings=settings or [], out=out, log=log)
+    run = simulate_one if laps == 1 else partial(simulate_laps, laps=laps)
+    run(values, config=config, settings=settings or [], out=out, log=log)
 
 
 @with_dimensions(several=True)

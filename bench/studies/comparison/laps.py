@@ -125,7 +125,9 @@ def draw_laps(learned: Laps, plain: Laps, path: Path) -> None:
         for i, (name, laps) in enumerate((("with rehearsal", learned), ("without", plain))):
             rmse = [1e3 * run.metrics.position_rmse_m for run in laps.runs]
             errors.plot(numbers, rmse, color=colour(i), marker=MARKERS[i], label=name)
-        errors.axhline(1e3 * lap_parts(plain.runs).other, color=REFERENCE_COLOUR, linestyle=":", label="does not repeat")
+        errors.axhline(
+            1e3 * lap_parts(plain.runs).other, color=REFERENCE_COLOUR, linestyle=":", label="does not repeat"
+        )
         errors.set(xlabel="lap", ylabel="position RMSE [mm]", xticks=numbers, ylim=(0, None))
         if learned.rehearsal is not None:
             for i, name in enumerate(("along", "across")):
