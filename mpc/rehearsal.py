@@ -144,9 +144,7 @@ class Rehearsal:
         if self.laps:
             change = float(np.abs(gains / self._gains - 1).max())
             if change > settings.floor_change:
-                self._begin_anew(
-                    f"what was learned is forgotten: another floor, gains of slip {100 * change:.0f} % off"
-                )
+                self._begin_anew(f"what was learned is forgotten: another floor, gains off by {100 * change:.0f} %")
                 return
             if size > settings.worse * self._first_error:
                 self._begin_anew(f"what was learned is forgotten: {in_words}, {1e3 * self._first_error:.1f} mm before")

@@ -1,4 +1,4 @@
-"""Laps along one reference: what repeats is learned and removed, inside its bounds, and forgotten where it does harm."""
+"""Laps along one reference: what repeats is learned and removed, within bounds, and forgotten where it does harm."""
 
 import numpy as np
 import pytest

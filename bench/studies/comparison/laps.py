@@ -68,8 +68,8 @@ def _after(lap: int, laps: int, on_tick: Callable[[int, int], None]) -> Callable
 
 def simulate_laps(
     values: Mapping[str, Any],
-    laps: int,
     *,
+    laps: int,
     config: Path | None,
     settings: Sequence[str],
     out: Path | None,
@@ -102,16 +102,15 @@ def simulate_laps(
 
 def lap_table(learned: Laps, plain: Laps) -> Table:
     """A row for each lap; what repeats is what is more than the part that does not repeat without rehearsal."""
-    other = lap_parts(plain.runs).other
+    parts = lap_parts(plain.runs)
     rows = []
     for lap, (run, without) in enumerate(zip(learned.runs, plain.runs, strict=True), start=1):
         position = run.metrics.position_rmse_m
-        repeating = float(np.sqrt(max(position**2 - other**2, 0.0)))
+        repeating = float(np.sqrt(max(position**2 - parts.other**2, 0.0)))
         shown = position, repeating, run.metrics.lateral_rmse_m, without.metrics.position_rmse_m
         rows.append((str(lap), *(number(1e3 * value, 2) for value in shown)))
     heads = ("lap", "position RMSE [mm]", "repeating part [mm]", "lateral RMSE [mm]", "without rehearsal [mm]")
-    parts = lap_parts(plain.runs)
-    note = f"Without rehearsal {1e3 * parts.repeating:.2f} mm repeat and {1e3 * other:.2f} mm do not: the lower bound."
+    note = f"Without rehearsal {1e3 * parts.repeating:.2f} mm repeat and {1e3 * parts.other:.2f} mm do not: the lower bound."
     return Table("Laps", heads, tuple(rows), note=note)
 
 
