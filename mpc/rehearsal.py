@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
@@ -71,6 +72,7 @@ class Rehearsal:
 
     def __init__(self, config: ControllerConfig) -> None:
         self._settings, self._dt = config.rehearsal, config.sample_time
+        self._most_jump = config.estimator.max_position_jump
         self.forget()
 
     def forget(self) -> None:
@@ -118,11 +120,15 @@ class Rehearsal:
                 lap.spoilt = f"at {now:.2f} s it was {result.mode}, {result.reference_delay:.2f} s late"
             else:
                 lap.motion.append(np.concatenate([[now], estimate.pose, estimate.twist, estimate.slip.gains]))
-            if measurement.pose is not None and np.isfinite(measurement.pose.value).all():
-                lap.poses.append(
-                    np.concatenate([[measurement.pose.time - self._t0], np.asarray(measurement.pose.value)])
-                )
+                pose = measurement.pose
+                if pose is not None and self._is_near(estimate.pose, pose.value):
+                    lap.poses.append(np.array([pose.time - self._t0, *np.asarray(pose.value, dtype=float)]))
         return replace(result, message="; ".join(filter(None, (result.message, words)))) if words else result
+
+    def _is_near(self, believed: FloatArray, seen: ArrayLike) -> bool:
+        """Whether a pose is no outlier, which the estimator rejects, too; False where it is not finite."""
+        distance = np.asarray(seen, dtype=float) - believed
+        return bool(np.hypot(*distance[:2]) < self._most_jump) and bool(np.isfinite(distance).all())
 
     def _is_same(self, one: Reference, other: Reference) -> bool:
         """Whether both are the same motion, be it in another place."""

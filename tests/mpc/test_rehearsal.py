@@ -1,5 +1,8 @@
 """Laps along one reference: what repeats is learned and removed, within bounds, and forgotten where it does harm."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from ideal_robot import IdealRobot, drive
@@ -155,6 +158,41 @@ def test_the_same_motion_elsewhere_is_the_same_reference_and_another_one_is_not(
     learning.start(load_trajectory("circle"), 0.0)
     assert learning.rehearsal.laps == 0
     assert not learning.rehearsal.correction.any()
+
+
+def test_false_poses_teach_nothing():
+    def spoil(k, measurement):
+        off = np.array([3.0, -2.0, 0.0]) if k % 40 == 20 else np.array([np.nan] * 3) if k % 40 == 30 else np.zeros(3)
+        return replace(measurement, pose=replace(measurement.pose, value=measurement.pose.value + off))
+
+    learning, clean = controller(), controller()
+    for by, change in ((learning, spoil), (clean, None)):
+        for _ in range(2):
+            drive(by, IdealRobot(load_model("ssm").discretise(DT), np.zeros(3)), BEND, BEND.duration + DT, change=change)
+        by.start(BEND, 0.0)
+    assert learning.rehearsal.laps == 2
+    assert np.abs(learning.rehearsal.correction - clean.rehearsal.correction)[:, :2].max() < 0.003
+
+
+def test_the_node_takes_each_start_of_the_same_reference_for_a_lap():
+    control_loop = pytest.importorskip("diffdrive_mpc.mpc.ros.control_loop")
+    topic = SimpleNamespace(fault=lambda *_: "", age=lambda _: 0.0)
+    inbox = SimpleNamespace(now=0.0, odometry=topic, newest_pose=None)
+    settings = SimpleNamespace(
+        statistics_window=10, drive_on_activate=True, start_at_robot=True, use_pose_topic=False, odom_timeout=1.0,
+        blocked_timeout=9.0,
+    )  # fmt: skip
+    loop = control_loop.ControlLoop(controller(), settings, inbox, BEND, in_sim_time=True)
+    robot, said = IdealRobot(load_model("ssm").discretise(DT), np.zeros(3)), []
+    for _ in range(2):
+        for _ in range(int(BEND.duration / DT) + 130):
+            inbox.now, measurement = robot.time, robot.measure()
+            inbox.measurement, inbox.newest_pose = lambda kept=measurement: kept, measurement.pose
+            tick = loop.tick()
+            said.append(tick.message)
+            robot.advance(tick.command)
+        loop.start()
+    assert any("learned from 1 laps" in message for message in said)
 
 
 def test_reset_forgets():

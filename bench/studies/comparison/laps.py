@@ -110,7 +110,8 @@ def lap_table(learned: Laps, plain: Laps) -> Table:
         shown = position, repeating, run.metrics.lateral_rmse_m, without.metrics.position_rmse_m
         rows.append((str(lap), *(number(1e3 * value, 2) for value in shown)))
     heads = ("lap", "position RMSE [mm]", "repeating part [mm]", "lateral RMSE [mm]", "without rehearsal [mm]")
-    note = f"Without rehearsal {1e3 * parts.repeating:.2f} mm repeat and {1e3 * parts.other:.2f} mm do not: the lower bound."
+    repeats, other = 1e3 * parts.repeating, 1e3 * parts.other
+    note = f"Without rehearsal {repeats:.2f} mm repeat and {other:.2f} mm do not: the lower bound."
     return Table("Laps", heads, tuple(rows), note=note)
 
 
