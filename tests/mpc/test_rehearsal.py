@@ -168,7 +168,9 @@ def test_false_poses_teach_nothing():
     learning, clean = controller(), controller()
     for by, change in ((learning, spoil), (clean, None)):
         for _ in range(2):
-            drive(by, IdealRobot(load_model("ssm").discretise(DT), np.zeros(3)), BEND, BEND.duration + DT, change=change)
+            drive(
+                by, IdealRobot(load_model("ssm").discretise(DT), np.zeros(3)), BEND, BEND.duration + DT, change=change
+            )
         by.start(BEND, 0.0)
     assert learning.rehearsal.laps == 2
     assert np.abs(learning.rehearsal.correction - clean.rehearsal.correction)[:, :2].max() < 0.003
