@@ -28,7 +28,11 @@ def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
     Raises ConfigError or ValueError if a name is unknown, a file has a mistake, or controller and plant have different
     sample times.
     """
-    controller = make_controller(case)
+    return make_controller(case), build_plant(case), load_reference(case)
+
+
+def build_plant(case: Case) -> Plant:
+    """Make the plant of a case; raises as `build` does."""
     plant = make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario)
     if case.controller not in PEERS:
         asked = controller_config(case.model, case.config, case.overrides).sample_time
@@ -37,7 +41,7 @@ def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
                 f"sample_time {asked} s: the plant '{case.plant}' takes a command every {plant.sample_time} s; "
                 f"set sample_time to that"
             )
-    return controller, LatePlant(plant, case.late) if case.late > 0 else plant, load_reference(case)
+    return LatePlant(plant, case.late) if case.late > 0 else plant
 
 
 def run_case(case: Case) -> Run:

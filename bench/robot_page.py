@@ -31,6 +31,7 @@ _TITLES = {
     "failure": "Failure",
     "reentry": "Re-entry",
     "finish": "Finish",
+    "rehearsal": "Rehearsal, when the same reference is started again",
 }
 
 

@@ -30,6 +30,7 @@ from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, SLACK, Problem
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_parameters
 from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
+from diffdrive_mpc.mpc.rehearsal import Rehearsal
 from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask
 from diffdrive_mpc.mpc.solver.backends import BACKENDS
 from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
@@ -99,6 +100,7 @@ class Controller:
         self._t0 = 0.0
         self._result: StepResult | None = None
         self._blocked_for = 0.0
+        self._rehearsal = Rehearsal(config) if config.rehearsal.enabled else None
         self._set_defaults()
         # Looked up once: each look into a library costs as much as a small sum.
         self._step, self._c, self._c_result = self._tick.lib.ddmpc_step, self._tick.c, self._tick.result
@@ -152,6 +154,11 @@ class Controller:
         """The reference being tracked."""
         return self._reference
 
+    @property
+    def rehearsal(self) -> Rehearsal | None:
+        """What was learned of a reference that is driven again; None unless `rehearsal.enabled`."""
+        return self._rehearsal
+
     def start(self, reference: Reference, t0: float) -> None:
         """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`.
 
@@ -166,17 +173,20 @@ class Controller:
         if not math.isfinite(t0):
             raise ValueError(f"t0 = {t0}: the start time must be finite")
         check_speeds(reference, self._config.limits, self._config.sample_time)
-        native = NativeReference(reference)
+        tracked = reference if self._rehearsal is None else self._rehearsal.begin(reference, t0)
+        native = NativeReference(tracked)
         self._tick.lib.ddmpc_start(self._c, native.struct, t0)
         # C reads it from now on.
         self._tick.reference, self._reference, self._t0 = native, reference, t0
-        self._pursuit.start(reference, native=native.complete)
+        self._pursuit.start(tracked, native=native.complete)
         self._result = None
 
     def reset(self) -> None:
         """Be as new, for a robot that stands still: forget estimate, plan and commands. The reference stays."""
         self._tick.lib.ddmpc_reset(self._c)
         self._pursuit.restart()
+        if self._rehearsal is not None:
+            self._rehearsal.forget()
         self._result = None
 
     def update(
@@ -267,7 +277,8 @@ class Controller:
             asked = time.perf_counter()
             refused = self._ask_backend()
             solve_time += time.perf_counter() - asked
-        return self._build(hold, message, (started, solve_time), refused=refused)
+        result = self._build(hold, message, (started, solve_time), refused=refused)
+        return result if self._rehearsal is None else self._rehearsal.take(t, measurement, result)
 
     def _apply_pending(self, prepared: _Prepared) -> None:
         self._config, self._backend, self._pending = prepared.config, prepared.backend, None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -38,12 +39,15 @@ def simulate(
     settings: Settings = None,
     out: Annotated[Path | None, out_option("figures")] = None,
     log: Annotated[Path | None, typer.Option(help="CSV file for the log of the run.", show_default=False)] = None,
+    laps: Annotated[int, typer.Option(min=1, help="Drive it so often, and learn from lap to lap.")] = 1,
     **values: Any,  # noqa: ANN401 - text or number
 ) -> None:
     """Run one closed loop and print how well it tracked; --out draws it, --log writes it as CSV."""
-    from diffdrive_mpc.bench.studies.comparison.single import simulate_one  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.studies.comparison.laps import simulate_laps  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.studies.comparison.single import simulate_one  # noqa: PLC0415
 
-    simulate_one(values, config=config, settings=settings or [], out=out, log=log)
+    run = simulate_one if laps == 1 else partial(simulate_laps, laps=laps)
+    run(values, config=config, settings=settings or [], out=out, log=log)
 
 
 @with_dimensions(several=True)

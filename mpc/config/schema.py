@@ -225,6 +225,30 @@ class Finish(Group):
     )
 
 
+class Rehearsal(Group):
+    """What the errors of laps become when the same reference is started again; see docs/rehearsal.md."""
+
+    enabled: bool = Field(False, description="correct a reference driven again by the errors of its last laps [-]")
+    gain: Annotated[float, Field(gt=0, le=1)] = Field(
+        0.3, description="least share of a lap's error that enters the correction; the first laps count alike [-]"
+    )
+    forgetting: Annotated[float, Field(ge=0, le=1)] = Field(
+        0.0, description="share of the correction that is lost at each lap [-]"
+    )
+    smoothing: Annotated[float, Field(ge=0.02, le=5)] = Field(
+        0.1, description="time over which errors and the correction are averaged, without delay [s]"
+    )
+    largest: Positive = Field(0.03, description="largest correction of the position [m]")
+    largest_heading: Positive = Field(0.1, description="largest correction of the heading [rad]")
+    largest_speed: Positive = Field(0.1, description="largest rate of the correction of the position [m/s]")
+    floor_change: Positive = Field(
+        0.1, description="change of the gains of slip, averaged over a lap, at which what was learned is forgotten [-]"
+    )
+    worse: Positive = Field(
+        1.2, description="error of a lap over that of the first at which what was learned is forgotten [-]"
+    )
+
+
 class TermConfig(Group):
     """A function of the user: a residual of the cost, or something with soft limits; see docs/tuning.md."""
 
@@ -261,4 +285,5 @@ class ControllerConfig(Group):
     failure: Failure = Failure()
     reentry: Reentry = Reentry()
     finish: Finish = Finish()
+    rehearsal: Rehearsal = Rehearsal()
     terms: list[TermConfig] = Field([], description="functions of the user in cost and soft limits [-]")

@@ -39,27 +39,32 @@ def simulate_one(
     Raises ConfigError, ValueError or OSError if a name, a file, a value or a place to write to cannot be used; before
     the run, and nothing is made then.
     """
-    name, model = values["controller"], values["model"]
-    if name in PEERS and (settings or config is not None or model is not None):
-        raise ConfigError(f"the controller '{name}' takes no --model, --config or --set")
-    model = NO_MODEL if name in PEERS else chosen_model(model, config)
-    file = None if config is None else str(config)
-    case = Case(**{**values, "model": model}, config=file, overrides=single_settings(settings))
+    case = asked_case(values, config=config, settings=settings)
     parts = build(case)
     with ExitStack() as stack:
-        draft = None if log is None else stack.enter_context(_log_file(log))
+        draft = None if log is None else stack.enter_context(log_file(log))
         folder = None if out is None else stack.enter_context(staged(out))
         with ProgressBar("simulating") as bar:
             run = simulate(*parts, on_tick=bar.at)
         if draft is not None:
             write_rows(run, draft)
         if folder is not None:
-            _draw(Outcome(case, run), folder)
-    _print(Outcome(case, run))
+            draw(Outcome(case, run), folder)
+    report(Outcome(case, run))
+
+
+def asked_case(values: Mapping[str, Any], *, config: Path | None, settings: Sequence[str]) -> Case:
+    """The case that was typed; arguments and errors are those of `simulate_one`."""
+    name, model = values["controller"], values["model"]
+    if name in PEERS and (settings or config is not None or model is not None):
+        raise ConfigError(f"the controller '{name}' takes no --model, --config or --set")
+    model = NO_MODEL if name in PEERS else chosen_model(model, config)
+    file = None if config is None else str(config)
+    return Case(**{**values, "model": model}, config=file, overrides=single_settings(settings))
 
 
 @contextmanager
-def _log_file(log: Path) -> Iterator[Path]:
+def log_file(log: Path) -> Iterator[Path]:
     """Where to write the log to; a refusal names the option."""
     with ExitStack() as stack:
         try:
@@ -69,7 +74,8 @@ def _log_file(log: Path) -> Iterator[Path]:
         yield draft
 
 
-def _print(outcome: Outcome) -> None:
+def report(outcome: Outcome) -> None:
+    """Print the tables of a run, and what its controller said."""
     console = output_console()
     shown = [summary_table, error_table, path_table]
     for make in (*shown, scenario_table) if outcome.case.scenario != NO_SCENARIO else shown:
@@ -88,7 +94,8 @@ def _print(outcome: Outcome) -> None:
         console.print(f"and {len(said) - _MESSAGES_SHOWN} other messages", highlight=False)
 
 
-def _draw(outcome: Outcome, folder: Path) -> None:
+def draw(outcome: Outcome, folder: Path) -> None:
+    """Draw a run and its step times into `folder`."""
     from diffdrive_mpc.bench.figure_style import file_name  # noqa: PLC0415 - matplotlib loads slowly
     from diffdrive_mpc.bench.studies.comparison.figures import draw_case, draw_step_times  # noqa: PLC0415
 

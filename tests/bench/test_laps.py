@@ -1,0 +1,68 @@
+"""`simulate --laps`: the same drive again and again."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.studies.comparison.laps import drive_laps
+from diffdrive_mpc.sim.metrics.laps import lap_parts
+
+PLAIN = Case(plant="model:sm", trajectory="cane")
+LEARNING = PLAIN.with_override("rehearsal.enabled", value=True)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return drive_laps(PLAIN, 2).runs
+
+
+def test_laps_have_other_noise_and_repeat_bit_for_bit(plain):
+    one, two = drive_laps(LEARNING, 2).runs, drive_laps(LEARNING, 2).runs
+    assert all(np.array_equal(a.true_pose, b.true_pose) for a, b in zip(one, two, strict=True))
+    assert np.array_equal(one[0].true_pose, plain[0].true_pose)
+    assert not np.array_equal(plain[0].measured_pose, plain[1].measured_pose)
+    assert not np.array_equal(one[1].command, plain[1].command)
+
+
+def test_the_parts_of_made_up_laps_are_those_that_were_put_in(plain):
+    run, rng = plain[0], np.random.default_rng(0)
+    laps = []
+    for _ in range(8):
+        pose = run.reference_pose + [0.003, 0.004, 0.0]
+        pose[:, :2] += 0.002 * rng.standard_normal(pose[:, :2].shape)
+        laps.append(replace(run, true_pose=pose))
+    parts = lap_parts(laps)
+    assert parts.repeating == pytest.approx(0.005, rel=0.02)
+    assert parts.other == pytest.approx(0.002 * np.sqrt(2), rel=0.05)
+
+
+def test_one_lap_has_no_parts(plain):
+    with pytest.raises(ValueError, match="two or more"):
+        lap_parts(plain[:1])
+
+
+def test_another_floor_is_driven_no_worse_than_without():
+    """Learned on one floor, then all slip is another: at most 10 % worse than without, in any lap."""
+    floors = ["default"] * 2 + ["slippery"] * 2
+    learned, without = (drive_laps(case, 4, surfaces=floors).runs for case in (LEARNING, PLAIN))
+    for ours, other in zip(learned[2:], without[2:], strict=True):
+        assert ours.metrics.position_rmse_m < 1.1 * other.metrics.position_rmse_m
+
+
+def test_the_command_prints_a_row_for_each_lap_and_draws(tmp_path):
+    words = ["simulate", "--plant", "model:sm", "--trajectory", "cane", "--laps", "2", "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    assert "learned from 1 laps" in result.output
+    assert "do not: the lower bound" in result.output.replace("\n", " ")
+    assert (tmp_path / "out" / "laps.png").exists()
+
+
+def test_a_peer_does_not_learn():
+    result = CliRunner().invoke(app, ["simulate", "--controller", "pursuit", "--laps", "2"])
+    assert result.exit_code == 2
+    assert "does not learn from laps" in result.output
