@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -60,6 +61,7 @@ class Words:
         if reasons & lib.DDMPC_SENT_REJECTED:
             parts.append("sent command rejected: it is not one that a robot can have got")
         parts += [self._note(c.note[index]) for index in range(c.notes)]
+        parts += self._findings(c)
         if reasons & lib.DDMPC_HELD and hold is not None:
             parts.append(hold.reason)
         parts += [words for bit, words in self._ladder_words(lib, c) if reasons & bit]
@@ -99,6 +101,31 @@ class Words:
                 f"finished {c.distance:.3f} m from the end, not at rest within {finish.timeout} s",
             ),
         ]
+
+    def _findings(self, c: Any) -> list[str]:  # noqa: ANN401
+        """What comparing the sensors has found: which are not used, and what is to be put right."""
+        lib, reasons = self._lib, c.reasons
+        accused = (
+            (lib.DDMPC_WHEELS_ACCUSED, lib.DDMPC_OF_WHEELS, "poses, with gyro or commands, contradict it"),
+            (lib.DDMPC_YAW_RATE_ACCUSED, lib.DDMPC_OF_YAW_RATE, "poses, with wheels or commands, contradict it"),
+            (lib.DDMPC_POSE_ACCUSED, lib.DDMPC_OF_POSE, "the other sensors contradict it"),
+        )
+        words = []
+        for bit, subject, why in accused:
+            if reasons & bit:
+                repeats = "it repeats itself, and " if c.repeating >> subject & 1 else ""
+                words.append(f"{self._subjects[subject]} not used: {repeats}{why}")
+        if reasons & lib.DDMPC_POSES_SCATTER:
+            words.append(f"poses scatter {math.sqrt(c.pose_scatter):.1f} times as far as they state")
+        if reasons & lib.DDMPC_POSES_LATE:
+            words.append(f"poses are about {c.pose_delay:.2f} s later than their stamps")
+        if reasons & lib.DDMPC_TURNS_OTHERWISE:
+            wheels, body = c.turn_ratio
+            words.append(
+                f"wheels turn {wheels:.2f} times as commanded and the body {body:.2f} times as they do; "
+                "check wheels.track and wheels.encoder_track"
+            )
+        return words
 
     def _note(self, note: Any) -> str:  # noqa: ANN401
         lib, a, b = self._lib, note.a, note.b
