@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -116,7 +115,7 @@ class Words:
                 repeats = "it repeats itself, and " if c.repeating >> subject & 1 else ""
                 words.append(f"{self._subjects[subject]} not used: {repeats}{why}")
         if reasons & lib.DDMPC_POSES_SCATTER:
-            words.append(f"poses scatter {math.sqrt(c.pose_scatter):.1f} times as far as they state")
+            words.append(f"poses scatter {c.pose_scatter:.1f} times as far as they state")
         if reasons & lib.DDMPC_POSES_LATE:
             words.append(f"poses are about {c.pose_delay:.2f} s later than their stamps")
         if reasons & lib.DDMPC_TURNS_OTHERWISE:

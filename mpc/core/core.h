@@ -236,10 +236,9 @@ typedef struct {
     int notes; /* measurements that were rejected */
     ddmpc_note note[DDMPC_NOTES];
     int repeating;      /* accused sensors that repeat themselves, as bits 1 << ddmpc_subject */
-    real pose_scatter;  /* variance of poses over the one stated, see DDMPC_POSES_SCATTER [-] */
+    real pose_scatter;  /* of poses over what they state, see DDMPC_POSES_SCATTER [-] */
     real pose_delay;    /* by which poses are later than stamped, see DDMPC_POSES_LATE [s] */
     real turn_ratio[2]; /* turning of wheels over commands and of body over wheels, see DDMPC_TURNS_OTHERWISE [-] */
-    real debug[40];
     ddmpc_report solver;
     ddmpc_time solve_time; /* to linearise, condense and solve, a backend's not counted; NaN: nothing was solved [s] */
     real distance;   /* [m], see DDMPC_TOO_FAR */

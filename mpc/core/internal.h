@@ -143,22 +143,27 @@ typedef struct {
 } ddmpc_hearing;
 
 typedef struct {
-    ddmpc_motion now, path[MONITORED]; /* a ring of `moves` */
+    ddmpc_motion now, path[MONITORED];     /* a ring of `moves` */
     ddmpc_seen_pose pose[MONITORED_POSES]; /* a ring of `poses` */
-    int newest, moves, newest_pose, poses, seen;
+    int newest, moves, newest_pose, poses;
     ddmpc_hearing wheels, gyro;
-    real state[DDMPC_MOST_STATES]; /* of the model that nobody corrects */
-    ddmpc_checked_pose last;
-    ddmpc_motion last_motion, frozen; /* at the last pose, and at the first of those that are alike */
-    int same;                         /* poses since then */
-    ddmpc_time next_pose;
-    real residual[3], scatter[2]; /* of a pose against dead reckoning; its variance over the one stated */
+    real state[DDMPC_MOST_STATES];  /* of the model that nobody corrects */
+    real slip[SLIP];                /* as it was a while ago */
+    ddmpc_checked_pose last;        /* if one was `seen` */
+    ddmpc_motion last_motion;       /* up to it */
+    ddmpc_motion frozen;            /* up to the first pose that is like it; `same` came since */
+    int seen, same;
+    ddmpc_time next_pose;           /* when one is kept again */
+    real residual[3], scatter[2];   /* of poses against dead reckoning; their variance over the one stated */
     int residuals;
-    real body_by_wheels[2], body_by_model[2], wheels_by_model[2]; /* turn of the body over what they say, as a quotient of sums */
-    real misfit[MONITORED_DELAYS];
-    int delay;                    /* the one that fits best */
-    int contradictions[3], accused, newly, repeats;
-    ddmpc_time since[3], agreed[3];
+    real body_by_wheels[2], body_by_model[2], wheels_by_model[2]; /* of turning, as quotients of sums */
+    real misfit[MONITORED_DELAYS];  /* of poses, were they so late */
+    int delay;                      /* the one that fits best */
+    int creeping;                   /* whether poses and gyro begin to differ */
+    ddmpc_time slipped, steady;     /* when wheels and gyro turned apart; since when poses drift */
+    int contradictions[3];          /* in a row, by subject */
+    ddmpc_time since[3], agreed[3]; /* when they began [s], for how long there have been none [s] */
+    int accused, repeating;         /* bits 1 << subject */
 } ddmpc_monitor;
 
 /* The tick's problem, linearised along the guess. */
@@ -277,6 +282,7 @@ void ddmpc_estimator_estimate(ddmpc_controller *c);
 
 /* monitor.c */
 void ddmpc_monitor_clear(ddmpc_controller *c);
+/* One sample on by the commands sent, as a robot that nothing disturbs. */
 void ddmpc_monitor_predict(ddmpc_controller *c, const real *newest);
 /* The motion up to `t` by what wheels and gyro read, of `twists` checked numbers the first `wheels` by wheels. */
 void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_twist *twist, int wheels, int twists);

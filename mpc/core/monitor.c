@@ -1,40 +1,52 @@
-/* Finds the sensor that the others contradict: motion by poses, wheels, gyro and the commands sent is compared over
- * windows of time, whenever a pose comes. Two that agree with each other outvote a third. The commands are no sensor:
- * a robot may be held, pushed or slip, so what they promise counts only beside what a sensor says. */
+/* Finds the sensor that the others contradict: whenever a pose comes, motion by poses, wheels, gyro and the commands
+ * sent is compared over windows of time, and two that agree outvote a third. The commands are no sensor: a robot may be
+ * held, pushed or slip, so what they promise counts only beside what a sensor says. */
 #include <string.h>
 
 #include "internal.h"
 
 enum { SHORT, MIDDLE, LONG, WINDOWS };
+enum { BY_WHEELS = 1 << DDMPC_OF_WHEELS, BY_GYRO = 1 << DDMPC_OF_YAW_RATE, BY_POSE = 1 << DDMPC_OF_POSE, SENSES = 3 };
 
 /* Windows over which motion is compared, the last two for what creeps [s]. */
 static const ddmpc_time WINDOW_LENGTH[WINDOWS] = {0.5, 1.5, 3.0};
-/* Later than stamped poses may be, before they count as wrong [s], and how many delays are tried up to there. */
+/* Poses later than stamped are looked for up to here [s]. */
 #define LATEST 0.3
-#define DELAYS 6
 /* A sensor that is silent for longer is no witness meanwhile [s]. */
 #define SILENCE 0.1
-/* A contradiction has to last, and to be seen this often [s, -]. */
+/* Time between the poses that are kept [s]. */
+#define POSE_SPACING 0.1
+/* A contradiction has to last [s], and to be seen so often; poses have to drift for longer [s]. */
 #define LASTING 0.1
 #define OFTEN 3
+#define LONG_LASTING 0.3
+/* Noise of a pose within which a difference means nothing, in standard deviations of the difference of two. */
+#define NOISE R(3.0)
 /* Poses that scatter by more than this, in variance over the one stated, count for less, but not for nothing. */
 #define NOISY R(6.25)
 #define NOISIEST R(400.0)
-/* Noise of a pose within which a difference means nothing, in standard deviations of the difference of two. */
-#define NOISE R(3.0)
-/* Share of a turn, and of a distance, by which a floor's slip may change it within a window. */
+/* Shares of a turn by which slip may change within a window, and by which it is taken for slip at all. */
 #define SLIPPING R(0.3)
-/* The same while poses are held against dead reckoning, whose slip is estimated. */
+#define SLIPS R(0.1)
+/* Drift of poses beyond that of dead reckoning: over the contradiction allowed, and in addition by distance and turn. */
+#define DRIFTING R(1.6)
 #define CREEPING R(0.02)
-/* Gains of turning are known from so much turning [rad^2], and count so much at most. */
+/* For so long slip is remembered [s]. Dead reckoning uses that of a while ago, as the newest may have been learned from
+   a sensor that is about to be found out. */
+#define SLIP_MEMORY 5.0
+/* In curves with more acceleration to the side than this, slip may carry a robot out of them [m/s^2]. */
+#define SIDEWAYS R(0.4)
+/* Gains of turning: certain as if learned from the first [rad^2], of the last at most, told from the middle one on. */
 #define FIRST_TURN R(0.2)
-#define MOST_TURN R(4.0)
-#define MUCH_TURN R(1.5)
-/* Share of a newly seen scatter of poses in its mean, and its largest part. */
+#define MUCH_TURN R(6.0)
+#define MOST_TURN R(8.0)
+/* Share of a newly seen scatter in its mean; a squared deviation counts no more than this. */
 #define NOVELTY R(0.04)
 #define OUTLIER R(9.0)
-/* By so much poses must fit better at another delay before it is taken for theirs, in squared deviations. */
+/* By so much poses must fit better at another delay before it is taken for theirs, and what is left of it at the next
+   pose that is kept. */
 #define LATE R(16.0)
+#define FADING R(0.99)
 /* Sums are counted from nought again beyond this, so that single precision stays sharp. */
 #define FAR R(64.0)
 
@@ -42,23 +54,29 @@ static real square(real x) { return x * x; }
 
 static int differ(real a, real b, real most) { return ddmpc_fabs(a - b) > most; }
 
+static real quotient(const real sums[2]) { return sums[0] / sums[1]; }
+
 void ddmpc_monitor_clear(ddmpc_controller *c)
 {
-    memset(&c->monitor, 0, sizeof c->monitor);
-    c->monitor.wheels.heard = c->monitor.gyro.heard = -HUGE_VAL;
-    c->monitor.body_by_wheels[1] = c->monitor.body_by_model[1] = FIRST_TURN;
-    c->monitor.body_by_wheels[0] = FIRST_TURN / c->constants->wheel_yaw_ratio;
-    c->monitor.body_by_model[0] = FIRST_TURN;
+    ddmpc_monitor *m = &c->monitor;
+    memset(m, 0, sizeof *m);
+    m->wheels.heard = m->gyro.heard = m->slipped = -HUGE_VAL;
+    m->body_by_wheels[1] = m->body_by_model[1] = m->wheels_by_model[1] = FIRST_TURN;
+    m->body_by_wheels[0] = FIRST_TURN / c->constants->wheel_yaw_ratio;
+    m->body_by_model[0] = FIRST_TURN;
+    m->wheels_by_model[0] = FIRST_TURN * c->constants->wheel_yaw_ratio;
 }
 
+/* The motion up to now, `ago` of those that are kept. */
 static ddmpc_motion *past(ddmpc_monitor *m, int ago) { return &m->path[(m->newest + MONITORED - ago) % MONITORED]; }
 
-/* One sample on by the commands sent: what an undisturbed robot would do. */
 void ddmpc_monitor_predict(ddmpc_controller *c, const real *newest)
 {
     ddmpc_monitor *m = &c->monitor;
     const real half = R(0.5) * (real)c->constants->sample_time;
     real state[DDMPC_MOST_STATES], before[2], after[2];
+    if (!c->constants->monitor)
+        return;
     ddmpc_velocity_output(c, m->state, before, 0);
     ddmpc_velocity_step(c, m->state, newest, state, 0, c->problem.step_jacobian);
     memcpy(m->state, state, (size_t)STATES(c) * sizeof(real));
@@ -69,21 +87,37 @@ void ddmpc_monitor_predict(ddmpc_controller *c, const real *newest)
 
 static void hear(ddmpc_hearing *heard, ddmpc_time t, const real *value, int count)
 {
+    const int paused = t - heard->heard > SILENCE;
     int same = 1;
     for (int i = 0; i < count; i++)
         same = same && value[i] == heard->value[i];
-    if (t - heard->heard > SILENCE)
+    if (paused)
         heard->since = t;
-    if (!same || t - heard->heard > SILENCE)
+    if (!same || paused)
         heard->changed = t;
     heard->heard = t;
     memcpy(heard->value, value, (size_t)count * sizeof(real));
+}
+
+/* Count a sum from nought again, wherever it is kept. */
+static void rebase(ddmpc_monitor *m, int i)
+{
+    const real off = m->now.sum[i];
+    m->now.sum[i] = R(0.0);
+    m->frozen.sum[i] -= off;
+    m->last_motion.sum[i] -= off;
+    for (int k = 0; k < MONITORED; k++)
+        m->path[k].sum[i] -= off;
+    for (int k = 0; k < MONITORED_POSES; k++)
+        m->pose[k].then.sum[i] -= off;
 }
 
 void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_twist *twist, int wheels, int twists)
 {
     ddmpc_monitor *m = &c->monitor;
     const real before[3] = {m->wheels.value[0], m->wheels.value[1], m->gyro.value[0]};
+    if (!c->constants->monitor)
+        return;
     if (wheels) {
         const real values[2] = {twist[0].value, twist[1].value};
         hear(&m->wheels, t, values, 2);
@@ -95,160 +129,154 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
     const real dt = (real)(t - m->now.time);
     if (m->moves > 0 && !(dt > R(0.0)))
         return;
-    /* The gyro turns it, or where there is none the wheels. */
-    const int by_wheels = t - m->gyro.heard > SILENCE || (m->accused & 1 << DDMPC_OF_YAW_RATE);
-    real *sum = m->now.sum;
-    const real gain = m->body_by_wheels[0] / m->body_by_wheels[1];
+    const real *newest = ddmpc_estimator_slip(c);
+    const real share = m->moves > 0 ? ddmpc_min(dt / R(SLIP_MEMORY), R(1.0)) : R(1.0);
+    for (int i = 0; i < SLIP; i++)
+        m->slip[i] += share * (newest[i] - m->slip[i]);
+    const real *slip = m->slip, speed = R(0.5) * (before[0] + m->wheels.value[0]);
     const real wheel_turn = R(0.5) * dt * (before[1] + m->wheels.value[1]);
     const real gyro_turn = R(0.5) * dt * (before[2] + m->gyro.value[0]);
-    const real *slip = ddmpc_estimator_slip(c);
-    const real speed = R(0.5) * (before[0] + m->wheels.value[0]), distance = speed * dt;
-    const real turn = by_wheels ? gain * wheel_turn : gyro_turn;
-    const real heading = sum[HEADING] + R(0.5) * turn;
-    const real forward = slip[LONGITUDINAL_GAIN] * distance + slip[TURN_LEFT] * turn;
+    /* The gyro turns it, or without one the wheels. */
+    const int silent = t - m->gyro.heard > SILENCE || (m->accused & BY_GYRO);
+    const real turn = silent ? quotient(m->body_by_wheels) * wheel_turn : gyro_turn;
+    const real forward = slip[LONGITUDINAL_GAIN] * speed * dt + slip[TURN_LEFT] * turn;
     const real left = -(slip[TURN_AHEAD] + slip[SIDE_SLIP] * speed) * turn;
+    real *sum = m->now.sum;
+    const real heading = sum[HEADING] + R(0.5) * turn;
     sum[FORWARD] += forward * ddmpc_cos(heading) - left * ddmpc_sin(heading);
     sum[LEFT] += forward * ddmpc_sin(heading) + left * ddmpc_cos(heading);
     sum[HEADING] += turn;
-    sum[WHEEL_DISTANCE] += distance;
+    sum[WHEEL_DISTANCE] += speed * dt;
     sum[WHEEL_TURN] += wheel_turn;
     sum[GYRO_TURN] += gyro_turn;
     m->now.time = t;
-    const ddmpc_time spacing = (WINDOW_LENGTH[LONG] + LATEST + c->constants->stamp_history) / (MONITORED - 4);
-    if (m->moves == 0 || t - past(m, 0)->time >= spacing) {
+    const ddmpc_time reach = WINDOW_LENGTH[LONG] + POSE_SPACING + LATEST + (ddmpc_time)c->constants->stamp_history;
+    if (m->moves == 0 || t - past(m, 0)->time >= reach / (MONITORED - 2)) {
         m->newest = (m->newest + 1) % MONITORED;
         m->moves += m->moves < MONITORED;
         *past(m, 0) = m->now;
     }
     for (int i = 0; i < MOTIONS; i++)
-        if (ddmpc_fabs(sum[i]) > FAR) {
-            const real off = sum[i];
-            sum[i] = R(0.0);
-            for (int k = 0; k < MONITORED; k++)
-                m->path[k].sum[i] -= off;
-            for (int k = 0; k < MONITORED_POSES; k++)
-                m->pose[k].then.sum[i] -= off;
-            m->frozen.sum[i] -= off;
-        }
+        /* Not the other way round: what is not finite has to go. */
+        if (!(ddmpc_fabs(sum[i]) <= FAR))
+            rebase(m, i);
 }
 
 /* The motion up to `time`, between the instants that are kept; 0 if they do not reach back so far. */
 static int motion_at(ddmpc_monitor *m, ddmpc_time time, ddmpc_motion *found)
 {
-    const ddmpc_motion *after = &m->now;
-    for (int ago = 0; ago < m->moves; ago++) {
-        const ddmpc_motion *before = past(m, ago);
-        if (before->time <= time) {
-            const ddmpc_time length = after->time - before->time;
-            const real share = length > 0.0 ? ddmpc_min((real)((time - before->time) / length), R(1.0)) : R(0.0);
-            found->time = time;
-            for (int i = 0; i < MOTIONS; i++)
-                found->sum[i] = before->sum[i] + share * (after->sum[i] - before->sum[i]);
-            return 1;
-        }
-        after = before;
+    /* The newest that is not later lies from `low` to `high`. */
+    int low = 0, high = m->moves - 1;
+    if (high < 0 || past(m, high)->time > time)
+        return 0;
+    while (low < high) {
+        const int middle = (low + high) / 2;
+        if (past(m, middle)->time <= time)
+            high = middle;
+        else
+            low = middle + 1;
     }
-    return 0;
+    const ddmpc_motion *before = past(m, low), *after = low > 0 ? past(m, low - 1) : &m->now;
+    const ddmpc_time length = after->time - before->time;
+    const real share = length > 0.0 ? ddmpc_min((real)((time - before->time) / length), R(1.0)) : R(0.0);
+    found->time = time;
+    for (int i = 0; i < MOTIONS; i++)
+        found->sum[i] = before->sum[i] + share * (after->sum[i] - before->sum[i]);
+    return 1;
 }
 
-/* What the sensors say of the motion between two instants, along the way and in heading. */
+/* What each says of the motion between two instants, seen from the heading halfway. */
 typedef struct {
-    real pose, wheels, model;            /* forward [m] */
-    real pose_turn, wheel_turn, gyro_turn, model_turn; /* of the body, slip as it has been so far included [rad] */
-    real wheel_excess;                   /* turn by wheels beyond that by the commands [rad] */
-    real mid;                            /* heading of the pose in between [rad] */
-    real left;                           /* of the pose beside dead reckoning [m] */
-} compared;
+    real pose, wheels, model;            /* forward [m], by wheels with slip */
+    real left;                           /* of the pose, beyond dead reckoning [m] */
+    real pose_turn, wheel_turn, gyro_turn, model_turn; /* of the body, with the gains seen so far [rad] */
+    real wheel_advance, wheel_excess;    /* of the wheels beyond what was commanded, without slip [m, rad] */
+    real heading;                        /* of the pose halfway [rad] */
+} motions;
 
-static void compare(const ddmpc_controller *c, const ddmpc_motion *from, const ddmpc_motion *to, const real before[3],
-                    const real after[3], compared *by)
+static motions compare(const ddmpc_monitor *m, const ddmpc_motion *from, const ddmpc_motion *to, const real before[3],
+                       const real after[3])
 {
-    const ddmpc_monitor *m = &c->monitor;
+    motions by;
     real sum[MOTIONS];
     for (int i = 0; i < MOTIONS; i++)
         sum[i] = to->sum[i] - from->sum[i];
-    /* In two seconds a robot may turn round: by whole turns the gyro is right. */
-    by->pose_turn = sum[HEADING] + ddmpc_wrap(after[2] - before[2] - sum[HEADING]);
-    by->gyro_turn = sum[GYRO_TURN];
-    by->wheel_turn = m->body_by_wheels[0] / m->body_by_wheels[1] * sum[WHEEL_TURN];
-    by->wheel_excess = sum[WHEEL_TURN] - m->wheels_by_model[0] / m->wheels_by_model[1] * sum[MODEL_TURN];
-    by->model_turn = m->body_by_model[0] / m->body_by_model[1] * sum[MODEL_TURN];
-    const real dx = after[0] - before[0], dy = after[1] - before[1];
-    const real mid = before[2] + R(0.5) * by->pose_turn;
+    /* A robot may turn round within a window: of whole turns the gyro knows. */
+    by.pose_turn = sum[HEADING] + ddmpc_wrap(after[2] - before[2] - sum[HEADING]);
+    by.gyro_turn = sum[GYRO_TURN];
+    by.wheel_turn = quotient(m->body_by_wheels) * sum[WHEEL_TURN];
+    by.model_turn = quotient(m->body_by_model) * sum[MODEL_TURN];
+    by.wheel_advance = sum[WHEEL_DISTANCE] - sum[MODEL_DISTANCE];
+    by.wheel_excess = sum[WHEEL_TURN] - quotient(m->wheels_by_model) * sum[MODEL_TURN];
+    by.heading = before[2] + R(0.5) * by.pose_turn;
     const real reckoned = from->sum[HEADING] + R(0.5) * sum[HEADING];
-    const real forward = ddmpc_cos(mid) * dx + ddmpc_sin(mid) * dy;
-    const real left = ddmpc_cos(mid) * dy - ddmpc_sin(mid) * dx;
-    by->pose = forward;
-    by->wheels = ddmpc_cos(reckoned) * sum[FORWARD] + ddmpc_sin(reckoned) * sum[LEFT];
-    by->model = sum[MODEL_DISTANCE];
-    if (ddmpc_fabs(by->wheels) < ddmpc_fabs(sum[WHEEL_DISTANCE]))
-        by->model *= ddmpc_fabs(by->wheels / sum[WHEEL_DISTANCE]);
-    by->mid = mid;
-    by->left = left - (ddmpc_cos(reckoned) * sum[LEFT] - ddmpc_sin(reckoned) * sum[FORWARD]);
+    const real cosine[2] = {ddmpc_cos(by.heading), ddmpc_cos(reckoned)};
+    const real sine[2] = {ddmpc_sin(by.heading), ddmpc_sin(reckoned)};
+    const real dx = after[0] - before[0], dy = after[1] - before[1];
+    by.pose = cosine[0] * dx + sine[0] * dy;
+    by.wheels = cosine[1] * sum[FORWARD] + sine[1] * sum[LEFT];
+    by.left = cosine[0] * dy - sine[0] * dx - (cosine[1] * sum[LEFT] - sine[1] * sum[FORWARD]);
+    by.model = sum[MODEL_DISTANCE];
+    /* The chord of its way, as of the wheels'. */
+    if (ddmpc_fabs(by.wheels) < ddmpc_fabs(sum[WHEEL_DISTANCE]))
+        by.model *= ddmpc_fabs(by.wheels / sum[WHEEL_DISTANCE]);
+    return by;
 }
 
-/* Whom a comparison speaks against, as bits by subject; `agrees`: who is confirmed in motion. */
-static int suspects(const ddmpc_controller *c, const compared *by, int wheels, int gyro, const real noise[2],
-                    int *agrees)
+/* Whom a comparison speaks against, of those who are `heard`; `agreeing` are confirmed by the others in motion. */
+static int suspects(const ddmpc_constants *k, const motions *by, int heard, const real noise[2], int *agreeing)
 {
-    const ddmpc_constants *k = c->constants;
     const real far = k->monitor_position + NOISE * noise[0], turned = k->monitor_heading + NOISE * noise[1];
     const real slip = turned + SLIPPING * ddmpc_fabs(by->wheel_turn);
     const real promise = turned + SLIPPING * ddmpc_fabs(by->model_turn);
     const real p = by->pose_turn, w = by->wheel_turn, g = by->gyro_turn, m = by->model_turn;
-    /* Who contradicts whom: p pose, g gyro, w wheels, m model. */
-    const int pg = gyro && differ(p, g, turned), pw = wheels && differ(p, w, slip), gw = wheels && differ(g, w, slip);
-    const int pm = differ(p, m, promise), wm = wheels && ddmpc_fabs(by->wheel_excess) > promise;
-    /* Between poses and gyro the wheels decide, or else the commands. */
+    const int wheels = heard & BY_WHEELS, gyro = heard & BY_GYRO;
+    const int pg = gyro && differ(p, g, turned), pw = wheels && differ(p, w, slip);
+    const int apart = wheels && differ(by->pose, by->wheels, far);
+    const int moves = ddmpc_fabs(by->pose) > far || ddmpc_fabs(p) > turned;
+    /* Between poses and gyro the wheels decide, or without them the commands. */
     const real third = wheels ? w : m;
     int found = 0;
-    *agrees = 0;
     if (pg && R(2.0) * ddmpc_fabs(p - third) < ddmpc_fabs(g - third))
-        found |= 1 << DDMPC_OF_YAW_RATE;
+        found |= BY_GYRO;
     if (pg && R(2.0) * ddmpc_fabs(g - third) < ddmpc_fabs(p - third))
-        found |= 1 << DDMPC_OF_POSE;
-    if (pw && wm && !pg && (!gyro || gw) && !pm)
-        found |= 1 << DDMPC_OF_WHEELS;
-    const int astray = differ(by->pose, by->wheels, far);
-    if (wheels && astray && differ(by->model, by->wheels, far) &&
+        found |= BY_POSE;
+    /* Wheels that slip still turn as commanded. */
+    if (pw && !pg && (!gyro || differ(g, w, slip)) && !differ(p, m, promise) && ddmpc_fabs(by->wheel_excess) > promise)
+        found |= BY_WHEELS;
+    if (apart && ddmpc_fabs(by->wheel_advance) > far && differ(by->model, by->wheels, far) &&
         R(2.0) * ddmpc_fabs(by->pose - by->model) < ddmpc_fabs(by->pose - by->wheels))
-        found |= 1 << DDMPC_OF_WHEELS;
-    if (wheels && astray && by->pose * by->wheels < R(0.0) && ddmpc_fabs(by->pose) > far &&
-        !differ(by->model, by->wheels, far))
-        found |= 1 << DDMPC_OF_POSE;
-    const int moves = ddmpc_fabs(by->pose) > far || ddmpc_fabs(by->pose_turn) > turned;
-    if (gyro && !pg && moves)
-        *agrees |= 1 << DDMPC_OF_YAW_RATE;
-    if (wheels && !pw && !astray && moves)
-        *agrees |= 1 << DDMPC_OF_WHEELS;
-    if ((!gyro || !pg) && (!wheels || !astray) && (gyro || wheels))
-        *agrees |= 1 << DDMPC_OF_POSE;
+        found |= BY_WHEELS;
+    *agreeing = (gyro && !pg && moves ? BY_GYRO : 0) | (wheels && !pw && !apart && moves ? BY_WHEELS : 0) |
+                ((gyro || wheels) && !pg && !apart ? BY_POSE : 0);
     return found;
 }
 
-/* Whether poses drift steadily away from dead reckoning while nothing else slips. */
-static int drifts(const ddmpc_controller *c, const compared *half, const compared *whole, real noise)
+/* Whether poses go steadily away from dead reckoning while nothing slips. */
+static int drifts(const ddmpc_constants *k, const motions *half, const motions *whole, real noise)
 {
-    const ddmpc_constants *k = c->constants;
-    const real most = k->monitor_position + NOISE * noise + CREEPING * ddmpc_fabs(whole->wheels);
+    const real most = DRIFTING * k->monitor_position + NOISE * noise + CREEPING * ddmpc_fabs(whole->wheels);
     const real turned = k->monitor_heading + CREEPING * ddmpc_fabs(whole->gyro_turn);
-    if (differ(whole->gyro_turn, whole->wheel_turn, turned) || ddmpc_fabs(whole->wheel_excess) > R(2.0) * turned)
+    const real duration = (real)WINDOW_LENGTH[LONG];
+    if (ddmpc_fabs(whole->wheels * whole->gyro_turn) > SIDEWAYS * duration * duration ||
+        differ(whole->gyro_turn, whole->wheel_turn, turned) || ddmpc_fabs(whole->wheel_excess) > R(2.0) * turned)
         return 0;
-    const real ahead[2] = {half->pose - half->wheels, whole->pose - whole->wheels};
-    const real turn = whole->mid - half->mid, size = square(ahead[1]) + square(whole->left);
-    const real along = ahead[0] * (ahead[1] * ddmpc_cos(turn) - whole->left * ddmpc_sin(turn)) +
-                       half->left * (ahead[1] * ddmpc_sin(turn) + whole->left * ddmpc_cos(turn));
+    /* About half of the way in the second half of the time: a push or a correction comes at once. */
+    const real half_off = half->pose - half->wheels, off = whole->pose - whole->wheels;
+    const real cosine = ddmpc_cos(whole->heading - half->heading), sine = ddmpc_sin(whole->heading - half->heading);
+    const real size = square(off) + square(whole->left);
+    const real along = half_off * (cosine * off - sine * whole->left) + half->left * (sine * off + cosine * whole->left);
     return size > square(most) && along > R(0.25) * size && along < R(0.8) * size;
 }
 
-/* How much poses scatter beyond what they state, from second differences, in which slip has no part. */
-static void scatter(ddmpc_controller *c, const ddmpc_checked_pose *pose, const compared *by)
+/* Learn how poses scatter beyond what they state from second differences, in which steady slip has no part. */
+static void learn_scatter(ddmpc_monitor *m, const ddmpc_checked_pose *pose, const motions *by)
 {
-    ddmpc_monitor *m = &c->monitor;
     const real stated[2] = {R(0.5) * (pose->covariance[0][0] + pose->covariance[1][1]), pose->covariance[2][2]};
     const real off[3] = {by->pose - by->wheels, by->left, by->pose_turn - by->gyro_turn};
     real seen[2] = {R(0.0), R(0.0)};
     for (int i = 0; i < 3; i++) {
+        /* 1 + 4 + 1 variances in each; the first two are along and across. */
         seen[i / 2] += square(off[i] - m->residual[i]) / (i < 2 ? R(12.0) : R(6.0));
         m->residual[i] = off[i];
     }
@@ -258,73 +286,91 @@ static void scatter(ddmpc_controller *c, const ddmpc_checked_pose *pose, const c
     }
     for (int i = 0; i < 2; i++) {
         const real most = OUTLIER * ddmpc_max(m->scatter[i], R(1.0)), ratio = seen[i] / stated[i];
+        /* Not by min: NaN must go. */
         m->scatter[i] += NOVELTY * ((ratio < most ? ratio : most) - m->scatter[i]);
     }
 }
 
-static int lasts(const ddmpc_hearing *heard, ddmpc_time since, ddmpc_time until)
+static void learn_gain(real sums[2], real by, real turn)
 {
-    return heard->since <= since && until - heard->heard <= SILENCE;
+    sums[0] += by * turn;
+    sums[1] += by * by;
+    if (sums[1] > MOST_TURN) {
+        sums[0] *= MOST_TURN / sums[1];
+        sums[1] = MOST_TURN;
+    }
 }
 
-/* Whether a pose that repeats itself does so while others say that the robot moves. */
-static int frozen(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddmpc_motion *now, int honest)
+static ddmpc_time delay_of(int index) { return LATEST * index / (MONITORED_DELAYS - 1); }
+
+/* The motion between two instants that are earlier by a delay; 0 if it is not kept. */
+static int compare_late(ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *to, int delay,
+                        const real pose[3], motions *by)
 {
-    const ddmpc_constants *k = c->constants;
-    ddmpc_monitor *m = &c->monitor;
-    if (memcmp(m->last.value, pose->value, sizeof pose->value) != 0) {
-        m->same = 0;
-        m->frozen = *now;
+    ddmpc_motion begin, end;
+    if (!motion_at(m, from->then.time - delay_of(delay), &begin) || !motion_at(m, to->time - delay_of(delay), &end))
         return 0;
+    *by = compare(m, &begin, &end, from->value, pose);
+    return 1;
+}
+
+/* Learn how far wheels and body turn for what is commanded, and how late poses are. */
+static void learn(ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *now, const real pose[3],
+                  const real noise[2])
+{
+    motions by;
+    if (!m->creeping && compare_late(m, from, now, m->delay, pose, &by)) {
+        const real turn = R(0.5) * (by.pose_turn + by.gyro_turn);
+        const real wheels = by.wheel_turn / quotient(m->body_by_wheels);
+        const real model = by.model_turn / quotient(m->body_by_model);
+        learn_gain(m->body_by_wheels, wheels, turn);
+        learn_gain(m->body_by_model, model, turn);
+        learn_gain(m->wheels_by_model, model, wheels);
     }
-    if (++m->same < OFTEN - 1)
+    for (int i = 0; i < MONITORED_DELAYS && compare_late(m, from, now, i, pose, &by); i++) {
+        const real forward = (by.pose - by.wheels) / (R(0.02) + noise[0] + R(0.15) * ddmpc_fabs(by.wheels));
+        const real turn = (by.pose_turn - by.gyro_turn) / (R(0.01) + noise[1] + R(0.02) * ddmpc_fabs(by.gyro_turn));
+        m->misfit[i] = FADING * m->misfit[i] + ddmpc_min(square(forward), OUTLIER) + ddmpc_min(square(turn), OUTLIER);
+    }
+    /* Stamps are believed until motion says otherwise. */
+    m->delay = 0;
+    for (int i = 1; i < MONITORED_DELAYS; i++)
+        if (m->misfit[i] + LATE < m->misfit[0] && m->misfit[i] < m->misfit[m->delay])
+            m->delay = i;
+}
+
+/* Which sensors have come without a pause since `time`. */
+static int heard_since(const ddmpc_monitor *m, ddmpc_time time)
+{
+    const int wheels = m->wheels.since <= time && m->now.time - m->wheels.heard <= SILENCE;
+    const int gyro = m->gyro.since <= time && m->now.time - m->gyro.heard <= SILENCE;
+    return (wheels ? BY_WHEELS : 0) | (gyro ? BY_GYRO : 0);
+}
+
+/* Whether a pose that repeats itself does so while two others say that the robot moves. */
+static int is_frozen(ddmpc_controller *c, const real pose[3], const ddmpc_motion *now)
+{
+    const real far = c->constants->monitor_position, turned = c->constants->monitor_heading;
+    ddmpc_monitor *m = &c->monitor;
+    m->same++;
+    for (int i = 0; i < 3; i++)
+        if (pose[i] != m->last.value[i])
+            m->same = 0;
+    if (m->same == 0)
+        m->frozen = *now;
+    if (m->same < OFTEN - 1)
         return 0;
-    compared by;
-    compare(c, &m->frozen, now, pose->value, pose->value, &by);
-    const real far = k->monitor_position, turned = k->monitor_heading;
-    const ddmpc_time now_time = m->now.time;
-    const int wheels = (honest & 1 << DDMPC_OF_WHEELS) && lasts(&m->wheels, m->frozen.time, now_time) &&
-                       (differ(now->sum[WHEEL_DISTANCE], m->frozen.sum[WHEEL_DISTANCE], far) ||
-                        ddmpc_fabs(by.wheel_turn) > turned);
-    const int gyro = (honest & 1 << DDMPC_OF_YAW_RATE) && lasts(&m->gyro, m->frozen.time, now_time) &&
-                     ddmpc_fabs(by.gyro_turn) > turned;
+    const motions by = compare(m, &m->frozen, now, pose, pose);
+    const int heard = heard_since(m, m->frozen.time) & ~m->accused;
     const int model = differ(now->sum[MODEL_DISTANCE], m->frozen.sum[MODEL_DISTANCE], far) ||
                       ddmpc_fabs(by.model_turn) > turned;
-    return wheels + gyro + model >= 2;
+    const int wheels = differ(now->sum[WHEEL_DISTANCE], m->frozen.sum[WHEEL_DISTANCE], far) ||
+                       ddmpc_fabs(by.wheel_turn) > turned;
+    const int gyro = ddmpc_fabs(by.gyro_turn) > turned;
+    return model + (wheels && (heard & BY_WHEELS)) + (gyro && (heard & BY_GYRO)) >= 2;
 }
 
-static void count(ddmpc_controller *c, int found, int agrees, ddmpc_time stamp, ddmpc_time passed)
-{
-    ddmpc_monitor *m = &c->monitor;
-    const ddmpc_time now = m->now.time;
-    const int repeats[3] = {now - m->wheels.changed > SILENCE, now - m->gyro.changed > SILENCE, m->same > 0};
-    for (int i = 0; i < 3; i++) {
-        const int bit = 1 << i;
-        if (!(found & bit))
-            m->contradictions[i] = 0;
-        else if (m->contradictions[i]++ == 0)
-            m->since[i] = stamp;
-        const ddmpc_time lasting = stamp - m->since[i];
-        if ((found & bit) && ((m->contradictions[i] >= OFTEN && lasting >= LASTING) || lasting >= WINDOW_LENGTH[SHORT])) {
-            m->agreed[i] = 0.0;
-            if (!(m->accused & bit)) {
-                m->accused |= bit;
-                m->newly |= bit;
-                m->repeats = repeats[i] ? m->repeats | bit : m->repeats & ~bit;
-            }
-        }
-        if (!(m->accused & bit))
-            continue;
-        if (found & bit)
-            m->agreed[i] = 0.0;
-        else if ((agrees & bit) && !repeats[i])
-            m->agreed[i] += passed;
-        if (m->agreed[i] >= (ddmpc_time)c->constants->monitor_trust)
-            m->accused &= ~bit;
-    }
-}
-
-/* The newest pose kept that is older by `length` [s] than `stamp`; 0 if there is none. */
+/* The newest pose kept that is older by `length` [s] than `stamp`; 0 if there is none, or only one far older. */
 static const ddmpc_seen_pose *seen_before(const ddmpc_monitor *m, ddmpc_time stamp, ddmpc_time length)
 {
     for (int ago = 0; ago < m->poses; ago++) {
@@ -335,37 +381,83 @@ static const ddmpc_seen_pose *seen_before(const ddmpc_monitor *m, ddmpc_time sta
     return 0;
 }
 
-/* Motion at two instants, both earlier by a delay. */
-static int both(ddmpc_monitor *m, const ddmpc_motion *from, const ddmpc_motion *to, ddmpc_time delay, ddmpc_motion *f,
-                ddmpc_motion *t)
+/* Whom the motion up to this pose speaks against. */
+static int judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddmpc_motion *now, const real noise[2],
+                 int *agreeing)
 {
-    return motion_at(m, from->time - delay, f) && motion_at(m, to->time - delay, t);
+    const ddmpc_constants *k = c->constants;
+    ddmpc_monitor *m = &c->monitor;
+    const int accused = m->accused, told = accused & BY_POSE ? ~accused : BY_WHEELS | BY_GYRO;
+    int found = 0, drifting = 0;
+    motions likeliest[WINDOWS];
+    for (int window = SHORT; window < WINDOWS; window++) {
+        const ddmpc_seen_pose *from = seen_before(m, pose->stamp, WINDOW_LENGTH[window]);
+        if (!from || !compare_late(m, from, now, m->delay, pose->value, &likeliest[window]))
+            break;
+        motions *by = &likeliest[window];
+        const int there = heard_since(m, from->then.time - delay_of(m->delay)), heard = there & ~accused;
+        const int all = heard == (BY_WHEELS | BY_GYRO);
+        if (window == MIDDLE)
+            continue;
+        int ignored, here = suspects(k, by, heard, noise, window == SHORT && !accused ? agreeing : &ignored);
+        if (window == SHORT && accused) {
+            /* Those whom the poses, or who the poses are to be compared with. */
+            suspects(k, by, there & told, noise, agreeing);
+        }
+        /* Delays that have not been excluded so far explain it as well. */
+        for (int i = 0; here && i < MONITORED_DELAYS; i++) {
+            motions late;
+            if (i == m->delay || m->misfit[i] > m->misfit[m->delay] + OUTLIER)
+                continue;
+            here = compare_late(m, from, now, i, pose->value, &late) ? suspects(k, &late, heard, noise, &ignored) : 0;
+        }
+        found |= here;
+        if (window == SHORT) {
+            const real turned = k->monitor_heading + noise[1] + SLIPS * ddmpc_fabs(by->wheel_turn);
+            if (all && differ(by->gyro_turn, by->wheel_turn, turned))
+                m->slipped = pose->stamp;
+            if (!here && !accused && there == (BY_WHEELS | BY_GYRO) && pose->stamp >= m->next_pose)
+                learn(m, from, now, pose->value, noise);
+        } else {
+            m->creeping = differ(by->pose_turn, by->gyro_turn, R(0.5) * k->monitor_heading + noise[1]);
+            drifting = all && pose->stamp - m->slipped > SLIP_MEMORY && drifts(k, &likeliest[MIDDLE], by, noise[0]);
+        }
+    }
+    if (!drifting)
+        m->steady = pose->stamp;
+    if (pose->stamp - m->steady > LONG_LASTING)
+        found |= BY_POSE;
+    /* By poses that are not believed nobody else is accused. */
+    return accused & BY_POSE ? found & BY_POSE : found;
 }
 
-/* How well poses fit motion that is earlier by each delay. */
-static void weigh_delays(ddmpc_controller *c, const ddmpc_seen_pose *from, const ddmpc_motion *to,
-                         const ddmpc_checked_pose *pose, const real noise[2])
+/* Accuse who has been contradicted for long enough, and believe who has agreed for long enough. */
+static void decide(ddmpc_controller *c, int found, int agreeing, ddmpc_time stamp, ddmpc_time passed)
 {
     ddmpc_monitor *m = &c->monitor;
-    for (int i = 0; i <= DELAYS; i++) {
-        ddmpc_motion f, t;
-        compared by;
-        if (!both(m, &from->then, to, LATEST * i / DELAYS, &f, &t))
-            return;
-        compare(c, &f, &t, from->value, pose->value, &by);
-        const real forward = (by.pose - by.wheels) / (R(0.02) + noise[0] + R(0.05) * ddmpc_fabs(by.wheels));
-        const real turn = (by.pose_turn - by.gyro_turn) / (R(0.01) + noise[1] + R(0.02) * ddmpc_fabs(by.gyro_turn));
-        m->misfit[i] = R(0.99) * m->misfit[i] + ddmpc_min(square(forward), OUTLIER) + ddmpc_min(square(turn), OUTLIER);
-    }
-}
-
-static void learn(real sums[2], real by, real turn)
-{
-    sums[0] += by * turn;
-    sums[1] += by * by;
-    if (sums[1] > MOST_TURN) {
-        sums[0] *= MOST_TURN / sums[1];
-        sums[1] = MOST_TURN;
+    const ddmpc_time now = m->now.time;
+    const int repeats[SENSES] = {now - m->wheels.changed > SILENCE, now - m->gyro.changed > SILENCE, m->same > 0};
+    for (int i = 0; i < SENSES; i++) {
+        const int bit = 1 << i;
+        if (found & bit) {
+            if (m->contradictions[i]++ == 0)
+                m->since[i] = stamp;
+            const ddmpc_time lasting = stamp - m->since[i];
+            m->agreed[i] = 0.0;
+            if ((m->contradictions[i] < OFTEN || lasting < LASTING) && lasting < WINDOW_LENGTH[SHORT])
+                continue;
+            if (!(m->accused & bit))
+                m->repeating = repeats[i] ? m->repeating | bit : m->repeating & ~bit;
+            m->accused |= bit;
+        } else {
+            m->contradictions[i] = 0;
+            if ((m->accused & agreeing & bit) && !repeats[i])
+                m->agreed[i] += passed;
+            if (m->agreed[i] >= (ddmpc_time)c->constants->monitor_trust) {
+                m->accused &= ~bit;
+                m->agreed[i] = 0.0;
+            }
+        }
     }
 }
 
@@ -374,128 +466,70 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
     const ddmpc_constants *k = c->constants;
     ddmpc_monitor *m = &c->monitor;
     ddmpc_motion now;
-    m->newly = 0;
     if (!k->monitor || !motion_at(m, pose->stamp, &now))
         return 0;
-    const int honest = ~m->accused;
-    const ddmpc_time passed = m->poses > 0 || m->residuals > 0 ? pose->stamp - m->last.stamp : 0.0;
-    const int is_frozen = m->seen && frozen(c, pose, &now, honest);
-    int found = 0, agrees = 0, drift = 0;
-    if (!m->seen)
-        m->frozen = now;
+    const int before = m->accused;
     const real noise[2] = {
         ddmpc_sqrt((pose->covariance[0][0] + pose->covariance[1][1]) * ddmpc_max(m->scatter[0], R(1.0))),
         ddmpc_sqrt(R(2.0) * pose->covariance[2][2] * ddmpc_max(m->scatter[1], R(1.0)))};
+    int frozen = 0, agreeing = 0;
     if (m->seen) {
-        /* A pose that moves faster than the robot can has leapt: that is another question. */
-        compared by;
-        compare(c, &m->last_motion, &now, m->last.value, pose->value, &by);
-        const real most = k->monitor_position + NOISE * noise[0] + R(2.0) * k->largest_command[0] * (real)passed;
-        const real widest = k->monitor_heading + NOISE * noise[1] + R(2.0) * k->largest_command[1] * (real)passed;
-        if (!(ddmpc_hypot(pose->value[0] - m->last.value[0], pose->value[1] - m->last.value[1]) <= most &&
-              ddmpc_fabs(by.pose_turn) <= widest)) {
+        const ddmpc_time passed = pose->stamp - m->last.stamp;
+        const motions by = compare(m, &m->last_motion, &now, m->last.value, pose->value);
+        frozen = is_frozen(c, pose->value, &now);
+        /* One that goes further at once than a wrong sensor could make it has leapt, which is another question. */
+        const real far = R(0.5) * k->monitor_position + NOISE * noise[0] + k->largest_command[0] * (real)passed;
+        const real turned = R(0.5) * k->monitor_heading + NOISE * noise[1] + k->largest_command[1] * (real)passed;
+        if (!(ddmpc_hypot(by.pose - by.wheels, by.left) <= far && !differ(by.pose_turn, by.gyro_turn, turned)))
             m->poses = m->residuals = 0;
-        } else if (passed <= 0.25 && !is_frozen) {
-            scatter(c, pose, &by);
-        }
+        else if (passed <= R(0.25) && m->same == 0)
+            learn_scatter(m, pose, &by);
+        const int found = judge(c, pose, &now, noise, &agreeing);
+        decide(c, found, agreeing, pose->stamp, passed < 0.25 ? passed : 0.25);
+    } else {
+        m->frozen = now;
     }
-    /* Stamps are believed until motion says otherwise. */
-    m->delay = 0;
-    for (int i = 1; i <= DELAYS; i++)
-        if (m->misfit[i] + LATE < m->misfit[0] && m->misfit[i] < m->misfit[m->delay])
-            m->delay = i;
-    compared seen[WINDOWS];
-    for (int window = SHORT; window < WINDOWS; window++) {
-        const ddmpc_seen_pose *from = seen_before(m, pose->stamp, WINDOW_LENGTH[window]);
-        if (!from)
-            break;
-        int here = 0, agreed = 0;
-        /* Delays that what was seen so far does not exclude, the likeliest first. */
-        for (int i = -1; i <= DELAYS; i++) {
-            const int delay = i < 0 ? m->delay : i;
-            ddmpc_motion f, t;
-            compared by;
-            if (i >= 0 && (!here || m->misfit[i] > m->misfit[m->delay] + OUTLIER))
-                continue;
-            if (!both(m, &from->then, &now, LATEST * delay / DELAYS, &f, &t)) {
-                here = agreed = 0;
-                break;
-            }
-            compare(c, &f, &t, from->value, pose->value, &by);
-            if (i < 0) { real *d = c->result.debug + (window == LONG ? 10 : window == MIDDLE ? 37 : 0); if (window == MIDDLE) {d[0]=by.pose-by.wheels; d[1]=by.left;} else { d[0]=by.pose; d[1]=by.wheels; d[2]=by.model; d[3]=by.pose_turn; d[4]=by.wheel_turn; d[5]=by.gyro_turn; d[6]=by.model_turn; d[7]=by.left; d[8]=noise[0]; d[9]=noise[1]; } }
-            const int wheels = lasts(&m->wheels, f.time, m->now.time), gyro = lasts(&m->gyro, f.time, m->now.time);
-            const int w = wheels && (honest & 1 << DDMPC_OF_WHEELS), g = gyro && (honest & 1 << DDMPC_OF_YAW_RATE);
-            int ignored;
-            if (i < 0)
-                seen[window] = by;
-            if (window == LONG && i < 0 && w && g && drifts(c, &seen[MIDDLE], &by, noise[0]))
-                drift = 1;
-            here = honest & 1 << DDMPC_OF_POSE || w || g ? suspects(c, &by, w, g, noise, &agreed) : 0;
-            if (m->accused)
-                /* Whether one that is accused agrees again. */
-                suspects(c, &by, wheels && (honest & 1 << DDMPC_OF_POSE || w), gyro && (honest & 1 << DDMPC_OF_POSE || g),
-                         noise, &ignored), agreed |= ignored & m->accused;
-            if (!here && window == SHORT && !m->accused && gyro && wheels && pose->stamp >= m->next_pose) {
-                learn(m->body_by_wheels, t.sum[WHEEL_TURN] - f.sum[WHEEL_TURN], by.gyro_turn);
-                learn(m->body_by_model, t.sum[MODEL_TURN] - f.sum[MODEL_TURN], by.gyro_turn);
-                learn(m->wheels_by_model, t.sum[MODEL_TURN] - f.sum[MODEL_TURN], t.sum[WHEEL_TURN] - f.sum[WHEEL_TURN]);
-                weigh_delays(c, from, &now, pose, noise);
-            }
-        }
-        if (m->accused & 1 << DDMPC_OF_POSE)
-            here &= 1 << DDMPC_OF_POSE;
-        found |= here;
-        if (window == SHORT)
-            agrees = agreed;
-    }
-    { real *d = c->result.debug + 20; d[0]=found; d[1]=agrees; d[2]=m->scatter[0]; d[3]=m->scatter[1]; d[4]=m->body_by_wheels[0]/m->body_by_wheels[1]*k->wheel_yaw_ratio; d[5]=m->body_by_wheels[1]; d[6]=m->wheels_by_model[0]/m->wheels_by_model[1]/k->wheel_yaw_ratio; d[17]=drift; d[7]=m->delay; d[16]=m->accused; for(int i=0;i<7;i++) d[8+i]=m->misfit[i]; d[15]=pose->stamp;}
-    if (drift)
-        found |= 1 << DDMPC_OF_POSE;
-    count(c, found, agrees, pose->stamp, ddmpc_min(passed, 0.25));
-    if (is_frozen) {
-        m->newly |= ~m->accused & 1 << DDMPC_OF_POSE;
-        m->accused |= 1 << DDMPC_OF_POSE;
-        m->repeats |= 1 << DDMPC_OF_POSE;
+    if (frozen) {
+        m->accused |= BY_POSE;
+        m->repeating |= BY_POSE;
         m->agreed[DDMPC_OF_POSE] = 0.0;
     }
     if (m->poses == 0 || pose->stamp >= m->next_pose) {
         m->newest_pose = (m->newest_pose + 1) % MONITORED_POSES;
         m->poses += m->poses < MONITORED_POSES;
-        ddmpc_seen_pose *seen = &m->pose[m->newest_pose];
-        memcpy(seen->value, pose->value, sizeof seen->value);
-        seen->then = now;
-        m->next_pose = pose->stamp + 0.1 - 1e-9;
+        memcpy(m->pose[m->newest_pose].value, pose->value, sizeof pose->value);
+        m->pose[m->newest_pose].then = now;
+        m->next_pose = pose->stamp + POSE_SPACING - 1e-9;
     }
     m->last = *pose;
     m->last_motion = now;
     m->seen = 1;
-    return m->newly;
+    return m->accused & ~before;
 }
 
 static real widening(real scatter) { return scatter > NOISY ? ddmpc_min(scatter, NOISIEST) : R(1.0); }
 
 void ddmpc_monitor_widen(const ddmpc_controller *c, ddmpc_checked_pose *pose)
 {
-    const real *scatter = c->monitor.scatter;
+    const real by[2] = {ddmpc_sqrt(widening(c->monitor.scatter[0])), ddmpc_sqrt(widening(c->monitor.scatter[1]))};
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
-            pose->covariance[i][j] *= ddmpc_sqrt(widening(scatter[i / 2]) * widening(scatter[j / 2]));
+            pose->covariance[i][j] *= by[i / 2] * by[j / 2];
 }
 
 void ddmpc_monitor_report(ddmpc_controller *c)
 {
-    const ddmpc_constants *k = c->constants;
     const ddmpc_monitor *m = &c->monitor;
     ddmpc_result *result = &c->result;
-    const real body = m->body_by_wheels[0] / m->body_by_wheels[1] * k->wheel_yaw_ratio;
-    const real wheels = m->wheels_by_model[0] / m->wheels_by_model[1] / k->wheel_yaw_ratio, most = k->monitor_turn_ratio;
+    const real ratio = c->constants->wheel_yaw_ratio, most = c->constants->monitor_turn_ratio;
+    const real wheels = quotient(m->wheels_by_model) / ratio, body = quotient(m->body_by_wheels) * ratio;
     result->reasons |= (unsigned int)m->accused * DDMPC_WHEELS_ACCUSED;
-    result->repeating = m->repeats & m->accused;
-    result->pose_scatter = ddmpc_max(m->scatter[0], m->scatter[1]);
-    result->pose_delay = (real)(LATEST * m->delay / DELAYS);
+    result->repeating = m->repeating & m->accused;
+    result->pose_scatter = ddmpc_sqrt(ddmpc_max(m->scatter[0], m->scatter[1]));
+    result->pose_delay = (real)delay_of(m->delay);
     result->turn_ratio[0] = wheels;
     result->turn_ratio[1] = body;
-    if (result->pose_scatter > NOISY)
+    if (square(result->pose_scatter) > NOISY)
         result->reasons |= DDMPC_POSES_SCATTER;
     if (m->delay > 0)
         result->reasons |= DDMPC_POSES_LATE;
