@@ -33,6 +33,12 @@ class Words:
             lib.DDMPC_OF_YAW_RATE: "yaw rate",
             lib.DDMPC_OF_POSE: "pose",
         }
+        # In the order of ddmpc_subject.
+        self._accused = {
+            lib.DDMPC_WHEELS_ACCUSED: "wheel speed",
+            lib.DDMPC_YAW_RATE_ACCUSED: "yaw rate",
+            lib.DDMPC_POSE_ACCUSED: "pose",
+        }
         self.not_a_new_tick: int = (
             lib.DDMPC_TIME_FAULTY | lib.DDMPC_TIME_REPEATED | lib.DDMPC_TIME_LEAPT | lib.DDMPC_TIME_PAUSED
         )
@@ -58,7 +64,7 @@ class Words:
         reasons = c.reasons
         parts = [words(c) for bit, words in self._time_words(lib) if reasons & bit]
         if reasons & lib.DDMPC_SENT_REJECTED:
-            parts.append("sent command rejected: it is not one that a robot can have got")
+            parts.append("sent command rejected: it is beyond the limits of commands")
         parts += [self._note(c.note[index]) for index in range(c.notes)]
         parts += self._findings(c)
         if reasons & lib.DDMPC_HELD and hold is not None:
@@ -101,28 +107,26 @@ class Words:
             ),
         ]
 
+    def unused(self, reasons: int) -> tuple[str, ...]:
+        """Names of the sensors that the others contradict."""
+        return tuple(name for bit, name in self._accused.items() if reasons & bit)
+
     def _findings(self, c: Any) -> list[str]:  # noqa: ANN401
         """What comparing the sensors has found: which are not used, and what is to be put right."""
-        lib, reasons = self._lib, c.reasons
-        accused = (
-            (lib.DDMPC_WHEELS_ACCUSED, lib.DDMPC_OF_WHEELS, "poses, with gyro or commands, contradict it"),
-            (lib.DDMPC_YAW_RATE_ACCUSED, lib.DDMPC_OF_YAW_RATE, "poses, with wheels or commands, contradict it"),
-            (lib.DDMPC_POSE_ACCUSED, lib.DDMPC_OF_POSE, "the other sensors contradict it"),
-        )
-        words = []
-        for bit, subject, why in accused:
-            if reasons & bit:
+        lib, words = self._lib, []
+        for subject, (bit, name) in enumerate(self._accused.items()):
+            if c.reasons & bit:
                 repeats = "it repeats itself, and " if c.repeating >> subject & 1 else ""
-                words.append(f"{self._subjects[subject]} not used: {repeats}{why}")
-        if reasons & lib.DDMPC_POSES_SCATTER:
+                words.append(f"{name} not used: {repeats}the other sensors contradict it")
+        if c.reasons & lib.DDMPC_POSES_SCATTER:
             words.append(f"poses scatter {c.pose_scatter:.1f} times as far as they state")
-        if reasons & lib.DDMPC_POSES_LATE:
+        if c.reasons & lib.DDMPC_POSES_LATE:
             words.append(f"poses are about {c.pose_delay:.2f} s later than their stamps")
-        if reasons & lib.DDMPC_TURNS_OTHERWISE:
+        if c.reasons & lib.DDMPC_TURNS_OTHERWISE:
             wheels, body = c.turn_ratio
             words.append(
-                f"wheels turn {wheels:.2f} times as commanded and the body {body:.2f} times as they do; "
-                "check wheels.track and wheels.encoder_track"
+                f"wheels turn it {wheels:.2f} times as far as commanded, and it turns {body:.2f} times as far as they "
+                "say: slip, weak motors, or wrong wheels.track and wheels.encoder_track"
             )
         return words
 

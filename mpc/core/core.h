@@ -178,7 +178,7 @@ enum {
     DDMPC_TOO_FAR = 64,              /* from the reference: max_position_error; `distance` says how far */
     DDMPC_SOLVE_FAILED = 128,        /* the report says why */
     DDMPC_NOT_AT_REST = 256,         /* finished by finish_timeout, at `distance` from the end */
-    DDMPC_SENT_REJECTED = 512,       /* it is not a command that a robot can have got */
+    DDMPC_SENT_REJECTED = 512,       /* it is not a command inside the limits */
     DDMPC_HELD = 1024,               /* the application asked it to stand */
     DDMPC_TIME_FAULTY = 2048,        /* not finite, or running backwards */
     DDMPC_TIME_REPEATED = 4096,      /* too soon after the last tick; its command is repeated */

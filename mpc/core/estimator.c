@@ -74,10 +74,9 @@ void ddmpc_estimator_correct_last(ddmpc_controller *c, const real command[2])
 
 int ddmpc_estimator_correct_sent(ddmpc_controller *c, const real got[2])
 {
-    const real *largest = c->constants->largest_twist;
     for (int i = 0; i < 2; i++)
         /* Not the other way round: NaN must not pass. */
-        if (!(ddmpc_fabs(got[i]) <= largest[i]))
+        if (!(ddmpc_fabs(got[i]) <= ddmpc_max(c->constants->largest_command[i], ddmpc_fabs(c->last[i]))))
             return 0;
     ddmpc_estimator_correct_last(c, got);
     return 1;
@@ -132,8 +131,8 @@ static void filter_from(ddmpc_controller *c, int first)
     }
 }
 
-/* Take what the accused sensors (bits by subject) said out of the history. Returns the first node to filter again. */
-static int disbelieve(ddmpc_controller *c, int accused)
+/* Take what the accused sensors (bits by subject) said out of the history. */
+static void disbelieve(ddmpc_controller *c, int accused)
 {
     for (int index = 0; index < c->estimator.nodes; index++) {
         ddmpc_node *node = node_at(c, index);
@@ -147,7 +146,6 @@ static int disbelieve(ddmpc_controller *c, int accused)
         if (accused & 1 << DDMPC_OF_POSE)
             node->poses = 0;
     }
-    return 0;
 }
 
 /* A robot that obeys the commands sent so far as the model says, somewhere. Its speed is as uncertain as if it might
@@ -221,8 +219,10 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
     const int newly = has_pose ? ddmpc_monitor_judge(c, &pose) : 0, accused = c->monitor.accused;
     if (has_pose)
         ddmpc_monitor_widen(c, &pose);
-    if (newly)
-        first = disbelieve(c, newly);
+    if (newly) {
+        disbelieve(c, newly);
+        first = 0;
+    }
     for (int i = 0; i < twists; i++) {
         if (accused & 1 << (i < wheels ? DDMPC_OF_WHEELS : DDMPC_OF_YAW_RATE))
             continue;

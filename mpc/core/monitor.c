@@ -40,6 +40,7 @@ static const ddmpc_time WINDOW_LENGTH[WINDOWS] = {0.5, 1.5, 3.0};
 #define FIRST_TURN R(0.2)
 #define MUCH_TURN R(6.0)
 #define MOST_TURN R(8.0)
+#define HELD R(0.2) /* turning less than this share of what its wheels do, it is held */
 /* Share of a newly seen scatter in its mean; a squared deviation counts no more than this. */
 #define NOVELTY R(0.04)
 #define OUTLIER R(9.0)
@@ -323,8 +324,11 @@ static void learn(ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_mot
         const real turn = R(0.5) * (by.pose_turn + by.gyro_turn);
         const real wheels = by.wheel_turn / quotient(m->body_by_wheels);
         const real model = by.model_turn / quotient(m->body_by_model);
-        learn_gain(m->body_by_wheels, wheels, turn);
-        learn_gain(m->body_by_model, model, turn);
+        /* Of a robot that is held nothing is learned. */
+        if (ddmpc_fabs(turn) >= HELD * ddmpc_fabs(wheels)) {
+            learn_gain(m->body_by_wheels, wheels, turn);
+            learn_gain(m->body_by_model, model, turn);
+        }
         learn_gain(m->wheels_by_model, model, wheels);
     }
     for (int i = 0; i < MONITORED_DELAYS && compare_late(m, from, now, i, pose, &by); i++) {

@@ -181,11 +181,7 @@ class OracleController:
     def _tick(self, t: float, measurement: Measurement, notes: list[str], hold: Hold | None) -> Outcome:
         estimator, failure = self.estimator, self.config.failure
         reference_time = self.pursuit.advance(t - self.t0)
-        notes += estimator.correct_sent(measurement.sent)
-        if measurement.sent is not None:
-            # What the robot really got, as far as it lies inside the limits: from outside them there is no slew back.
-            top = np.maximum([self.config.limits.v, self.config.limits.omega], np.abs(self.last))
-            self.last = np.clip(estimator.commands.last, -top, top)
+        notes += estimator.correct_sent(measurement.sent, self._largest())
         estimator.advance(t)
         notes += estimator.update(t, measurement)
         if hold is not None:
@@ -289,6 +285,10 @@ class OracleController:
         self.latched |= failure and self.has_driven and not self.config.failure.resume
         command = self._ramp()
         return Outcome(command, Mode.BRAKING if command.any() else Mode.STOPPED)
+
+    def _largest(self) -> FloatArray:
+        """(2,) the largest command that a base can have got."""
+        return np.maximum([self.config.limits.v, self.config.limits.omega], np.abs(self.last))
 
     def _ramp(self) -> FloatArray:
         limits = self.config.limits
