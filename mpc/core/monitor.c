@@ -29,7 +29,7 @@ static const ddmpc_time WINDOW_LENGTH[WINDOWS] = {0.5, 1.5, 3.0};
 #define SLIPPING R(0.3)
 #define SLIPS R(0.1)
 /* Drift of poses beyond that of dead reckoning: over the contradiction allowed, and in addition by distance and turn. */
-#define DRIFTING R(1.6)
+#define DRIFTING R(1.4)
 #define CREEPING R(0.02)
 /* For so long slip is remembered [s]. Dead reckoning uses that of a while ago, as the newest may have been learned from
    a sensor that is about to be found out. */
@@ -418,9 +418,12 @@ static int judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddmp
         found |= here;
         if (window == SHORT) {
             const real turned = k->monitor_heading + noise[1] + SLIPS * ddmpc_fabs(by->wheel_turn);
-            if (all && differ(by->gyro_turn, by->wheel_turn, turned))
+            const int spinning = R(2.0) * ddmpc_fabs(by->pose) < ddmpc_fabs(by->wheels) &&
+                                 differ(by->pose, by->wheels, k->monitor_position + NOISE * noise[0]);
+            if (all && (spinning || differ(by->gyro_turn, by->wheel_turn, turned)))
                 m->slipped = pose->stamp;
-            if (!here && !accused && there == (BY_WHEELS | BY_GYRO) && pose->stamp >= m->next_pose)
+            const int alive = m->now.time - (m->wheels.changed < m->gyro.changed ? m->wheels.changed : m->gyro.changed) <= SILENCE;
+            if (!here && !accused && alive && there == (BY_WHEELS | BY_GYRO) && pose->stamp >= m->next_pose)
                 learn(m, from, now, pose->value, noise);
         } else {
             m->creeping = differ(by->pose_turn, by->gyro_turn, R(0.5) * k->monitor_heading + noise[1]);
@@ -497,6 +500,11 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
         m->accused |= BY_POSE;
         m->repeating |= BY_POSE;
         m->agreed[DDMPC_OF_POSE] = 0.0;
+    }
+    if (m->accused & ~before) {
+        /* What was made of the delay by a wrong sensor. */
+        memset(m->misfit, 0, sizeof m->misfit);
+        m->delay = 0;
     }
     if (m->poses == 0 || pose->stamp >= m->next_pose) {
         m->newest_pose = (m->newest_pose + 1) % MONITORED_POSES;

@@ -312,7 +312,7 @@ static void check(const ddmpc_result *result, const ddmpc_constants *k, const re
             fail("outside its range", result);
         if (ddmpc_fabs(command - last[i]) > step + rounding)
             fail("faster than slew or braking", result);
-        if (brakes && ddmpc_fabs(command) > ddmpc_fabs(base))
+        if (brakes && ddmpc_fabs(command) > ddmpc_fabs(last[i]))
             fail("brakes, and speeds up", result);
     }
     if (result->mode < DDMPC_TRACKING || result->mode > DDMPC_FINISHED || result->notes > DDMPC_NOTES)
@@ -444,7 +444,7 @@ static void drive(const subject *one)
     if (!ddmpc_init(c, s, constants, &functions, reals, ints, nodes))
         abort();
     ddmpc_step(c, 0.0, &input);
-    check(ddmpc_result_of(c), constants, &(before_tick){{0, 0}, {0, 0}});
+    check(ddmpc_result_of(c), constants, (const real[2]){R(0.0), R(0.0)});
     ddmpc_start(c, &reference, 0.0);
     put_at_start(&r);
     for (int k = 0; k < one->ticks; k++) {
