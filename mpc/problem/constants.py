@@ -91,9 +91,9 @@ class Problem:
         """Fields of `ddmpc_constants`."""
         longest_pause = self.history * self.model.dt
         times: Constants = {"sample_time": self.model.dt, "longest_pause": longest_pause}
-        parts = (times, self._velocity(), self._estimation(), self._monitor(), self._prediction(), self._cost(), self._limits())
+        parts = (times, self._velocity(), self._estimation(), self._prediction(), self._cost(), self._limits())
         merged: Constants = {}
-        for part in (*parts, self._solution(), self._ladder()):
+        for part in (*parts, self._solution(), self._ladder(), self._monitor()):
             merged |= part
         return merged
 

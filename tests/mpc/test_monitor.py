@@ -162,7 +162,9 @@ def test_a_monitor_that_finds_nothing_changes_nothing():
     assert {result.message for result in watched} == {""}
 
 
-@pytest.mark.parametrize(("name", "field"), [("wheel speed", "wheel_twist"), ("yaw rate", "yaw_rate"), ("pose", "pose")])
+@pytest.mark.parametrize(
+    ("name", "field"), [("wheel speed", "wheel_twist"), ("yaw rate", "yaw_rate"), ("pose", "pose")]
+)
 def test_a_sensor_that_agrees_again_is_used_again(name, field):
     broken = stuck(field) if field == "pose" else spoilt(field, lambda value, _: 0.0 * value)
     # Long enough to be found, and for the robot to stop.
