@@ -131,7 +131,7 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
     if (m->moves > 0 && !(dt > R(0.0)))
         return;
     const real *newest = ddmpc_estimator_slip(c);
-    const real share = m->moves > 0 ? ddmpc_min(dt / R(SLIP_MEMORY), R(1.0)) : R(1.0);
+    const real share = m->moves > 0 ? ddmpc_min(dt / (real)SLIP_MEMORY, R(1.0)) : R(1.0);
     for (int i = 0; i < SLIP; i++)
         m->slip[i] += share * (newest[i] - m->slip[i]);
     const real *slip = m->slip, speed = R(0.5) * (before[0] + m->wheels.value[0]);
