@@ -54,6 +54,10 @@ static void ramp(ddmpc_controller *c)
 {
     const real zero[2] = {R(0.0), R(0.0)};
     clip(c, zero, R(1.0), c->constants->braking, c->result.command);
+    /* What rounding leaves of the last step is no motion. */
+    for (int i = 0; i < 2; i++)
+        if (ddmpc_fabs(c->result.command[i]) < R(1e-13))
+            c->result.command[i] = R(0.0);
 }
 
 static int brake(ddmpc_controller *c, unsigned int reason, int failure)

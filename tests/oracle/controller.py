@@ -287,12 +287,13 @@ class OracleController:
         return Outcome(command, Mode.BRAKING if command.any() else Mode.STOPPED)
 
     def _largest(self) -> FloatArray:
-        """(2,) the largest command that a base can have got."""
-        return np.maximum([self.config.limits.v, self.config.limits.omega], np.abs(self.last))
+        """(2,) the largest command that a base can have got, as it rounds it."""
+        return 1.001 * np.maximum([self.config.limits.v, self.config.limits.omega], np.abs(self.last))
 
     def _ramp(self) -> FloatArray:
         limits = self.config.limits
-        return self._inside(np.zeros(2), np.array([limits.v_braking, limits.omega_braking]))
+        command = self._inside(np.zeros(2), np.array([limits.v_braking, limits.omega_braking]))
+        return np.where(np.abs(command) < 1e-13, 0.0, command)
 
     def _inside(self, command: FloatArray, rate: FloatArray, share: float = 1.0) -> FloatArray:
         """The nearest command inside `share` of range, and no faster than `rate` (2,) away from the last one."""
