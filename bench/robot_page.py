@@ -28,6 +28,7 @@ _TITLES = {
     "solver": "Solver",
     "compensation": "Compensation",
     "estimator": "Estimator",
+    "monitor": "Sensors that contradict each other",
     "failure": "Failure",
     "reentry": "Re-entry",
     "finish": "Finish",

@@ -349,4 +349,5 @@ class Controller:
             time.perf_counter() - times[0],
             times[1],
             (layout, block) if c.has_plan else None,
+            self._words.unused(c.reasons) if c.reasons else (),
         )

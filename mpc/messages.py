@@ -33,6 +33,12 @@ class Words:
             lib.DDMPC_OF_YAW_RATE: "yaw rate",
             lib.DDMPC_OF_POSE: "pose",
         }
+        # In the order of ddmpc_subject.
+        self._accused = {
+            lib.DDMPC_WHEELS_ACCUSED: "wheel speed",
+            lib.DDMPC_YAW_RATE_ACCUSED: "yaw rate",
+            lib.DDMPC_POSE_ACCUSED: "pose",
+        }
         self.not_a_new_tick: int = (
             lib.DDMPC_TIME_FAULTY | lib.DDMPC_TIME_REPEATED | lib.DDMPC_TIME_LEAPT | lib.DDMPC_TIME_PAUSED
         )
@@ -58,8 +64,9 @@ class Words:
         reasons = c.reasons
         parts = [words(c) for bit, words in self._time_words(lib) if reasons & bit]
         if reasons & lib.DDMPC_SENT_REJECTED:
-            parts.append("sent command rejected: it is not one that a robot can have got")
+            parts.append("sent command rejected: it is beyond the limits of commands")
         parts += [self._note(c.note[index]) for index in range(c.notes)]
+        parts += self._findings(c)
         if reasons & lib.DDMPC_HELD and hold is not None:
             parts.append(hold.reason)
         parts += [words for bit, words in self._ladder_words(lib, c) if reasons & bit]
@@ -99,6 +106,29 @@ class Words:
                 f"finished {c.distance:.3f} m from the end, not at rest within {finish.timeout} s",
             ),
         ]
+
+    def unused(self, reasons: int) -> tuple[str, ...]:
+        """Names of the sensors that the others contradict."""
+        return tuple(name for bit, name in self._accused.items() if reasons & bit)
+
+    def _findings(self, c: Any) -> list[str]:  # noqa: ANN401
+        """What comparing the sensors has found: which are not used, and what is to be put right."""
+        lib, words = self._lib, []
+        for subject, (bit, name) in enumerate(self._accused.items()):
+            if c.reasons & bit:
+                repeats = "it repeats itself, and " if c.repeating >> subject & 1 else ""
+                words.append(f"{name} not used: {repeats}the other sensors contradict it")
+        if c.reasons & lib.DDMPC_POSES_SCATTER:
+            words.append(f"poses scatter {c.pose_scatter:.1f} times as far as they state")
+        if c.reasons & lib.DDMPC_POSES_LATE:
+            words.append(f"poses are about {c.pose_delay:.2f} s later than their stamps")
+        if c.reasons & lib.DDMPC_TURNS_OTHERWISE:
+            wheels, body = c.turn_ratio
+            words.append(
+                f"wheels turn it {wheels:.2f} times as far as commanded, and it turns {body:.2f} times as far as they "
+                "say: slip, weak motors, or wrong wheels.track and wheels.encoder_track"
+            )
+        return words
 
     def _note(self, note: Any) -> str:  # noqa: ANN401
         lib, a, b = self._lib, note.a, note.b

@@ -53,6 +53,8 @@ class StepResult:
     solve_time
         How much of it went into linearising, condensing and solving, the backend included [s]; NaN if nothing was
         solved.
+    unused_sensors
+        Those that the others contradict, and that are not used therefore: "wheel speed", "yaw rate", "pose".
     """
 
     command: FloatArray
@@ -66,6 +68,7 @@ class StepResult:
     step_time: float
     solve_time: float = float("nan")
     _planned: tuple[ResultLayout, FloatArray] | None = None
+    unused_sensors: tuple[str, ...] = ()
 
     @property
     def plan(self) -> FloatArray | None:

@@ -166,6 +166,20 @@ class Estimator(Group):
     )
 
 
+class Monitor(Group):
+    """When sensors of motion contradict each other, and when one of them is believed again."""
+
+    enabled: bool = Field(True, description="find the sensor that the others contradict, and do without it [-]")
+    position: Positive = Field(0.08, description="contradiction in distance beyond the noise of poses [m]")
+    heading: Positive = Field(0.05, description="contradiction in turning beyond the noise of poses [rad]")
+    turn_ratio: Annotated[float, Field(gt=1)] = Field(
+        1.6, description="wheels or body turning by more than this factor beside what the tracks say is told [-]"
+    )
+    trust_after: Positive = Field(
+        1.0, description="a sensor that has agreed again for so long, while the robot moved, is believed again [s]"
+    )
+
+
 class Failure(Group):
     """What happens when a solve or the measurements fail."""
 
@@ -282,6 +296,7 @@ class ControllerConfig(Group):
     solver: Solver = Solver()
     compensation: Compensation = Compensation()
     estimator: Estimator = Estimator()
+    monitor: Monitor = Monitor()
     failure: Failure = Failure()
     reentry: Reentry = Reentry()
     finish: Finish = Finish()

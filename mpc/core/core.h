@@ -61,6 +61,12 @@ typedef struct {
     real largest_twist[3], largest_twist_jump[3];
     real largest_position_jump, largest_heading_jump;
 
+    /* monitor of the sensors */
+    int monitor;                     /* whether it judges */
+    real monitor_position, monitor_heading; /* contradiction between sensors beyond their noise [m, rad] */
+    real monitor_turn_ratio;         /* factor of turning beyond which the tracks are doubted [-] */
+    real monitor_trust;              /* how long one has to agree before it is believed again [s] */
+
     /* prediction of a linear model: twists at the samples, from the state now and the commands on their way */
     const real *from_state;     /* [N+1][2][n] */
     const real *from_past;      /* [N+1][2][W][2] oldest command first */
@@ -172,12 +178,18 @@ enum {
     DDMPC_TOO_FAR = 64,              /* from the reference: max_position_error; `distance` says how far */
     DDMPC_SOLVE_FAILED = 128,        /* the report says why */
     DDMPC_NOT_AT_REST = 256,         /* finished by finish_timeout, at `distance` from the end */
-    DDMPC_SENT_REJECTED = 512,       /* it is not a command that a robot can have got */
+    DDMPC_SENT_REJECTED = 512,       /* it is not a command inside the limits */
     DDMPC_HELD = 1024,               /* the application asked it to stand */
     DDMPC_TIME_FAULTY = 2048,        /* not finite, or running backwards */
     DDMPC_TIME_REPEATED = 4096,      /* too soon after the last tick; its command is repeated */
     DDMPC_TIME_LEAPT = 8192,         /* no tick for too long: a pause, or a glitch of the clock */
-    DDMPC_TIME_PAUSED = 16384        /* so long that the estimate starts anew */
+    DDMPC_TIME_PAUSED = 16384,       /* so long that the estimate starts anew */
+    DDMPC_WHEELS_ACCUSED = 32768,    /* the others contradict this sensor, and it is not used; in ddmpc_subject's order */
+    DDMPC_YAW_RATE_ACCUSED = 65536,
+    DDMPC_POSE_ACCUSED = 131072,
+    DDMPC_POSES_SCATTER = 262144,    /* far more than they state; they count for less */
+    DDMPC_POSES_LATE = 524288,       /* later than they are stamped */
+    DDMPC_TURNS_OTHERWISE = 1048576  /* the robot turns by another factor than its tracks say */
 };
 
 typedef enum {
@@ -223,6 +235,10 @@ typedef struct {
     int has_estimate, has_plan;
     int notes; /* measurements that were rejected */
     ddmpc_note note[DDMPC_NOTES];
+    int repeating;      /* accused sensors that repeat themselves, as bits 1 << ddmpc_subject */
+    real pose_scatter;  /* of poses over what they state, see DDMPC_POSES_SCATTER [-] */
+    real pose_delay;    /* by which poses are later than stamped, see DDMPC_POSES_LATE [s] */
+    real turn_ratio[2]; /* turning of wheels over commands and of body over wheels, see DDMPC_TURNS_OTHERWISE [-] */
     ddmpc_report solver;
     ddmpc_time solve_time; /* to linearise, condense and solve, a backend's not counted; NaN: nothing was solved [s] */
     real distance;   /* [m], see DDMPC_TOO_FAR */

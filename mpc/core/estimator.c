@@ -4,6 +4,9 @@
 
 #include "internal.h"
 
+/* A base rounds what it says it got. */
+#define ROUNDED R(1.001)
+
 static ddmpc_node *node_at(const ddmpc_controller *c, int index)
 {
     return &c->estimator.node[(c->estimator.first + index) % HISTORY(c)];
@@ -49,12 +52,15 @@ void ddmpc_estimator_forget(ddmpc_controller *c)
     estimator->last_wheels[0] = estimator->last_wheels[1] = estimator->last_yaw_rate = R(0.0);
     for (int i = 0; i < DDMPC_SENSORS; i++)
         estimator->innovations[i] = (real)NAN;
+    ddmpc_monitor_clear(c);
 }
 
 int ddmpc_estimator_state(const ddmpc_controller *c)
 {
     return (c->estimator.nodes > 0 ? READY : 0) | (c->estimator.jumps >= AGREEING ? MOVED : 0);
 }
+
+const real *ddmpc_estimator_slip(const ddmpc_controller *c) { return newest(c)->posterior.mean + STATES(c); }
 
 void ddmpc_estimator_append(ddmpc_controller *c, const real command[2])
 {
@@ -71,10 +77,9 @@ void ddmpc_estimator_correct_last(ddmpc_controller *c, const real command[2])
 
 int ddmpc_estimator_correct_sent(ddmpc_controller *c, const real got[2])
 {
-    const real *largest = c->constants->largest_twist;
     for (int i = 0; i < 2; i++)
         /* Not the other way round: NaN must not pass. */
-        if (!(ddmpc_fabs(got[i]) <= largest[i]))
+        if (!(ddmpc_fabs(got[i]) <= ROUNDED * ddmpc_max(c->constants->largest_command[i], ddmpc_fabs(c->last[i]))))
             return 0;
     ddmpc_estimator_correct_last(c, got);
     return 1;
@@ -94,6 +99,7 @@ void ddmpc_estimator_advance(ddmpc_controller *c, ddmpc_time t)
         ddmpc_node *node = grow(c, t - missing * dt);
         ddmpc_filter_predict(c, before, sent(c, 0), &node->prior);
         ddmpc_copy_belief(c, &node->posterior, &node->prior);
+        ddmpc_monitor_predict(c, sent(c, 0));
     }
 }
 
@@ -125,6 +131,23 @@ static void filter_from(ddmpc_controller *c, int first)
             estimator->innovations[POSE_SENSOR] =
                 ddmpc_filter_correct_pose(c, &node->posterior, &node->pose[i], ahead);
         }
+    }
+}
+
+/* Take what the accused sensors (bits by subject) said out of the history. */
+static void disbelieve(ddmpc_controller *c, int accused)
+{
+    for (int index = 0; index < c->estimator.nodes; index++) {
+        ddmpc_node *node = node_at(c, index);
+        int kept = 0;
+        for (int i = 0; i < node->twists; i++) {
+            const int subject = node->twist[i].sensor == YAW_RATE ? DDMPC_OF_YAW_RATE : DDMPC_OF_WHEELS;
+            if (!(accused & 1 << subject))
+                node->twist[kept++] = node->twist[i];
+        }
+        node->twists = kept;
+        if (accused & 1 << DDMPC_OF_POSE)
+            node->poses = 0;
     }
 }
 
@@ -195,7 +218,17 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
         return ddmpc_estimator_state(c);
     }
     int first = estimator->nodes;
+    ddmpc_monitor_move(c, t, twist, wheels, twists);
+    const int newly = has_pose ? ddmpc_monitor_judge(c, &pose) : 0, accused = c->monitor.accused;
+    if (has_pose)
+        ddmpc_monitor_widen(c, &pose);
+    if (newly) {
+        disbelieve(c, newly);
+        first = 0;
+    }
     for (int i = 0; i < twists; i++) {
+        if (accused & 1 << (i < wheels ? DDMPC_OF_WHEELS : DDMPC_OF_YAW_RATE))
+            continue;
         /* At the nearest tick: within half a sample a twist changes little. */
         const ddmpc_time stamp = i < wheels ? input->wheels.stamp : input->yaw_rate.stamp;
         const int index = node_before(c, stamp + 0.5 * c->constants->sample_time);
@@ -207,7 +240,7 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
         node->twist[node->twists++] = twist[i];
         first = least(first, index);
     }
-    if (has_pose) {
+    if (has_pose && !(accused & 1 << DDMPC_OF_POSE)) {
         const int index = node_before(c, pose.stamp);
         ddmpc_node *node = node_at(c, index);
         real expected[3];

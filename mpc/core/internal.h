@@ -118,6 +118,54 @@ typedef struct {
     ddmpc_node *node; /* [H] */
 } ddmpc_estimator;
 
+/* Sums of motion since some instant: dead reckoning by wheels and gyro [m, rad], and what each says of its own. */
+enum { FORWARD, LEFT, HEADING, WHEEL_DISTANCE, WHEEL_TURN, GYRO_TURN, MODEL_DISTANCE, MODEL_TURN, MOTIONS };
+enum {
+    MONITORED = 96,       /* instants at which the monitor keeps the motion */
+    MONITORED_POSES = 36, /* poses that it keeps */
+    MONITORED_DELAYS = 7  /* delays of poses that it weighs */
+};
+
+typedef struct {
+    ddmpc_time time;
+    real sum[MOTIONS];
+} ddmpc_motion;
+
+typedef struct {
+    ddmpc_motion then;
+    real value[3];
+} ddmpc_seen_pose;
+
+/* A sensor's newest value, when it came, since when it has come without a pause, and when it last changed. */
+typedef struct {
+    ddmpc_time heard, since, changed;
+    real value[2];
+} ddmpc_hearing;
+
+typedef struct {
+    ddmpc_motion now, path[MONITORED];     /* a ring of `moves` */
+    ddmpc_seen_pose pose[MONITORED_POSES]; /* a ring of `poses` */
+    int newest, moves, newest_pose, poses;
+    ddmpc_hearing wheels, gyro;
+    real state[DDMPC_MOST_STATES];  /* of the model that nobody corrects */
+    real slip[SLIP];                /* as it was a while ago */
+    ddmpc_checked_pose last;        /* if one was `seen` */
+    ddmpc_motion last_motion;       /* up to it */
+    ddmpc_motion frozen;            /* up to the first pose that is like it; `same` came since */
+    int seen, same;
+    ddmpc_time next_pose;           /* when one is kept again */
+    real residual[3], scatter[2];   /* of poses against dead reckoning; their variance over the one stated */
+    int residuals;
+    real body_by_wheels[2], body_by_model[2], wheels_by_model[2]; /* of turning, as quotients of sums */
+    real misfit[MONITORED_DELAYS];  /* of poses, were they so late */
+    int delay;                      /* the one that fits best */
+    int creeping;                   /* whether poses and gyro begin to differ */
+    ddmpc_time slipped, steady;     /* when wheels and gyro turned apart; since when poses drift */
+    int contradictions[3];          /* in a row, by subject */
+    ddmpc_time since[3], agreed[3]; /* when they began [s], for how long there have been none [s] */
+    int accused, repeating;         /* bits 1 << subject */
+} ddmpc_monitor;
+
 /* The tick's problem, linearised along the guess. */
 typedef struct {
     real pose[3], slip[SLIP], last[2];
@@ -163,6 +211,7 @@ struct ddmpc_controller {
     const ddmpc_constants *constants;
     ddmpc_functions functions;
     ddmpc_estimator estimator;
+    ddmpc_monitor monitor;
     ddmpc_problem problem;
     ddmpc_limited_memory limited;
     ddmpc_reference reference;
@@ -227,8 +276,22 @@ int ddmpc_estimator_correct_sent(ddmpc_controller *c, const real sent[2]);
 void ddmpc_estimator_advance(ddmpc_controller *c, ddmpc_time t);
 int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input);
 int ddmpc_estimator_state(const ddmpc_controller *c);
+const real *ddmpc_estimator_slip(const ddmpc_controller *c);
 int ddmpc_estimator_restart_elsewhere(ddmpc_controller *c);
 void ddmpc_estimator_estimate(ddmpc_controller *c);
+
+/* monitor.c */
+void ddmpc_monitor_clear(ddmpc_controller *c);
+/* One sample on by the commands sent, as a robot that nothing disturbs. */
+void ddmpc_monitor_predict(ddmpc_controller *c, const real *newest);
+/* The motion up to `t` by what wheels and gyro read, of `twists` checked numbers the first `wheels` by wheels. */
+void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_twist *twist, int wheels, int twists);
+/* Compare what all say of the motion up to a pose; returns who is accused from now on, as bits by subject. */
+int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose);
+/* Give a pose the covariance that it has, where it states far too little. */
+void ddmpc_monitor_widen(const ddmpc_controller *c, ddmpc_checked_pose *pose);
+/* Say in the result what was found. */
+void ddmpc_monitor_report(ddmpc_controller *c);
 
 /* problem.c */
 void ddmpc_problem_begin(ddmpc_controller *c);

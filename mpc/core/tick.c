@@ -54,6 +54,10 @@ static void ramp(ddmpc_controller *c)
 {
     const real zero[2] = {R(0.0), R(0.0)};
     clip(c, zero, R(1.0), c->constants->braking, c->result.command);
+    /* What rounding leaves of the last step is no motion. */
+    for (int i = 0; i < 2; i++)
+        if (ddmpc_fabs(c->result.command[i]) < R(1e-13))
+            c->result.command[i] = R(0.0);
 }
 
 static int brake(ddmpc_controller *c, unsigned int reason, int failure)
@@ -111,16 +115,6 @@ static tick_kind judge(ddmpc_controller *c, ddmpc_time t)
         c->has_last_tick = 1;
     }
     return kind;
-}
-
-/* What the robot really got, as far as it lies inside the limits: from outside them there is no slew back. */
-static void take_slew_base(ddmpc_controller *c)
-{
-    const real *newest = ddmpc_commands(c) + 2 * (WINDOW(c) - 1);
-    for (int i = 0; i < 2; i++) {
-        const real largest = ddmpc_max(c->constants->largest_command[i], ddmpc_fabs(c->last[i]));
-        c->last[i] = ddmpc_min(ddmpc_max(newest[i], -largest), largest);
-    }
 }
 
 /* Take the robot to be where its rejected poses agree it is, once it has been told to stand. */
@@ -296,10 +290,10 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     if (input->has_sent) {
         if (!ddmpc_estimator_correct_sent(c, input->sent))
             result->reasons |= DDMPC_SENT_REJECTED;
-        take_slew_base(c);
     }
     ddmpc_estimator_advance(c, t);
     const int state = ddmpc_estimator_update(c, t, input);
+    ddmpc_monitor_report(c);
     if (input->request != DDMPC_DRIVE)
         return brake(c, DDMPC_HELD, input->request == DDMPC_STOP_AS_FAILURE);
     if (!(state & READY))
@@ -313,6 +307,8 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
         result->has_estimate = 0;
         return brake(c, DDMPC_LOST, 1);
     }
+    if (result->reasons & DDMPC_POSE_ACCUSED)
+        return brake(c, 0, 1);
     if (*result->estimate.pose_age > c->constants->max_pose_age)
         return brake(c, DDMPC_OLD_POSE, 1);
     if (c->latched)
@@ -344,7 +340,7 @@ static void clear(ddmpc_result *result)
     result->solver = not_run;
     result->solve_time = (ddmpc_time)NAN;
     result->reasons = 0;
-    result->notes = 0;
+    result->notes = result->repeating = 0;
     result->has_estimate = result->has_plan = 0;
 }
 

@@ -93,7 +93,7 @@ class Problem:
         times: Constants = {"sample_time": self.model.dt, "longest_pause": longest_pause}
         parts = (times, self._velocity(), self._estimation(), self._prediction(), self._cost(), self._limits())
         merged: Constants = {}
-        for part in (*parts, self._solution(), self._ladder()):
+        for part in (*parts, self._solution(), self._ladder(), self._monitor()):
             merged |= part
         return merged
 
@@ -143,6 +143,16 @@ class Problem:
             "largest_twist_jump": [s.max_wheel_speed_jump, s.max_yaw_rate_jump, s.max_yaw_rate_jump],
             "largest_position_jump": s.max_position_jump,
             "largest_heading_jump": s.max_heading_jump,
+        }
+
+    def _monitor(self) -> Constants:
+        monitor = self.config.monitor
+        return {
+            "monitor": monitor.enabled,
+            "monitor_position": monitor.position,
+            "monitor_heading": monitor.heading,
+            "monitor_turn_ratio": monitor.turn_ratio,
+            "monitor_trust": monitor.trust_after,
         }
 
     def _prediction(self) -> Constants:

@@ -80,6 +80,7 @@ def _result(result: StepResult) -> dict[str, str]:
         "solver": f"{result.solver.status}, by {result.solver.path}, {result.solver.iterations} iterations",
         "reference progress": f"{result.progress:.2f}",
         "reference delay [s]": f"{result.reference_delay:.2f}",
+        "sensors not used": ", ".join(result.unused_sensors) or "none",
     }
     error = tracking_error(result)
     if error is not None:

@@ -55,10 +55,10 @@ def stamp_fault(stamp: object, t: float, last: float, history: float) -> str:
     return f"it is {age:.2f} s old; the history reaches back {history} s" if age > history else ""
 
 
-def sent_command(sent: object, settings: Estimator) -> FloatArray | None:
+def sent_command(sent: object, largest: FloatArray) -> FloatArray | None:
     """What the robot says it got (2,), or None where that cannot be."""
     value = numbers(sent, 2)
-    if value is None or (np.abs(value) > [settings.max_wheel_speed, settings.max_yaw_rate]).any():
+    if value is None or (np.abs(value) > largest).any():
         return None
     return value
 

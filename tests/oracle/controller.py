@@ -181,11 +181,7 @@ class OracleController:
     def _tick(self, t: float, measurement: Measurement, notes: list[str], hold: Hold | None) -> Outcome:
         estimator, failure = self.estimator, self.config.failure
         reference_time = self.pursuit.advance(t - self.t0)
-        notes += estimator.correct_sent(measurement.sent)
-        if measurement.sent is not None:
-            # What the robot really got, as far as it lies inside the limits: from outside them there is no slew back.
-            top = np.maximum([self.config.limits.v, self.config.limits.omega], np.abs(self.last))
-            self.last = np.clip(estimator.commands.last, -top, top)
+        notes += estimator.correct_sent(measurement.sent, self._largest())
         estimator.advance(t)
         notes += estimator.update(t, measurement)
         if hold is not None:
@@ -290,9 +286,14 @@ class OracleController:
         command = self._ramp()
         return Outcome(command, Mode.BRAKING if command.any() else Mode.STOPPED)
 
+    def _largest(self) -> FloatArray:
+        """(2,) the largest command that a base can have got, as it rounds it."""
+        return 1.001 * np.maximum([self.config.limits.v, self.config.limits.omega], np.abs(self.last))
+
     def _ramp(self) -> FloatArray:
         limits = self.config.limits
-        return self._inside(np.zeros(2), np.array([limits.v_braking, limits.omega_braking]))
+        command = self._inside(np.zeros(2), np.array([limits.v_braking, limits.omega_braking]))
+        return np.where(np.abs(command) < 1e-13, 0.0, command)
 
     def _inside(self, command: FloatArray, rate: FloatArray, share: float = 1.0) -> FloatArray:
         """The nearest command inside `share` of range, and no faster than `rate` (2,) away from the last one."""

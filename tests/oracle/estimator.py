@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from diffdrive_mpc.models.discrete_model import DiscreteModel
-from diffdrive_mpc.models.interface import Measurement
+from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, Wheels
 from diffdrive_mpc.mpc.estimation.estimate import SENSORS
 from oracle.checks import CheckedPose, CheckedTwist, PoseGate, TwistGates, sent_command
@@ -87,13 +87,13 @@ class StateEstimator:
         ]
         return Estimate(np.concatenate(values), self.model.order)
 
-    def correct_sent(self, sent: tuple[float, float] | None) -> list[str]:
-        """Believe what the robot says it got at the last tick, unless it cannot be; then returns why not."""
+    def correct_sent(self, sent: tuple[float, float] | None, largest: FloatArray) -> list[str]:
+        """Believe what the robot says it got at the last tick, up to `largest` (2,); beyond it returns why not."""
         if sent is None:
             return []
-        value = sent_command(sent, self.settings)
+        value = sent_command(sent, largest)
         if value is None:
-            return ["sent command rejected: it is not one that a robot can have got"]
+            return ["sent command rejected: it is beyond the limits of commands"]
         self.commands.correct_last(value)
         return []
 

@@ -1,0 +1,225 @@
+"""Sensors that contradict each other: who is found, who is let off, and what the robot does about it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ideal_robot import IdealRobot, drive
+
+from diffdrive_mpc.models import Stamped, load_model
+from diffdrive_mpc.mpc import Controller, Mode, load_config, load_trajectory
+from diffdrive_mpc.mpc.config.schema import Wheels
+
+DT = 0.0202
+FAULT = 150
+"""Tick at which a sensor fails: after 3 s, at full speed."""
+TRACK = Wheels().encoder_track
+
+
+class HeldRobot(IdealRobot):
+    """From the fault on the body stands for 1.2 s; its wheels stand with it, or spin."""
+
+    spins = False
+
+    @property
+    def held(self):
+        return FAULT <= self.k < FAULT + 60
+
+    @property
+    def twist(self):
+        return np.zeros(2) if self.held else super().twist
+
+    @property
+    def wheels(self):
+        return np.zeros(2) if self.held and not self.spins else super().wheels
+
+
+class SpinningRobot(HeldRobot):
+    spins = True
+
+
+class PushedRobot(IdealRobot):
+    """Something moves it by 0.25 m and turns it by 0.2 rad within 0.2 s; gyro and poses see that."""
+
+    push = 0.0
+
+    @property
+    def twist(self):
+        return super().twist + [0.0, self.push]
+
+    def advance(self, command):
+        self.push = 1.0 if FAULT <= self.k < FAULT + 10 else 0.0
+        super().advance(command)
+        if self.push:
+            self.poses[-1] = self.poses[-1] + [0.015, -0.02, 0.0]
+
+
+def stuck(field):
+    """The sensor repeats what it said at the fault."""
+    last = {}
+
+    def change(k, m):
+        if k < FAULT:
+            last[field] = getattr(m, field).value
+            return m
+        return replace(m, **{field: replace(getattr(m, field), value=last[field])})
+
+    return change
+
+
+def spoilt(field, value):
+    """From the fault on the sensor says value(what it should, seconds since then)."""
+
+    def change(k, m):
+        if k < FAULT:
+            return m
+        said = getattr(m, field)
+        return replace(m, **{field: replace(said, value=value(np.asarray(said.value), (k - FAULT) * DT))})
+
+    return change
+
+
+def dead_encoder(wheels, _):
+    """One of the two wheels on the left reads zero, so the left side reads half its speed."""
+    right, left = wheels[0] + 0.5 * TRACK * wheels[1], wheels[0] - 0.5 * TRACK * wheels[1]
+    return np.array([0.5 * (right + 0.5 * left), (right - 0.5 * left) / TRACK])
+
+
+def run(change=None, trajectory="s", model="ssm", robot=IdealRobot, seconds=9.0, **settings):
+    """Results, and distances to the path at each tick."""
+    reference = load_trajectory(trajectory)
+    base = robot(load_model(model).discretise(DT), reference.sample([0.0]).pose[0], noise=1.0, seed=1)
+    results, poses, _ = drive(Controller(load_config(model, settings), model), base, reference, seconds, change=change)
+    path = reference.sample(np.arange(0.0, reference.duration, 0.01)).pose
+    apart = np.hypot(poses[:, None, 0] - path[None, :, 0], poses[:, None, 1] - path[None, :, 1]).min(axis=1)
+    return results, apart
+
+
+def accused(results):
+    return {name for result in results for name in result.unused_sensors}
+
+
+def first(results, name):
+    """Seconds from the fault until the sensor was no longer used."""
+    return next(k - FAULT for k, result in enumerate(results) if name in result.unused_sensors) * DT
+
+
+# What fails, along what, who is found, within which time [s]. What creeps takes longer.
+FAULTS = {
+    "wheels at zero": (spoilt("wheel_twist", lambda v, _: 0.0 * v), "s", "wheel speed", 1.0),
+    "wheels at zero, straight on": (spoilt("wheel_twist", lambda v, _: 0.0 * v), "cane", "wheel speed", 1.0),
+    "wheels stuck": (stuck("wheel_twist"), "s", "wheel speed", 1.0),
+    "an encoder dead": (spoilt("wheel_twist", dead_encoder), "s", "wheel speed", 1.5),
+    "gyro stuck": (stuck("yaw_rate"), "s", "yaw rate", 1.0),
+    "gyro biased": (spoilt("yaw_rate", lambda rate, _: rate + 0.05), "s", "yaw rate", 3.0),
+    "gyro at zero": (spoilt("yaw_rate", lambda rate, _: 0.0 * rate), "circle", "yaw rate", 1.0),
+}
+
+
+@pytest.mark.parametrize("model", ["ssm", "sm", "mbm"])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_sensor_that_two_others_contradict_is_not_used(fault, model):
+    """The robot goes on: the others are enough."""
+    change, trajectory, name, soon = FAULTS[fault]
+    results, apart = run(change, trajectory, model)
+    assert accused(results) == {name}
+    assert 0.0 < first(results, name) < soon
+    assert any(f"{name} not used" in result.message for result in results)
+    assert {result.mode for result in results} == {Mode.TRACKING}
+    assert apart.max() < 0.1
+
+
+POSE_FAULTS = {
+    "frozen": (stuck("pose"), "s", 0.5),
+    "frozen, straight on": (stuck("pose"), "cane", 0.5),
+    "drifting": (spoilt("pose", lambda pose, t: pose + [0.05 * t, 0.05 * t, 0.0]), "circle", 5.0),
+    "turning": (spoilt("pose", lambda pose, t: pose + [0.0, 0.0, 0.3 * t]), "s", 1.0),
+}
+
+
+@pytest.mark.parametrize("model", ["ssm", "sm", "mbm"])
+@pytest.mark.parametrize("fault", POSE_FAULTS)
+def test_without_poses_to_believe_it_brakes(fault, model):
+    change, trajectory, soon = POSE_FAULTS[fault]
+    results, apart = run(change, trajectory, model)
+    assert first(results, "pose") < soon
+    found = next(k for k, result in enumerate(results) if "pose" in result.unused_sensors)
+    assert {result.mode for result in results[found:]} <= {Mode.BRAKING, Mode.STOPPED}
+    assert (results[-1].command == 0.0).all()
+    assert apart.max() < 0.3
+
+
+@pytest.mark.parametrize("robot", [IdealRobot, HeldRobot, SpinningRobot, PushedRobot])
+@pytest.mark.parametrize("trajectory", ["circle", "cane", "square"])
+def test_what_happens_to_the_robot_is_no_fault_of_a_sensor(robot, trajectory):
+    results, _ = run(trajectory=trajectory, robot=robot)
+    assert accused(results) == set()
+
+
+def test_a_monitor_that_finds_nothing_changes_nothing():
+    watched, blind = (run(seconds=5.0, **{"monitor.enabled": on})[0] for on in (True, False))
+    assert all((a.command == b.command).all() for a, b in zip(watched, blind, strict=True))
+    assert {result.message for result in watched} == {""}
+
+
+@pytest.mark.parametrize(
+    ("name", "field"), [("wheel speed", "wheel_twist"), ("yaw rate", "yaw_rate"), ("pose", "pose")]
+)
+def test_a_sensor_that_agrees_again_is_used_again(name, field):
+    broken = stuck(field) if field == "pose" else spoilt(field, lambda value, _: 0.0 * value)
+    # Long enough to be found, and for the robot to stop.
+    results, apart = run(lambda k, m: broken(k, m) if k < FAULT + 75 else m, "circle")
+    assert first(results, name) < 1.0
+    assert results[-1].unused_sensors == ()
+    assert results[-1].mode is Mode.TRACKING
+    back = next(k for k in range(FAULT + 75, len(results)) if not results[k].unused_sensors)
+    assert 0.9 < (back - FAULT - 75) * DT < 2.0
+    assert apart.max() < 0.1
+
+
+def test_poses_noisier_than_stated_count_for_less():
+    rng = np.random.default_rng(0)
+
+    def noisy(k, m):
+        return replace(m, pose=replace(m.pose, value=np.asarray(m.pose.value) + rng.normal(size=3) * [0.03, 0.03, 0.0]))
+
+    deviations, messages = {}, ""
+    for on in (True, False):
+        results, _ = run(noisy, **{"monitor.enabled": on})
+        deviations[on] = results[-1].estimate.pose_deviation[0]
+        messages = messages or results[-1].message
+    assert "poses scatter" in messages
+    assert deviations[True] > 1.2 * deviations[False]
+
+
+def test_poses_later_than_stamped_are_told_and_not_accused():
+    late = []
+
+    def change(k, m):
+        late.append(m.pose.value)
+        return replace(m, pose=Stamped(late[max(0, k - 10)], m.pose.time))
+
+    results, _ = run(change, "square", seconds=12.0)
+    assert accused(results) == set()
+    assert "poses are about 0.20 s later than their stamps" in results[-1].message
+
+
+@pytest.mark.parametrize(("track", "told"), [(TRACK, False), (0.5 * TRACK, True), (2.0 * TRACK, True)])
+def test_a_wrong_track_is_told_within_ten_seconds_of_turning(track, told):
+    results, _ = run(None, "circle", seconds=10.0, **{"wheels.encoder_track": track})
+    assert accused(results) == set()
+    assert ("wrong wheels.track" in results[-1].message) == told
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_false_report_of_the_base_lets_a_command_leap(seed):
+    """Slew counts from the controller's own last command, whatever the base says it got."""
+    rng, limits = np.random.default_rng(seed), load_config("ssm").limits
+
+    def lie(k, m):
+        return replace(m, sent=tuple(rng.uniform(-6.0, 6.0, 2))) if rng.random() < 0.3 else m
+
+    results, _ = run(lie, seconds=5.0)
+    steps = np.abs(np.diff([result.command for result in results], axis=0))
+    assert (steps <= np.array([limits.v_slew, limits.omega_slew]) * DT + 1e-12).all()
+    assert any("beyond the limits" in result.message for result in results)
