@@ -58,7 +58,7 @@ def test_interrupted_the_loop_without_ros_sends_zero_last(tmp_path):
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "driving\n"
-        time.sleep(1.0)
+        time.sleep(0.4)
         process.send_signal(signal.SIGINT)
         said, complained = process.communicate(timeout=60)
     assert process.returncode == 0, complained

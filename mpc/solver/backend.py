@@ -66,6 +66,10 @@ class Program:
         """(kinds - 4,) upper limits of the soft kinds at this tick, in their own units."""
         return self.upper[HARD:, 0] + self._soft_value[:, 0]
 
+    def count_from(self, command: FloatArray) -> None:
+        """Let slew count from `command` (2,) at the next tick: for a controller that looks on while another drives."""
+        self._tick.view(self._tick.lib.ddmpc_last_command(self._tick.c), (2,))[:] = command
+
     def rows(self, kind: int) -> FloatArray:
         """(N, 2 N) rows of one kind of soft limit."""
         rows, tick = np.empty((self._steps, 2 * self._steps)), self._tick

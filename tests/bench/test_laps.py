@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.studies.comparison.laps import drive_laps
-from diffdrive_mpc.sim.metrics.laps import lap_parts
+from diffdrive_mpc.sim.laps import lap_parts
 
 PLAIN = Case(plant="model:sm", trajectory="cane")
 LEARNING = PLAIN.with_override("rehearsal.enabled", value=True)

@@ -22,8 +22,8 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import Controller
 from diffdrive_mpc.mpc.rehearsal import Rehearsal
 from diffdrive_mpc.sim import Run, simulate
+from diffdrive_mpc.sim.laps import lap_parts
 from diffdrive_mpc.sim.log_csv import write_rows
-from diffdrive_mpc.sim.metrics.laps import lap_parts
 
 _ENABLED = "rehearsal.enabled"
 

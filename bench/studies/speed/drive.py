@@ -37,6 +37,7 @@ class PeerInput:
         sent = (float(self._past[-1, 0]), float(self._past[-1, 1]))
         told = replace(measurement, sent=sent) if self._started else measurement
         self._started = True
+        self._controller.program.count_from(self._past[-1])
         estimate = self._controller.step(t, told).estimate
         if estimate is None:
             raise RuntimeError("the drive begins without a pose: peers cannot be told where the robot is")
