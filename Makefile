@@ -72,8 +72,8 @@ models: $(READY) ## identify MBM and SM again from experiments on the simulated 
 calibrate: $(READY) ## fit the simulated robot to the published SSM again
 	$(BIN)/diffdrive-mpc models calibrate
 
-readme: $(READY) ## copy the tables and figures of the last `make bench`, `make edge`, `make peers`, `make tracking`, `make reproduce` and `make speed` into README and docs
-	$(BIN)/python -m diffdrive_mpc.bench.documents $(OUT) $(wildcard $(EDGE_OUT) $(PEERS_OUT) $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT))
+readme: $(READY) ## copy the tables and figures of the last `make bench`, `make tracking`, `make reproduce` and `make speed` into README and docs
+	$(BIN)/python -m diffdrive_mpc.bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT))
 
 requirements: ## pin all dependencies anew (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \

@@ -25,7 +25,7 @@ MOST_SEEDS = 10_000
 """More runs of one case than this take days, and their list alone could fill the memory."""
 COMPARED = (("pursuit+slip", NO_MODEL), ("mpc", "kinematic"), ("mpc", "mbm"), ("mpc", "sm"), ("mpc", "ssm"))
 """Controllers, each with its model, that `bench` compares without options: the one place to name another."""
-HORIZONS = (5, 10, 15, 20, 30, 50)
+HORIZONS = (5, 10, 20, 30, 50)
 """Horizons that `bench` sweeps without options, for each model over all trajectories with the first seed [steps]."""
 
 

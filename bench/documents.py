@@ -18,7 +18,7 @@ _NOT_RUN = "This part was not run."
 
 @dataclass(frozen=True)
 class ShownReport:
-    """What the documents show of the report that `make NAME` writes into a folder of that name.
+    """What the documents show of the report `NAME.md` that `make NAME` writes.
 
     Attributes
     ----------
@@ -30,8 +30,6 @@ class ShownReport:
         The document with tables between markers, below the folder `docs`.
     brief
         Whether it has the first table and the facts between markers of the study's own name, beside what others name.
-    study
-        Whose report it is, where that is not `name`.
     """
 
     name: str
@@ -39,12 +37,6 @@ class ShownReport:
     records: tuple[str, ...]
     page: str
     brief: bool = False
-    study: str = ""
-
-    @property
-    def file(self) -> str:
-        """Name of the report."""
-        return f"{self.study or self.name}.md"
 
 
 BENCH = ShownReport(
@@ -57,9 +49,7 @@ BENCH = ShownReport(
 TRACKING = ShownReport("tracking", ("ablation.png", "error-sources.png"), (), "tracking.md")
 REPRODUCE = ShownReport("reproduce", ("odometry.png", "orders.png", "virtual-track.png"), (), "reproduce.md")
 SPEED = ShownReport("speed", ("horizon.png", "tail.png"), ("speed.json",), "performance.md")
-EDGE = ShownReport("edge", (), ("bench.json",), "peers.md", study="bench")
-PEERS = ShownReport("peers", (), (), "peers.md")
-SHOWN = (BENCH, EDGE, PEERS, TRACKING, REPRODUCE, SPEED)
+SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED)
 
 
 def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
@@ -67,10 +57,11 @@ def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
 
     Raises ConfigError if `out` holds no report.
     """
-    if not (out / shown.file).is_file():
-        raise ConfigError(f"{out}: no {shown.file}; run `make {shown.name}` first")
+    name = f"{shown.name}.md"
+    if not (out / name).is_file():
+        raise ConfigError(f"{out}: no {name}; run `make {shown.name}` first")
     documents.mkdir(parents=True, exist_ok=True)
-    report = (out / shown.file).read_text(encoding="utf-8")
+    report = (out / name).read_text(encoding="utf-8")
     for figure in shown.figures:
         (documents / figure).unlink(missing_ok=True)
         if f"](figures/{figure})" in report:
@@ -79,7 +70,7 @@ def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
         shutil.copyfile(out / record, documents / record)
     lines = report.replace("](figures/", "](").splitlines()
     kept = [line for line in lines if not line.startswith("![") or line.split("](")[1].rstrip(")") in shown.figures]
-    (documents / shown.file).write_text("\n".join(kept) + "\n", encoding="utf-8")
+    (documents / name).write_text("\n".join(kept) + "\n", encoding="utf-8")
 
 
 def sections(shown: ShownReport, report: str) -> dict[str, str]:
@@ -117,13 +108,13 @@ def with_report(shown: ShownReport, document: str, report: str) -> str:
 
 
 def update(out: Path) -> None:
-    """Update docs/NAME and the page of the report in `out`, a folder called NAME; raises ConfigError otherwise."""
-    shown = next((one for one in SHOWN if one.name == out.name), None)
+    """Update docs/NAME and the page of the report in `out`; raises ConfigError if there is none."""
+    shown = next((one for one in SHOWN if (out / f"{one.name}.md").is_file()), None)
     if shown is None:
-        raise ConfigError(f"{out}: name the folder as one of {', '.join(one.name for one in SHOWN)}")
+        raise ConfigError(f"{out}: no report of {', '.join(one.name for one in SHOWN)}")
     folder = Path("docs") / shown.name
     copy_report(shown, out, folder)
-    report, page = (folder / shown.file).read_text(encoding="utf-8"), Path("docs") / shown.page
+    report, page = (folder / f"{shown.name}.md").read_text(encoding="utf-8"), Path("docs") / shown.page
     page.write_text(with_report(shown, page.read_text(encoding="utf-8"), report), encoding="utf-8")
 
 

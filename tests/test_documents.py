@@ -75,7 +75,7 @@ def test_a_page_shows_the_committed_report(shown):
     """The README for `bench`, for the other studies their pages."""
     page = (ROOT / "docs" / shown.page).read_text(encoding="utf-8")
     assert f"<!-- {shown.name}" in page
-    report = (ROOT / "docs" / shown.name / shown.file).read_text(encoding="utf-8")
+    report = (ROOT / "docs" / shown.name / f"{shown.name}.md").read_text(encoding="utf-8")
     assert with_report(shown, page, report) == page
 
 

@@ -45,7 +45,7 @@ def test_the_default_is_a_peer_and_three_models_four_trajectories_five_seeds_and
     assert set(chosen.models) == {"kinematic", "mbm", "sm", "ssm"}
     assert set(chosen.trajectories) == {"circle", "square", "s", "cane"}
     assert len(chosen.seeds) == 5
-    assert chosen.horizons == (5, 10, 15, 20, 30, 50)
+    assert chosen.horizons == (5, 10, 20, 30, 50)
 
 
 def test_a_horizon_case_that_is_a_main_case_runs_once() -> None:

@@ -42,9 +42,9 @@ SPEED_TRAJECTORIES, SPEED_SEEDS = ("circle", "s"), 1
 """What is driven at these speeds, and with how many of the seeds."""
 SWEPT_TRAJECTORIES = ("s", "cane")
 """Over which horizons are swept in a bench without options: the others show the same."""
-LATE_TICKS, LATE_TRAJECTORY = (-3, -2, 0, 2, 4), "s"
+LATE_TICKS, LATE_TRAJECTORY = (-2, 0, 2, 4), "s"
 """By how many samples the plant's dead time is longer than the configured one, and what is driven there."""
-OTHER_SEEDS = (10, 11, 12)
+OTHER_SEEDS = (10, 11)
 """Seeds over which the order of the controllers is looked at once more."""
 
 _DIMENSIONS: dict[str, Any] = {
