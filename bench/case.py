@@ -26,7 +26,7 @@ MOST_SEEDS = 10_000
 COMPARED = (("pursuit+slip", NO_MODEL), ("mpc", "kinematic"), ("mpc", "mbm"), ("mpc", "sm"), ("mpc", "ssm"))
 """Controllers, each with its model, that `bench` compares without options: the one place to name another."""
 HORIZONS = (5, 10, 20, 30, 50)
-"""Horizons that `bench` sweeps without options, for each model over all trajectories with the first seed [steps]."""
+"""Horizons that `bench` sweeps without options, for each model with the first seed [steps]."""
 
 
 def split_names(text: str, option: str) -> tuple[str, ...]:

@@ -159,3 +159,9 @@ def arc_function() -> ca.Function:
 def wrap_angle(angle: ArrayLike) -> FloatArray:
     """Wrap angles [rad] into [-pi, pi)."""
     return np.asarray((np.asarray(angle, dtype=float) + np.pi) % (2 * np.pi) - np.pi)
+
+
+def ahead_and_left(gap: FloatArray, heading: ArrayLike) -> tuple[Any, Any]:
+    """The first two of `gap` (..., 2 or more) [m] in a frame turned by `heading` (...) [rad]: ahead and to the left."""
+    c, s = np.cos(heading), np.sin(heading)
+    return c * gap[..., 0] + s * gap[..., 1], c * gap[..., 1] - s * gap[..., 0]

@@ -22,13 +22,12 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
-from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.problem.formulas import SLOW
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
-# Slower than this a robot cannot be moved across its path by its heading [m/s], as in `mpc.problem.formulas.aim`.
-_SLOW = 0.1
 # Share of the only lap that is trusted: what differs from lap to lap is not known yet.
 _FIRST_TRUST = 0.5
 # Over how much time power and variance are averaged, in times of smoothing.
@@ -194,7 +193,7 @@ class Rehearsal:
         near = np.interp(at, self.time, expected[:, 2])
         theta = self._undrifted(omega, at, near + wrap_angle(seen[:, 2] - near))
         moved = [self._undrifted(v * np.cos(theta), at, seen[:, 0]), self._undrifted(v * np.sin(theta), at, seen[:, 1])]
-        return _turned(np.column_stack(moved) - expected[:, :2], -expected[:, 2])
+        return np.column_stack(ahead_and_left(np.column_stack(moved) - expected[:, :2], expected[:, 2]))
 
     def _undrifted(self, rate: FloatArray, at: FloatArray, seen: FloatArray) -> FloatArray:
         """The integral of `rate` (n,), moved onto what was `seen` (m,) at the times `at` (m,)."""
@@ -218,7 +217,7 @@ class Rehearsal:
         moved = moved * min(1.0, settings.largest_speed / max(rate, settings.largest_speed))
         v = reference.sample(self.time).twist[:, 0]
         # Along the moved path; a robot that stands or turns on the spot cannot follow to the side.
-        turned = np.gradient(moved[:, 1], step) * v / (v**2 + _SLOW**2)
+        turned = np.gradient(moved[:, 1], step) * v / (v**2 + SLOW**2)
         return np.column_stack([moved, np.clip(turned, -settings.largest_heading, settings.largest_heading)])
 
 
@@ -226,13 +225,7 @@ def corrected(reference: Reference, time: FloatArray, correction: FloatArray) ->
     """`reference` moved by `correction` (n, 3) along and across itself [m] and turned [rad] at the times (n,) [s]."""
     given = reference.sample(time)
     heading, (v, omega) = given.pose[:, 2], given.twist.T
-    change = np.column_stack([_turned(correction[:, :2], heading), correction[:, 2]])
+    change = np.column_stack([*ahead_and_left(correction, -heading), correction[:, 2]])
     rate = np.column_stack([v * np.cos(heading), v * np.sin(heading), omega])
     rate += np.gradient(change, time[1] - time[0], axis=0)
     return SplineTrajectory.through(reference.name, time, given.pose + change, rate)
-
-
-def _turned(rows: FloatArray, angle: FloatArray) -> FloatArray:
-    """Rows (n, 2) of x, y turned by an angle (n,) each."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.column_stack([cos * rows[:, 0] - sin * rows[:, 1], sin * rows[:, 0] + cos * rows[:, 1]])

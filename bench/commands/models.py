@@ -73,7 +73,6 @@ def calibrate(
     """Fit the simulated robot's firmware so that the published SSM predicts what it measures."""
     from diffdrive_mpc.bench.model_report import calibration_table, neighbours_table  # noqa: PLC0415
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
-    from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.calibration import calibrate as fit_firmware  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.calibration import neighbour_errors  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.twin_parameters import FIRMWARE_FILE, load_firmware  # noqa: PLC0415
@@ -90,7 +89,7 @@ def calibrate(
     output_console().print(calibration_table(firmware).rich())
     better = [name for name, errors in around.items() if min(errors) <= 1.0]
     if better:
-        raise ConfigError(f"firmware.yaml: another value of {', '.join(better)} fits better: run make calibrate")
+        raise ValueError(f"firmware.yaml: another value of {', '.join(better)} fits better: run make calibrate")
 
 
 @models_app.command(epilog="Example: diffdrive-mpc models truths --quick")

@@ -14,10 +14,10 @@ import numpy as np
 from pydantic import Field
 
 from diffdrive_mpc.bench.peers import PeerStep
-from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Delayed, Gains, NotNegative, Sight, ahead_and_left
+from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Delayed, Gains, NotNegative, Sight
 from diffdrive_mpc.models.checked_yaml import load_checked
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
-from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
 from diffdrive_mpc.models.robot import Robot, load_robot
 
 

@@ -10,16 +10,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from diffdrive_mpc.bench.peers.tracking_peer import (
-    STANDING,
-    AboveZero,
-    Delayed,
-    Gains,
-    NotNegative,
-    Sight,
-    ahead_and_left,
-)
+from diffdrive_mpc.bench.peers.tracking_peer import STANDING, AboveZero, Delayed, Gains, NotNegative, Sight
 from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.models.pose import ahead_and_left
 
 _STATES = 6
 _MOST_INTEGRAL = 0.1

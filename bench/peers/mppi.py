@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Delayed, Gains, NotNegative, Sight, ahead_and_left
+from diffdrive_mpc.bench.peers.tracking_peer import AboveZero, Delayed, Gains, NotNegative, Sight
 from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.models.pose import ahead_and_left
 
 Floats32 = NDArray[np.float32]
 SAMPLES, STEPS = 1000, 25

@@ -18,7 +18,7 @@ from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, M
 from diffdrive_mpc.models.checked_yaml import StrictModel, check, read_yaml
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.load import load_model
-from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
 from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.schema import Limits
 from diffdrive_mpc.mpc.estimation.slip import Slip
@@ -39,12 +39,6 @@ class Gains(StrictModel):
     """What is tuned of a peer: the gains of its law, and how far ahead it acts."""
 
     lead: NotNegative = Field(0.0, description="the law acts on the pose so far ahead [s]")
-
-
-def ahead_and_left(gap: FloatArray, heading: float) -> tuple[Any, Any]:
-    """The first two of `gap` (..., 2 or more) [m] in a frame turned by `heading` [rad]: ahead and to the left."""
-    c, s = np.cos(heading), np.sin(heading)
-    return c * gap[..., 0] + s * gap[..., 1], c * gap[..., 1] - s * gap[..., 0]
 
 
 @dataclass(frozen=True, slots=True)

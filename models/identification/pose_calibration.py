@@ -19,7 +19,7 @@ from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.doubts import badly_known
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.statistics import residual_scale, sandwich, spike_weights
-from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
 
 _FEWEST_WINDOWS = 20
 _ROUNDS = 6
@@ -198,9 +198,9 @@ def _of_record(record: Record, name: Literal["wheels", "yaw_rate"], pose_lag: fl
     rows = np.array(starts, dtype=np.int64)
     cut = mean[rows[:, None] - lag + np.arange(steps)]
     first, last = pose[rows], pose[rows + steps]
-    c, s = np.cos(first[:, 2]), np.sin(first[:, 2])
-    x, y, turned = (last - first).T
-    return PoseWindows(record.dt, cut, np.column_stack([c * x + s * y, c * y - s * x, wrap_angle(turned)]))
+    moved = last - first
+    displacement = np.column_stack([*ahead_and_left(moved, first[:, 2]), wrap_angle(moved[:, 2])])
+    return PoseWindows(record.dt, cut, displacement)
 
 
 @dataclass(frozen=True)

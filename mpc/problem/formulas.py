@@ -45,8 +45,8 @@ _SHAPES = {
 }
 
 
-# Slower than this a robot cannot make up for a lateral speed by its heading [m/s].
-_SLOW = 0.1
+SLOW = 0.1
+"""Slower than this a robot cannot make up for a lateral speed by its heading [m/s]."""
 
 
 def body_twist(y: ca.SX, slip: ca.SX) -> ca.SX:
@@ -100,7 +100,7 @@ def aim(pose: ca.SX, twist: ca.SX, slip: ca.SX) -> ca.SX:
     To hold its path in a curve a robot that slips to the side must lead it by the angle of its lateral speed.
     """
     v, omega = ca.vertsplit(twist)
-    sideways = slip[4] + slip[5] * v / (v**2 + _SLOW**2)
+    sideways = slip[4] + slip[5] * v / (v**2 + SLOW**2)
     return ca.vertcat(pose, pose[2] + ca.atan(sideways * omega))
 
 

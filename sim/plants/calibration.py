@@ -87,7 +87,7 @@ def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | No
     """
     parameters = load_calibration_parameters()
     firmware = firmware or load_firmware()
-    target = load_model(parameters.target).discretise(load_robot().sample_time)
+    target = _target()
     fits = []
     for seed in seeds or parameters.held_out_seeds:
         for smooth in (True, False):
@@ -189,10 +189,15 @@ def _drive(firmware: Firmware, seed: int, smooth: bool) -> Drive:
     )
 
 
+@cache
+def _target() -> DiscreteModel:
+    return load_model(load_calibration_parameters().target).discretise(load_robot().sample_time)
+
+
 def _error(firmware: Firmware) -> float:
     """Error energy of the target on the drives of the calibration."""
     parameters = load_calibration_parameters()
-    target = load_model(parameters.target).discretise(load_robot().sample_time)
+    target = _target()
     return sum(_squared_error(_drive(firmware, seed, smooth=True), target) for seed in parameters.seeds)
 
 

@@ -12,6 +12,7 @@ from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.rehearsal import corrected
+from diffdrive_mpc.mpc.ros.control_loop import ControlLoop
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.moved import starting_at
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
@@ -177,14 +178,13 @@ def test_false_poses_teach_nothing():
 
 
 def test_the_node_takes_each_start_of_the_same_reference_for_a_lap():
-    control_loop = pytest.importorskip("diffdrive_mpc.mpc.ros.control_loop")
     topic = SimpleNamespace(fault=lambda *_: "", age=lambda _: 0.0)
     inbox = SimpleNamespace(now=0.0, odometry=topic, newest_pose=None)
     settings = SimpleNamespace(
         statistics_window=10, drive_on_activate=True, start_at_robot=True, use_pose_topic=False, odom_timeout=1.0,
         blocked_timeout=9.0,
     )  # fmt: skip
-    loop = control_loop.ControlLoop(controller(), settings, inbox, BEND, in_sim_time=True)
+    loop = ControlLoop(controller(), settings, inbox, BEND, in_sim_time=True)
     robot, said = IdealRobot(load_model("ssm").discretise(DT), np.zeros(3)), []
     for _ in range(2):
         for _ in range(int(BEND.duration / DT) + 130):

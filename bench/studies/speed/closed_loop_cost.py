@@ -7,7 +7,7 @@ from dataclasses import astuple
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.estimation.slip import Slip
@@ -84,10 +84,8 @@ def _fed_forward(ahead: FeedForward, twist: FloatArray, n: int) -> FloatArray:
 
 def _in_path(pose: FloatArray, reference: FloatArray) -> FloatArray:
     """(n, 3) errors along, across and in heading."""
-    error, theta = pose - reference, reference[:, 2]
-    c, s = np.cos(theta), np.sin(theta)
-    along, across = c * error[:, 0] + s * error[:, 1], c * error[:, 1] - s * error[:, 0]
-    return np.column_stack([along, across, wrap_angle(error[:, 2])])
+    error = pose - reference
+    return np.column_stack([*ahead_and_left(error, reference[:, 2]), wrap_angle(error[:, 2])])
 
 
 def _soft_values(twist: FloatArray, across: FloatArray, config: ControllerConfig) -> FloatArray:

@@ -16,6 +16,7 @@ from diffdrive_mpc.bench.peers.known_plant import know_plant
 from diffdrive_mpc.bench.studies.tracking.plan import BOUND, TrackingPlan
 from diffdrive_mpc.bench.studies.tracking.settings import TrackingSettings, load_targets
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.pose import ahead_and_left
 from diffdrive_mpc.sim import Metrics, Run, make_plant, simulate
 from diffdrive_mpc.sim.metrics.metrics import steady_arc_lateral, steady_arcs
 from diffdrive_mpc.sim.metrics.recovery import Recovery
@@ -120,8 +121,7 @@ def reduce_run(case: Case, run: Run) -> ReducedOutcome:
     """Keep of `run` what the study needs."""
     counted = np.flatnonzero(run.counted)
     offset = (run.true_pose - run.reference_pose)[counted]
-    theta = run.reference_pose[counted, 2]
-    c, s = np.cos(theta), np.sin(theta)
+    along, across = ahead_and_left(offset, run.reference_pose[counted, 2])
     steady = np.zeros(len(run.time), dtype=bool)
     for ticks in steady_arcs(run):
         steady[ticks] = True
@@ -134,8 +134,8 @@ def reduce_run(case: Case, run: Run) -> ReducedOutcome:
         arcs=tuple(float(value) for value in steady_arc_lateral(run)),
         late_lateral_m=float(np.max(np.abs(run.errors.lateral[late]), initial=0.0)),
         time=run.time[counted],
-        along=c * offset[:, 0] + s * offset[:, 1],
-        across=c * offset[:, 1] - s * offset[:, 0],
+        along=along,
+        across=across,
         steady=steady[counted],
     )
 
