@@ -284,6 +284,34 @@ static int follow(ddmpc_controller *c, const ddmpc_input *input)
     return stray.outside || !(stray.late <= R(1.0)) ? DDMPC_NEEDS_TARGET : track(c);
 }
 
+/* `reason`, and whether poses come but are too old. */
+static unsigned int missing(const ddmpc_controller *c, unsigned int reason)
+{
+    return c->estimator.too_old > 0.0 ? reason | DDMPC_POSES_TOO_OLD : reason;
+}
+
+/* Say whether poses come too seldom or too late for max_pose_age. */
+static void report_rate(ddmpc_controller *c)
+{
+    const ddmpc_estimator *estimator = &c->estimator;
+    c->result.pose_interval = (real)estimator->pose_interval;
+    c->result.pose_latency = (real)(estimator->too_old > 0.0 ? estimator->too_old : estimator->pose_latency);
+    if (estimator->rare)
+        c->result.reasons |= DDMPC_POSES_RARE;
+}
+
+/* Whether the last accepted pose is too old, or will be before the next: to drive from one to the other is to lurch. */
+static int has_old_pose(ddmpc_controller *c)
+{
+    const ddmpc_estimator *estimator = &c->estimator;
+    const int rare = estimator->rare;
+    /* Where poses are rare that is said, and their age only when none comes at all. */
+    const ddmpc_time usual = rare ? estimator->pose_interval + estimator->pose_latency : 0.0;
+    if (*c->result.estimate.pose_age > c->constants->max_pose_age + (real)usual)
+        c->result.reasons |= missing(c, DDMPC_OLD_POSE);
+    return rare || c->result.reasons & DDMPC_OLD_POSE;
+}
+
 static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
 {
     ddmpc_result *result = &c->result;
@@ -294,10 +322,11 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     ddmpc_estimator_advance(c, t);
     const int state = ddmpc_estimator_update(c, t, input);
     ddmpc_monitor_report(c);
+    report_rate(c);
     if (input->request != DDMPC_DRIVE)
         return brake(c, DDMPC_HELD, input->request == DDMPC_STOP_AS_FAILURE);
     if (!(state & READY))
-        return brake(c, DDMPC_NO_POSE, 1);
+        return brake(c, missing(c, DDMPC_NO_POSE), 1);
     if ((state & MOVED) && !restart_elsewhere(c))
         return brake(c, DDMPC_ELSEWHERE, 1);
     take_estimate(c);
@@ -309,8 +338,8 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     }
     if (result->reasons & DDMPC_POSE_ACCUSED)
         return brake(c, 0, 1);
-    if (*result->estimate.pose_age > c->constants->max_pose_age)
-        return brake(c, DDMPC_OLD_POSE, 1);
+    if (has_old_pose(c))
+        return brake(c, 0, 1);
     if (c->latched)
         return brake(c, DDMPC_LATCHED, 1);
     if (is_finished(c, input->reference_time)) {
