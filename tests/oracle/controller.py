@@ -86,7 +86,9 @@ class OracleController:
         if not config.compensation.dead_time:
             self.model = replace(self.model, dead_time=np.zeros(2))
         self.sampled_model = self.model.discretise(config.sample_time)
-        self.estimator = StateEstimator(self.sampled_model, config.estimator, config.compensation, config.wheels)
+        self.estimator = StateEstimator(
+            self.sampled_model, config.estimator, config.compensation, config.wheels, config.failure.max_pose_age
+        )
         self.feed_forward = FeedForward(self.model, config.sample_time, config.horizon)
         self.ahead = np.arange(self.feed_forward.samples) * config.sample_time
         self.pursuit = Pursuit(config, self._stray)
@@ -184,9 +186,12 @@ class OracleController:
         notes += estimator.correct_sent(measurement.sent, self._largest())
         estimator.advance(t)
         notes += estimator.update(t, measurement)
+        rate = estimator.rate
+        notes += rate.words()
         if hold is not None:
             return self._brake(notes, hold.reason, failure=hold.failure)
         if not estimator.ready:
+            notes += rate.missing()
             return self._brake(notes, "no pose has arrived yet")
         if estimator.moved and not self._restart():
             return self._brake(notes, "poses agree that the robot is somewhere else")
@@ -194,8 +199,11 @@ class OracleController:
         if not np.isfinite(estimate.pose).all():
             estimator.forget()
             return self._brake(notes, "the estimate is not finite; it starts anew")
-        if estimate.pose_age > failure.max_pose_age:
+        if estimate.pose_age > failure.max_pose_age + rate.usual_age:
+            notes += rate.missing()
             return self._brake(notes, f"no pose was accepted for {estimate.pose_age:.2f} s")
+        if rate.rare:
+            return self._brake(notes)
         if self.latched:
             return self._brake(notes, "stopped after a failure; call start or reset to drive on")
         if self._at_the_end(estimate, reference_time, notes):
