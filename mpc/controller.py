@@ -290,7 +290,7 @@ class Controller:
         """Go on where the robot is off its path or its time: what it is to track now, in C and in words."""
         tick = self._tick
         estimate = Estimate(tick.layout, tick.layout.copy(), self._c_result.estimate.time)
-        target = self._pursuit.target(since_start, reference_time, estimate, self._ahead)
+        target = self._pursuit.target(since_start, reference_time, estimate, self._ahead, self._c_result.reach)
         self._blocked_for = 0.0
         if isinstance(target, TooFar):
             return tick.lib.ddmpc_too_far(self._c, target.distance), ""

@@ -246,6 +246,7 @@ typedef struct {
     ddmpc_report solver;
     ddmpc_time solve_time; /* to linearise, condense and solve, a backend's not counted; NaN: nothing was solved [s] */
     real distance;   /* [m], see DDMPC_TOO_FAR */
+    real reach;      /* speed of the faster wheels at which they fall short of what is asked; infinity: none [m/s] */
     ddmpc_time gap;  /* since the last tick [s] */
     ddmpc_estimate estimate;
     /* The plan that the command comes from. */

@@ -6,6 +6,14 @@
 #include "clock.h"
 #include "internal.h"
 
+/* Wheels fall short by this share and speed [m/s], for so long [s]; below the share HELD they are held, not short. */
+#define SHORT R(0.08)
+#define LEAST_SHORT R(0.04)
+#define SHORT_FOR 0.2
+#define HELD R(0.3)
+/* What they reach is believed to grow again by this share [1/s]. */
+#define REGAIN R(0.05)
+
 static void forget(ddmpc_controller *c)
 {
     ddmpc_estimator_forget(c);
@@ -13,6 +21,8 @@ static void forget(ddmpc_controller *c)
     c->has_last_tick = c->has_leap = 0;
     c->plan_age = -1;
     c->has_result = c->has_driven = c->latched = c->finished = 0;
+    c->reach = c->rim_reach = (real)HUGE_VAL;
+    c->short_for = 0.0;
     c->pending = DDMPC_DONE;
 }
 
@@ -266,6 +276,54 @@ static int track(ddmpc_controller *c)
     return pending == DDMPC_NEEDS_BACKEND ? pending : use(c);
 }
 
+/* Speeds of the right and left wheels at the rim for a twist of the body. */
+static void rims(const ddmpc_controller *c, const real *twist, real rim[2])
+{
+    real parameters[SLIP + 1], value[SHIPPED_SOFT];
+    const real nowhere[4] = {R(0.0), R(0.0), R(0.0), R(0.0)};
+    const real *arguments[5] = {nowhere, twist, 0, nowhere, parameters};
+    real *results[2] = {value, 0};
+    memcpy(parameters, c->result.estimate.mean + STATES(c), SLIP * sizeof(real));
+    parameters[SLIP] = c->constants->half_track;
+    ddmpc_f_soft(arguments, results, 0, 0, 0);
+    rim[0] = value[2];
+    rim[1] = value[3];
+}
+
+/* Wheels that stay behind what their reference asks for are at the end of their speed: an offset or a gain would have
+ * been made up for. What they reach is learned, and slowly forgotten. */
+static void watch_wheels(ddmpc_controller *c)
+{
+    const ddmpc_constants *k = c->constants;
+    const real dt = (real)k->sample_time, *wanted = c->reference_twist + 2;
+    real is[2], asked[2], worst = R(0.0);
+    int side = -1;
+    if (c->plan_age == 0) {
+        rims(c, c->result.estimate.twist, is);
+        rims(c, wanted, asked);
+        for (int i = 0; i < 2; i++) {
+            const real most = ddmpc_fabs(asked[i]), along = asked[i] < R(0.0) ? -is[i] : is[i], lacks = most - along;
+            /* One that hardly turns is held, or dead. */
+            if (along > HELD * most && lacks > SHORT * most && lacks > LEAST_SHORT && lacks > worst) {
+                worst = lacks;
+                side = i;
+            }
+        }
+    }
+    c->short_for = side < 0 ? 0.0 : c->short_for + k->sample_time;
+    if (side >= 0 && c->short_for > SHORT_FOR) {
+        const real share = ddmpc_fabs(is[side] / asked[side]);
+        c->rim_reach = ddmpc_fabs(is[side]);
+        c->reach = share * (ddmpc_fabs(wanted[0]) + k->half_track * ddmpc_fabs(wanted[1]));
+    } else {
+        c->rim_reach *= R(1.0) + REGAIN * dt;
+        c->reach *= R(1.0) + REGAIN * dt;
+    }
+    if (!(c->rim_reach < k->soft_upper[2]))
+        c->reach = c->rim_reach = (real)HUGE_VAL;
+    c->result.reach = c->reach;
+}
+
 /* Follow the reference where the robot is on its path and on time; otherwise somebody has to say what to do. */
 static int follow(ddmpc_controller *c, const ddmpc_input *input)
 {
@@ -281,7 +339,7 @@ static int follow(ddmpc_controller *c, const ddmpc_input *input)
     }
     const ddmpc_stray stray = ddmpc_stray_from(c, c->reference_pose, c->reference_twist);
     /* Before its start the reference rests, and the robot with it. */
-    return stray.outside || !(stray.late <= R(1.0)) ? DDMPC_NEEDS_TARGET : track(c);
+    return stray.outside || !(stray.late <= R(1.0)) || isfinite(c->reach) ? DDMPC_NEEDS_TARGET : track(c);
 }
 
 /* `reason`, and whether poses come but are too old. */
@@ -342,6 +400,7 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
         return brake(c, 0, 1);
     if (c->latched)
         return brake(c, DDMPC_LATCHED, 1);
+    watch_wheels(c);
     if (is_finished(c, input->reference_time)) {
         ramp(c);
         result->mode = DDMPC_FINISHED;
