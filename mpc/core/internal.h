@@ -230,7 +230,6 @@ struct ddmpc_controller {
     int has_reference, has_result, has_driven, latched, finished, pending;
     real share;
     real reach, rim_reach; /* see `watch_wheels`: without slip, and of the wheels at their rim [m/s] */
-    ddmpc_time short_for;  /* for how long wheels have fallen short [s] */
     real *parameters;     /* [N+1][P] */
     real *reference_pose; /* [SAMPLES][3] */
     real *reference_twist; /* [SAMPLES][2] */

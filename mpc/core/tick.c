@@ -6,7 +6,8 @@
 #include "clock.h"
 #include "internal.h"
 
-/* Wheels fall short by this share and speed [m/s], for so long [s]; below the share HELD they are held, not short. */
+/* Wheels fall short by this share and speed [m/s] of what they were asked for so long [s]; below the share HELD they are
+   held, not short. */
 #define SHORT R(0.08)
 #define LEAST_SHORT R(0.04)
 #define SHORT_FOR 0.2
@@ -22,7 +23,6 @@ static void forget(ddmpc_controller *c)
     c->plan_age = -1;
     c->has_result = c->has_driven = c->latched = c->finished = 0;
     c->reach = c->rim_reach = (real)HUGE_VAL;
-    c->short_for = 0.0;
     c->pending = DDMPC_DONE;
 }
 
@@ -290,30 +290,49 @@ static void rims(const ddmpc_controller *c, const real *twist, real rim[2])
     rim[1] = value[3];
 }
 
-/* Wheels that stay behind what their reference asks for are at the end of their speed: an offset or a gain would have
- * been made up for. What they reach is learned, and slowly forgotten. */
+/* The least that the commands since a while before their lag have asked of each wheel, in the direction of the newest. */
+static void asked_for(const ddmpc_controller *c, real least[2])
+{
+    const real *G = c->constants->inverse_gain, det = G[0] * G[3] - G[1] * G[2];
+    const int lag = LAG(c, 0) > LAG(c, 1) ? LAG(c, 0) : LAG(c, 1);
+    const int since = lag + (int)(SHORT_FOR / c->constants->sample_time), most = COMMANDS(c) - 1;
+    for (int ago = 0; ago <= since && ago <= most; ago++) {
+        const real *u = c->estimator.commands + 2 * (most - ago);
+        const real twist[2] = {(G[3] * u[0] - G[1] * u[1]) / det, (G[0] * u[1] - G[2] * u[0]) / det};
+        real rim[2];
+        rims(c, twist, rim);
+        for (int i = 0; i < 2; i++) {
+            if (ago == 0)
+                least[i] = rim[i];
+            else if (ddmpc_fabs(rim[i]) < ddmpc_fabs(least[i]) || rim[i] * least[i] < R(0.0))
+                least[i] = rim[i] * least[i] < R(0.0) ? R(0.0) : rim[i];
+        }
+    }
+}
+
+/* Wheels that stay behind what both reference and commands ask of them are at the end of their speed, or of their
+ * force. What they reach is learned, and slowly forgotten. */
 static void watch_wheels(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
     const real dt = (real)k->sample_time, *wanted = c->reference_twist + 2;
-    real is[2], asked[2], worst = R(0.0);
-    int side = -1;
+    real is[2], by_reference[2], by_command[2], worst = R(0.0), share = R(1.0);
     if (c->plan_age == 0) {
         rims(c, c->result.estimate.twist, is);
-        rims(c, wanted, asked);
+        rims(c, wanted, by_reference);
+        asked_for(c, by_command);
         for (int i = 0; i < 2; i++) {
-            const real most = ddmpc_fabs(asked[i]), along = asked[i] < R(0.0) ? -is[i] : is[i], lacks = most - along;
+            const real sign = by_reference[i] < R(0.0) ? R(-1.0) : R(1.0), along = sign * is[i];
+            const real asked = ddmpc_min(sign * by_reference[i], sign * by_command[i]), lacks = asked - along;
             /* One that hardly turns is held, or dead. */
-            if (along > HELD * most && lacks > SHORT * most && lacks > LEAST_SHORT && lacks > worst) {
+            if (along > HELD * asked && lacks > SHORT * asked && lacks > LEAST_SHORT && lacks > worst) {
                 worst = lacks;
-                side = i;
+                share = along / (sign * by_reference[i]);
+                c->rim_reach = along;
             }
         }
     }
-    c->short_for = side < 0 ? 0.0 : c->short_for + k->sample_time;
-    if (side >= 0 && c->short_for > SHORT_FOR) {
-        const real share = ddmpc_fabs(is[side] / asked[side]);
-        c->rim_reach = ddmpc_fabs(is[side]);
+    if (worst > R(0.0)) {
         c->reach = share * (ddmpc_fabs(wanted[0]) + k->half_track * ddmpc_fabs(wanted[1]));
     } else {
         c->rim_reach *= R(1.0) + REGAIN * dt;
