@@ -290,23 +290,25 @@ static void rims(const ddmpc_controller *c, const real *twist, real rim[2])
     rim[1] = value[3];
 }
 
-/* The least that the commands since a while before their lag have asked of each wheel, in the direction of the newest. */
-static void asked_for(const ddmpc_controller *c, real least[2])
+/* The least that commands have asked of each wheel since a while before their lag, in the directions `sign`; nothing
+ * where that is longer ago than commands are remembered. */
+static void asked_for(const ddmpc_controller *c, const real sign[2], real least[2])
 {
-    const real *G = c->constants->inverse_gain, det = G[0] * G[3] - G[1] * G[2];
-    const int lag = LAG(c, 0) > LAG(c, 1) ? LAG(c, 0) : LAG(c, 1);
-    const int since = lag + (int)(SHORT_FOR / c->constants->sample_time), most = COMMANDS(c) - 1;
-    for (int ago = 0; ago <= since && ago <= most; ago++) {
-        const real *u = c->estimator.commands + 2 * (most - ago);
-        const real twist[2] = {(G[3] * u[0] - G[1] * u[1]) / det, (G[0] * u[1] - G[2] * u[0]) / det};
+    const real *G = c->constants->inverse_gain, determinant = G[0] * G[3] - G[1] * G[2];
+    const int lag = LAG(c, 0) > LAG(c, 1) ? LAG(c, 0) : LAG(c, 1), newest = COMMANDS(c) - 1;
+    const int since = lag + (int)(SHORT_FOR / c->constants->sample_time);
+    if (since > newest) {
+        least[0] = least[1] = R(0.0);
+        return;
+    }
+    for (int ago = 0; ago <= since; ago++) {
+        const real *u = c->estimator.commands + 2 * (newest - ago);
+        const real twist[2] = {(G[3] * u[0] - G[2] * u[1]) / determinant, (G[0] * u[1] - G[1] * u[0]) / determinant};
         real rim[2];
         rims(c, twist, rim);
-        for (int i = 0; i < 2; i++) {
-            if (ago == 0)
-                least[i] = rim[i];
-            else if (ddmpc_fabs(rim[i]) < ddmpc_fabs(least[i]) || rim[i] * least[i] < R(0.0))
-                least[i] = rim[i] * least[i] < R(0.0) ? R(0.0) : rim[i];
-        }
+        for (int i = 0; i < 2; i++)
+            if (ago == 0 || sign[i] * rim[i] < least[i])
+                least[i] = sign[i] * rim[i];
     }
 }
 
@@ -316,18 +318,19 @@ static void watch_wheels(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
     const real dt = (real)k->sample_time, *wanted = c->reference_twist + 2;
-    real is[2], by_reference[2], by_command[2], worst = R(0.0), share = R(1.0);
+    real is[2], by_reference[2], asked_by[2], worst = R(0.0), share = R(1.0);
     if (c->plan_age == 0) {
         rims(c, c->result.estimate.twist, is);
         rims(c, wanted, by_reference);
-        asked_for(c, by_command);
+        const real sign[2] = {by_reference[0] < R(0.0) ? R(-1.0) : R(1.0), by_reference[1] < R(0.0) ? R(-1.0) : R(1.0)};
+        asked_for(c, sign, asked_by);
         for (int i = 0; i < 2; i++) {
-            const real sign = by_reference[i] < R(0.0) ? R(-1.0) : R(1.0), along = sign * is[i];
-            const real asked = ddmpc_min(sign * by_reference[i], sign * by_command[i]), lacks = asked - along;
+            const real along = sign[i] * is[i];
+            const real asked = ddmpc_min(sign[i] * by_reference[i], asked_by[i]), lacks = asked - along;
             /* One that hardly turns is held, or dead. */
             if (along > HELD * asked && lacks > SHORT * asked && lacks > LEAST_SHORT && lacks > worst) {
                 worst = lacks;
-                share = along / (sign * by_reference[i]);
+                share = along / ddmpc_fabs(by_reference[i]);
                 c->rim_reach = along;
             }
         }

@@ -22,6 +22,7 @@ from oracle.clock import TickClock, TickKind
 from oracle.estimate import Estimate
 from oracle.estimator import StateEstimator
 from oracle.problem import TrackingProblem, command_box
+from oracle.reach import WheelReach
 from oracle.solver import solve
 from oracle.tick import FeedForward, begin_tick
 from oracle.trajectories import sampled
@@ -91,6 +92,8 @@ class OracleController:
         )
         self.feed_forward = FeedForward(self.model, config.sample_time, config.horizon)
         self.ahead = np.arange(self.feed_forward.samples) * config.sample_time
+        self.reach = WheelReach(config, self.model.dc_gain, int(self.feed_forward.ahead.max()))
+        self.wanted: FloatArray | None = None
         self.pursuit = Pursuit(config, self._stray)
         self.clock = TickClock(config.sample_time, self.estimator.longest_pause)
         self.reference: Reference | None = None
@@ -103,6 +106,7 @@ class OracleController:
         self.config = config
         self.problem = TrackingProblem(config, self.sampled_model)
         self.pursuit.configure(config)
+        self.reach.most = config.limits.wheel_speed
 
     def start(self, reference: Reference, t0: float) -> None:
         """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`."""
@@ -118,6 +122,7 @@ class OracleController:
 
     def _forget(self) -> None:
         self.estimator.forget()
+        self.reach.restart()
         self.pursuit.restart()
         self.clock.restart()
         self.guess = None
@@ -206,9 +211,11 @@ class OracleController:
             return self._brake(notes)
         if self.latched:
             return self._brake(notes, "stopped after a failure; call start or reset to drive on")
+        followed = self.plan is not None and self.plan_age == 0
+        self.reach.look(estimate.twist, self.wanted if followed else None, estimate.slip, estimator.commands)
         if self._at_the_end(estimate, reference_time, notes):
             return Outcome(self._ramp(), Mode.FINISHED)
-        target = self.pursuit.target(t - self.t0, reference_time, estimate, self.ahead)
+        target = self.pursuit.target(t - self.t0, reference_time, estimate, self.ahead, self.reach.speed)
         if isinstance(target, TooFar):
             limit = failure.max_position_error
             return self._brake(notes, f"{target.distance:.2f} m from the reference; the limit is {limit} m")
@@ -271,6 +278,7 @@ class OracleController:
     def _plan(self, estimate: Estimate, target: Target) -> tuple[Plan | None, SolverStatus]:
         """One real-time iteration: linearise along the shifted plan, solve, keep the plan."""
         config, sample = self.config, target.sample or target.reference.sample(target.time + self.ahead)
+        self.wanted, self.problem.reach = sample.twist[1], self.reach.at_rim
         tick = begin_tick(self.feed_forward, estimate, self.estimator.commands.recent, self.last, sample)
         if self.guess is None:
             box = command_box(config.limits, config.sample_time, self.last, config.horizon)
