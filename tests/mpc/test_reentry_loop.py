@@ -22,7 +22,8 @@ def drive(reference, seconds, *, start=(0.0, 0.0), noise=0.0, false=None, held=N
     """Run the loop with a robot that starts `start` (across [m], turned [rad]) beside the reference.
 
     `false` = (from, to, twist): the base obeys `twist` and nobody says so. `held` = (from, to): it does not move.
-    `move(k, pose)` may put it elsewhere. `base(command)` is what its wheels make of a command. Returns results, true poses and times.
+    `move(k, pose)` may put it elsewhere. `base(command)` is what its wheels make of a command.
+    Returns results, true poses and times.
     """
     exact = {"extra_dead_time.v": 0.0, "extra_dead_time.omega": 0.0}
     controller = Controller(load_config("ssm", exact | overrides))
