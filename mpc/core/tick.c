@@ -303,9 +303,10 @@ static void asked_for(const ddmpc_controller *c, const real sign[2], real least[
     }
     for (int ago = 0; ago <= since; ago++) {
         const real *u = c->estimator.commands + 2 * (newest - ago);
-        const real twist[2] = {(G[3] * u[0] - G[2] * u[1]) / determinant, (G[0] * u[1] - G[1] * u[0]) / determinant};
-        real rim[2];
-        rims(c, twist, rim);
+        const real forward = (G[3] * u[0] - G[2] * u[1]) / determinant;
+        const real turning = c->constants->half_track * (G[0] * u[1] - G[1] * u[0]) / determinant;
+        /* Wheels turn as the model says: the body slips, not they. */
+        const real rim[2] = {forward + turning, forward - turning};
         for (int i = 0; i < 2; i++)
             if (ago == 0 || sign[i] * rim[i] < least[i])
                 least[i] = sign[i] * rim[i];
@@ -341,7 +342,8 @@ static void watch_wheels(ddmpc_controller *c)
         c->rim_reach *= R(1.0) + REGAIN * dt;
         c->reach *= R(1.0) + REGAIN * dt;
     }
-    if (!(c->rim_reach < k->soft_upper[2]))
+    /* Wheels that are not believed say nothing of their reach. */
+    if (!(c->rim_reach < k->soft_upper[2]) || c->result.reasons & DDMPC_WHEELS_ACCUSED)
         c->reach = c->rim_reach = (real)HUGE_VAL;
     c->result.reach = c->reach;
 }

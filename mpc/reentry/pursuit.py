@@ -28,7 +28,7 @@ _MOST_SAMPLES = 5000
 _NOW = np.zeros(1)
 # Share of what the wheels reach that the reference may ask for: the rest is for holding the path. How far ahead it is
 # looked for [s].
-_USABLE, _LOOK = 0.9, 0.6
+_USABLE, _LOOK = 0.85, 0.6
 
 
 class Stray(Protocol):

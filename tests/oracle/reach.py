@@ -42,7 +42,8 @@ class WheelReach:
         if wanted is not None and len(sent) >= self.window:
             by_reference, actual = self._rims(wanted, slip), self._rims(twist, slip)
             sign = np.where(by_reference < 0, -1.0, 1.0)
-            asked = self._rims(self.gain @ sent[-self.window :].T, slip) * sign[:, None]
+            # Wheels turn as the model says: the body slips, not they.
+            asked = self._rims(self.gain @ sent[-self.window :].T, Slip()) * sign[:, None]
             asked = np.minimum(asked.min(axis=1), sign * by_reference)
             along = sign * actual
             for i in (0, 1):
