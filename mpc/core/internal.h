@@ -229,6 +229,7 @@ struct ddmpc_controller {
     int plan_age;         /* ticks since it was made; -1: there is none */
     int has_reference, has_result, has_driven, latched, finished, pending;
     real share;
+    real rim[2];           /* smoothed speeds of the right and left wheels by their encoders [m/s] */
     real reach, rim_reach; /* see `watch_wheels`: without slip, and of the wheels at their rim [m/s] */
     real *parameters;     /* [N+1][P] */
     real *reference_pose; /* [SAMPLES][3] */

@@ -14,6 +14,8 @@
 #define HELD R(0.3)
 /* What they reach is believed to grow again by this share [1/s]. */
 #define REGAIN R(0.05)
+/* Share of a new reading of the encoders in their smoothed speed. */
+#define SMOOTHED R(0.2)
 
 static void forget(ddmpc_controller *c)
 {
@@ -22,6 +24,7 @@ static void forget(ddmpc_controller *c)
     c->has_last_tick = c->has_leap = 0;
     c->plan_age = -1;
     c->has_result = c->has_driven = c->latched = c->finished = 0;
+    c->rim[0] = c->rim[1] = R(0.0);
     c->reach = c->rim_reach = (real)HUGE_VAL;
     c->pending = DDMPC_DONE;
 }
@@ -320,8 +323,13 @@ static void watch_wheels(ddmpc_controller *c)
     const ddmpc_constants *k = c->constants;
     const real dt = (real)k->sample_time, *wanted = c->reference_twist + 2;
     real is[2], by_reference[2], asked_by[2], worst = R(0.0), share = R(1.0);
-    if (c->plan_age == 0) {
-        rims(c, c->result.estimate.twist, is);
+    /* By their encoders: on slippery floors the estimate trusts the gyro more. */
+    const real *read = c->estimator.last_wheels, turning = k->half_track * read[1] / k->wheel_yaw_ratio;
+    for (int i = 0; i < 2; i++) {
+        c->rim[i] += SMOOTHED * (read[0] + (i == 0 ? turning : -turning) - c->rim[i]);
+        is[i] = c->rim[i];
+    }
+    if (c->plan_age == 0 && c->last_tick - c->estimator.wheels_stamp < SHORT_FOR) {
         rims(c, wanted, by_reference);
         const real sign[2] = {by_reference[0] < R(0.0) ? R(-1.0) : R(1.0), by_reference[1] < R(0.0) ? R(-1.0) : R(1.0)};
         asked_for(c, sign, asked_by);
