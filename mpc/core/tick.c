@@ -7,12 +7,15 @@
 #include "internal.h"
 
 /* Wheels fall short by this share and speed [m/s] of what they were asked for so long [s]; below the share HELD they are
-   held, not short. It has to last [s]. */
+   held, not short. */
 #define SHORT R(0.08)
 #define LEAST_SHORT R(0.04)
 #define SHORT_FOR 0.2
 #define HELD R(0.3)
-#define LASTING 0.15
+/* Steady within this share of what was asked about its smoothed speed, and for so long [s]: a wheel that is just being
+   stopped passes by all speeds. */
+#define STEADY R(0.2)
+#define LASTING 0.07
 /* Faster by this than all that was asked lately [m/s]. */
 #define FASTER R(0.1)
 /* What they reach is believed to grow again by this share [1/s]. */
@@ -322,7 +325,7 @@ static int asked_for(const ddmpc_controller *c, const real sign[2], real least[2
 
 /* The wheel that is the furthest short of what both reference (its speeds in `by_reference`) and commands ask; -1: none.
  * An offset or a gain would have been made up for by then. */
-static int short_wheel(const ddmpc_controller *c, const real by_reference[2])
+static int short_wheel(const ddmpc_controller *c, const real by_reference[2], const real read[2])
 {
     const real sign[2] = {by_reference[0] < R(0.0) ? R(-1.0) : R(1.0), by_reference[1] < R(0.0) ? R(-1.0) : R(1.0)};
     real least[2], most[2], worst = R(0.0);
@@ -336,7 +339,8 @@ static int short_wheel(const ddmpc_controller *c, const real by_reference[2])
         if (along > most[i] + FASTER)
             return -1;
         /* One that hardly turns is held, or dead. */
-        if (along > HELD * asked && lacks > SHORT * asked && lacks > LEAST_SHORT && lacks > worst) {
+        if (along > HELD * asked && lacks > SHORT * asked && lacks > LEAST_SHORT && lacks > worst &&
+            ddmpc_fabs(read[i] - c->rim[i]) < STEADY * asked) {
             worst = lacks;
             found = i;
         }
@@ -350,16 +354,16 @@ static void watch_wheels(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
     const real dt = (real)k->sample_time, *wanted = c->reference_twist + 2;
-    const real *read = c->estimator.last_wheels, turning = k->half_track * read[1] / k->wheel_yaw_ratio;
+    const real *wheels = c->estimator.last_wheels, turning = k->half_track * wheels[1] / k->wheel_yaw_ratio;
+    const real read[2] = {wheels[0] + turning, wheels[0] - turning};
     real by_reference[2];
     int found = -1;
     for (int i = 0; i < 2; i++)
-        c->rim[i] += SMOOTHED * (read[0] + (i == 0 ? turning : -turning) - c->rim[i]);
+        c->rim[i] += SMOOTHED * (read[i] - c->rim[i]);
     if (c->plan_age == 0 && c->last_tick - c->estimator.wheels_stamp < SHORT_FOR) {
         rims(c, wanted, by_reference);
-        found = short_wheel(c, by_reference);
+        found = short_wheel(c, by_reference, read);
     }
-    /* A wheel that is just being stopped passes by all speeds. */
     c->short_ticks = found < 0 ? 0 : c->short_ticks + 1;
     if (c->short_ticks * k->sample_time > LASTING) {
         c->rim_reach = ddmpc_fabs(c->rim[found]);

@@ -13,7 +13,17 @@ from oracle.checks import TwistGate
 from oracle.commands import PastCommands
 
 # As in mpc/core/tick.c.
-_SHORT, _LEAST, _FOR, _HELD, _REGAIN, _SMOOTHED, _LASTING, _FASTER = 0.08, 0.04, 0.2, 0.3, 0.05, 0.2, 0.15, 0.1
+_SHORT, _LEAST, _FOR, _HELD, _REGAIN, _SMOOTHED, _STEADY, _LASTING, _FASTER = (
+    0.08,
+    0.04,
+    0.2,
+    0.3,
+    0.05,
+    0.2,
+    0.2,
+    0.07,
+    0.1,
+)
 
 
 class WheelReach:
@@ -53,7 +63,8 @@ class WheelReach:
             by_command = self._rims(self.gain @ sent[-self.window :].T, Slip()) * sign[:, None]
             asked, along = np.minimum(by_command.min(axis=1), sign * by_reference), sign * self.actual
             lacks = asked - along
-            short = (along > _HELD * asked) & (lacks > np.maximum(_SHORT * asked, _LEAST))
+            steady = np.abs(read - self.actual) < _STEADY * asked
+            short = steady & (along > _HELD * asked) & (lacks > np.maximum(_SHORT * asked, _LEAST))
             if short.any() and (along <= by_command.max(axis=1) + _FASTER).all():
                 found = int(np.argmax(np.where(short, lacks, -np.inf)))
         self.ticks = 0 if found is None else self.ticks + 1
