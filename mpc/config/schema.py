@@ -263,6 +263,29 @@ class Rehearsal(Group):
     )
 
 
+class OnlineDeadTime(Group):
+    """The delay between command and answer, learned while driving; see docs/tuning.md."""
+
+    enabled: bool = Field(False, description="learn the dead time while driving [-]")
+    apply: bool = Field(True, description="predict with what was learned; false: only say it [-]")
+    shorter: Annotated[float, Field(ge=0, le=1)] = Field(
+        0.06, description="hard: at most so much shorter than configured, and never below zero [s]"
+    )
+    longer: Annotated[float, Field(ge=0, le=1)] = Field(
+        0.12, description="hard: at most so much longer than configured [s]"
+    )
+    memory: Positive = Field(10.0, description="time of changing motion over which it is averaged [s]")
+    least_change_v: Positive = Field(
+        0.03, description="nothing is learned of v while the model's v changes less over the longest dead time [m/s]"
+    )
+    least_change_omega: Positive = Field(0.1, description="the same of omega [rad/s]")
+    largest_deviation: Positive = Field(0.012, description="what is less certain is not applied [s]")
+    least_difference: Positive = Field(0.01, description="difference from which it is applied [s]")
+    step: Positive = Field(0.02, description="largest change at once [s]")
+    pause: Positive = Field(1.0, description="time from one change to the next [s]")
+    told_from: Positive = Field(0.03, description="difference from the configured dead time that is told [s]")
+
+
 class TermConfig(Group):
     """A function of the user: a residual of the cost, or something with soft limits; see docs/tuning.md."""
 
@@ -301,4 +324,5 @@ class ControllerConfig(Group):
     reentry: Reentry = Reentry()
     finish: Finish = Finish()
     rehearsal: Rehearsal = Rehearsal()
+    online_dead_time: OnlineDeadTime = OnlineDeadTime()
     terms: list[TermConfig] = Field([], description="functions of the user in cost and soft limits [-]")

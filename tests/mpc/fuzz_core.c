@@ -416,7 +416,7 @@ static void disturb(ddmpc_controller *c, const ddmpc_sizes *s, const ddmpc_const
             abort();
         put_at_start(r);
         break;
-    case 3: ddmpc_configure(c, constants + below(2)); break;
+    case 3: ddmpc_configure(c, constants + below(2), s); break;
     case 4:
         for (int i = 0; i < (s->steps + 1) * s->parameters; i++)
             parameters[i] = (real)spoilt(uniform(-1.0, 1.0), 30);
