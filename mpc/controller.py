@@ -107,7 +107,7 @@ class Controller:
         self._predicted = _Predicted.by(chosen, dt)
         self._dead_time = online_dead_time(config, chosen)
         self._window, room = 0, {}
-        if self._dead_time is not None:
+        if self._dead_time is not None and config.online_dead_time.apply:
             longest = self._problem(config, _Predicted.by(self._dead_time.longest, dt)).sizes
             self._window, room = longest["window"], {name: longest[name] for name in ("lag_v", "lag_omega")}
         problem = self._problem(config, self._predicted)

@@ -24,6 +24,7 @@ from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.core.tick import numbers
 from diffdrive_mpc.mpc.step_result import LearnedDeadTime, Mode, StepResult
 
 # Samples by which a reading may be late.
@@ -34,6 +35,8 @@ _ALIKE = 5
 _LEAST_CORRELATION, _LEAST_GAIN, _MOST_GAIN = 0.95, 0.4, 2.5
 # For so long after it was held, blocked or lost nothing is learned [s].
 _RECOVERY = 0.5
+# Dead times are compared up to so far beyond the bound [s].
+_BEYOND = 0.08
 # Ticks from one estimate to the next.
 _EVERY = 5
 
@@ -78,9 +81,9 @@ class DeadTime:
         self.lower = np.maximum(model.dead_time - settings.shorter, 0.0)
         self.upper = model.dead_time + settings.longer
         self.longest = replace(model, dead_time=self.upper)
-        # Whole samples of dead time that are compared, 0 to here: enough for a parabola about the bounds.
-        self._longest = max(int(np.ceil(self.upper.max() / dt)) + 1, 2)
-        self._least_change = np.array([settings.least_change_v, settings.least_change_omega])
+        # Whole samples of dead time that are compared, 0 to here: what is longer than allowed is recognised, too.
+        self._longest = int(np.ceil((self.upper.max() + _BEYOND) / dt)) + 1
+        self._least_change = self._longest * dt * np.array([settings.least_rate_v, settings.least_rate_omega])
         self._keep = np.exp(-dt / settings.memory)
         self.forget()
 
@@ -104,8 +107,9 @@ class DeadTime:
         if abs(gap) < 0.5:  # the same tick again
             self._sent = result.command
             return
-        if measurement.sent is not None and np.isfinite(measurement.sent).all():
-            self._sent = np.asarray(measurement.sent, dtype=float)
+        sent = None if measurement.sent is None else numbers(measurement.sent, 2)
+        if sent is not None and np.isfinite(sent).all():
+            self._sent = sent
         if not 0.0 < gap < len(self._answer):
             # The first tick, or a pause: the robot stands.
             self._state, self._sent = np.zeros_like(self._state), np.zeros(2)
@@ -137,13 +141,12 @@ class DeadTime:
 
     def _add(self, t: float, reading: Stamped, channels: slice) -> None:
         """Add what was read at its stamp to the sums of the channels that change."""
-        late = (t - reading.time) / self._dt
-        if not 0.0 <= late <= _LATEST:
+        late = max((t - reading.time) / self._dt, 0.0)
+        count = channels.stop - channels.start
+        value = numbers(reading.value, 2 if channels.start == 0 else 1)
+        if value is None or not late <= _LATEST:
             return
-        value = np.asarray(reading.value, dtype=float).ravel()
-        if len(value) != channels.stop - channels.start and not (channels.stop == 1 and len(value) == 2):
-            return
-        value = value[: channels.stop - channels.start]
+        value = value[:count]
         whole = max(int(np.ceil(late)), 1)
         newest = len(self._answer) - 1 - whole
         answer = self._answer[newest - self._longest : newest + 2, channels]

@@ -275,10 +275,12 @@ class OnlineDeadTime(Group):
         0.12, description="hard: at most so much longer than configured [s]"
     )
     memory: Positive = Field(10.0, description="time of changing motion over which it is averaged [s]")
-    least_change_v: Positive = Field(
-        0.03, description="nothing is learned of v while the model's v changes less over the longest dead time [m/s]"
+    least_rate_v: Positive = Field(
+        0.15, description="nothing is learned of v while the model's v changes more slowly [m/s^2]"
     )
-    least_change_omega: Positive = Field(0.1, description="the same of omega [rad/s]")
+    least_rate_omega: Positive = Field(
+        0.5, description="nothing is learned of omega while it changes more slowly [rad/s^2]"
+    )
     largest_deviation: Positive = Field(0.012, description="what is less certain is not applied [s]")
     least_difference: Positive = Field(0.01, description="difference from which it is applied [s]")
     step: Positive = Field(0.02, description="largest change at once [s]")
