@@ -84,6 +84,7 @@ class DeadTime:
         # Whole samples of dead time that are compared, 0 to here: what is longer than allowed is recognised, too.
         self._longest = int(np.ceil((self.upper.max() + _BEYOND) / dt)) + 1
         self._least_change = self._longest * dt * np.array([settings.least_rate_v, settings.least_rate_omega])
+        self._largest = np.array([config.estimator.max_wheel_speed, config.estimator.max_yaw_rate])
         self._keep = np.exp(-dt / settings.memory)
         self.forget()
 
@@ -104,7 +105,7 @@ class DeadTime:
         """Learn from the tick at `t` [s]: what arrived, and the command that answers to it."""
         clock, dt = self._clock, self._dt
         gap = (t - clock.tick) / dt
-        if abs(gap) < 0.5:  # the same tick again
+        if abs(gap) < 0.5 or not np.isfinite(t):  # the same tick again, or none
             self._sent = result.command
             return
         sent = None if measurement.sent is None else numbers(measurement.sent, 2)
@@ -114,7 +115,7 @@ class DeadTime:
             # The first tick, or a pause: the robot stands.
             self._state, self._sent = np.zeros_like(self._state), np.zeros(2)
             self._answer[:] = 0.0
-            clock.since_trouble = np.inf if np.isnan(gap) else 0.0
+            clock.since_trouble, clock.changed = np.inf if np.isnan(gap) else 0.0, -np.inf
             gap = 1.0
         for _ in range(round(gap)):
             self._state = self._model.A @ self._state + self._model.drive @ self._sent
@@ -141,18 +142,19 @@ class DeadTime:
 
     def _add(self, t: float, reading: Stamped, channels: slice) -> None:
         """Add what was read at its stamp to the sums of the channels that change."""
-        late = max((t - reading.time) / self._dt, 0.0)
-        count = channels.stop - channels.start
-        value = numbers(reading.value, 2 if channels.start == 0 else 1)
-        if value is None or not late <= _LATEST:
+        stamp, value = numbers(reading.time, 1), numbers(reading.value, 2 if channels.start == 0 else 1)
+        if stamp is None or value is None:
             return
-        value = value[:count]
+        late, value = max((t - float(stamp[0])) / self._dt, 0.0), value[: channels.stop - channels.start]
+        # Not the other way round: NaN must not pass.
+        if not (late <= _LATEST and (np.abs(value) <= self._largest[channels]).all()):
+            return
         whole = max(int(np.ceil(late)), 1)
         newest = len(self._answer) - 1 - whole
         answer = self._answer[newest - self._longest : newest + 2, channels]
         x = (answer[:-1] + (whole - late) * (answer[1:] - answer[:-1]))[::-1]
         changing = np.abs(x[0] - x[-1]) > self._least_change[channels]
-        if not (changing.any() and np.isfinite(value).all()):
+        if not changing.any():
             return
         news = self._news[:, :, channels]
         news[1], news[2], news[3], news[4], news[5] = x, x * x, value, x * value, value * value
