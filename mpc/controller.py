@@ -318,15 +318,14 @@ class Controller:
         self, dead_time: DeadTime, t: float, measurement: Measurement, result: StepResult
     ) -> StepResult:
         """Learn from the tick; where the dead time is another one, prepare to predict with it, a part at a tick."""
-        dead_time.take(t, measurement, result)
-        words = dead_time.advice()
-        if next(self._preparing, self) is self and self._pending is None:
-            wanted = dead_time.wanted(t)
+        words = result.message
+        busy = next(self._preparing, self) is not self or self._pending is not None
+        if dead_time.take(t, measurement, result):
+            wanted = None if busy else dead_time.wanted(t)
             if wanted is not None:
                 self._preparing = self._prepare(wanted)
-                words = "; ".join(filter(None, (words, dead_time.change(wanted))))
-        message = "; ".join(filter(None, (result.message, words)))
-        return replace(result, message=message, dead_time=dead_time.found)
+            words = "; ".join(filter(None, (words, dead_time.advice(), dead_time.change(wanted))))
+        return replace(result, message=words, dead_time=dead_time.found)
 
     def _prepare(self, dead_time: FloatArray) -> Iterator[None]:
         """Prepare another dead time (2,) [s]: all at once would take a part of a tick that others need."""

@@ -15,6 +15,7 @@ in lag looks like dead time, and is meant to: the whole lag is what a prediction
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,7 +39,7 @@ _RECOVERY = 0.5
 # Dead times are compared up to so far beyond the bound [s].
 _BEYOND = 0.08
 # Ticks from one estimate to the next.
-_EVERY = 5
+_EVERY = 10
 
 
 @dataclass
@@ -78,13 +79,14 @@ class DeadTime:
         self._settings, self._dt = settings, dt
         self.used = self._configured = model.dead_time
         self._model = replace(model, dead_time=np.zeros(2)).discretise(dt)
+        self._drive = self._model.drive
         self.lower = np.maximum(model.dead_time - settings.shorter, 0.0)
         self.upper = model.dead_time + settings.longer
         self.longest = replace(model, dead_time=self.upper)
         # Whole samples of dead time that are compared, 0 to here: what is longer than allowed is recognised, too.
         self._longest = int(np.ceil((self.upper.max() + _BEYOND) / dt)) + 1
         self._least_change = self._longest * dt * np.array([settings.least_rate_v, settings.least_rate_omega])
-        self._largest = np.array([config.estimator.max_wheel_speed, config.estimator.max_yaw_rate])
+        self._largest = (config.estimator.max_wheel_speed, config.estimator.max_yaw_rate)
         self._keep = np.exp(-dt / settings.memory)
         self.forget()
 
@@ -101,13 +103,13 @@ class DeadTime:
         self._told = np.zeros(2, dtype=bool)
         self.found = LearnedDeadTime(unknown, unknown, self.used)
 
-    def take(self, t: float, measurement: Measurement, result: StepResult) -> None:
-        """Learn from the tick at `t` [s]: what arrived, and the command that answers to it."""
+    def take(self, t: float, measurement: Measurement, result: StepResult) -> bool:
+        """Learn from the tick at `t` [s]: what arrived, and what answers to it; returns if `found` is new."""
         clock, dt = self._clock, self._dt
         gap = (t - clock.tick) / dt
-        if abs(gap) < 0.5 or not np.isfinite(t):  # the same tick again, or none
+        if abs(gap) < 0.5 or not math.isfinite(t):  # the same tick again, or none
             self._sent = result.command
-            return
+            return False
         sent = None if measurement.sent is None else numbers(measurement.sent, 2)
         if sent is not None and np.isfinite(sent).all():
             self._sent = sent
@@ -115,20 +117,23 @@ class DeadTime:
             # The first tick, or a pause: the robot stands.
             self._state, self._sent = np.zeros_like(self._state), np.zeros(2)
             self._answer[:] = 0.0
-            clock.since_trouble, clock.changed = np.inf if np.isnan(gap) else 0.0, -np.inf
+            clock.since_trouble, clock.changed = math.inf if math.isnan(gap) else 0.0, -math.inf
             gap = 1.0
         for _ in range(round(gap)):
-            self._state = self._model.A @ self._state + self._model.drive @ self._sent
+            self._state = self._model.A @ self._state + self._drive @ self._sent
             self._answer[:-1] = self._answer[1:]
             self._answer[-1] = self._model.C @ self._state
         clock.tick, self._sent = t, result.command
         fine = result.mode is Mode.TRACKING and result.blocked_for == 0.0
         clock.since_trouble = clock.since_trouble + dt if fine else 0.0
-        if clock.since_trouble >= _RECOVERY:
-            self._learn(t, measurement, result.unused_sensors)
-            clock.ticks += 1
-            if clock.ticks % _EVERY == 0:
-                self._estimate()
+        if clock.since_trouble < _RECOVERY:
+            return False
+        self._learn(t, measurement, result.unused_sensors)
+        clock.ticks += 1
+        if clock.ticks % _EVERY:
+            return False
+        self._estimate()
+        return True
 
     def _learn(self, t: float, measurement: Measurement, unused: tuple[str, ...]) -> None:
         wheels, gyro = measurement.wheel_twist, measurement.yaw_rate
@@ -147,20 +152,27 @@ class DeadTime:
             return
         late, value = max((t - float(stamp[0])) / self._dt, 0.0), value[: channels.stop - channels.start]
         # Not the other way round: NaN must not pass.
-        if not (late <= _LATEST and (np.abs(value) <= self._largest[channels]).all()):
+        sound = all(abs(one) <= most for one, most in zip(value.tolist(), self._largest[channels], strict=True))
+        if not (sound and late <= _LATEST):
             return
-        whole = max(int(np.ceil(late)), 1)
+        whole = max(math.ceil(late), 1)
         newest = len(self._answer) - 1 - whole
         answer = self._answer[newest - self._longest : newest + 2, channels]
-        x = (answer[:-1] + (whole - late) * (answer[1:] - answer[:-1]))[::-1]
+        older = answer[:-1]
+        x = (older + (whole - late) * (answer[1:] - older))[::-1]
         changing = np.abs(x[0] - x[-1]) > self._least_change[channels]
         if not changing.any():
             return
-        news = self._news[:, :, channels]
-        news[1], news[2], news[3], news[4], news[5] = x, x * x, value, x * value, value * value
-        sums = self._sums[:, :, channels]
-        sums *= np.where(changing, self._keep, 1.0)
-        sums += np.where(changing, news, 0.0)
+        news, sums = self._news[:, :, channels], self._sums[:, :, channels]
+        news[1], news[3], news[5] = x, value, value * value
+        np.multiply(x, x, out=news[2])
+        np.multiply(x, value, out=news[4])
+        if changing.all():
+            sums *= self._keep
+            sums += news
+        else:
+            sums *= np.where(changing, self._keep, 1.0)
+            sums += changing * news
 
     def _estimate(self) -> None:
         """The parabola about the least J of each channel."""
@@ -175,13 +187,13 @@ class DeadTime:
             misfits, gains = power - common**2 / spread, common / spread
         for channel in np.flatnonzero(n > least):
             J = misfits[:, channel]
-            j = int(np.clip(np.argmin(J), 1, self._longest - 1))
+            j = min(max(int(np.argmin(J)), 1), self._longest - 1)
             curvature = J[j - 1] - 2 * J[j] + J[j + 1]
             fits = J[j] <= (1 - _LEAST_CORRELATION**2) * power[j, channel]
             if not (fits and curvature > 0 and _LEAST_GAIN <= gains[j, channel] <= _MOST_GAIN):
                 continue
             dead_time = dt * (j + 0.5 * (J[j - 1] - J[j + 1]) / curvature)
-            value[channel] = np.clip(dead_time, self.lower[channel], self.upper[channel])
+            value[channel] = min(max(dead_time, self.lower[channel]), self.upper[channel])
             deviation[channel] = dt * np.sqrt(2 * max(J[j], 0.0) * _ALIKE / n[channel] / curvature)
         self.found = LearnedDeadTime(value, deviation, self.used)
 
@@ -196,14 +208,14 @@ class DeadTime:
         self._clock.changed = t
         return np.asarray(self.used + np.clip(change, -settings.step, settings.step))
 
-    def change(self, wanted: FloatArray) -> str:
-        """In words that the dead time becomes `wanted` (2,) [s]."""
+    def change(self, wanted: FloatArray | None) -> str:
+        """In words that the dead time becomes `wanted` (2,) [s]; empty if it stays."""
         changes = [
             f"{name} {before:.3f} to {after:.3f} s"
-            for name, before, after in zip(CHANNELS, self.used, wanted, strict=True)
+            for name, before, after in zip(CHANNELS, self.used, self.used if wanted is None else wanted, strict=True)
             if before != after
         ]
-        return f"dead time: {', '.join(changes)}"
+        return f"dead time: {', '.join(changes)}" if changes else ""
 
     def _worth(self, used: FloatArray) -> FloatArray:
         """(2,) by how much what was found differs from `used`, where that is certain and enough; else 0 [s]."""
