@@ -29,11 +29,11 @@ class ExtraDeadTime(Group):
 class Weights(Group):
     """Weights of the quadratic cost, each summed over the steps of the horizon."""
 
-    along: NotNegative = Field(150.0, description="squared position error along the path [1/m^2]")
-    across: NotNegative = Field(500.0, description="squared position error across the path [1/m^2]")
-    heading: NotNegative = Field(28.0, description="squared heading error, side-slip allowed for [1/rad^2]")
-    v: NotNegative = Field(20.0, description="squared deviation of v_ref from its feed-forward [s^2/m^2]")
-    omega: NotNegative = Field(2.0, description="squared deviation of omega_ref from its feed-forward [s^2/rad^2]")
+    along: NotNegative = Field(250.0, description="squared position error along the path [1/m^2]")
+    across: NotNegative = Field(700.0, description="squared position error across the path [1/m^2]")
+    heading: NotNegative = Field(14.0, description="squared heading error, side-slip allowed for [1/rad^2]")
+    v: NotNegative = Field(8.0, description="squared deviation of v_ref from its feed-forward [s^2/m^2]")
+    omega: NotNegative = Field(0.8, description="squared deviation of omega_ref from its feed-forward [s^2/rad^2]")
     v_increment: Positive = Field(20.0, description="squared increment of v_ref from tick to tick [s^2/m^2]")
     omega_increment: Positive = Field(4.0, description="squared increment of omega_ref from tick to tick [s^2/rad^2]")
     terminal: Positive = Field(10.0, description="factor on the pose errors at the end of the horizon [-]")
@@ -197,7 +197,7 @@ class Reentry(Group):
     """How a robot that is off its path rejoins it, and how far the reference's clock waits for it."""
 
     enabled: bool = Field(True, description="rejoin on a smooth path and let the reference wait; false: chase it [-]")
-    band: Positive = Field(0.05, description="further than this from the path to either side, it is rejoined [m]")
+    band: Positive = Field(0.08, description="further than this from the path to either side, it is rejoined [m]")
     heading_band: Positive = Field(0.6, description="turned by more than this from the reference, it is rejoined [rad]")
     wait: Positive = Field(
         0.1, description="lag along the path from which the reference slows down; at twice this it stands [m]"
