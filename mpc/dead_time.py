@@ -152,7 +152,7 @@ class DeadTime:
             return
         late, value = max((t - float(stamp[0])) / self._dt, 0.0), value[: channels.stop - channels.start]
         # Not the other way round: NaN must not pass.
-        sound = all(abs(one) <= most for one, most in zip(value.tolist(), self._largest[channels], strict=True))
+        sound = all(abs(one) <= most for one, most in zip(value, self._largest[channels], strict=True))
         if not (sound and late <= _LATEST):
             return
         whole = max(math.ceil(late), 1)
