@@ -196,11 +196,12 @@ class Controller:
         Raises
         ------
         ValueError
-            If `t0` is not finite, or the reference is faster than the limits of the configuration.
+            If `t0` is not finite, or the reference is faster than the limits of the configuration, or takes commands
+            beyond them by the model's gain.
         """
         if not math.isfinite(t0):
             raise ValueError(f"t0 = {t0}: the start time must be finite")
-        check_speeds(reference, self._config.limits, self._config.sample_time)
+        check_speeds(reference, self._config.limits, self._config.sample_time, self._model.dc_gain)
         tracked = reference if self._rehearsal is None else self._rehearsal.begin(reference, t0)
         native = NativeReference(tracked)
         self._tick.lib.ddmpc_start(self._c, native.struct, t0)
@@ -355,7 +356,7 @@ class Controller:
         """Go on where the robot is off its path or its time: what it is to track now, in C and in words."""
         tick = self._tick
         estimate = Estimate(tick.layout, tick.layout.copy(), self._c_result.estimate.time)
-        target = self._pursuit.target(since_start, reference_time, estimate, self._ahead)
+        target = self._pursuit.target(since_start, reference_time, estimate, self._ahead, self._c_result.reach)
         self._blocked_for = 0.0
         if isinstance(target, TooFar):
             return tick.lib.ddmpc_too_far(self._c, target.distance), ""

@@ -122,6 +122,18 @@ class Words:
             words.append(f"poses scatter {c.pose_scatter:.1f} times as far as they state")
         if c.reasons & lib.DDMPC_POSES_LATE:
             words.append(f"poses are about {c.pose_delay:.2f} s later than their stamps")
+        if c.reasons & lib.DDMPC_POSES_RARE:
+            failure = self._config.failure
+            words.append(
+                f"poses come every {c.pose_interval:.2f} s and {c.pose_latency:.2f} s late, too seldom for "
+                f"failure.max_pose_age of {failure.max_pose_age:g} s: the robot stays braked; raise it beyond "
+                f"{c.pose_interval + c.pose_latency:.2f} s, or send poses more often or sooner"
+            )
+        if c.reasons & lib.DDMPC_POSES_TOO_OLD:
+            words.append(
+                f"poses come {c.pose_latency:.2f} s late, and the history reaches back "
+                f"{self._config.estimator.history:g} s: raise estimator.history, or send poses sooner"
+            )
         if c.reasons & lib.DDMPC_TURNS_OTHERWISE:
             wheels, body = c.turn_ratio
             words.append(

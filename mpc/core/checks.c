@@ -9,6 +9,8 @@
 #define ASYMMETRY R(1e-6)
 /* Clocks of one robot agree to better than this; a stamp further ahead of the tick is a fault [s]. */
 #define FUTURE 1e-3
+/* Poses by which their rate is judged. */
+#define RATED 5
 
 void ddmpc_reject(ddmpc_result *result, int subject, int fault, real a, real b)
 {
@@ -80,6 +82,8 @@ int ddmpc_check_pose(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *pos
         fault = DDMPC_NOT_NUMBERS;
     else if (pose->has_covariance && !possible_covariance(pose->covariance, 3))
         fault = DDMPC_BAD_COVARIANCE;
+    if (fault == DDMPC_TOO_OLD)
+        estimator->too_old = (ddmpc_time)number;
     if (fault != DDMPC_NO_FAULT) {
         ddmpc_reject(&c->result, DDMPC_OF_POSE, fault, number, R(0.0));
         return 0;
@@ -182,8 +186,29 @@ int ddmpc_pose_passes(ddmpc_controller *c, const ddmpc_checked_pose *pose, const
     return 0;
 }
 
+/* Whether the pose before had become older than max_pose_age when this one came; twice of late, and poses come too
+ * seldom for it. A single one is a drop-out. */
+static void look_at_rate(ddmpc_controller *c, ddmpc_time stamp)
+{
+    ddmpc_estimator *estimator = &c->estimator;
+    const ddmpc_time interval = stamp - estimator->accepted_stamp, latency = c->last_tick - stamp;
+    const ddmpc_time oldest = interval + latency - c->constants->sample_time;
+    if (!isfinite(interval))
+        return;
+    const int overdue = oldest > (ddmpc_time)c->constants->max_pose_age;
+    if (overdue) {
+        estimator->pose_interval = interval;
+        estimator->pose_latency = latency;
+        estimator->rare = estimator->rare || estimator->overdue != 0;
+    }
+    estimator->overdue = (estimator->overdue << 1 | (unsigned int)overdue) & ((1U << RATED) - 1U);
+    estimator->rare = estimator->rare && estimator->overdue != 0;
+}
+
 void ddmpc_accept_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose)
 {
+    look_at_rate(c, pose->stamp);
     c->estimator.accepted_stamp = pose->stamp;
+    c->estimator.too_old = 0.0;
     c->estimator.jumps = 0;
 }

@@ -189,7 +189,9 @@ enum {
     DDMPC_POSE_ACCUSED = 131072,
     DDMPC_POSES_SCATTER = 262144,    /* far more than they state; they count for less */
     DDMPC_POSES_LATE = 524288,       /* later than they are stamped */
-    DDMPC_TURNS_OTHERWISE = 1048576  /* the robot turns by another factor than its tracks say */
+    DDMPC_TURNS_OTHERWISE = 1048576, /* the robot turns by another factor than its tracks say */
+    DDMPC_POSES_RARE = 2097152,      /* too rare and too late for max_pose_age; `pose_interval` and `pose_latency` */
+    DDMPC_POSES_TOO_OLD = 4194304    /* none is accepted: they come later than the history reaches back; `pose_latency` */
 };
 
 typedef enum {
@@ -238,10 +240,13 @@ typedef struct {
     int repeating;      /* accused sensors that repeat themselves, as bits 1 << ddmpc_subject */
     real pose_scatter;  /* of poses over what they state, see DDMPC_POSES_SCATTER [-] */
     real pose_delay;    /* by which poses are later than stamped, see DDMPC_POSES_LATE [s] */
+    real pose_interval; /* between the stamps of accepted poses, see DDMPC_POSES_RARE [s] */
+    real pose_latency;  /* from a pose's stamp to its arrival, see DDMPC_POSES_RARE and DDMPC_POSES_TOO_OLD [s] */
     real turn_ratio[2]; /* turning of wheels over commands and of body over wheels, see DDMPC_TURNS_OTHERWISE [-] */
     ddmpc_report solver;
     ddmpc_time solve_time; /* to linearise, condense and solve, a backend's not counted; NaN: nothing was solved [s] */
     real distance;   /* [m], see DDMPC_TOO_FAR */
+    real reach;      /* speed of the faster wheels at which they fall short of what is asked; infinity: none [m/s] */
     ddmpc_time gap;  /* since the last tick [s] */
     ddmpc_estimate estimate;
     /* The plan that the command comes from. */

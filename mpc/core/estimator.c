@@ -49,6 +49,10 @@ void ddmpc_estimator_forget(ddmpc_controller *c)
     estimator->first = estimator->nodes = estimator->jumps = 0;
     estimator->accepted_stamp = estimator->pose_stamp = -HUGE_VAL;
     estimator->wheels_stamp = estimator->yaw_rate_stamp = -HUGE_VAL;
+    estimator->too_old = 0.0;
+    /* Nothing is known: the first that is overdue is believed. */
+    estimator->overdue = 1;
+    estimator->rare = 0;
     estimator->last_wheels[0] = estimator->last_wheels[1] = estimator->last_yaw_rate = R(0.0);
     for (int i = 0; i < DDMPC_SENSORS; i++)
         estimator->innovations[i] = (real)NAN;

@@ -111,6 +111,10 @@ typedef struct {
     real *commands; /* [COMMANDS][2] sent, newest last */
     real innovations[DDMPC_SENSORS];
     ddmpc_time accepted_stamp, pose_stamp, wheels_stamp, yaw_rate_stamp;
+    ddmpc_time pose_interval, pose_latency; /* of the last pose that came too late for max_pose_age */
+    ddmpc_time too_old;                     /* age of the pose that the history did not reach; 0 once one is accepted */
+    unsigned int overdue;                   /* which of the last poses came too late for max_pose_age, newest first */
+    int rare;                               /* whether that is how they come */
     real last_wheels[2], last_yaw_rate;
     ddmpc_checked_pose jumped[AGREEING];
     int jumps;        /* poses in `jumped` */
@@ -226,6 +230,8 @@ struct ddmpc_controller {
     int plan_age;         /* ticks since it was made; -1: there is none */
     int has_reference, has_result, has_driven, latched, finished, pending;
     real share;
+    real rim[2];           /* smoothed speeds of the right and left wheels by their encoders [m/s] */
+    real reach, rim_reach; /* see `watch_wheels`: without slip, and of the wheels at their rim [m/s] */
     real *parameters;     /* [N+1][P] */
     real *reference_pose; /* [SAMPLES][3] */
     real *reference_twist; /* [SAMPLES][2] */

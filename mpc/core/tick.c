@@ -6,6 +6,17 @@
 #include "clock.h"
 #include "internal.h"
 
+/* Wheels fall short by this share and speed [m/s] of what they were asked for so long [s]; below the share HELD they are
+   held, not short. */
+#define SHORT R(0.08)
+#define LEAST_SHORT R(0.04)
+#define SHORT_FOR 0.2
+#define HELD R(0.3)
+/* What they reach is believed to grow again by this share [1/s]. */
+#define REGAIN R(0.05)
+/* Share of a new reading of the encoders in their smoothed speed. */
+#define SMOOTHED R(0.2)
+
 static void forget(ddmpc_controller *c)
 {
     ddmpc_estimator_forget(c);
@@ -13,6 +24,8 @@ static void forget(ddmpc_controller *c)
     c->has_last_tick = c->has_leap = 0;
     c->plan_age = -1;
     c->has_result = c->has_driven = c->latched = c->finished = 0;
+    c->rim[0] = c->rim[1] = R(0.0);
+    c->reach = c->rim_reach = (real)HUGE_VAL;
     c->pending = DDMPC_DONE;
 }
 
@@ -278,6 +291,83 @@ static int track(ddmpc_controller *c)
     return pending == DDMPC_NEEDS_BACKEND ? pending : use(c);
 }
 
+/* Speeds of the right and left wheels at the rim for a twist of the body. */
+static void rims(const ddmpc_controller *c, const real *twist, real rim[2])
+{
+    real parameters[SLIP + 1], value[SHIPPED_SOFT];
+    const real nowhere[4] = {R(0.0), R(0.0), R(0.0), R(0.0)};
+    const real *arguments[5] = {nowhere, twist, 0, nowhere, parameters};
+    real *results[2] = {value, 0};
+    memcpy(parameters, c->result.estimate.mean + STATES(c), SLIP * sizeof(real));
+    parameters[SLIP] = c->constants->half_track;
+    ddmpc_f_soft(arguments, results, 0, 0, 0);
+    rim[0] = value[2];
+    rim[1] = value[3];
+}
+
+/* The least that commands have asked of each wheel since a while before their lag, in the directions `sign`; nothing
+ * where that is longer ago than commands are remembered. */
+static void asked_for(const ddmpc_controller *c, const real sign[2], real least[2])
+{
+    const real *G = c->constants->inverse_gain, determinant = G[0] * G[3] - G[1] * G[2];
+    const int lag = LAG(c, 0) > LAG(c, 1) ? LAG(c, 0) : LAG(c, 1), newest = COMMANDS(c) - 1;
+    const int since = lag + (int)(SHORT_FOR / c->constants->sample_time);
+    if (since > newest) {
+        least[0] = least[1] = R(0.0);
+        return;
+    }
+    for (int ago = 0; ago <= since; ago++) {
+        const real *u = c->estimator.commands + 2 * (newest - ago);
+        const real forward = (G[3] * u[0] - G[2] * u[1]) / determinant;
+        const real turning = c->constants->half_track * (G[0] * u[1] - G[1] * u[0]) / determinant;
+        /* Wheels turn as the model says: the body slips, not they. */
+        const real rim[2] = {forward + turning, forward - turning};
+        for (int i = 0; i < 2; i++)
+            if (ago == 0 || sign[i] * rim[i] < least[i])
+                least[i] = sign[i] * rim[i];
+    }
+}
+
+/* Wheels that stay behind what both reference and commands ask of them are at the end of their speed, or of their
+ * force. What they reach is learned, and slowly forgotten. */
+static void watch_wheels(ddmpc_controller *c)
+{
+    const ddmpc_constants *k = c->constants;
+    const real dt = (real)k->sample_time, *wanted = c->reference_twist + 2;
+    real is[2], by_reference[2], asked_by[2], worst = R(0.0), share = R(1.0);
+    /* By their encoders: on slippery floors the estimate trusts the gyro more. */
+    const real *read = c->estimator.last_wheels, turning = k->half_track * read[1] / k->wheel_yaw_ratio;
+    for (int i = 0; i < 2; i++) {
+        c->rim[i] += SMOOTHED * (read[0] + (i == 0 ? turning : -turning) - c->rim[i]);
+        is[i] = c->rim[i];
+    }
+    if (c->plan_age == 0 && c->last_tick - c->estimator.wheels_stamp < SHORT_FOR) {
+        rims(c, wanted, by_reference);
+        const real sign[2] = {by_reference[0] < R(0.0) ? R(-1.0) : R(1.0), by_reference[1] < R(0.0) ? R(-1.0) : R(1.0)};
+        asked_for(c, sign, asked_by);
+        for (int i = 0; i < 2; i++) {
+            const real along = sign[i] * is[i];
+            const real asked = ddmpc_min(sign[i] * by_reference[i], asked_by[i]), lacks = asked - along;
+            /* One that hardly turns is held, or dead. */
+            if (along > HELD * asked && lacks > SHORT * asked && lacks > LEAST_SHORT && lacks > worst) {
+                worst = lacks;
+                share = along / ddmpc_fabs(by_reference[i]);
+                c->rim_reach = along;
+            }
+        }
+    }
+    if (worst > R(0.0)) {
+        c->reach = share * (ddmpc_fabs(wanted[0]) + k->half_track * ddmpc_fabs(wanted[1]));
+    } else {
+        c->rim_reach *= R(1.0) + REGAIN * dt;
+        c->reach *= R(1.0) + REGAIN * dt;
+    }
+    /* Wheels that are not believed say nothing of their reach. */
+    if (!(c->rim_reach < k->soft_upper[2]) || c->result.reasons & DDMPC_WHEELS_ACCUSED)
+        c->reach = c->rim_reach = (real)HUGE_VAL;
+    c->result.reach = c->reach;
+}
+
 /* Follow the reference where the robot is on its path and on time; otherwise somebody has to say what to do. */
 static int follow(ddmpc_controller *c, const ddmpc_input *input)
 {
@@ -293,7 +383,35 @@ static int follow(ddmpc_controller *c, const ddmpc_input *input)
     }
     const ddmpc_stray stray = ddmpc_stray_from(c, c->reference_pose, c->reference_twist);
     /* Before its start the reference rests, and the robot with it. */
-    return stray.outside || !(stray.late <= R(1.0)) ? DDMPC_NEEDS_TARGET : track(c);
+    return stray.outside || !(stray.late <= R(1.0)) || isfinite(c->reach) ? DDMPC_NEEDS_TARGET : track(c);
+}
+
+/* `reason`, and whether poses come but are too old. */
+static unsigned int missing(const ddmpc_controller *c, unsigned int reason)
+{
+    return c->estimator.too_old > 0.0 ? reason | DDMPC_POSES_TOO_OLD : reason;
+}
+
+/* Say whether poses come too seldom or too late for max_pose_age. */
+static void report_rate(ddmpc_controller *c)
+{
+    const ddmpc_estimator *estimator = &c->estimator;
+    c->result.pose_interval = (real)estimator->pose_interval;
+    c->result.pose_latency = (real)(estimator->too_old > 0.0 ? estimator->too_old : estimator->pose_latency);
+    if (estimator->rare)
+        c->result.reasons |= DDMPC_POSES_RARE;
+}
+
+/* Whether the last accepted pose is too old, or will be before the next: to drive from one to the other is to lurch. */
+static int has_old_pose(ddmpc_controller *c)
+{
+    const ddmpc_estimator *estimator = &c->estimator;
+    const int rare = estimator->rare;
+    /* Where poses are rare that is said, and their age only when none comes at all. */
+    const ddmpc_time usual = rare ? estimator->pose_interval + estimator->pose_latency : 0.0;
+    if (*c->result.estimate.pose_age > c->constants->max_pose_age + (real)usual)
+        c->result.reasons |= missing(c, DDMPC_OLD_POSE);
+    return rare || c->result.reasons & DDMPC_OLD_POSE;
 }
 
 static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
@@ -306,10 +424,11 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     ddmpc_estimator_advance(c, t);
     const int state = ddmpc_estimator_update(c, t, input);
     ddmpc_monitor_report(c);
+    report_rate(c);
     if (input->request != DDMPC_DRIVE)
         return brake(c, DDMPC_HELD, input->request == DDMPC_STOP_AS_FAILURE);
     if (!(state & READY))
-        return brake(c, DDMPC_NO_POSE, 1);
+        return brake(c, missing(c, DDMPC_NO_POSE), 1);
     if ((state & MOVED) && !restart_elsewhere(c))
         return brake(c, DDMPC_ELSEWHERE, 1);
     take_estimate(c);
@@ -321,10 +440,11 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
     }
     if (result->reasons & DDMPC_POSE_ACCUSED)
         return brake(c, 0, 1);
-    if (*result->estimate.pose_age > c->constants->max_pose_age)
-        return brake(c, DDMPC_OLD_POSE, 1);
+    if (has_old_pose(c))
+        return brake(c, 0, 1);
     if (c->latched)
         return brake(c, DDMPC_LATCHED, 1);
+    watch_wheels(c);
     if (is_finished(c, input->reference_time)) {
         ramp(c);
         result->mode = DDMPC_FINISHED;

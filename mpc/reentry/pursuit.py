@@ -26,6 +26,9 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 _WINDOW_STEP = 2.5
 _MOST_SAMPLES = 5000
 _NOW = np.zeros(1)
+# Share of what the wheels reach that the reference may ask for: the rest is for holding the path. How far ahead it is
+# looked for [s].
+_USABLE, _LOOK = 0.85, 0.6
 
 
 class Stray(Protocol):
@@ -128,11 +131,18 @@ class Pursuit:
         self._resumes, self._driving = not self._driving, False
         return self._time
 
-    def target(self, since_start: float, time: float, estimate: Estimate, ahead: FloatArray = _NOW) -> Target | TooFar:
+    def target(
+        self,
+        since_start: float,
+        time: float,
+        estimate: Estimate,
+        ahead: FloatArray = _NOW,
+        reach: float = math.inf,
+    ) -> Target | TooFar:
         """What to track at `since_start` [s], where `time` [s] is what `advance` returned.
 
         `ahead` are the times from now, 0 first, at which the target will be sampled: one look at the reference serves
-        for both.
+        for both. The wheels reach the speed `reach` [m/s] at the rim.
         """
         reference = self._reference
         assert reference is not None
@@ -160,13 +170,25 @@ class Pursuit:
             self._clock.set(self._clock.delay, min(1.0, max(0.0, float(estimate.twist[0]) / v)))
         self._driving = True
         late = float(off.late)
-        self._clock.plan(self._fastest * min(1.0, max(0.0, 2.0 - late)), catch_up=self._way_back is None)
+        within = self._within_reach(reach, sample.twist[ahead <= _LOOK])
+        most = min(self._fastest * min(1.0, max(0.0, 2.0 - late)), within)
+        self._clock.plan(most, catch_up=self._way_back is None)
         if late <= 1.0 and self._way_back is None:
             self._blocked.restart()
             if self._clock.on_time:
                 return Target(followed, time, sample=sample)
         still = self._blocked.look(since_start, estimate.pose) if late > 1.0 or self._way_back else 0.0
-        return Target(self._clock.clocked(followed), since_start, self._words(still), still)
+        words = self._words(still)
+        if within < 1.0:
+            words += f"; the wheels get no faster than {reach:.2f} m/s"
+        return Target(self._clock.clocked(followed), since_start, words, still)
+
+    def _within_reach(self, reach: float, twist: FloatArray) -> float:
+        """Progress rate at which the twists (n, 2) soon to come ask no more of the wheels than they reach."""
+        if not math.isfinite(reach):
+            return math.inf
+        needed = float((np.abs(twist) @ [1.0, 0.5 * self._config.wheels.track]).max())
+        return _USABLE * reach / max(needed, STANDING)
 
     def _chase(self, reference: Reference, time: float, estimate: Estimate) -> Target | TooFar:
         """The reference on time, whatever the robot does."""

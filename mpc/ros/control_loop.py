@@ -215,7 +215,7 @@ class ControlLoop:
 
     def _check_speeds(self, reference: Reference) -> None:
         config = self._controller.config
-        check_speeds(reference, config.limits, config.sample_time)
+        check_speeds(reference, config.limits, config.sample_time, self._controller.model.dc_gain)
 
     def _start_controller(self, reference: Reference) -> None:
         pose = self.inbox.newest_pose

@@ -12,8 +12,10 @@ _SPEED_EXCESS = 1.01
 _MOST_SAMPLES = 100_000
 
 
-def check_speeds(reference: Reference, limits: Limits, dt: float) -> None:
+def check_speeds(reference: Reference, limits: Limits, dt: float, gain: FloatArray | None = None) -> None:
     """Compare the speeds of `reference`, sampled every `dt` [s], with the hard limits of the command.
+
+    With the steady-state `gain` (2, 2) of the model the command is compared, too, that keeps the reference's twist.
 
     Raises
     ------
@@ -21,7 +23,9 @@ def check_speeds(reference: Reference, limits: Limits, dt: float) -> None:
         With one line that names reference, time, value and limit.
     """
     times = _instants(reference, dt)
-    twist = np.abs(reference.sample(times).twist)
+    twist = reference.sample(times).twist
+    needed = np.abs(twist if gain is None else np.linalg.solve(gain, twist.T).T)
+    twist = np.abs(twist)
     for row, (name, limit) in enumerate((("v", limits.v), ("omega", limits.omega))):
         worst = int(np.argmax(twist[:, row]))
         value = float(twist[worst, row])
@@ -29,6 +33,14 @@ def check_speeds(reference: Reference, limits: Limits, dt: float) -> None:
             raise ValueError(
                 f"reference '{reference.name}': {name} = {value:.3g} at {times[worst]:.2f} s is more than "
                 f"limits.{name} = {limit:g}; slow the reference down or raise the limit"
+            )
+        worst = int(np.argmax(needed[:, row]))
+        value = float(needed[worst, row])
+        if not value <= limit * _SPEED_EXCESS:
+            raise ValueError(
+                f"reference '{reference.name}': {name} = {twist[worst, row]:.3g} at {times[worst]:.2f} s takes a "
+                f"command of {value:.3g} by the model's gain, more than limits.{name} = {limit:g}; slow the reference "
+                "down, raise the limit, or identify the model on this robot"
             )
 
 

@@ -69,6 +69,64 @@ def test_without_poses_it_dead_reckons_then_brakes_then_stands():
     assert (results[-1].command == 0).all()
 
 
+def rare_poses(interval, latency, until=math.inf):
+    """A change for `drive`: up to `until` [s] one pose each `interval`, and each `latency` late [samples]."""
+    waiting = []
+
+    def change(k, m):
+        if k * DT >= until:
+            return m
+        if k % interval == 0:
+            waiting.append((k + latency, m.pose))
+        due = waiting.pop(0)[1] if waiting and waiting[0][0] <= k else None
+        return Measurement(pose=due, wheel_twist=m.wheel_twist, yaw_rate=m.yaw_rate)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("interval", "latency", "largest", "most"),
+    [(26, 5, 0.5, 1), (10, 18, 0.5, 1), (26, 5, 0.65, 0), (10, 18, 0.65, 0), (60, 0, 0.5, 1)],
+)
+def test_poses_too_rare_for_the_age_allowed_stop_it_once_with_the_remedy(interval, latency, largest, most):
+    """It brakes as often as `most`, and then stands: what it is told to raise lets it drive."""
+    tracker = controller(**{"failure.max_pose_age": largest})
+    results, _, _ = drive(tracker, robot(), REFERENCE, 6.0, change=rare_poses(interval, latency))
+    order = modes(results)
+    assert order.count(Mode.BRAKING) == most
+    if most:
+        assert order[-1] is Mode.STOPPED
+        said = results[-1].message
+        assert f"poses come every {interval * DT:.2f} s and {latency * DT:.2f} s late" in said
+        assert f"raise it beyond {(interval + latency) * DT:.2f} s" in said
+        first = next(k for k, r in enumerate(results) if "poses come every" in r.message)
+        assert first == interval + latency, "as soon as two poses show their rate"
+    else:
+        assert not any("poses come every" in r.message for r in results)
+
+
+def test_poses_that_come_in_time_again_let_it_drive():
+    results, _, _ = drive(controller(), robot(), REFERENCE, 6.0, change=rare_poses(30, 0, until=3.0))
+    assert modes(results) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED, Mode.TRACKING]
+    assert results[-1].mode is Mode.TRACKING and "poses come" not in results[-1].message
+
+
+def test_one_drop_out_is_not_taken_for_the_rate_of_poses():
+    def lose(k, m):
+        return with_pose(m, None) if k % 150 > 115 else m
+
+    results, _, _ = drive(controller(), robot(), REFERENCE, 8.0, change=lose)
+    assert any(r.mode is Mode.BRAKING for r in results)
+    assert not any("poses come every" in r.message for r in results)
+
+
+def test_poses_older_than_the_history_are_told_with_the_remedy():
+    tracker = controller(**{"estimator.history": 0.2})
+    results, _, _ = drive(tracker, robot(), REFERENCE, 2.0, change=rare_poses(5, 15))
+    assert {r.mode for r in results} == {Mode.STOPPED}
+    assert all("0.30 s late" in r.message and "raise estimator.history" in r.message for r in results[20:])
+
+
 def test_it_drives_on_when_poses_return():
     def lose(k, m):
         return with_pose(m, None) if 100 <= k < 160 else m

@@ -18,11 +18,12 @@ BAND = 0.05
 SLEW = np.array([2.0, 6.0]) * DT
 
 
-def drive(reference, seconds, *, start=(0.0, 0.0), noise=0.0, false=None, held=None, move=None, **overrides):
+def drive(reference, seconds, *, start=(0.0, 0.0), noise=0.0, false=None, held=None, move=None, base=None, **overrides):
     """Run the loop with a robot that starts `start` (across [m], turned [rad]) beside the reference.
 
     `false` = (from, to, twist): the base obeys `twist` and nobody says so. `held` = (from, to): it does not move.
-    `move(k, pose)` may put it elsewhere. Returns results, true poses and times.
+    `move(k, pose)` may put it elsewhere. `base(command)` is what its wheels make of a command.
+    Returns results, true poses and times.
     """
     exact = {"extra_dead_time.v": 0.0, "extra_dead_time.omega": 0.0}
     controller = Controller(load_config("ssm", exact | overrides))
@@ -49,7 +50,8 @@ def drive(reference, seconds, *, start=(0.0, 0.0), noise=0.0, false=None, held=N
             robot.k += 1
         else:
             lies = false is not None and false[0] <= t < false[1]
-            robot.advance(np.array(false[2]) if lies else result.command)
+            command = result.command if base is None else base(result.command)
+            robot.advance(np.array(false[2]) if lies else command)
     return results, np.array(poses), np.array(times)
 
 
@@ -268,3 +270,44 @@ def test_two_runs_off_the_path_are_equal_bit_for_bit():
     first, _, _ = drive(reference, 3.0, start=(0.2, 0.3), noise=1.0)
     second, _, _ = drive(reference, 3.0, start=(0.2, 0.3), noise=1.0)
     assert all((a.command == b.command).all() for a, b in zip(first, second, strict=True))
+
+
+def wheels(most=np.inf, share=(1.0, 1.0)):
+    """A base whose right and left wheels do `share` of what they are asked, and get no faster than `most` [m/s]."""
+    half_track = 0.5 * load_config("ssm").wheels.track
+
+    def base(command):
+        v, omega = command
+        right, left = np.clip([v + half_track * omega, v - half_track * omega] * np.array(share), -most, most)
+        return np.array([right + left, (right - left) / (2 * half_track)]) / [2, 1]
+
+    return base
+
+
+@pytest.mark.parametrize("path", ["circle", "s", "slalom"])
+def test_a_robot_whose_wheels_are_too_slow_stays_on_its_path_and_is_late(path):
+    """The outer wheel cannot follow: asking for more of either speed would only straighten the curve."""
+    reference = load_trajectory(path)
+    results, poses, _ = drive(reference, 1.2 * reference.duration, base=wheels(most=0.44))
+    drawn = reference.sample(np.linspace(0, reference.duration, 5000)).pose[:, :2]
+    away = np.array([np.hypot(*(drawn - pose[:2]).T).min() for pose in poses])
+    assert away.max() < 0.05
+    assert results[-1].reference_delay > 0.1 * reference.duration
+    assert any("the wheels get no faster than" in result.message for result in results)
+    assert all(result.mode is Mode.TRACKING for result in results)
+
+
+@pytest.mark.parametrize("share", [(0.6, 0.6), (1.0, 0.9)])
+def test_wheels_that_do_only_a_share_are_asked_for_more_and_are_late_at_most_for_a_while(share):
+    reference = load_trajectory("circle")
+    results, poses, _ = drive(reference, 1.5 * reference.duration + 8.0, base=wheels(share=share))
+    drawn = reference.sample(np.linspace(0, reference.duration, 5000)).pose[:, :2]
+    away = np.array([np.hypot(*(drawn - pose[:2]).T).min() for pose in poses])
+    assert away.max() < 0.08
+    assert results[-1].mode is Mode.FINISHED
+
+
+def test_nothing_is_thought_of_wheels_that_do_as_they_are_asked():
+    for path in ("circle", "square", "slalom", "k_turn"):
+        results, _, _ = drive(load_trajectory(path), 8.0, noise=1.0)
+        assert not any("the wheels" in result.message for result in results)

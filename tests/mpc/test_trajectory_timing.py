@@ -15,6 +15,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc.mpc.problem.build import chosen_model
 from diffdrive_mpc.mpc.trajectories import BUILT_IN, Trajectory, TrajectoryLimits, load_segments, load_trajectory
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded, lay_segments
@@ -107,6 +108,24 @@ def test_waypoints_as_commanded_are_driven_at_one_speed() -> None:
     np.testing.assert_allclose(trajectory.sample(inside).twist[:, 0], 0.8, rtol=1e-6)
     with pytest.raises(ConfigError, match="timing commanded: omega = .* is beyond the limit of 2 rad/s"):
         lay_waypoints([(0, 0), (0.3, 0.3), (0.6, 0)], LIMITS, name="test", speed=1.5, timing="commanded")
+
+
+def test_a_reference_beyond_what_limits_give_through_the_models_gain_is_refused() -> None:
+    """A robot that turns 0.7 times as fast as commanded reaches 0.7 of the limit, and that is told at the start."""
+    config = load_config("ssm", {"limits.omega": 1.0})
+    turning = lay_segments([segment(0.5, 1.0, 3.0)], LIMITS, name="arc")
+    fast = float(np.abs(turning.sample(np.linspace(0, turning.duration, 400)).twist[:, 1]).max())
+    check_speeds(turning, config.limits, config.sample_time, np.diag([1.0, fast]))
+    with pytest.raises(ValueError, match=r"'arc': omega = .* takes a command of 1\.43 .* limits\.omega = 1"):
+        check_speeds(turning, config.limits, config.sample_time, np.diag([1.0, 0.7 * fast]))
+
+
+def test_every_shipped_reference_is_within_reach_of_every_shipped_model() -> None:
+    for name in ("mbm", "sm", "ssm", "kinematic"):
+        config = load_config(name)
+        gain = chosen_model(config, None).dc_gain
+        for path in BUILT_IN:
+            check_speeds(load_trajectory(path), config.limits, config.sample_time, gain)
 
 
 def test_steps_are_not_refused_and_their_size_is_told() -> None:

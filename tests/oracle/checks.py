@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,11 +73,60 @@ class CheckedPose:
     stamp: float
 
 
+class PoseRate:
+    """Whether poses come too seldom: of the last five, those for which the one before had become too old."""
+
+    def __init__(self, dt: float, max_pose_age: float, history: float) -> None:
+        self.dt, self.max_pose_age, self.history = dt, max_pose_age, history
+        # Nothing is known: the first that is overdue is believed.
+        self.overdue = [True]
+        self.interval = self.latency = self.too_old = 0.0
+        self.rare = False
+
+    def accept(self, stamp: float, last_stamp: float, now: float) -> None:
+        """Take note of an accepted pose that came at the tick `now` [s]."""
+        self.too_old = 0.0
+        if not math.isfinite(last_stamp):
+            return
+        interval, latency = stamp - last_stamp, now - stamp
+        overdue = interval + latency - self.dt > self.max_pose_age
+        if overdue:
+            self.interval, self.latency = interval, latency
+            self.rare = self.rare or any(self.overdue)
+        self.overdue = [overdue, *self.overdue][:5]
+        self.rare = self.rare and any(self.overdue)
+
+    @property
+    def usual_age(self) -> float:
+        """To which poses grow old where they are rare [s]."""
+        return self.interval + self.latency if self.rare else 0.0
+
+    def words(self) -> list[str]:
+        """What is wrong with the rate."""
+        if not self.rare:
+            return []
+        latency = self.too_old or self.latency
+        return [
+            f"poses come every {self.interval:.2f} s and {latency:.2f} s late, too seldom for failure.max_pose_age of "
+            f"{self.max_pose_age:g} s: the robot stays braked; raise it beyond {self.interval + latency:.2f} s, or "
+            "send poses more often or sooner"
+        ]
+
+    def missing(self) -> list[str]:
+        """Why there is no pose, where some come."""
+        if not self.too_old:
+            return []
+        return [
+            f"poses come {self.too_old:.2f} s late, and the history reaches back {self.history:g} s: raise "
+            "estimator.history, or send poses sooner"
+        ]
+
+
 class PoseGate:
     """Checks poses and remembers those that jumped."""
 
-    def __init__(self, settings: Estimator) -> None:
-        self.settings = settings
+    def __init__(self, settings: Estimator, rate: PoseRate) -> None:
+        self.settings, self.rate, self.now = settings, rate, math.nan
         self.last_stamp = self.accepted_stamp = -np.inf
         self.jumped: list[CheckedPose] = []
 
@@ -94,6 +144,8 @@ class PoseGate:
             fault = "its covariance is not a possible 3 x 3 matrix"
         if fault:
             rejected.append(f"pose rejected: {fault}")
+            if "the history reaches back" in fault:
+                self.rate.too_old = t - float(pose.time)
             return None
         self.last_stamp = float(pose.time)
         return CheckedPose(value, matrix, self.last_stamp)
@@ -112,6 +164,7 @@ class PoseGate:
 
     def accept(self, pose: CheckedPose) -> None:
         """Count `pose` as believed, which clears the memory of jumps."""
+        self.rate.accept(pose.stamp, self.accepted_stamp, self.now)
         self.accepted_stamp, self.jumped = pose.stamp, []
 
     @property

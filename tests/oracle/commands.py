@@ -36,6 +36,11 @@ class PastCommands:
         return self._sent[-1].copy()
 
     @property
+    def everything(self) -> FloatArray:
+        """(n, 2) all commands that are remembered, oldest first."""
+        return np.array(self._sent)
+
+    @property
     def recent(self) -> FloatArray:
         """(memory, 2) the commands that still act on the future, oldest first."""
         return np.array(self._sent)[-self.model.memory :]

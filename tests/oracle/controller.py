@@ -22,6 +22,7 @@ from oracle.clock import TickClock, TickKind
 from oracle.estimate import Estimate
 from oracle.estimator import StateEstimator
 from oracle.problem import TrackingProblem, command_box
+from oracle.reach import WheelReach
 from oracle.solver import solve
 from oracle.tick import FeedForward, begin_tick
 from oracle.trajectories import sampled
@@ -86,9 +87,13 @@ class OracleController:
         if not config.compensation.dead_time:
             self.model = replace(self.model, dead_time=np.zeros(2))
         self.sampled_model = self.model.discretise(config.sample_time)
-        self.estimator = StateEstimator(self.sampled_model, config.estimator, config.compensation, config.wheels)
+        self.estimator = StateEstimator(
+            self.sampled_model, config.estimator, config.compensation, config.wheels, config.failure.max_pose_age
+        )
         self.feed_forward = FeedForward(self.model, config.sample_time, config.horizon)
         self.ahead = np.arange(self.feed_forward.samples) * config.sample_time
+        self.reach = WheelReach(config, self.model.dc_gain, int(self.feed_forward.ahead.max()))
+        self.wanted: FloatArray | None = None
         self.pursuit = Pursuit(config, self._stray)
         self.clock = TickClock(config.sample_time, self.estimator.longest_pause)
         self.reference: Reference | None = None
@@ -101,6 +106,7 @@ class OracleController:
         self.config = config
         self.problem = TrackingProblem(config, self.sampled_model)
         self.pursuit.configure(config)
+        self.reach.most = config.limits.wheel_speed
 
     def start(self, reference: Reference, t0: float) -> None:
         """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`."""
@@ -116,6 +122,7 @@ class OracleController:
 
     def _forget(self) -> None:
         self.estimator.forget()
+        self.reach.restart()
         self.pursuit.restart()
         self.clock.restart()
         self.guess = None
@@ -184,9 +191,12 @@ class OracleController:
         notes += estimator.correct_sent(measurement.sent, self._largest())
         estimator.advance(t)
         notes += estimator.update(t, measurement)
+        rate = estimator.rate
+        notes += rate.words()
         if hold is not None:
             return self._brake(notes, hold.reason, failure=hold.failure)
         if not estimator.ready:
+            notes += rate.missing()
             return self._brake(notes, "no pose has arrived yet")
         if estimator.moved and not self._restart():
             return self._brake(notes, "poses agree that the robot is somewhere else")
@@ -194,13 +204,18 @@ class OracleController:
         if not np.isfinite(estimate.pose).all():
             estimator.forget()
             return self._brake(notes, "the estimate is not finite; it starts anew")
-        if estimate.pose_age > failure.max_pose_age:
+        if estimate.pose_age > failure.max_pose_age + rate.usual_age:
+            notes += rate.missing()
             return self._brake(notes, f"no pose was accepted for {estimate.pose_age:.2f} s")
+        if rate.rare:
+            return self._brake(notes)
         if self.latched:
             return self._brake(notes, "stopped after a failure; call start or reset to drive on")
+        followed = self.plan is not None and self.plan_age == 0
+        self.reach.look(estimate.twist, self.wanted if followed else None, estimate.slip, estimator.commands)
         if self._at_the_end(estimate, reference_time, notes):
             return Outcome(self._ramp(), Mode.FINISHED)
-        target = self.pursuit.target(t - self.t0, reference_time, estimate, self.ahead)
+        target = self.pursuit.target(t - self.t0, reference_time, estimate, self.ahead, self.reach.speed)
         if isinstance(target, TooFar):
             limit = failure.max_position_error
             return self._brake(notes, f"{target.distance:.2f} m from the reference; the limit is {limit} m")
@@ -263,6 +278,7 @@ class OracleController:
     def _plan(self, estimate: Estimate, target: Target) -> tuple[Plan | None, SolverStatus]:
         """One real-time iteration: linearise along the shifted plan, solve, keep the plan."""
         config, sample = self.config, target.sample or target.reference.sample(target.time + self.ahead)
+        self.wanted, self.problem.reach = sample.twist[1], self.reach.at_rim
         tick = begin_tick(self.feed_forward, estimate, self.estimator.commands.recent, self.last, sample)
         if self.guess is None:
             box = command_box(config.limits, config.sample_time, self.last, config.horizon)

@@ -6,6 +6,7 @@ that it counts as if it had come in time.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,7 +15,7 @@ from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, Wheels
 from diffdrive_mpc.mpc.estimation.estimate import SENSORS
-from oracle.checks import CheckedPose, CheckedTwist, PoseGate, TwistGates, sent_command
+from oracle.checks import CheckedPose, CheckedTwist, PoseGate, PoseRate, TwistGates, sent_command
 from oracle.commands import PastCommands
 from oracle.estimate import Estimate
 from oracle.kalman import Belief, build_filter
@@ -44,8 +45,9 @@ class StateEstimator:
         settings: Estimator,
         compensation: Compensation | None = None,
         wheels: Wheels | None = None,
+        max_pose_age: float = math.inf,
     ) -> None:
-        self.model, self.settings = model, settings
+        self.model, self.settings, self.max_pose_age = model, settings, max_pose_age
         self.length = int(np.ceil(settings.history / model.dt)) + 1
         self.filter = build_filter(model, settings, compensation, wheels)
         self.commands = PastCommands(model, self.length)
@@ -55,7 +57,8 @@ class StateEstimator:
         """Drop the estimate, as before the first pose. Commands on their way stay: they are still on their way."""
         self.nodes: list[_Node] = []
         self.innovations = dict.fromkeys(SENSORS, np.nan)
-        self.pose_gate, self.twist_gates = PoseGate(self.settings), TwistGates(self.settings)
+        self.rate = PoseRate(self.model.dt, self.max_pose_age, self.settings.history)
+        self.pose_gate, self.twist_gates = PoseGate(self.settings, self.rate), TwistGates(self.settings)
 
     @property
     def ready(self) -> bool:
@@ -112,6 +115,7 @@ class StateEstimator:
     def update(self, t: float, measurement: Measurement) -> list[str]:
         """Take in what arrived; returns a sentence for each part that was rejected."""
         rejected: list[str] = []
+        self.pose_gate.now = self.nodes[-1].time if self.nodes else t
         pose = self.pose_gate.check(t, measurement.pose, rejected)
         twists = self.twist_gates.check(t, measurement, rejected)
         if not self.nodes:

@@ -70,6 +70,8 @@ class TrackingProblem:
         if config.horizon < model.memory:
             raise ValueError(f"horizon = {config.horizon}: set horizon to {model.memory} or more")
         self.config, self.model, self.steps = config, model, config.horizon
+        # What the wheels are known to reach [m/s].
+        self.reach = np.inf
 
     def twists(self, tick: Tick, plan: FloatArray) -> FloatArray:
         """(N + 1, 2, k) twists of the body."""
@@ -127,7 +129,8 @@ class TrackingProblem:
     def soft_limits(self, now: FloatArray) -> FloatArray:
         """(5,) limits, where the values are `now` (5,): beyond a limit already, they may not get worse."""
         lim = self.config.limits
-        configured = [lim.predicted_v, lim.predicted_omega, lim.wheel_speed, lim.wheel_speed, lim.corridor]
+        wheels = min(lim.wheel_speed, self.reach)
+        configured = [lim.predicted_v, lim.predicted_omega, wheels, wheels, lim.corridor]
         return np.maximum(configured, np.abs(now))
 
     def hard_limits(self, tick: Tick) -> tuple[FloatArray, FloatArray, FloatArray]:

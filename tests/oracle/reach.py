@@ -1,0 +1,57 @@
+"""How fast the wheels get, where they stay behind what reference and commands ask of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.estimation.slip import Slip
+from oracle.commands import PastCommands
+
+# As in mpc/core/tick.c.
+_SHORT, _LEAST, _FOR, _HELD, _REGAIN = 0.08, 0.04, 0.2, 0.3, 0.05
+
+
+class WheelReach:
+    """Learns it tick by tick: `at_rim` is that of the wheels, `speed` the same without slip [m/s]."""
+
+    def __init__(self, config: ControllerConfig, gain: FloatArray, lag: int) -> None:
+        self.dt, self.gain = config.sample_time, gain
+        self.half_track, self.most = config.wheels.track / 2, config.limits.wheel_speed
+        self.window = lag + int(_FOR / self.dt) + 1
+        self.restart()
+
+    def restart(self) -> None:
+        """Know of no end."""
+        self.speed = self.at_rim = math.inf
+
+    def _rims(self, twist: FloatArray, slip: Slip) -> FloatArray:
+        """Right and left wheel speeds (2, ...) for twists (2, ...) of the body."""
+        v, omega = twist
+        forward = (v - slip.turn_left * omega) / slip.longitudinal_gain
+        turning = self.half_track * omega / (slip.omega_gain * slip.yaw_gain)
+        return np.array([forward + turning, forward - turning])
+
+    def look(self, twist: FloatArray, wanted: FloatArray | None, slip: Slip, commands: PastCommands) -> None:
+        """Compare the body's `twist` with the one `wanted` (2,), None where the robot was not tracking."""
+        best = 0.0
+        sent = commands.everything
+        if wanted is not None and len(sent) >= self.window:
+            by_reference, actual = self._rims(wanted, slip), self._rims(twist, slip)
+            sign = np.where(by_reference < 0, -1.0, 1.0)
+            # Wheels turn as the model says: the body slips, not they.
+            asked = self._rims(self.gain @ sent[-self.window :].T, Slip()) * sign[:, None]
+            asked = np.minimum(asked.min(axis=1), sign * by_reference)
+            along = sign * actual
+            for i in (0, 1):
+                lacks = asked[i] - along[i]
+                if along[i] > _HELD * asked[i] and lacks > max(_SHORT * asked[i], _LEAST, best):
+                    best, self.at_rim = lacks, along[i]
+                    self.speed = along[i] / abs(by_reference[i]) * (abs(wanted[0]) + self.half_track * abs(wanted[1]))
+        if best == 0.0:
+            self.speed, self.at_rim = (value * (1 + _REGAIN * self.dt) for value in (self.speed, self.at_rim))
+        if not self.at_rim < self.most:
+            self.restart()
