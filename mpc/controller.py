@@ -201,7 +201,7 @@ class Controller:
         """
         if not math.isfinite(t0):
             raise ValueError(f"t0 = {t0}: the start time must be finite")
-        check_speeds(reference, self._config.limits, self._config.sample_time, self._model.dc_gain)
+        check_speeds(reference, self._config.limits, self._config.sample_time, self.model.dc_gain)
         tracked = reference if self._rehearsal is None else self._rehearsal.begin(reference, t0)
         native = NativeReference(tracked)
         self._tick.lib.ddmpc_start(self._c, native.struct, t0)
