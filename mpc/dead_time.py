@@ -86,7 +86,7 @@ class DeadTime:
         # Whole samples of dead time that are compared, 0 to here: what is longer than allowed is recognised, too.
         self._longest = int(np.ceil((self.upper.max() + _BEYOND) / dt)) + 1
         self._least_change = self._longest * dt * np.array([settings.least_rate_v, settings.least_rate_omega])
-        self._largest = (config.estimator.max_wheel_speed, config.estimator.max_yaw_rate)
+        self._largest = np.array([config.estimator.max_wheel_speed, config.estimator.max_yaw_rate])
         self._keep = np.exp(-dt / settings.memory)
         self.forget()
 
@@ -152,7 +152,7 @@ class DeadTime:
             return
         late, value = max((t - float(stamp[0])) / self._dt, 0.0), value[: channels.stop - channels.start]
         # Not the other way round: NaN must not pass.
-        sound = all(abs(one) <= most for one, most in zip(value, self._largest[channels], strict=True))
+        sound = bool((np.abs(value) <= self._largest[channels]).all())
         if not (sound and late <= _LATEST):
             return
         whole = max(math.ceil(late), 1)
