@@ -212,7 +212,9 @@ class OracleController:
         if self.latched:
             return self._brake(notes, "stopped after a failure; call start or reset to drive on")
         followed = self.plan is not None and self.plan_age == 0
-        self.reach.look(estimate.twist, self.wanted if followed else None, estimate.slip, estimator.commands)
+        self.reach.look(
+            estimator.twist_gates.wheels, t, self.wanted if followed else None, estimate.slip, estimator.commands
+        )
         if self._at_the_end(estimate, reference_time, notes):
             return Outcome(self._ramp(), Mode.FINISHED)
         target = self.pursuit.target(t - self.t0, reference_time, estimate, self.ahead, self.reach.speed)

@@ -9,10 +9,11 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.estimation.slip import Slip
+from oracle.checks import TwistGate
 from oracle.commands import PastCommands
 
 # As in mpc/core/tick.c.
-_SHORT, _LEAST, _FOR, _HELD, _REGAIN = 0.08, 0.04, 0.2, 0.3, 0.05
+_SHORT, _LEAST, _FOR, _HELD, _REGAIN, _SMOOTHED = 0.08, 0.04, 0.2, 0.3, 0.05, 0.2
 
 
 class WheelReach:
@@ -21,11 +22,16 @@ class WheelReach:
     def __init__(self, config: ControllerConfig, gain: FloatArray, lag: int) -> None:
         self.dt, self.gain = config.sample_time, gain
         self.half_track, self.most = config.wheels.track / 2, config.limits.wheel_speed
+        self.wheel_yaw_ratio = config.wheels.track / config.wheels.encoder_track / gain[1, 1]
         self.window = lag + int(_FOR / self.dt) + 1
         self.restart()
 
     def restart(self) -> None:
         """Know of no end."""
+        self.actual = np.zeros(2)
+        self._know_nothing()
+
+    def _know_nothing(self) -> None:
         self.speed = self.at_rim = math.inf
 
     def _rims(self, twist: FloatArray, slip: Slip) -> FloatArray:
@@ -35,17 +41,19 @@ class WheelReach:
         turning = self.half_track * omega / (slip.omega_gain * slip.yaw_gain)
         return np.array([forward + turning, forward - turning])
 
-    def look(self, twist: FloatArray, wanted: FloatArray | None, slip: Slip, commands: PastCommands) -> None:
-        """Compare the body's `twist` with the one `wanted` (2,), None where the robot was not tracking."""
+    def look(self, wheels: TwistGate, t: float, wanted: FloatArray | None, slip: Slip, commands: PastCommands) -> None:
+        """Compare encoders with the twist `wanted` (2,) at the tick `t` [s], None where the robot was not tracking."""
         best = 0.0
         sent = commands.everything
-        if wanted is not None and len(sent) >= self.window:
-            by_reference, actual = self._rims(wanted, slip), self._rims(twist, slip)
+        read = self._rims(wheels.last / [1.0, self.wheel_yaw_ratio], Slip())
+        self.actual = self.actual + _SMOOTHED * (read - self.actual)
+        if wanted is not None and len(sent) >= self.window and t - wheels.stamp < _FOR:
+            by_reference = self._rims(wanted, slip)
             sign = np.where(by_reference < 0, -1.0, 1.0)
             # Wheels turn as the model says: the body slips, not they.
             asked = self._rims(self.gain @ sent[-self.window :].T, Slip()) * sign[:, None]
             asked = np.minimum(asked.min(axis=1), sign * by_reference)
-            along = sign * actual
+            along = sign * self.actual
             for i in (0, 1):
                 lacks = asked[i] - along[i]
                 if along[i] > _HELD * asked[i] and lacks > max(_SHORT * asked[i], _LEAST, best):
@@ -54,4 +62,4 @@ class WheelReach:
         if best == 0.0:
             self.speed, self.at_rim = (value * (1 + _REGAIN * self.dt) for value in (self.speed, self.at_rim))
         if not self.at_rim < self.most:
-            self.restart()
+            self._know_nothing()
