@@ -79,7 +79,7 @@ def test_real_time_iterations_with_terms_converge_to_ipopts_solution(model, case
         return Controller(config, terms=terms)
 
     controller = make()
-    drive = record(controller, IdealRobot(controller._predicted.sampled, np.zeros(3)), CIRCLE, 120, set_points)
+    drive = record(controller, IdealRobot(controller._predicted.sampled, np.zeros(3)), CIRCLE, 160, set_points)
     result = converged(make, drive, CIRCLE, set_points)
     program = NonlinearProgram(controller, result, drive, CIRCLE, linear_outputs(controller._predicted.sampled))
     without = program.solve()
