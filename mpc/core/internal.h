@@ -231,6 +231,7 @@ struct ddmpc_controller {
     int has_reference, has_result, has_driven, latched, finished, pending;
     real share;
     real rim[2];           /* smoothed speeds of the right and left wheels by their encoders [m/s] */
+    int short_ticks;       /* for which wheels have been short of what was asked */
     real reach, rim_reach; /* see `watch_wheels`: without slip, and of the wheels at their rim [m/s] */
     real *parameters;     /* [N+1][P] */
     real *reference_pose; /* [SAMPLES][3] */

@@ -7,11 +7,14 @@
 #include "internal.h"
 
 /* Wheels fall short by this share and speed [m/s] of what they were asked for so long [s]; below the share HELD they are
-   held, not short. */
+   held, not short. It has to last [s]. */
 #define SHORT R(0.08)
 #define LEAST_SHORT R(0.04)
 #define SHORT_FOR 0.2
 #define HELD R(0.3)
+#define LASTING 0.15
+/* Faster by this than all that was asked lately [m/s]. */
+#define FASTER R(0.1)
 /* What they reach is believed to grow again by this share [1/s]. */
 #define REGAIN R(0.05)
 /* Share of a new reading of the encoders in their smoothed speed. */
@@ -25,6 +28,7 @@ static void forget(ddmpc_controller *c)
     c->plan_age = -1;
     c->has_result = c->has_driven = c->latched = c->finished = 0;
     c->rim[0] = c->rim[1] = R(0.0);
+    c->short_ticks = 0;
     c->reach = c->rim_reach = (real)HUGE_VAL;
     c->pending = DDMPC_DONE;
 }
@@ -305,59 +309,74 @@ static void rims(const ddmpc_controller *c, const real *twist, real rim[2])
     rim[1] = value[3];
 }
 
-/* The least that commands have asked of each wheel since a while before their lag, in the directions `sign`; nothing
- * where that is longer ago than commands are remembered. */
-static void asked_for(const ddmpc_controller *c, const real sign[2], real least[2])
+/* The least and the most that commands have asked of each wheel since a while before their lag, in the directions
+ * `sign`; 0 where that is longer ago than commands are remembered. */
+static int asked_for(const ddmpc_controller *c, const real sign[2], real least[2], real most[2])
 {
     const real *G = c->constants->inverse_gain, determinant = G[0] * G[3] - G[1] * G[2];
     const int lag = LAG(c, 0) > LAG(c, 1) ? LAG(c, 0) : LAG(c, 1), newest = COMMANDS(c) - 1;
     const int since = lag + (int)(SHORT_FOR / c->constants->sample_time);
-    if (since > newest) {
-        least[0] = least[1] = R(0.0);
-        return;
-    }
+    if (since > newest)
+        return 0;
     for (int ago = 0; ago <= since; ago++) {
         const real *u = c->estimator.commands + 2 * (newest - ago);
         const real forward = (G[3] * u[0] - G[2] * u[1]) / determinant;
         const real turning = c->constants->half_track * (G[0] * u[1] - G[1] * u[0]) / determinant;
         /* Wheels turn as the model says: the body slips, not they. */
-        const real rim[2] = {forward + turning, forward - turning};
-        for (int i = 0; i < 2; i++)
-            if (ago == 0 || sign[i] * rim[i] < least[i])
-                least[i] = sign[i] * rim[i];
+        const real rim[2] = {sign[0] * (forward + turning), sign[1] * (forward - turning)};
+        for (int i = 0; i < 2; i++) {
+            least[i] = ago == 0 ? rim[i] : ddmpc_min(least[i], rim[i]);
+            most[i] = ago == 0 ? rim[i] : ddmpc_max(most[i], rim[i]);
+        }
     }
+    return 1;
 }
 
-/* Wheels that stay behind what both reference and commands ask of them are at the end of their speed, or of their
- * force. What they reach is learned, and slowly forgotten. */
+/* The wheel that is the furthest short of what both reference (its speeds in `by_reference`) and commands ask; -1: none.
+ * An offset or a gain would have been made up for by then. */
+static int short_wheel(const ddmpc_controller *c, const real by_reference[2])
+{
+    const real sign[2] = {by_reference[0] < R(0.0) ? R(-1.0) : R(1.0), by_reference[1] < R(0.0) ? R(-1.0) : R(1.0)};
+    real least[2], most[2], worst = R(0.0);
+    int found = -1;
+    if (!asked_for(c, sign, least, most))
+        return -1;
+    for (int i = 0; i < 2; i++) {
+        const real along = sign[i] * c->rim[i], asked = ddmpc_min(sign[i] * by_reference[i], least[i]);
+        const real lacks = asked - along;
+        /* Wheels that turn faster than asked obey somebody else. */
+        if (along > most[i] + FASTER)
+            return -1;
+        /* One that hardly turns is held, or dead. */
+        if (along > HELD * asked && lacks > SHORT * asked && lacks > LEAST_SHORT && lacks > worst) {
+            worst = lacks;
+            found = i;
+        }
+    }
+    return found;
+}
+
+/* Wheels that stay behind are at the end of their speed, or of their force. What they reach is learned from their
+ * encoders (on slippery floors the estimate trusts the gyro more), and slowly forgotten. */
 static void watch_wheels(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
     const real dt = (real)k->sample_time, *wanted = c->reference_twist + 2;
-    real is[2], by_reference[2], asked_by[2], worst = R(0.0), share = R(1.0);
-    /* By their encoders: on slippery floors the estimate trusts the gyro more. */
     const real *read = c->estimator.last_wheels, turning = k->half_track * read[1] / k->wheel_yaw_ratio;
-    for (int i = 0; i < 2; i++) {
+    real by_reference[2];
+    int found = -1;
+    for (int i = 0; i < 2; i++)
         c->rim[i] += SMOOTHED * (read[0] + (i == 0 ? turning : -turning) - c->rim[i]);
-        is[i] = c->rim[i];
-    }
     if (c->plan_age == 0 && c->last_tick - c->estimator.wheels_stamp < SHORT_FOR) {
         rims(c, wanted, by_reference);
-        const real sign[2] = {by_reference[0] < R(0.0) ? R(-1.0) : R(1.0), by_reference[1] < R(0.0) ? R(-1.0) : R(1.0)};
-        asked_for(c, sign, asked_by);
-        for (int i = 0; i < 2; i++) {
-            const real along = sign[i] * is[i];
-            const real asked = ddmpc_min(sign[i] * by_reference[i], asked_by[i]), lacks = asked - along;
-            /* One that hardly turns is held, or dead. */
-            if (along > HELD * asked && lacks > SHORT * asked && lacks > LEAST_SHORT && lacks > worst) {
-                worst = lacks;
-                share = along / ddmpc_fabs(by_reference[i]);
-                c->rim_reach = along;
-            }
-        }
+        found = short_wheel(c, by_reference);
     }
-    if (worst > R(0.0)) {
-        c->reach = share * (ddmpc_fabs(wanted[0]) + k->half_track * ddmpc_fabs(wanted[1]));
+    /* A wheel that is just being stopped passes by all speeds. */
+    c->short_ticks = found < 0 ? 0 : c->short_ticks + 1;
+    if (c->short_ticks * k->sample_time > LASTING) {
+        c->rim_reach = ddmpc_fabs(c->rim[found]);
+        c->reach = ddmpc_fabs(c->rim[found] / by_reference[found]) *
+                   (ddmpc_fabs(wanted[0]) + k->half_track * ddmpc_fabs(wanted[1]));
     } else {
         c->rim_reach *= R(1.0) + REGAIN * dt;
         c->reach *= R(1.0) + REGAIN * dt;
