@@ -13,7 +13,7 @@ from oracle.checks import TwistGate
 from oracle.commands import PastCommands
 
 # As in mpc/core/tick.c.
-_SHORT, _LEAST, _FOR, _HELD, _REGAIN, _SMOOTHED = 0.08, 0.04, 0.2, 0.3, 0.05, 0.2
+_SHORT, _LEAST, _FOR, _HELD, _REGAIN, _SMOOTHED, _LASTING, _FASTER = 0.08, 0.04, 0.2, 0.3, 0.05, 0.2, 0.15, 0.1
 
 
 class WheelReach:
@@ -28,7 +28,7 @@ class WheelReach:
 
     def restart(self) -> None:
         """Know of no end."""
-        self.actual = np.zeros(2)
+        self.actual, self.ticks = np.zeros(2), 0
         self._know_nothing()
 
     def _know_nothing(self) -> None:
@@ -43,23 +43,25 @@ class WheelReach:
 
     def look(self, wheels: TwistGate, t: float, wanted: FloatArray | None, slip: Slip, commands: PastCommands) -> None:
         """Compare encoders with the twist `wanted` (2,) at the tick `t` [s], None where the robot was not tracking."""
-        best = 0.0
-        sent = commands.everything
         read = self._rims(wheels.last / [1.0, self.wheel_yaw_ratio], Slip())
         self.actual = self.actual + _SMOOTHED * (read - self.actual)
+        sent, found = commands.everything, None
         if wanted is not None and len(sent) >= self.window and t - wheels.stamp < _FOR:
             by_reference = self._rims(wanted, slip)
             sign = np.where(by_reference < 0, -1.0, 1.0)
             # Wheels turn as the model says: the body slips, not they.
-            asked = self._rims(self.gain @ sent[-self.window :].T, Slip()) * sign[:, None]
-            asked = np.minimum(asked.min(axis=1), sign * by_reference)
-            along = sign * self.actual
-            for i in (0, 1):
-                lacks = asked[i] - along[i]
-                if along[i] > _HELD * asked[i] and lacks > max(_SHORT * asked[i], _LEAST, best):
-                    best, self.at_rim = lacks, along[i]
-                    self.speed = along[i] / abs(by_reference[i]) * (abs(wanted[0]) + self.half_track * abs(wanted[1]))
-        if best == 0.0:
+            by_command = self._rims(self.gain @ sent[-self.window :].T, Slip()) * sign[:, None]
+            asked, along = np.minimum(by_command.min(axis=1), sign * by_reference), sign * self.actual
+            lacks = asked - along
+            short = (along > _HELD * asked) & (lacks > np.maximum(_SHORT * asked, _LEAST))
+            if short.any() and (along <= by_command.max(axis=1) + _FASTER).all():
+                found = int(np.argmax(np.where(short, lacks, -np.inf)))
+        self.ticks = 0 if found is None else self.ticks + 1
+        if found is not None and self.ticks * self.dt > _LASTING:
+            self.at_rim = abs(self.actual[found])
+            needed = abs(wanted[0]) + self.half_track * abs(wanted[1])
+            self.speed = abs(self.actual[found] / by_reference[found]) * needed
+        else:
             self.speed, self.at_rim = (value * (1 + _REGAIN * self.dt) for value in (self.speed, self.at_rim))
         if not self.at_rim < self.most:
             self._know_nothing()
