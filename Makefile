@@ -7,6 +7,7 @@ REPRODUCE_OUT ?= out/reproduce
 SPEED_OUT ?= out/speed
 EDGE_OUT ?= out/edge
 PEERS_OUT ?= out/peers
+ROBUSTNESS_OUT ?= out/robustness
 # Options of the studies: make tracking TRACKING=--quick
 TRACKING ?=
 REPRODUCE ?=
@@ -20,7 +21,7 @@ READY := $(VENV)/.ready
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench edge peers tracking reproduce speed test lint types format models calibrate readme requirements clean
+.PHONY: help bench edge peers robustness tracking reproduce speed test lint types format models calibrate readme requirements clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -42,6 +43,10 @@ edge: $(READY) ## fast and tight paths, all models beside their peers, path by p
 
 peers: $(READY) ## tune the peers again, and show that their neighbours are no better: out/peers
 	$(BIN)/diffdrive-mpc peers --out $(PEERS_OUT)
+
+robustness: $(READY) ## every controller on other robots, floors, loads and sensors: out/robustness
+	$(BIN)/diffdrive-mpc robustness --out $(ROBUSTNESS_OUT) --controllers mpc,pursuit+slip,kanayama+slip,lqr+slip \
+		--models ssm --trajectories circle,s --seeds 1
 
 tracking: $(READY) ## what the tracking reaches, what each part is worth, how much is left: tables and figures in out/tracking
 	$(BIN)/diffdrive-mpc tracking --out $(TRACKING_OUT) $(TRACKING)
@@ -72,8 +77,8 @@ models: $(READY) ## identify MBM and SM again from experiments on the simulated 
 calibrate: $(READY) ## fit the simulated robot to the published SSM again
 	$(BIN)/diffdrive-mpc models calibrate
 
-readme: $(READY) ## copy the tables and figures of the last `make bench`, `make tracking`, `make reproduce` and `make speed` into README and docs
-	$(BIN)/python -m diffdrive_mpc.bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT))
+readme: $(READY) ## copy tables and figures of the last `make bench` and of the studies that were made into README and docs
+	$(BIN)/python -m diffdrive_mpc.bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT) $(PEERS_OUT) $(EDGE_OUT) $(ROBUSTNESS_OUT))
 
 requirements: ## pin all dependencies anew (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \

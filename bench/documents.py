@@ -30,6 +30,8 @@ class ShownReport:
         The document with tables between markers, below the folder `docs`.
     brief
         Whether it has the first table and the facts between markers of the study's own name, beside what others name.
+    study
+        The study whose report it is, where one study writes several: then `name` is that of its folder.
     """
 
     name: str
@@ -37,6 +39,12 @@ class ShownReport:
     records: tuple[str, ...]
     page: str
     brief: bool = False
+    study: str = ""
+
+    @property
+    def file(self) -> str:
+        """Name of the report."""
+        return f"{self.study or self.name}.md"
 
 
 BENCH = ShownReport(
@@ -49,7 +57,10 @@ BENCH = ShownReport(
 TRACKING = ShownReport("tracking", ("ablation.png", "error-sources.png"), (), "tracking.md")
 REPRODUCE = ShownReport("reproduce", ("odometry.png", "orders.png", "virtual-track.png"), (), "reproduce.md")
 SPEED = ShownReport("speed", ("horizon.png", "tail.png"), ("speed.json",), "performance.md")
-SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED)
+PEERS = ShownReport("peers", (), (), "peers.md")
+EDGE = ShownReport("edge", ("overview.png",), (), "peers.md", study="bench")
+ROBUSTNESS = ShownReport("robustness", ("ratios.png",), (), "robustness.md")
+SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, PEERS, EDGE, ROBUSTNESS)
 
 
 def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
@@ -57,11 +68,10 @@ def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
 
     Raises ConfigError if `out` holds no report.
     """
-    name = f"{shown.name}.md"
-    if not (out / name).is_file():
-        raise ConfigError(f"{out}: no {name}; run `make {shown.name}` first")
+    if not (out / shown.file).is_file():
+        raise ConfigError(f"{out}: no {shown.file}; run `make {shown.name}` first")
     documents.mkdir(parents=True, exist_ok=True)
-    report = (out / name).read_text(encoding="utf-8")
+    report = (out / shown.file).read_text(encoding="utf-8")
     for figure in shown.figures:
         (documents / figure).unlink(missing_ok=True)
         if f"](figures/{figure})" in report:
@@ -70,7 +80,7 @@ def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
         shutil.copyfile(out / record, documents / record)
     lines = report.replace("](figures/", "](").splitlines()
     kept = [line for line in lines if not line.startswith("![") or line.split("](")[1].rstrip(")") in shown.figures]
-    (documents / name).write_text("\n".join(kept) + "\n", encoding="utf-8")
+    (documents / f"{shown.name}.md").write_text("\n".join(kept) + "\n", encoding="utf-8")
 
 
 def sections(shown: ShownReport, report: str) -> dict[str, str]:
@@ -109,9 +119,11 @@ def with_report(shown: ShownReport, document: str, report: str) -> str:
 
 def update(out: Path) -> None:
     """Update docs/NAME and the page of the report in `out`; raises ConfigError if there is none."""
-    shown = next((one for one in SHOWN if (out / f"{one.name}.md").is_file()), None)
-    if shown is None:
+    found = [one for one in SHOWN if (out / one.file).is_file()]
+    if not found:
         raise ConfigError(f"{out}: no report of {', '.join(one.name for one in SHOWN)}")
+    # The folder's name says which, where one study writes several.
+    shown = next((one for one in found if one.name == out.name), found[0])
     folder = Path("docs") / shown.name
     copy_report(shown, out, folder)
     report, page = (folder / f"{shown.name}.md").read_text(encoding="utf-8"), Path("docs") / shown.page

@@ -33,6 +33,7 @@ _TITLES = {
     "reentry": "Re-entry",
     "finish": "Finish",
     "rehearsal": "Rehearsal, when the same reference is started again",
+    "online_dead_time": "Dead time learned while driving",
 }
 
 

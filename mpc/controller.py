@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
@@ -22,6 +23,7 @@ from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.core.functions import compile_functions
 from diffdrive_mpc.mpc.core.tick import Tick
+from diffdrive_mpc.mpc.dead_time import DeadTime, online_dead_time
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import Words
@@ -44,10 +46,30 @@ _NEEDS_TARGET, _NEEDS_BACKEND = 1, 2
 
 
 @dataclass
+class _Predicted:
+    """What the controller predicts with."""
+
+    model: VelocityModel | NonlinearModel
+    sampled: DiscreteModel | NonlinearModel
+    feed_forward: FeedForward
+
+    @property
+    def dead_time(self) -> FloatArray:
+        assert isinstance(self.model, VelocityModel)
+        return self.model.dead_time
+
+    @classmethod
+    def by(cls, model: VelocityModel | NonlinearModel, dt: float) -> _Predicted:
+        return cls(model, sampled_model(model, dt), FeedForward.of(model, dt))
+
+
+@dataclass
 class _Prepared:
     """A configuration, and what was built from it beside the loop."""
 
     config: ControllerConfig
+    predicted: _Predicted
+    sizes: Mapping[str, int]
     constants: tuple[Any, list[FloatArray]]
     backend: Backend
 
@@ -80,15 +102,20 @@ class Controller:
         terms: Sequence[Term] = (),
     ) -> None:
         self._config, self._given = config, (model, tuple(terms))
-        self._model = chosen_model(config, model)
         self._terms = all_terms(config.terms, terms)
-        dt = config.sample_time
-        self._sampled = sampled_model(self._model, dt)
-        self._feed_forward = FeedForward.of(self._model, dt)
-        problem = self._problem(config)
+        dt, chosen = config.sample_time, chosen_model(config, model)
+        self._predicted = _Predicted.by(chosen, dt)
+        self._dead_time = online_dead_time(config, chosen)
+        self._window, room = 0, {}
+        if self._dead_time is not None and config.online_dead_time.apply:
+            longest = self._problem(config, _Predicted.by(self._dead_time.longest, dt)).sizes
+            self._window, room = longest["window"], {name: longest[name] for name in ("lag_v", "lag_omega")}
+        problem = self._problem(config, self._predicted)
         sizes = problem.sizes
-        functions, term_functions = compile_functions(self._model, self._terms)
-        self._tick = Tick(sizes, problem.constants(), functions, term_functions)
+        functions, term_functions = compile_functions(chosen, self._terms)
+        self._tick = Tick(sizes | room, problem.constants(), functions, term_functions)
+        if room:
+            self._tick.configure(self._tick.prepare(problem.constants()), sizes)
         self._kinds = HARD_KINDS + sizes["soft"]
         self._backend = self._make_backend(config)
         self._program = Program(self._tick, config.horizon, self._kinds)
@@ -96,6 +123,7 @@ class Controller:
         self._ahead: FloatArray = np.asarray(np.arange(self._tick.samples) * dt)
         self._pursuit = Pursuit(config, self._tick.stray)
         self._pending: _Prepared | None = None
+        self._preparing: Iterator[None] = iter(())
         self._reference: Reference | None = None
         self._t0 = 0.0
         self._result: StepResult | None = None
@@ -107,8 +135,8 @@ class Controller:
         self._input = self._tick.input.struct
         self._not_run: int = self._tick.lib.DDMPC_QP_NOT_RUN
 
-    def _problem(self, config: ControllerConfig) -> Problem:
-        return Problem(config, self._sampled, self._feed_forward, self._terms)
+    def _problem(self, config: ControllerConfig, predicted: _Predicted) -> Problem:
+        return Problem(config, predicted.sampled, predicted.feed_forward, self._terms, self._window)
 
     def _make_backend(self, config: ControllerConfig) -> Backend:
         return BACKENDS[config.solver.backend](config.horizon, self._kinds, config.solver, config.weights)
@@ -141,8 +169,8 @@ class Controller:
 
     @property
     def model(self) -> VelocityModel | NonlinearModel:
-        """The velocity model, extra dead time included."""
-        return self._model
+        """The velocity model, extra dead time included, and what was learned of it where that is applied."""
+        return self._predicted.model
 
     @property
     def program(self) -> Program:
@@ -173,7 +201,7 @@ class Controller:
         """
         if not math.isfinite(t0):
             raise ValueError(f"t0 = {t0}: the start time must be finite")
-        check_speeds(reference, self._config.limits, self._config.sample_time, self._model.dc_gain)
+        check_speeds(reference, self._config.limits, self._config.sample_time, self.model.dc_gain)
         tracked = reference if self._rehearsal is None else self._rehearsal.begin(reference, t0)
         native = NativeReference(tracked)
         self._tick.lib.ddmpc_start(self._c, native.struct, t0)
@@ -188,6 +216,8 @@ class Controller:
         self._pursuit.restart()
         if self._rehearsal is not None:
             self._rehearsal.forget()
+        if self._dead_time is not None:
+            self._dead_time.forget()
         self._result = None
 
     def update(
@@ -214,8 +244,10 @@ class Controller:
             for key, value in (values or {}).items()
         }
         config = replace_values(self._pending.config if self._pending else self._config, changes)
-        constants = self._tick.prepare(self._problem(config).constants())
-        self._pending = _Prepared(config, constants, self._make_backend(config))
+        predicted = self._pending.predicted if self._pending else self._predicted
+        problem = self._problem(config, predicted)
+        constants = self._tick.prepare(problem.constants())
+        self._pending = _Prepared(config, predicted, problem.sizes, constants, self._make_backend(config))
         return config
 
     def set_parameters(self, **values: ArrayLike) -> None:
@@ -279,11 +311,44 @@ class Controller:
             refused = self._ask_backend()
             solve_time += time.perf_counter() - asked
         result = self._build(hold, message, (started, solve_time), refused=refused)
+        if self._dead_time is not None:
+            result = self._learn_dead_time(self._dead_time, t, measurement, result)
         return result if self._rehearsal is None else self._rehearsal.take(t, measurement, result)
+
+    def _learn_dead_time(
+        self, dead_time: DeadTime, t: float, measurement: Measurement, result: StepResult
+    ) -> StepResult:
+        """Learn from the tick; where the dead time is another one, prepare to predict with it, a part at a tick."""
+        words = result.message
+        busy = next(self._preparing, self) is not self or self._pending is not None
+        if dead_time.take(t, measurement, result):
+            wanted = None if busy else dead_time.wanted(t)
+            if wanted is not None:
+                self._preparing = self._prepare(wanted)
+            words = "; ".join(filter(None, (words, dead_time.advice(), dead_time.change(wanted))))
+        return replace(result, message=words, dead_time=dead_time.found)
+
+    def _prepare(self, dead_time: FloatArray) -> Iterator[None]:
+        """Prepare another dead time (2,) [s]: all at once would take a part of a tick that others need."""
+        config, model = self._config, self._predicted.model
+        assert isinstance(model, VelocityModel)
+        predicted = _Predicted.by(replace(model, dead_time=dead_time), config.sample_time)
+        yield
+        problem = self._problem(config, predicted)
+        yield
+        constants = problem.constants()
+        yield
+        prepared = self._tick.prepare(constants)
+        # Where somebody else has changed something meanwhile, the change is asked for again.
+        if self._pending is None and self._config is config:
+            self._pending = _Prepared(config, predicted, problem.sizes, prepared, self._backend)
 
     def _apply_pending(self, prepared: _Prepared) -> None:
         self._config, self._backend, self._pending = prepared.config, prepared.backend, None
-        self._tick.configure(prepared.constants)
+        self._predicted = prepared.predicted
+        self._tick.configure(prepared.constants, prepared.sizes)
+        if self._dead_time is not None:
+            self._dead_time.used = self._predicted.dead_time
         self._words.configure(prepared.config)
         self._pursuit.configure(prepared.config)
 

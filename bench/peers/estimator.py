@@ -6,7 +6,7 @@ on their way are known: the velocity model says where they take the robot.
 
 from __future__ import annotations
 
-from dataclasses import astuple, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -113,7 +113,7 @@ class DelayPredictor:
             What lies between the model's twist and the body's.
         """
         outputs = (self._outputs @ np.concatenate([state, self._past.ravel()])).reshape(-1, 2)
-        slips = list(astuple(slip))
+        slips = slip.values
         twists = np.array(self._twist(outputs.T, slips)[0]).T
         acceleration = np.diff(twists[:, 0]) / self._sample_time
         theta = pose[2] + np.concatenate([[0.0], np.cumsum(0.5 * (twists[:-1, 1] + twists[1:, 1]) * self._durations)])

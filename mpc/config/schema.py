@@ -29,11 +29,11 @@ class ExtraDeadTime(Group):
 class Weights(Group):
     """Weights of the quadratic cost, each summed over the steps of the horizon."""
 
-    along: NotNegative = Field(150.0, description="squared position error along the path [1/m^2]")
-    across: NotNegative = Field(500.0, description="squared position error across the path [1/m^2]")
-    heading: NotNegative = Field(28.0, description="squared heading error, side-slip allowed for [1/rad^2]")
-    v: NotNegative = Field(20.0, description="squared deviation of v_ref from its feed-forward [s^2/m^2]")
-    omega: NotNegative = Field(2.0, description="squared deviation of omega_ref from its feed-forward [s^2/rad^2]")
+    along: NotNegative = Field(250.0, description="squared position error along the path [1/m^2]")
+    across: NotNegative = Field(700.0, description="squared position error across the path [1/m^2]")
+    heading: NotNegative = Field(14.0, description="squared heading error, side-slip allowed for [1/rad^2]")
+    v: NotNegative = Field(8.0, description="squared deviation of v_ref from its feed-forward [s^2/m^2]")
+    omega: NotNegative = Field(0.8, description="squared deviation of omega_ref from its feed-forward [s^2/rad^2]")
     v_increment: Positive = Field(20.0, description="squared increment of v_ref from tick to tick [s^2/m^2]")
     omega_increment: Positive = Field(4.0, description="squared increment of omega_ref from tick to tick [s^2/rad^2]")
     terminal: Positive = Field(10.0, description="factor on the pose errors at the end of the horizon [-]")
@@ -197,7 +197,7 @@ class Reentry(Group):
     """How a robot that is off its path rejoins it, and how far the reference's clock waits for it."""
 
     enabled: bool = Field(True, description="rejoin on a smooth path and let the reference wait; false: chase it [-]")
-    band: Positive = Field(0.05, description="further than this from the path to either side, it is rejoined [m]")
+    band: Positive = Field(0.08, description="further than this from the path to either side, it is rejoined [m]")
     heading_band: Positive = Field(0.6, description="turned by more than this from the reference, it is rejoined [rad]")
     wait: Positive = Field(
         0.1, description="lag along the path from which the reference slows down; at twice this it stands [m]"
@@ -263,6 +263,31 @@ class Rehearsal(Group):
     )
 
 
+class OnlineDeadTime(Group):
+    """The delay between command and answer, learned while driving; see docs/tuning.md."""
+
+    enabled: bool = Field(False, description="learn the dead time while driving [-]")
+    apply: bool = Field(True, description="predict with what was learned; false: only say it [-]")
+    shorter: Annotated[float, Field(ge=0, le=1)] = Field(
+        0.06, description="hard: at most so much shorter than configured, and never below zero [s]"
+    )
+    longer: Annotated[float, Field(ge=0, le=1)] = Field(
+        0.12, description="hard: at most so much longer than configured [s]"
+    )
+    memory: Positive = Field(10.0, description="time of changing motion over which it is averaged [s]")
+    least_rate_v: Positive = Field(
+        0.15, description="nothing is learned of v while the model's v changes more slowly [m/s^2]"
+    )
+    least_rate_omega: Positive = Field(
+        0.5, description="nothing is learned of omega while it changes more slowly [rad/s^2]"
+    )
+    largest_deviation: Positive = Field(0.012, description="what is less certain is not applied [s]")
+    least_difference: Positive = Field(0.01, description="difference from which it is applied [s]")
+    step: Positive = Field(0.02, description="largest change at once [s]")
+    pause: Positive = Field(1.0, description="time from one change to the next [s]")
+    told_from: Positive = Field(0.03, description="difference from the configured dead time that is told [s]")
+
+
 class TermConfig(Group):
     """A function of the user: a residual of the cost, or something with soft limits; see docs/tuning.md."""
 
@@ -301,4 +326,5 @@ class ControllerConfig(Group):
     reentry: Reentry = Reentry()
     finish: Finish = Finish()
     rehearsal: Rehearsal = Rehearsal()
+    online_dead_time: OnlineDeadTime = OnlineDeadTime()
     terms: list[TermConfig] = Field([], description="functions of the user in cost and soft limits [-]")

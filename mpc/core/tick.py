@@ -25,7 +25,8 @@ class Tick:
     Parameters
     ----------
     sizes, constants
-        Fields of `ddmpc_sizes` and `ddmpc_constants`.
+        Fields of `ddmpc_sizes` and `ddmpc_constants`. Memory is laid out for these lags and this window: `configure`
+        may use shorter ones.
     step, output
         Addresses of a nonlinear model's functions.
     terms
@@ -98,9 +99,16 @@ class Tick:
                 setattr(struct, name, value)
         return struct, kept
 
-    def configure(self, prepared: tuple[Any, list[FloatArray]]) -> None:
-        """Use other constants from now on."""
-        self.lib.ddmpc_configure(self.c, prepared[0])
+    def configure(self, prepared: tuple[Any, list[FloatArray]], sizes: Mapping[str, int]) -> None:
+        """Use other constants from now on, with the delays and lags of `sizes`.
+
+        Raises
+        ------
+        ValueError
+            If these are larger than memory was laid out for.
+        """
+        if not self.lib.ddmpc_configure(self.c, prepared[0], self.ffi.new("ddmpc_sizes *", dict(sizes))):
+            raise ValueError("delays or lags are larger than at first")
         self._constants = prepared
 
     def view(self, address: Any, shape: tuple[int, ...]) -> FloatArray:  # noqa: ANN401 - cffi has no types

@@ -46,6 +46,11 @@ class Slip:
     load_shift: float = 0.0
 
     @property
+    def values(self) -> list[float]:
+        """All of it (8), in the order of `SLIPS`."""
+        return [getattr(self, name) for name in SLIPS]
+
+    @property
     def gains(self) -> FloatArray:
         """(2,) forward speed and yaw rate of the body over those of the model."""
         return np.array([self.longitudinal_gain, self.omega_gain * self.yaw_gain])

@@ -46,6 +46,8 @@ class Problem:
     model: DiscreteModel | NonlinearModel
     feed_forward: FeedForward
     terms: tuple[Term, ...] = ()
+    window: int = 0
+    """commands that are remembered at least, for a dead time that may grow [samples]"""
     prediction: Prediction | None = field(init=False)
 
     def __post_init__(self) -> None:
@@ -76,7 +78,7 @@ class Problem:
             "states": model.order,
             "delay_v": v,
             "delay_omega": omega,
-            "window": model.memory,
+            "window": max(self.window, model.memory),
             "history": self.history,
             "lag_v": lag_v,
             "lag_omega": lag_omega,
@@ -156,7 +158,7 @@ class Problem:
         }
 
     def _prediction(self) -> Constants:
-        N, found, n, W = self.config.horizon, self.prediction, self.model.order, self.model.memory
+        N, found, n, W = self.config.horizon, self.prediction, self.model.order, self.sizes["window"]
         width = padded(2 * N)
         if found is None:
             empty = {
@@ -172,7 +174,10 @@ class Problem:
         weighted_heading = self._pose_weights()[:, 2:] * found.heading_from_plan[1:]
         return {
             "from_state": found.from_state.reshape(N + 1, 2, -1),
-            "from_past": found.from_past.reshape(N + 1, 2, -1, 2),
+            # Nothing comes from commands that are older than the model's memory.
+            "from_past": np.pad(
+                found.from_past.reshape(N + 1, 2, -1, 2), ((0, 0), (0, 0), (W - self.model.memory, 0), (0, 0))
+            ),
             "response": found.from_plan[:, :2].reshape(N + 1, 2, 2).transpose(1, 2, 0),
             "twist_row": [_longest_row(found.from_plan[channel::2]) for channel in (0, 1)],
             "mean_row": [_longest_row(found.mean_from_plan[channel::2]) for channel in (0, 1)],

@@ -6,6 +6,7 @@ import math
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopState
 from diffdrive_mpc.mpc.ros.conversions import time_message
 from diffdrive_mpc.mpc.ros.latency import Durations
@@ -82,6 +83,12 @@ def _result(result: StepResult) -> dict[str, str]:
         "reference delay [s]": f"{result.reference_delay:.2f}",
         "sensors not used": ", ".join(result.unused_sensors) or "none",
     }
+    if result.dead_time is not None:
+        found = result.dead_time
+        for i, channel in enumerate(CHANNELS):
+            values[f"dead time of {channel} found, deviation, used [s]"] = (
+                f"{found.value[i]:.3f}, {found.deviation[i]:.3f}, {found.used[i]:.3f}"
+            )
     error = tracking_error(result)
     if error is not None:
         values["error along, across [m], heading [rad]"] = "{:.4f}, {:.4f}, {:.4f}".format(*error)

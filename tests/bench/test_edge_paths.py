@@ -41,4 +41,4 @@ def test_limits_bind_on_tight_for_a_third_of_the_time(overrides: tuple[tuple[str
     assert share["slew"] > 0.1
     # Within the command's shipped limits the wheels never reach theirs.
     assert (share["wheels"] > 0.05) == bool(overrides)
-    assert 0.28 < (at["command"] | at["slew"] | at["wheels"]).mean() < 0.45
+    assert 0.28 < (at["command"] | at["slew"] | at["wheels"]).mean() < (0.5 if overrides else 0.45)

@@ -201,7 +201,7 @@ def terms_of_the_user(point) -> tuple[Term, ...]:
     away = ca.Function("away", [pose, parameters], [distance], ["pose", "parameters"], ["value"])
     return (
         Term("calm", calm),
-        Term("away", away, "soft", lower=[0.0], defaults=[*point, 0.1]),
+        Term("away", away, "soft", lower=[0.0], defaults=[*point, 0.2]),
     )
 
 

@@ -108,4 +108,4 @@ def test_in_steady_tracking_commands_are_those_of_ipopt(trajectory):
         start = np.concatenate([tick.feed_forward.ravel(), np.zeros(10 * problem.steps)])
         best = np.array(solver(x0=start, **bounds)["x"]).ravel()[:2]
         assert solver.stats()["success"]
-        assert command == pytest.approx(best, abs=1e-3)
+        assert command == pytest.approx(best, abs=2e-3)

@@ -120,7 +120,7 @@ def test_real_time_iterations_converge_to_ipopts_solution(model_name, soft):
     assert plan == pytest.approx(ipopt(subject, tick), abs=2e-6)
 
 
-def test_a_turning_point_that_moves_is_taken_from_the_guess_and_that_costs_nothing():
+def test_a_turning_point_that_moves_is_taken_from_the_guess_and_that_costs_little():
     """The iteration ends where the plan is best for its own turning points: nearly as good as if it moved them."""
     subject, tick = setting("ssm")
     tick = replace(tick, slip=replace(tick.slip, load_shift=0.05))
@@ -129,7 +129,7 @@ def test_a_turning_point_that_moves_is_taken_from_the_guess_and_that_costs_nothi
     assert np.ptp(ahead) > 0.004
     assert plan == pytest.approx(ipopt(subject, tick, ahead), abs=2e-6)
     cost, best = nonlinear_cost(subject, tick, None), ipopt(subject, tick)
-    assert cost(best.ravel()) <= cost(plan.ravel()) < 1.01 * cost(best.ravel())
+    assert cost(best.ravel()) <= cost(plan.ravel()) < 1.02 * cost(best.ravel())
 
 
 @pytest.mark.parametrize("model_name", ["ssm", "mbm"])

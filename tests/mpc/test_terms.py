@@ -87,7 +87,7 @@ def drive_past(term, point, overrides, *, foreseen=True):
     [
         (KEEP_OFF, crossing, WAITS, 0.39),
         (PUSH_OFF, crossing, WAITS, 0.41),
-        (KEEP_OFF, crossing, SWERVES, 0.39),
+        (KEEP_OFF, crossing, SWERVES, 0.38),
         (KEEP_OFF, standing, SWERVES, 0.36),
         (PUSH_OFF, standing, SWERVES, 0.34),
     ],
@@ -130,7 +130,7 @@ def test_a_limit_that_the_robot_is_beyond_already_still_counts():
 
 # A softer heading near the goal.
 
-STIFF = 200.0
+STIFF = 320.0
 
 
 def heading_term(near):

@@ -79,9 +79,9 @@ def test_real_time_iterations_with_terms_converge_to_ipopts_solution(model, case
         return Controller(config, terms=terms)
 
     controller = make()
-    drive = record(controller, IdealRobot(controller._sampled, np.zeros(3)), CIRCLE, 120, set_points)
+    drive = record(controller, IdealRobot(controller._predicted.sampled, np.zeros(3)), CIRCLE, 160, set_points)
     result = converged(make, drive, CIRCLE, set_points)
-    program = NonlinearProgram(controller, result, drive, CIRCLE, linear_outputs(controller._sampled))
+    program = NonlinearProgram(controller, result, drive, CIRCLE, linear_outputs(controller._predicted.sampled))
     without = program.solve()
     for term in terms:
         program.add(term, points(drive.times[-1]) if term.parameters else np.zeros((HORIZON + 1, 0)))

@@ -1,0 +1,227 @@
+"""The dead time is learned while driving: right, certain, within bounds, and only where there is something to learn."""
+
+import pickle
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from ideal_robot import IdealRobot, drive
+
+from diffdrive_mpc.models import Measurement, Stamped, load_model
+from diffdrive_mpc.mpc import Controller, load_config
+from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.dead_time import DeadTime
+from diffdrive_mpc.mpc.hold import Hold
+from diffdrive_mpc.mpc.step_result import Mode
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+
+DT = 0.0202
+SM = load_model("sm")
+
+
+def path(*twists):
+    segments = [Segment(v=v, omega=omega, duration=seconds) for v, omega, seconds in twists]
+    return lay_segments(segments, TrajectoryLimits.of_robot(), name="path")
+
+
+BENDS = path(*[(0.5, 0.8, 1.0), (0.3, -0.8, 1.0)] * 12)
+STRAIGHT = path((0.5, 0.0, 12.0))
+
+
+def controller(model="sm", given=None, **settings):
+    values = {"online_dead_time.enabled": True, **{f"online_dead_time.{key}": value for key, value in settings.items()}}
+    return Controller(replace_values(load_config(model), values), model=given)
+
+
+def driven(by, shift=(0.0, 0.0), *, reference=BENDS, seconds=8.0, noise=1.0, change=None, robot=SM):
+    """Drive a robot whose dead time differs by `shift` [s]; returns results and errors of the position (n, 2) [m]."""
+    other = replace(robot, dead_time=robot.dead_time + np.array(shift)).discretise(DT)
+    plant = IdealRobot(other, reference.sample([0.0]).pose[0], noise=noise)
+    results, poses, times = drive(by, plant, reference, seconds, change=change)
+    return results, (poses - reference.sample(times).pose)[:, :2]
+
+
+def commands(results):
+    return np.array([result.command for result in results])
+
+
+@pytest.mark.parametrize("shift", [(0.06, 0.06), (0.033, -0.02), (-0.04, 0.0), (0.0, 0.0)])
+def test_a_known_dead_time_is_found_and_used(shift):
+    found = driven(controller(), shift)[0][-1].dead_time
+    truth = SM.dead_time + shift
+    np.testing.assert_allclose(found.value, truth, atol=0.010)
+    assert np.all(np.abs(found.value - truth) < 4 * found.deviation)
+    assert np.all(found.deviation < 0.010)
+    np.testing.assert_allclose(found.used, truth, atol=0.015)
+
+
+def test_wheels_that_are_read_late_are_no_dead_time():
+    """What counts is the stamp."""
+    kept = []
+
+    def late(_, measurement):
+        kept.append(measurement.wheel_twist)
+        return replace(measurement, wheel_twist=kept[max(len(kept) - 3, 0)])
+
+    found = driven(controller(), (0.03, 0.03), change=late)[0][-1].dead_time
+    np.testing.assert_allclose(found.value, SM.dead_time + 0.03, atol=0.010)
+
+
+def test_without_wheels_the_gyro_tells_that_of_omega():
+    def blind(_, measurement):
+        return replace(measurement, wheel_twist=None)
+
+    found = driven(controller(), (0.06, 0.04), change=blind)[0][-1].dead_time
+    assert np.isnan(found.value[0])
+    assert found.value[1] == pytest.approx(SM.dead_time[1] + 0.04, abs=0.010)
+
+
+def test_once_right_the_error_is_that_of_the_right_dead_time():
+    shift = np.array([0.06, 0.06])
+    right = replace(SM, dead_time=SM.dead_time + shift)
+    by = {
+        "right": Controller(load_config("sm"), model=right),
+        "wrong": Controller(load_config("sm")),
+        "online": controller(),
+    }
+    error = {}
+    for name, one in by.items():
+        later = driven(one, shift, seconds=24.0)[1][round(20.0 / DT) :]
+        error[name] = np.sqrt(np.mean(np.sum(later**2, axis=1)))
+    assert error["wrong"] > 1.3 * error["right"]
+    assert error["online"] < 1.3 * error["right"]
+
+
+def test_without_excitation_it_is_frozen():
+    results, _ = driven(controller(), (0.06, 0.06), reference=STRAIGHT, seconds=10.0)
+    at_speed, later = results[round(3.0 / DT)].dead_time, results[-1].dead_time
+    assert at_speed.value[0] == pytest.approx(SM.dead_time[0] + 0.06, abs=0.010)
+    np.testing.assert_array_equal(later.value[0], at_speed.value[0])
+    # It never turned.
+    assert np.isnan(later.value[1])
+    assert later.used[1] == SM.dead_time[1]
+
+
+@pytest.mark.parametrize(("shift", "bounds"), [((0.15, 0.15), (0.06, 0.05)), ((-0.04, -0.04), (0.01, 0.05))])
+def test_it_stays_within_its_bounds(shift, bounds):
+    results, _ = driven(controller(shorter=bounds[0], longer=bounds[1]), shift)
+    wanted = SM.dead_time + np.clip(shift, -bounds[0], bounds[1])
+    for result in results:
+        assert np.all(result.dead_time.used <= SM.dead_time + bounds[1] + 1e-12)
+        assert np.all(result.dead_time.used >= SM.dead_time - bounds[0] - 1e-12)
+    np.testing.assert_allclose(results[-1].dead_time.used, wanted, atol=0.011)
+
+
+def test_it_never_falls_below_zero():
+    slow = load_model("ssm").with_extra_dead_time([0.02, 0.02])
+    found = driven(controller(given=slow, longer=0.0), (-0.02, -0.02), robot=slow)[0][-1].dead_time
+    assert np.all(found.used >= 0.0)
+    assert np.all(found.used < 0.012)
+
+
+def test_it_changes_in_steps_and_the_command_does_not_jump():
+    by = controller(step=0.015, pause=0.5)
+    results, _ = driven(by, (0.06, 0.06))
+    used = np.array([result.dead_time.used for result in results])
+    changed = np.flatnonzero(np.diff(used, axis=0).any(axis=1))
+    assert len(changed) >= 3
+    assert np.abs(np.diff(used, axis=0)).max() <= 0.015 + 1e-12
+    assert np.diff(changed).min() * DT >= 0.5 - DT
+    limits = by.config.limits
+    moves = np.abs(np.diff(commands(results), axis=0))
+    assert np.all(moves <= np.array([limits.v_slew, limits.omega_slew]) * DT + 1e-9)
+    # At a change no more than at others.
+    assert np.all(moves[changed].max(axis=0) <= np.quantile(moves, 0.99, axis=0) + 1e-9)
+
+
+def test_off_is_the_default_and_what_is_not_applied_changes_nothing():
+    plain = driven(Controller(load_config("sm")), (0.06, 0.06))[0]
+    assert plain[-1].dead_time is None
+    told = driven(controller(apply=False), (0.06, 0.06))[0]
+    assert np.array_equal(commands(plain), commands(told))
+    advice = [result.message for result in told if "looks" in result.message]
+    assert sum("dead time of v looks" in text for text in advice) == 1
+    assert sum("set" in text or "extra_dead_time.omega" in text for text in advice) == 1
+    right = driven(controller(apply=False))[0]
+    assert not any("looks" in result.message for result in right)
+
+
+def test_drives_repeat_bit_for_bit():
+    one, two = (driven(controller(), (0.06, 0.02))[0] for _ in range(2))
+    assert np.array_equal(commands(one), commands(two))
+
+
+def test_a_copy_for_another_process_begins_as_configured():
+    by = controller()
+    driven(by, (0.06, 0.06), seconds=4.0)
+    copy = pickle.loads(pickle.dumps(by))
+    assert copy.config == by.config
+    np.testing.assert_array_equal(copy.model.dead_time, SM.dead_time)
+    fresh = driven(controller(), (0.06, 0.06), seconds=2.0)[0]
+    assert np.array_equal(commands(driven(copy, (0.06, 0.06), seconds=2.0)[0]), commands(fresh))
+
+
+def test_weights_that_change_meanwhile_and_the_dead_time_both_arrive():
+    by = controller()
+
+    def often(k, measurement):
+        if k % 3 == 0 and k < 200:
+            by.update(weights={"across": 400.0 + k})
+        return measurement
+
+    results, _ = driven(by, (0.06, 0.06), change=often)
+    assert by.config.weights.across == 598.0
+    np.testing.assert_allclose(results[-1].dead_time.used, SM.dead_time + 0.06, atol=0.015)
+    np.testing.assert_array_equal(by.model.dead_time, results[-1].dead_time.used)
+
+
+def learner(seconds=6.0, **said):
+    """Give one that learns a robot's exact answers, with results that say what is in `said`."""
+    by, robot = DeadTime(controller().config, SM), SM.with_extra_dead_time([0.05, 0.05]).discretise(DT)
+    given = 0.4 * np.sin(np.arange(round(seconds / DT))[:, None] * DT * [2.0, 3.0])
+    for k, (command, twist) in enumerate(zip(given, robot.simulate(given), strict=True)):
+        fine = {"mode": Mode.TRACKING, "blocked_for": 0.0, "unused_sensors": ()}
+        result = SimpleNamespace(command=command, **{**fine, **said})
+        by.take(k * DT, Measurement(wheel_twist=Stamped(twist, k * DT)), result)
+    return by.found
+
+
+def test_exact_answers_leave_little_doubt():
+    found = learner()
+    np.testing.assert_allclose(found.value, SM.dead_time + 0.05, atol=0.001)
+    assert np.all(found.deviation < 0.002)
+
+
+@pytest.mark.parametrize(
+    "said",
+    [{"mode": Mode.BRAKING}, {"mode": Mode.STOPPED}, {"blocked_for": 0.2}, {"unused_sensors": ("wheel speed",)}],
+    ids=str,
+)
+def test_nothing_is_learned_from_a_robot_that_is_held_or_sensors_that_are_accused(said):
+    assert np.isnan(learner(**said).value).all()
+
+
+def test_a_pause_is_no_dead_time():
+    by = controller()
+    driven(by, (0.04, 0.04), seconds=6.0)
+    before = by.step(6.0, Measurement(), Hold("pause")).dead_time
+    results, _ = driven(by, (0.04, 0.04), seconds=6.0)
+    np.testing.assert_allclose(results[-1].dead_time.value, SM.dead_time + 0.04, atol=0.010)
+    np.testing.assert_allclose(before.value, results[-1].dead_time.value, atol=0.005)
+
+
+def test_without_a_dead_time_to_change_it_is_refused():
+    with pytest.raises(ValueError, match="compensation.dead_time"):
+        Controller(load_config("sm", {"online_dead_time.enabled": True, "compensation.dead_time": False}))
+
+
+def test_memory_bounds_delays():
+    by = Controller(load_config("sm"))
+    tick, problem = by._tick, by._problem(by.config, by._predicted)
+    prepared = tick.prepare(problem.constants())
+    with pytest.raises(ValueError, match="larger than at first"):
+        tick.configure(prepared, problem.sizes | {"delay_v": problem.sizes["window"]})
+    with pytest.raises(ValueError, match="larger than at first"):
+        tick.configure(prepared, problem.sizes | {"lag_omega": 40})
