@@ -78,7 +78,7 @@ calibrate: $(READY) ## fit the simulated robot to the published SSM again
 	$(BIN)/diffdrive-mpc models calibrate
 
 readme: $(READY) ## copy tables and figures of the last `make bench` and of the studies that were made into README and docs
-	$(BIN)/python -m diffdrive_mpc.bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT) $(PEERS_OUT) $(EDGE_OUT) $(ROBUSTNESS_OUT))
+	$(BIN)/python -m diffdrive_mpc.bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT) $(PEERS_OUT) $(EDGE_OUT))
 
 requirements: ## pin all dependencies anew (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \

@@ -22,7 +22,7 @@ from oracle.clock import TickClock, TickKind
 from oracle.estimate import Estimate
 from oracle.estimator import StateEstimator
 from oracle.problem import TrackingProblem, command_box
-from oracle.reach import WheelReach
+from oracle.reach import ASTRAY, BESIDE, WheelReach
 from oracle.solver import solve
 from oracle.tick import FeedForward, begin_tick
 from oracle.trajectories import sampled
@@ -94,6 +94,7 @@ class OracleController:
         self.ahead = np.arange(self.feed_forward.samples) * config.sample_time
         self.reach = WheelReach(config, self.model.dc_gain, int(self.feed_forward.ahead.max()))
         self.wanted: FloatArray | None = None
+        self.wanted_pose: FloatArray | None = None
         self.pursuit = Pursuit(config, self._stray)
         self.clock = TickClock(config.sample_time, self.estimator.longest_pause)
         self.reference: Reference | None = None
@@ -211,7 +212,7 @@ class OracleController:
             return self._brake(notes)
         if self.latched:
             return self._brake(notes, "stopped after a failure; call start or reset to drive on")
-        followed = self.plan is not None and self.plan_age == 0
+        followed = self.plan is not None and self.plan_age == 0 and self._is_astray()
         self.reach.look(
             estimator.twist_gates.wheels, t, self.wanted if followed else None, estimate.slip, estimator.commands
         )
@@ -239,6 +240,16 @@ class OracleController:
         # It stands, or turns on the spot: then the robot has to arrive first.
         turning = -math.copysign(1.0, omega) * turned if abs(omega) > TURNING else 0.0
         return Stray(outside, max(math.hypot(along, across) / settings.wait, turning / settings.heading_wait))
+
+    def _is_astray(self) -> bool:
+        """Whether the robot is behind or beside where it was to be by now."""
+        pose, twist = self.wanted_pose, self.wanted
+        if pose is None or twist is None:
+            return False
+        x, y, _ = self.estimator.estimate.pose - pose
+        across = np.cos(pose[2]) * y - np.sin(pose[2]) * x
+        stray = self._stray(pose, twist)
+        return bool(stray.late > ASTRAY or abs(across) > BESIDE * self.config.reentry.band or stray.outside)
 
     def _restart(self) -> bool:
         """Take the robot to be where its rejected poses agree it is, once it has been told to stand."""
@@ -280,7 +291,7 @@ class OracleController:
     def _plan(self, estimate: Estimate, target: Target) -> tuple[Plan | None, SolverStatus]:
         """One real-time iteration: linearise along the shifted plan, solve, keep the plan."""
         config, sample = self.config, target.sample or target.reference.sample(target.time + self.ahead)
-        self.wanted, self.problem.reach = sample.twist[1], self.reach.at_rim
+        self.wanted_pose, self.wanted, self.problem.reach = sample.pose[1], sample.twist[1], self.reach.at_rim
         tick = begin_tick(self.feed_forward, estimate, self.estimator.commands.recent, self.last, sample)
         if self.guess is None:
             box = command_box(config.limits, config.sample_time, self.last, config.horizon)

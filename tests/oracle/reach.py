@@ -24,6 +24,8 @@ _SHORT, _LEAST, _FOR, _HELD, _REGAIN, _SMOOTHED, _STEADY, _LASTING, _FASTER = (
     0.07,
     0.1,
 )
+# Where the robot keeps up with its reference nothing is learned.
+ASTRAY, BESIDE = 0.6, 0.5
 
 
 class WheelReach:
