@@ -37,7 +37,7 @@ bench: $(READY) ## models x trajectories x seeds and the horizon sweep: tables a
 	$(BIN)/diffdrive-mpc bench --out $(OUT)
 
 edge: $(READY) ## fast and tight paths, all models beside their peers, path by path: out/edge
-	$(BIN)/diffdrive-mpc bench --out $(EDGE_OUT) --controllers mpc,pursuit+slip,kanayama+slip,lqr+slip,mppi+slip \
+	$(BIN)/diffdrive-mpc bench --out $(EDGE_OUT) --controller mpc,pursuit+slip,kanayama+slip,lqr+slip,mppi+slip \
 		--models kinematic,mbm,sm,ssm --horizons none --seeds 2 \
 		--trajectories fast_circle,figure8,slalom,reverse_slalom,k_turn,spiral,tight,spline-0,spline-1,spline-2
 
