@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -55,7 +56,15 @@ def test_loop_without_ros(tmp_path):
 
 def test_interrupted_the_loop_without_ros_sends_zero_last(tmp_path):
     command = [sys.executable, "-u", str(EXAMPLES / "loop_without_ros.py")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+    with subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        # Where the tests run in the background the signal is ignored, and that is inherited.
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509 - it has no threads
+    ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "driving\n"
         time.sleep(0.4)

@@ -87,7 +87,7 @@ def test_an_unknown_part_is_refused():
     ("old", "new", "message"),
     [
         ("seeds: [20, 21]", "seeds: [20]", "ablation.seeds: Tuple should have at least 2 items"),
-        ("drawn: [short sight", "drawn: [long sight", "there is no variant 'long sight'"),
+        ("drawn: [no side-slip", "drawn: [long sight", "there is no variant 'long sight'"),
         ("bound:", "bounds:", "key 'bound' is missing"),
         ("models: [ssm]\n", "models: []\n", "models: Tuple should have at least 1 item"),
     ],
@@ -102,7 +102,7 @@ def test_a_mistake_in_a_study_is_one_line(old: str, new: str, message: str, tmp_
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("horizon: 12", "horizn: 12", "unknown key 'horizn'"),
+        ("compensation.side_slip: false", "compensation.side_slop: false", "unknown key 'compensation.side_slop'"),
         ("late_sensors: slam", "late_sensors: slum", "unknown sensor set 'slum'"),
         ("trajectories: [cane]", "trajectories: [can]", "can"),
         ("plants: [sm, ssm]", "plants: [foo]", "unknown model 'foo'"),

@@ -26,8 +26,8 @@ ablation:
   models: [ssm]
   surfaces: [default]
   seeds: [20, 21]
-  variants: {as shipped: {}, short sight: {horizon: 12}}
-  drawn: [short sight, as shipped]
+  variants: {as shipped: {}, no side-slip: {compensation.side_slip: false}}
+  drawn: [no side-slip, as shipped]
 cross: {plants: [sm, ssm], seeds: [20]}
 surfaces: {surfaces: [default], sensors: [default], seeds: [20]}
 scenarios: {names: [none], trajectories: [cane], seeds: [20]}
