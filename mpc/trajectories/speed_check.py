@@ -9,6 +9,8 @@ from diffdrive_mpc.mpc.config.schema import Limits
 
 # A spline through timed poses may ring a little over its limit.
 _SPEED_EXCESS = 1.01
+# A little beyond the limits by the model's gain the reference waits; far beyond it there is no use.
+_COMMAND_EXCESS = 1.25
 _MOST_SAMPLES = 100_000
 
 
@@ -36,7 +38,7 @@ def check_speeds(reference: Reference, limits: Limits, dt: float, gain: FloatArr
             )
         worst = int(np.argmax(needed[:, row]))
         value = float(needed[worst, row])
-        if not value <= limit * _SPEED_EXCESS:
+        if not value <= limit * _COMMAND_EXCESS:
             raise ValueError(
                 f"reference '{reference.name}': {name} = {twist[worst, row]:.3g} at {times[worst]:.2f} s takes a "
                 f"command of {value:.3g} by the model's gain, more than limits.{name} = {limit:g}; slow the reference "
