@@ -34,7 +34,8 @@ static void forget(ddmpc_controller *c)
     c->plan_age = -1;
     c->has_result = c->has_driven = c->latched = c->finished = 0;
     c->rim[0] = c->rim[1] = R(0.0);
-    c->short_ticks = 0;
+    c->short_ticks = c->short_one = 0;
+    c->patience = R(1.0);
     c->reach = c->rim_reach = (real)HUGE_VAL;
     c->pending = DDMPC_DONE;
 }
@@ -383,7 +384,13 @@ static void watch_wheels(ddmpc_controller *c)
         found = short_wheel(c, by_reference, read);
     }
     c->short_ticks = found < 0 ? 0 : c->short_ticks + 1;
-    if (c->short_ticks * k->sample_time > LASTING) {
+    /* One that turns faster after all was only slow to answer: then it takes twice as long to convince. */
+    if (ddmpc_fabs(c->rim[c->short_one]) > c->rim_reach * (R(1.0) + SHORT) + LEAST_SHORT) {
+        c->reach = c->rim_reach = (real)HUGE_VAL;
+        c->patience *= R(2.0);
+    }
+    if (c->short_ticks * k->sample_time > LASTING * (ddmpc_time)c->patience) {
+        c->short_one = found;
         c->rim_reach = ddmpc_fabs(c->rim[found]);
         c->reach = ddmpc_fabs(c->rim[found] / by_reference[found]) *
                    (ddmpc_fabs(wanted[0]) + k->half_track * ddmpc_fabs(wanted[1]));
