@@ -69,7 +69,7 @@ def load_reference(case: Case) -> Trajectory:
         config = controller_config(
             Case().model if case.controller in PEERS else case.model, case.config, case.overrides
         )
-        return scaled_to_robot(case.trajectory, config, load_model(config.model).dc_gain)
+        return scaled_to_robot(case.trajectory, config, load_model(config.model))
     if case.top_speed is not None:
         segments = load_segments(case.trajectory)
         faster = case.top_speed / max(abs(one.v) for one in segments)

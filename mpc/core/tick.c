@@ -19,6 +19,8 @@
 /* The robot has to be behind or beside its reference by this share of what the reference waits for, or of the band. */
 #define ASTRAY R(0.6)
 #define BESIDE R(0.5)
+/* The band is no narrower than the deviation of the position times this. */
+#define UNSURE R(3.0)
 /* Faster by this than all that was asked lately [m/s]. */
 #define FASTER R(0.1)
 /* What they reach is believed to grow again by this share [1/s]. */
@@ -218,7 +220,10 @@ ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const 
     const real v = twist[0], omega = twist[1];
     const int backwards = v < R(0.0), driving = ddmpc_fabs(v) > k->standing;
     const real ahead = backwards ? -stray.along : stray.along;
-    stray.outside = ddmpc_fabs(stray.across) > k->band || ddmpc_fabs(stray.heading) > k->heading_band ||
+    /* What is not known of the pose is no reason to leave the path for. */
+    const real *deviation = c->result.estimate.deviation + STATES(c) + POSE;
+    const real band = ddmpc_max(k->band, UNSURE * ddmpc_hypot(deviation[0], deviation[1]));
+    stray.outside = ddmpc_fabs(stray.across) > band || ddmpc_fabs(stray.heading) > k->heading_band ||
                     !(-k->behind <= ahead && ahead <= k->ahead);
     if (driving) {
         stray.late = -ahead / k->wait;

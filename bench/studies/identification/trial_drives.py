@@ -81,7 +81,7 @@ def trial_drives(
     for name, model, around in plants:
         for path in PATHS:
             plant = ModelPlant(model, slip, load_sensor_set("default"), effects=around, robot=robot)
-            reference = scaled_to_robot(path, config, found.model.dc_gain)
+            reference = scaled_to_robot(path, config, found.model)
             drives.append(TrialDrive(name, path, simulate(Controller(config), plant, reference).metrics, circle))
             on_run()
     return drives
