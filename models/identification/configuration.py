@@ -70,8 +70,8 @@ class Configuration:
     ----------
     name
         Of the model.
-    general, limits, wheels, estimator
-        Settings without a group, and those of groups; the last two are empty where the log says nothing of them.
+    general, limits, wheels, estimator, reentry, failure
+        Settings without a group, and those of groups; the others may be empty.
     """
 
     name: str
@@ -79,12 +79,18 @@ class Configuration:
     limits: tuple[Setting, ...]
     wheels: tuple[Setting, ...]
     estimator: tuple[Setting, ...] = ()
+    reentry: tuple[Setting, ...] = ()
+    failure: tuple[Setting, ...] = ()
+
+    @property
+    def groups(self) -> dict[str, tuple[Setting, ...]]:
+        """The settings with a group, by its name."""
+        return {name: getattr(self, name) for name in ("limits", "wheels", "estimator", "reentry", "failure")}
 
     def mapping(self) -> dict[str, Any]:
         """Keys and values as `load_config` takes them; the model is the file beside the configuration."""
-        groups = {"limits": self.limits, "wheels": self.wheels, "estimator": self.estimator}
         content: dict[str, Any] = {setting.name: setting.value for setting in self.general}
-        for group, settings in groups.items():
+        for group, settings in self.groups.items():
             if settings:
                 content[group] = {setting.name: setting.value for setting in settings}
         return content
@@ -99,9 +105,10 @@ class Configuration:
             *(f"  {setting.line()}" for setting in self.limits),
             *(["wheels:"] if self.wheels else [_UNKNOWN_WHEELS]),
             *(f"  {setting.line()}" for setting in self.wheels),
-            *(["estimator:"] if self.estimator else []),
-            *(f"  {setting.line()}" for setting in self.estimator),
         ]
+        for group in ("estimator", "reentry", "failure"):
+            if self.groups[group]:
+                lines += [f"{group}:", *(f"  {setting.line()}" for setting in self.groups[group])]
         return "\n".join(lines) + "\n"
 
 
@@ -152,7 +159,29 @@ def configure(
             _setting("track", track, "m, by which the robot turned omega_ref into wheel speeds"),
             _setting("encoder_track", geometry.track, "m, by which the log's omega was computed"),
         ]
-    return Configuration(name, _general(identified, train[0].dt), tuple(limits), tuple(wheels), _noises(train))
+    lengths = _lengths(limit[0] * gain[0], geometry)
+    return Configuration(
+        name,
+        _general(identified, train[0].dt),
+        (*limits, *lengths.get("limits", ())),
+        tuple(wheels),
+        _noises(train),
+        tuple(lengths.get("reentry", ())),
+        tuple(lengths.get("failure", ())),
+    )
+
+
+def _lengths(speed: float, geometry: WheelGeometry | None) -> dict[str, list[Setting]]:
+    """What a robot larger or faster than that of the papers needs more room for, by group."""
+    usual = load_robot()
+    larger = max(speed / usual.limits.v, geometry.track / usual.track if geometry is not None else 0.0)
+    found: dict[str, list[Setting]] = {}
+    if larger > 1.0:
+        for key, length in identification_settings().lengths.items():
+            group, _, name = key.partition(".")
+            reason = f"m, {larger:.1f} times as much as usual, as the robot is larger or faster"
+            found.setdefault(group, []).append(_setting(name, larger * length, reason))
+    return found
 
 
 def _general(identified: IdentifiedModel, dt: float) -> tuple[Setting, ...]:

@@ -37,6 +37,7 @@ class IdentificationSettings(StrictModel):
     look_ahead: Positive = Field(description="horizon over the settling time [-]")
     least_steps: int = Field(ge=1, le=200, description="[-]")
     most_steps: int = Field(ge=1, le=200, description="[-]")
+    lengths: dict[str, Positive] = Field(description="by dotted key of the configuration [m]")
     least_noise: dict[str, Positive] = Field(description="by the key of the group estimator [SI units]")
     warn: JudgementSettings
 

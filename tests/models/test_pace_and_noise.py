@@ -12,7 +12,7 @@ from diffdrive_mpc.models.identification.sensor_noise import sensor_noise
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.velocity_model import VelocityModel
-from diffdrive_mpc.mpc.config.schema import Estimator
+from diffdrive_mpc.mpc.config.schema import ControllerConfig, Estimator
 
 SETTINGS = identification_settings()
 
@@ -75,3 +75,10 @@ def test_the_least_noises_are_those_of_the_shipped_configuration():
     assert set(SETTINGS.least_noise) == {
         name for name in Estimator.model_fields if name.endswith("_noise") and "input" not in name
     }
+
+
+def test_the_lengths_are_those_of_the_shipped_configuration():
+    config = ControllerConfig()
+    for key, length in SETTINGS.lengths.items():
+        group, _, name = key.partition(".")
+        assert getattr(getattr(config, group), name) == length
