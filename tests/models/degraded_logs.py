@@ -571,9 +571,9 @@ OTHERS = (
     Case(
         "asphalt: one step of 6 s",
         "asphalt",
-        rows(lambda c: c["calib_step"] == 3),
-        ("little excitation",),
-        ("changes",),
+        rows(lambda c: c["calib_step"] == 0),
+        ("little excitation", "constant input"),
+        ("command",),
         True,
     ),
     Case("simulated: omega never driven", "simulated", simulated(drive=(1, 0)), ("constant input",), ("omega",), True),
@@ -683,9 +683,12 @@ def _smooth_and_clipped():
 
 
 def write_columns(path, columns):
-    """A CSV file; NaN becomes an empty cell."""
+    """A CSV file; a column of NaN alone becomes one of empty cells."""
     table = np.column_stack(list(columns.values()))
-    lines = [",".join("" if cell != cell else f"{cell:.9g}" for cell in row) for row in table.tolist()]
+    empty = np.isnan(table).all(axis=0)
+    lines = [
+        ",".join("" if e else f"{cell:.12g}" for e, cell in zip(empty, row, strict=True)) for row in table.tolist()
+    ]
     path.write_text("\n".join([",".join(columns), *lines]) + "\n")
     return path
 
