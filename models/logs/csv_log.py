@@ -13,6 +13,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.clock_checks import require_one_clock
 from diffdrive_mpc.models.logs.csv_table import CsvTable, read_table
+from diffdrive_mpc.models.logs.diagnosis.readings import check_stamps, held_share, in_degrees
 from diffdrive_mpc.models.logs.mapping import (
     FACTORS,
     FOUR_WHEELS,
@@ -87,6 +88,11 @@ class RowReader:
     def column(self, column: SignalColumn) -> tuple[FloatArray, BoolArray]:
         """Values (n,) in SI units, NaN where there is none, and (n,) True where a cell holds NaN or infinity."""
         values, empty = self.table.numbers(column.column)
+        if empty.all():
+            raise ConfigError(
+                f"{self.table.path}: column '{column.column}' is empty in every row; name the right column, or leave it "
+                "out of the mapping"
+            )
         bad = np.isnan(values) & ~empty
         if bad.any():
             place = f"{self.table.path.name}, line {ranges(self.table.lines[bad])}"
@@ -186,10 +192,15 @@ def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
     time = _times(table, columns)
     commands, wheel_commands, broken = reader.command(columns.command)
     always = np.ones(len(time), dtype=bool)
-    command = RowSignal(time, commands, always)
-    wheel_command = None if wheel_commands is None else RowSignal(time, wheel_commands, always)
+    sent = time - columns.command.delay
+    command = RowSignal(sent, commands, always)
+    wheel_command = None if wheel_commands is None else RowSignal(sent, wheel_commands, always)
     measured = _measured(reader, columns, time)
     findings += reader.findings
+    known = np.isfinite(time)
+    smooth = next(iter(measured.values())).value[known, -1]
+    if columns.time is not None and (odd := check_stamps(path.name, time[known], smooth, check_settings())):
+        raise ConfigError(str(odd))
     stretches = []
     for rows in _forward(table, columns, time, broken, findings):
         signal = command.signal(rows)
@@ -238,6 +249,11 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
         fresh = fresh_rows(together) if sensor.held else np.ones(len(time), dtype=bool)
         if not (sensor.held or counts):
             reader.findings += _seems_held(reader.table, name, together)
+        if name == "pose" and in_degrees(together[:, 2]):
+            words = "the heading of the pose steps as degrees do, not radians: give 'theta' of the pose `unit: deg` in the mapping"
+            reader.findings.append(Finding("wrong unit", "error", reader.table.path.name, words))
+            value = values["pose"] * [1.0, 1.0, FACTORS["deg"]]
+            values = {"pose": value}
         for field, value in values.items():
             signals[field] = RowSignal(own - sensor.delay, value, fresh, counts)
 
@@ -252,14 +268,15 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
 
 
 def _seems_held(table: CsvTable, sensor: str, readings: FloatArray) -> list[Finding]:
-    """A finding where many readings (n, width) of a moving robot repeat the one before bit for bit."""
-    moving = readings[np.isfinite(readings).all(axis=1) & readings.any(axis=1)]
-    share = float(np.mean((np.diff(moving, axis=0) == 0).all(axis=1))) if len(moving) > 1 else 0.0
+    """A finding where readings (n, width) repeat the one before bit for bit although they change quickly."""
+    known = readings[np.isfinite(readings).all(axis=1)]
+    moving = known.any(axis=1)
+    share = held_share(known, moving)
     if share <= check_settings().held_share:
         return []
     words = (
-        f"{100 * share:.0f} % of the readings of the {sensor} repeat the one before; if they are held from row to row, "
-        "say `held: true` in the mapping"
+        f"{100 * share:.0f} % of the readings of the {sensor} repeat the one before even while it changes quickly: they are held "
+        "from row to row: say `held: true` in the mapping"
     )
     return [Finding("held readings", "note", table.path.name, words)]
 

@@ -38,16 +38,6 @@ FACTORS: dict[str, float] = {
 }
 """SI value of one of each unit. A wheel's ticks and rim speeds also need its ticks per turn or its radius."""
 
-MIXED_UP: dict[str, float] = {
-    "degrees and radians": 180.0 / math.pi,
-    "revolutions per minute and rad/s": 60.0 / (2.0 * math.pi),
-    "revolutions and radians": 2.0 * math.pi,
-    "millimetres and metres": 1000.0,
-    "centimetres and metres": 100.0,
-    "km/h and m/s": 3.6,
-}
-"""Factors by which a signal is wrong when two units were mixed up, either way round."""
-
 
 MAPPINGS = Path(__file__).parent / "mappings"
 
@@ -139,6 +129,8 @@ class _TwistOrWheels(StrictModel):
 
 class CommandColumns(_TwistOrWheels):
     """What was commanded: (v, omega), or wheel speeds left and right. An empty cell: the last command still holds."""
+
+    delay: float = Field(0.0, description="how long after the robot took it a command appears in the log [s]")
 
     @model_validator(mode="after")
     def _no_counts(self) -> Self:
