@@ -103,9 +103,8 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
             reference = "all sensors" if most else "the command"
             both = name == ENCODERS and channel == 0 and streams.wheels is not None
             worst = min(vote.correlation for vote in votes.values()) if most else votes[name].correlation
-            unlike = "" if most else _agreeing(votes, against)
             words = (
-                f"{what} runs against {reference} (correlation {worst:.2f}){unlike}; give it `sign: -1` in the mapping"
+                f"{what} runs against {reference} (correlation {worst:.2f}); give it `sign: -1` in the mapping"
                 f"{', both sides' if both else ''}"
             )
             findings.append(Finding("wrong sign", "error", log, words))
@@ -113,11 +112,6 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
             if both and ENCODERS in (others := _votes(streams, 1, settings)) and others[ENCODERS].correlation < 0:
                 _turn(streams, ENCODERS, 1)  # wheels that run backwards turn both
     return findings
-
-
-def _agreeing(votes: dict[str, _Vote], against: list[str]) -> str:
-    others = [name for name in votes if name not in against]
-    return "" if not others else f", unlike the {' and the '.join(others)}"
 
 
 def _weak(log: str, name: str, channel: int, vote: _Vote, best: float, settings: CheckSettings) -> Finding:
