@@ -9,6 +9,8 @@ from pathlib import Path
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
+from diffdrive_mpc.models.logs.diagnosis import compare_logs
+from diffdrive_mpc.models.logs.record import refuse
 from diffdrive_mpc.models.output_error.experiment import YawSource
 from diffdrive_mpc.models.robot import SampleTime
 
@@ -50,7 +52,7 @@ class LogData:
     yaw
         Whether omega is the gyro's or, without one, the encoders'.
     findings
-        Of all logs, notes and warnings.
+        Of all logs, notes and warnings; with `force` errors, too.
     warnings
         What was left out of the logs.
     """
@@ -72,6 +74,8 @@ def read_data(
     fit_share: float,
     wheels: bool,
     on_findings: Callable[[Sequence[Finding]], None],
+    on_log: Callable[[Log], None] | None = None,
+    force: bool = False,
 ) -> LogData:
     """Read all logs and divide them.
 
@@ -89,6 +93,10 @@ def read_data(
         Whether the model is identified from the speeds of the wheels.
     on_findings
         Called with notes and warnings of each log once it is read, also when an error of it is raised next.
+    on_log
+        Called with each log before its findings.
+    force
+        Whether logs are used although findings of severity "error" speak against it.
 
     Raises
     ------
@@ -105,10 +113,17 @@ def read_data(
     read: list[Log] = []
     for path in (*logs, *validate):
         log = read_log(path, mapping, read[0].records[0].dt if read else None)
-        on_findings([finding for finding in log.findings if finding.severity != "error"])
-        log.require_sound()
+        if on_log:
+            on_log(log)
+        on_findings([finding for finding in log.findings if force or finding.severity != "error"])
+        if not force:
+            log.require_sound()
         read.append(log)
     fitted, tried = read[: len(logs)], read[len(logs) :]
+    together = compare_logs(fitted)
+    on_findings([finding for finding in together if force or finding.severity != "error"])
+    if not force:
+        refuse([finding for finding in together if finding.severity == "error"])
     has_gyro = any(record.yaw_rate is not None for log in fitted for record in log.records)
     yaw: YawSource = "gyro" if has_gyro else "encoders"
     needed = ("twist", *(["yaw_rate"] if yaw == "gyro" else []), *(["wheels"] if wheels else []))
@@ -128,7 +143,7 @@ def read_data(
         logs=tuple(log.name for log in fitted),
         held_out=held_out,
         yaw=yaw,
-        findings=tuple(finding for log in read for finding in log.findings),
+        findings=(*(finding for log in read for finding in log.findings), *together),
         warnings=tuple(warnings),
     )
     check(_Clock, {"sample_time": data.train[0].dt}, data.logs[0])

@@ -26,6 +26,7 @@ from diffdrive_mpc.models.identification.tables import (
     slip_table,
 )
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import counted
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.table import Table
 from diffdrive_mpc.models.velocity_model import CHANNELS
@@ -64,7 +65,7 @@ class IdentificationReport:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Everything that a user should know before trusting the model: of the log, the estimate and its scores."""
-        found = [str(finding) for finding in self.data.findings if finding.severity == "warning"]
+        found = counted([finding for finding in self.data.findings if finding.severity != "note"])
         found += [*self.data.warnings, *self.fitted.identified.warnings, *self.poses.warnings]
         if self.data.yaw == "encoders":
             found.append(

@@ -30,6 +30,7 @@ class CheckSettings(StrictModel):
     stuck_command: Share = Field(description="of the largest command; the robot should move")
     significant_change: Share = Field(description="of the largest command")
     fewest_changes: int = Field(ge=1, description="of a command, per channel")
+    refused_changes: int = Field(ge=1, description="of a command in all logs, per channel; fewer make no model")
     saturated_share: Share = Field(description="of the samples at the largest command")
     saturated_levels: int = Field(ge=1, description="distinct commands, above which a plateau is no design")
     compared_every: Positive = Field(description="step at which streams are compared [s]")

@@ -90,7 +90,8 @@ class RowReader:
         values, empty = self.table.numbers(column.column)
         if empty.all():
             raise ConfigError(
-                f"{self.table.path}: column '{column.column}' is empty in every row; name the right column, or leave it "
+                f"{self.table.path}: column '{column.column}' is empty in every row; name the right column, "
+                "or leave it "
                 "out of the mapping"
             )
         bad = np.isnan(values) & ~empty
@@ -250,7 +251,10 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
         if not (sensor.held or counts):
             reader.findings += _seems_held(reader.table, name, together)
         if name == "pose" and in_degrees(together[:, 2]):
-            words = "the heading of the pose steps as degrees do, not radians: give 'theta' of the pose `unit: deg` in the mapping"
+            words = (
+                "the heading of the pose steps as degrees do, not radians: give 'theta' of the pose "
+                "`unit: deg` in the mapping"
+            )
             reader.findings.append(Finding("wrong unit", "error", reader.table.path.name, words))
             value = values["pose"] * [1.0, 1.0, FACTORS["deg"]]
             values = {"pose": value}
@@ -270,12 +274,13 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
 def _seems_held(table: CsvTable, sensor: str, readings: FloatArray) -> list[Finding]:
     """A finding where readings (n, width) repeat the one before bit for bit although they change quickly."""
     known = readings[np.isfinite(readings).all(axis=1)]
-    moving = known.any(axis=1)
+    moving = np.asarray(known.any(axis=1))
     share = held_share(known, moving)
     if share <= check_settings().held_share:
         return []
     words = (
-        f"{100 * share:.0f} % of the readings of the {sensor} repeat the one before even while it changes quickly: they are held "
+        f"{100 * share:.0f} % of the readings of the {sensor} repeat the one before even while it changes "
+        "quickly: they are held "
         "from row to row: say `held: true` in the mapping"
     )
     return [Finding("held readings", "note", table.path.name, words)]

@@ -250,6 +250,18 @@ class LogMapping(StrictModel):
     wheels: Wheels | None = None
     gap: Positive | None = Field(None, description="longest time between two commands or rows of one stretch [s]")
 
+    def sources(self) -> dict[str, str]:
+        """Names of columns or topics by stream: "command", "encoders", "gyro", "pose"."""
+        found: dict[str, str] = {}
+        for group in (self.columns, self.topics):
+            for role, part in group or ():
+                name = {"odometry": "encoders", "imu": "gyro"}.get(role, role)
+                if isinstance(part, Topic):
+                    found[name] = part.topic
+                elif part is not None and name in ("command", "encoders", "gyro", "pose"):
+                    found[name] = ", ".join(column.column for key, column in part if isinstance(column, SignalColumn))
+        return found
+
 
 def load_mapping(name: str | Path) -> LogMapping:
     """Read a mapping file.

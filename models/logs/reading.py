@@ -63,7 +63,7 @@ def read_log(path: str | Path, mapping: str | Path | None = None, sample_time: f
     findings = [*raw.findings, *check_timing(raw, period, settings), *findings]
     records, stuck = check_sensors(records, settings)
     findings += [*stuck, *check_commands(raw.name, records, settings), *diagnose(raw.name, records, settings)]
-    return Log(raw.name, tuple(records), tuple(findings))
+    return Log(raw.name, tuple(records), tuple(findings), loaded.sources() if loaded else {})
 
 
 def _records(

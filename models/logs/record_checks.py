@@ -12,7 +12,7 @@ from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, Record
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
-_UNITS = {"v": "m/s", "omega": "rad/s"}
+UNITS = {"v": "m/s", "omega": "rad/s"}
 _REMEDY = "drive steps of both signs in v and in omega, each for a second or more"
 _SENSORS = {
     "encoders": ("twist", "fresh_twist", (0, 1)),
@@ -34,13 +34,11 @@ def check_commands(log: str, records: Sequence[Record], settings: CheckSettings)
     for j, channel in enumerate(CHANNELS):
         if still[j]:
             words = (
-                f"{channel} is always commanded {commands[0, j]:g} {_UNITS[channel]}: nothing can be learned about it"
+                f"{channel} is always commanded {commands[0, j]:g} {UNITS[channel]}: nothing can be learned about it"
             )
             findings.append(Finding("constant input", "warning", log, f"{words}; {_REMEDY}"))
             continue
-        largest = float(np.abs(commands[:, j]).max())
-        levels = [np.round(record.command[:, j] / (settings.significant_change * largest)) for record in records]
-        changes = sum(int(np.count_nonzero(np.diff(level))) for level in levels)
+        changes = command_changes(records, j, settings)
         if changes < settings.fewest_changes:
             words = (
                 f"the command of {channel} changes {changes} times, too few to tell gain, lag and dead time; {_REMEDY}"
@@ -57,6 +55,30 @@ def check_commands(log: str, records: Sequence[Record], settings: CheckSettings)
     return findings
 
 
+def command_changes(records: Sequence[Record], channel: int, settings: CheckSettings) -> int:
+    """How often the command of a channel changes by what can be seen, inside stretches and from one to the next."""
+    commands = np.concatenate([record.command[:, channel] for record in records])
+    largest = float(np.abs(commands).max())
+    return (
+        int(np.count_nonzero(np.diff(np.round(commands / (settings.significant_change * largest))))) if largest else 0
+    )
+
+
+def check_excitation(logs: str, records: Sequence[Record], settings: CheckSettings) -> list[Finding]:
+    """Errors about channels that hardly any drive excites: a model of them would be made up."""
+    findings = []
+    for j, channel in enumerate(CHANNELS):
+        changes = command_changes(records, j, settings)
+        if changes < settings.refused_changes:
+            driven = f"its command changes {changes} times" if changes else "its command never changes"
+            words = (
+                f"{channel} was {'hardly' if changes else 'never'} driven ({driven}): nothing about it "
+                f"can be identified; {_REMEDY}"
+            )
+            findings.append(Finding("little excitation" if changes else "constant input", "error", logs, words))
+    return findings
+
+
 def _saturated(log: str, records: Sequence[Record], j: int, settings: CheckSettings) -> list[Finding]:
     """A finding where channel `j` rests at its largest value for much of the time, though it takes many others."""
     size = np.abs(np.concatenate([record.command[:, j] for record in records]))
@@ -67,7 +89,7 @@ def _saturated(log: str, records: Sequence[Record], j: int, settings: CheckSetti
     time = np.concatenate([record.time for record in records])
     place = f"{log}, first at {time[np.argmax(size >= 0.999 * largest)]:.1f} s"
     words = (
-        f"the command of {CHANNELS[j]} rests at its limit of {largest:.3g} {_UNITS[CHANNELS[j]]} in "
+        f"the command of {CHANNELS[j]} rests at its limit of {largest:.3g} {UNITS[CHANNELS[j]]} in "
         f"{100 * share:.0f} % of the samples; make sure that the log holds what was sent after limiting"
     )
     return [Finding("saturation", "warning", place, words)]

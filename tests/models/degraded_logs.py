@@ -1,7 +1,7 @@
 """Logs made worse on purpose, each with a known cause: what must be said about them, and whether they may give a model.
 
-Bases are a small simulated robot and slices of the logs of a Husky and two Warthogs. `FIRST_TEN` were written before any
-of their results had been looked at.
+Bases are a small simulated robot and slices of the logs of a Husky and two Warthogs. `FIRST_TEN` were written before
+any of their results had been looked at.
 """
 
 import os

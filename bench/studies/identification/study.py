@@ -14,12 +14,16 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification import Identification, identify
 from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE, FILES
 from diffdrive_mpc.models.identification.log_data import OptionError
-from diffdrive_mpc.models.logs import Finding
+from diffdrive_mpc.models.logs import Finding, Log
+from diffdrive_mpc.models.logs.diagnosis import summary
+from diffdrive_mpc.models.logs.record import counted
 from diffdrive_mpc.mpc import Controller, load_config
 
 
-def identify_into(logs: Sequence[Path], out: Path, **options: Any) -> None:  # noqa: ANN401 - those of `identify`
-    """Identify a model, print how good it is, and write files and figures into `out`.
+def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **options: Any) -> None:  # noqa: ANN401 - those of `identify`
+    """Identify a model, print what was understood of the logs and how good it is, write files and figures into `out`.
+
+    Without `force` neither model nor configuration is written where the logs or the FIT speak against it.
 
     Raises
     ------
@@ -28,18 +32,37 @@ def identify_into(logs: Sequence[Path], out: Path, **options: Any) -> None:  # n
     """
     with staged(out, files=FILES, folders=(FOLDER,)) as folder, ProgressBar("reading", 1) as bar:
         try:
-            found = identify(logs, on_findings=_print_findings, on_progress=lambda text: bar.begin(text, 1), **options)
+            found = identify(
+                logs,
+                force=force,
+                on_log=_print_log,
+                on_findings=_print_findings,
+                on_progress=lambda text: bar.begin(text, 1),
+                **options,
+            )
         except OptionError as error:
             raise ConfigError(f"--{error.option.replace('_', '-')}{error.rest}") from error
         bar.begin("figures", len(figures_of(found.report)))
-        found.write(folder, draw_identification(found.report, folder, bar.advance))
-        Controller(load_config(folder / CONFIG_FILE))  # what is written can be driven with
+        found.write(folder, draw_identification(found.report, folder, bar.advance), force=force)
+        written = force or not found.refusal
+        if written:
+            Controller(load_config(folder / CONFIG_FILE))  # what is written can be driven with
     _print(found, out)
+    if not written:
+        old = f" ({out / CONFIG_FILE} is of an earlier run)" if (out / CONFIG_FILE).exists() else ""
+        raise ConfigError(f"{found.refusal}; no model and no configuration are written{old}, --force writes them")
+
+
+def _print_log(log: Log) -> None:
+    _print_line(log.name)
+    for line in summary(log):
+        _print_line(f"  {line}")
 
 
 def _print_findings(findings: Sequence[Finding]) -> None:
-    for finding in findings:
-        _print_line(f"{finding.severity}: {finding}")
+    for severity in ("note", "warning", "error"):
+        for line in counted([finding for finding in findings if finding.severity == severity]):
+            _print_line(f"{severity}: {line}")
 
 
 def _print(found: Identification, out: Path) -> None:
@@ -53,6 +76,8 @@ def _print(found: Identification, out: Path) -> None:
     chosen = report.fitted.orders
     if chosen:
         _print_line(f"order {chosen.order}: {chosen.reason}")
+    for setting in found.configuration.limits:
+        _print_line(f"limit {setting.name}: {setting.value} {setting.reason}")
     _print_line(f"estimated in {report.fitted.seconds:.1f} s; written to {out}")
 
 

@@ -1,4 +1,4 @@
-"""Whether the parts of a log, and several logs, are of one and the same robot: their gains, and how late they answer."""
+"""Whether the parts of a log, and several logs, are of one robot: their gains, and how late they answer."""
 
 from __future__ import annotations
 
@@ -112,7 +112,8 @@ def check_parts(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     )
     before, after = (float(np.exp(np.mean(np.log(part)))) for part in (relation.gains[:at], relation.gains[at:]))
     words = (
-        f"the scale of the {name} changes by a factor of {np.exp(size if relation.second == name else -size):.3g} at about {relation.times[at]:.0f} s: "
+        f"the scale of the {name} changes by a factor of "
+        f"{np.exp(size if relation.second == name else -size):.3g} at about {relation.times[at]:.0f} s: "
         f"{relation.what} is {before:.3g} before and {after:.3g} after; cut the log there and identify from one part"
     )
     return [Finding("scale change", "error", log, words)]
@@ -149,7 +150,7 @@ def compare(
         words = (
             f"{a.what} is {means[0]:.3g} in {first} and {means[1]:.3g} in {second}"
             if gain
-            else f"{CHANNELS[a.channel]} answers to the command after {a.response:.2f} s in {first} and {b.response:.2f} s in {second}"
+            else f"{CHANNELS[a.channel]} answers after {a.response:.2f} s in {first} and {b.response:.2f} s in {second}"
         )
         words += ": two robots, loads or mappings? Identify each by itself"
         return [Finding("different logs", "warning", f"{first}, {second}", words)]

@@ -36,7 +36,8 @@ def check_clipping(log: str, streams: Streams, settings: CheckSettings) -> list[
         left = (1 - best**2) / max(1 - float(plain.correlation[0]) ** 2, 1e-12)
         if above > settings.clipped_share and left < settings.clipped_rest:
             words = (
-                f"{CHANNELS[channel]} grows with its command only up to about {level:.2g} {_UNITS[channel]}: the robot clips it; "
+                f"{CHANNELS[channel]} grows with its command only up to about {level:.2g} {_UNITS[channel]}: "
+                "the robot clips it; "
                 "the limit is identified with the model"
             )
             findings.append(Finding("clipped response", "note", log, words))

@@ -35,7 +35,8 @@ def without_spikes(raw: RawLog, settings: CheckSettings) -> RawLog:
             if part.any()
         )
         words = (
-            f"{count} readings of the {sensor} ({100 * count / total:.2g} %) stand far off from those before and after: "
+            f"{count} readings of the {sensor} ({100 * count / total:.2g} %) stand far off from those before "
+            "and after: "
             "spikes; they are left out"
         )
         findings.append(Finding("spikes", "warning", f"{raw.name}, first at {first:.1f} s", words))
@@ -115,7 +116,7 @@ def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: Ch
     if back > max(3.0, settings.disordered * len(steps)):
         order = np.argsort(time, kind="stable")
         as_written, in_order = (float(np.nansum(np.abs(np.diff(part)))) for part in (readings, readings[order]))
-        usual = np.ptp(time) / len(steps)
+        usual = float(np.ptp(time)) / len(steps)
         remedy = (
             "sort the rows by their time"
             if in_order < as_written
@@ -132,8 +133,10 @@ def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: Ch
     usual = float(steps[inside].sum() / inside.sum())
     if typical < settings.burst_step * usual and pause > 2 * usual:
         words = (
-            f"stamps come in bursts: most steps are {typical:.2g} s, then {pause:.2g} s pass, {usual:.3g} s on average; the rows "
-            f"were stamped when they were written, not when they were read: give `sample_time: {usual:.3g}` in place of `time`"
+            f"stamps come in bursts: most steps are {typical:.2g} s, then {pause:.2g} s pass, {usual:.3g} s "
+            "on average; the rows "
+            f"were stamped when they were written, not when they were read: give `sample_time: {usual:.3g}` "
+            "in place of `time`"
         )
         return Finding("bursty stamps", "error", name, words)
     return None
@@ -146,15 +149,18 @@ def check_period(name: str, period: float, settings: CheckSettings) -> Finding |
         return None
     units = {unit: scale for unit, scale in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if low <= period * scale <= high}
     remedy = f"`unit: {next(iter(units))}` in the mapping" if units else "is it the right column, in the right unit?"
-    words = f"the times step by {period:.4g} s, which is no sample time of a robot: {'give the time ' if units else ''}{remedy}"
+    words = (
+        f"the times step by {period:.4g} s, which is no sample time of a robot: "
+        f"{'give the time ' if units else ''}{remedy}"
+    )
     return Finding("wrong unit", "error", name, words)
 
 
 def in_degrees(heading: FloatArray) -> bool:
     """Whether headings (n,) that are taken for radians step as only degrees do.
 
-    From one reading to the next radians change by less than one and a half, or by a full turn; degrees by anything up to
-    360.
+    From one reading to the next radians change by less than one and a half, or by a full turn; degrees by anything
+    up to 360.
     """
     steps = np.abs(np.diff(heading[np.isfinite(heading)]))
     steps = steps[steps > 0]

@@ -116,7 +116,8 @@ def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
 
 def _weak(log: str, name: str, channel: int, vote: _Vote, best: float, settings: CheckSettings) -> Finding:
     words = (
-        f"{_WHAT[name, channel]} hardly follows the command (correlation {vote.correlation:.2f}); is it the right column, and "
+        f"{_WHAT[name, channel]} hardly follows the command (correlation {vote.correlation:.2f}); is it the "
+        "right column, and "
         "did the robot obey these commands?"
     )
     # Where another sensor follows, this one is wrong; poses are not what a model is made from.
@@ -265,7 +266,8 @@ def check_presence(log: str, streams: Streams) -> list[Finding]:
             ):
                 continue
             words = (
-                f"{CHANNELS[channel]} of the {name} never changes although it is commanded to; is it the right column, and the "
+                f"{CHANNELS[channel]} of the {name} never changes although it is commanded to; is it the "
+                "right column, and the "
                 "sensor connected?"
             )
             findings.append(Finding("no response", "error", log, words))

@@ -101,14 +101,18 @@ def _commands(
     deviation = float(np.hypot(scatter, np.nan_to_num(np.nanmedian(own)) if np.isfinite(own).any() else 0.0))
     if middle < -settings.earliest_response and _foreseen(streams, answers, settings):
         words = (
-            f"every sensor moves {-middle:.2f} +- {2 * deviation:.2f} s before its command, which no robot can: the commands "
-            f"are stamped late; give the command `delay: {-middle + settings.usual_response:.2f}` in the mapping, or more"
+            f"every sensor moves {-middle:.2f} +- {2 * deviation:.2f} s before its command, which no robot "
+            "can: the commands "
+            f"are stamped late; give the command `delay: {-middle + settings.usual_response:.2f}` in the "
+            "mapping, or more"
         )
         return [Finding("time shift", "error", log, words)]
     if middle > settings.late_response:
         words = (
-            f"all sensors begin to follow the command only after {middle:.2f} +- {2 * deviation:.2f} s; if the robot is quicker "
-            f"than that, the commands are stamped early: give the command `delay: {settings.usual_response - middle:.2f}` in the mapping"
+            f"all sensors begin to follow the command only after {middle:.2f} +- {2 * deviation:.2f} s; if "
+            "the robot is quicker "
+            "than that, the commands are stamped early: give the command `delay: "
+            f"{settings.usual_response - middle:.2f}` in the mapping"
         )
         return [Finding("time shift", "note", log, words)]
     return []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy import fft
@@ -216,8 +217,8 @@ def answer(
 ) -> Answer | None:
     """How `outputs` (N,) or (N, m) answer to `inputs` (N,) or (N, c); None where either never changes.
 
-    Commands go through two equal lags and a dead time, which may be negative; between two sensors, `both_measured`, there
-    is a shift alone. The correlations with all shifts come from Fourier transforms, over what both hold.
+    Commands go through two equal lags and a dead time, which may be negative; between two sensors, `both_measured`,
+    there is a shift alone. The correlations with all shifts come from Fourier transforms, over what both hold.
     """
     u, y = inputs.reshape(len(inputs), -1), outputs.reshape(len(outputs), -1)
     if both_measured:
@@ -244,7 +245,7 @@ def answer(
     deviation = np.nan
     if intervals:
         edges = np.linspace(0, len(u), _BLOCKS + 1).astype(int)
-        parts = [_strength(behind[a:b], y[a:b], low, high) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        parts = [_strength(behind[a:b], y[a:b], low, high) for a, b in pairwise(edges)]
         peaks = [_peak(part, low) for part in parts if part is not None and part.max() > 0.5 * strength.max()]
         deviation = streams.dt * float(np.std(peaks) / np.sqrt(len(peaks))) if len(peaks) > 1 else np.nan
     return Answer(streams.dt * _peak(strength, low), deviation, lag, gain, correlation)
@@ -276,7 +277,7 @@ def _strength(u: FloatArray, y: FloatArray, low: int, high: int) -> FloatArray |
     With one input a negative gain counts only where the positive one explains clearly less: a drive that repeats
     itself looks much the same half a period later, turned round.
     """
-    present_u, present_y = np.isfinite(u).all(axis=1), np.isfinite(y).all(axis=1)
+    present_u, present_y = (np.asarray(np.isfinite(part).all(axis=1)) for part in (u, y))
     if present_u.sum() < 2 or present_y.sum() < 2:
         return None
     a = np.where(present_u[:, None], u - u[present_u].mean(axis=0), 0.0)
@@ -333,7 +334,7 @@ def _regress(u: FloatArray, y: FloatArray, shift: int) -> tuple[FloatArray, Floa
     gain = np.linalg.lstsq(u, y, rcond=None)[0]
     explained = 1 - ((y - u @ gain) ** 2).sum(axis=0) / np.maximum((y**2).sum(axis=0), 1e-300)
     correlation = np.sqrt(np.clip(explained, 0, 1))
-    return gain, np.asarray(correlation * (np.sign(gain[0]) if u.shape[1] == 1 else 1.0))
+    return np.asarray(gain), np.asarray(correlation * (np.sign(gain[0]) if u.shape[1] == 1 else 1.0))
 
 
 def foresight(streams: Streams, inputs: FloatArray, outputs: FloatArray, settings: CheckSettings) -> float:

@@ -1,4 +1,4 @@
-"""Whether the encoders of the two sides are what the mapping says: dead, reversed, exchanged, uneven, or running counts."""
+"""Whether the encoders of the two sides are what the mapping says: dead, reversed, exchanged, uneven, or counts."""
 
 from __future__ import annotations
 
@@ -50,10 +50,13 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
     size = np.sqrt(np.mean(streams.wheels[present] ** 2, axis=0)) if present.any() else np.zeros(len(names))
     dead = size < settings.dead_wheel * size.max()
     if dead.any() and not dead.all():
-        words = f"the wheel '{names[int(np.argmax(dead))]}' reads nothing while the others turn: mend its encoder or its column"
+        words = (
+            f"the wheel '{names[int(np.argmax(dead))]}' reads nothing while the others turn: mend its "
+            "encoder or its column"
+        )
         streams.twist = streams.wheels = None
         return Finding("dead wheel", "error", log, words)
-    sides = _commanded_sides(streams, settings)
+    sides = _commanded_sides(streams)
     found = None if sides is None else answer(streams, sides, streams.wheels, settings)
     if sides is None or found is None or found.correlation.max() < settings.clear_correlation:
         return None
@@ -64,7 +67,10 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
         if (other < 0).all():
             return None  # both sides exchanged and reversed: a robot that drives backwards, told by the sign of v
         streams.twist = streams.twist * [1.0, -1.0]
-        words = "each side of the encoders follows what the other was commanded: exchange left and right of the encoders, or of the commands"
+        words = (
+            "each side of the encoders follows what the other was commanded: exchange left and right of "
+            "the encoders, or of the commands"
+        )
         return Finding("swapped sides", "error", log, words)
     strong = np.abs(own) > np.abs(other)
     reversed_ = strong & (own < 0)
@@ -75,14 +81,11 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
         return Finding("reversed wheel", "error", log, words)
     lengths = np.abs(own)
     if strong.all() and lengths.min() * settings.uneven_wheels < lengths.max():
-        odd = (
-            int(np.argmax(np.abs(np.log(lengths / np.median(lengths)))))
-            if len(lengths) > 2
-            else _odd_side(streams, settings, found)
-        )
+        odd = int(np.argmax(np.abs(np.log(lengths / np.median(lengths))))) if len(lengths) > 2 else _odd_side(found)
         rest = float(np.median(np.delete(lengths, odd)))
         words = (
-            f"the wheel '{names[odd]}' reads {lengths[odd] / rest:.3g} times as fast as the other{'s' if len(names) > 2 else ''} for the same "
+            f"the wheel '{names[odd]}' reads {lengths[odd] / rest:.3g} times as fast as the "
+            f"other{'s' if len(names) > 2 else ''} for the same "
             "command: give its column the right unit, or check its ticks per turn"
         )
         streams.twist = streams.wheels = None
@@ -90,12 +93,12 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
     return None
 
 
-def _odd_side(streams: Streams, settings: CheckSettings, found: Answer) -> int:
+def _odd_side(found: Answer) -> int:
     """Of two, the side whose gain is further from one."""
     return int(np.argmax(np.abs(np.log(np.abs(np.diag(found.gain))))))
 
 
-def _commanded_sides(streams: Streams, settings: CheckSettings) -> FloatArray | None:
+def _commanded_sides(streams: Streams) -> FloatArray | None:
     """(N, 2) commanded speeds of the two sides [m/s over the wheels' radius]; by the track behind the log's omega."""
     assert streams.wheels is not None and streams.twist is not None
     present = np.isfinite(streams.wheels).all(axis=1) & np.isfinite(streams.twist).all(axis=1)
@@ -121,13 +124,14 @@ def _sides_of_twist(log: str, streams: Streams, settings: CheckSettings) -> Find
     twist, command = streams.twist[present], streams.command[present]
     if len(twist) < 2 or np.ptp(command, axis=0).min() == 0 or np.ptp(twist, axis=0).min() == 0:
         return None
-    together, asked = float(np.corrcoef(twist.T)[0, 1]), float(np.corrcoef(command.T)[0, 1])
+    together, asked = (float(np.corrcoef(*part.T)[0, 1]) for part in (twist, command))
     if abs(together) < settings.collinear or abs(asked) > settings.clear_correlation:
         return None
     side = "left" if together > 0 else "right"
     streams.twist = None
     words = (
-        f"v and omega of the encoders are one and the same (correlation {together:.2f}), those of the command are not: the "
+        f"v and omega of the encoders are one and the same (correlation {together:.2f}), those of the command "
+        "are not: the "
         f"{side} wheel reads nothing; mend its encoder"
     )
     return Finding("dead wheel", "error", log, words)
