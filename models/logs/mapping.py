@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -179,6 +180,9 @@ class Columns(StrictModel):
     time: TimeColumn | None = Field(None, description="times of the rows")
     sample_time: Positive | None = Field(None, description="time between rows [s], for a log without time stamps")
     segment: str | None = Field(None, description="column whose change begins a new stretch")
+    where: dict[str, str | float | tuple[str | float, ...]] = Field(
+        default_factory=dict, description="value, or values, that a column must have for a row to be used"
+    )
     command: CommandColumns
     encoders: EncoderColumns | None = None
     gyro: GyroColumns | None = None
@@ -197,7 +201,7 @@ class Columns(StrictModel):
         groups = [self.command, self.encoders, self.gyro, self.pose]
         parts = [part for group in groups if group is not None for _, part in group]
         names = {part.column for part in [self.time, *parts] if isinstance(part, Column)}
-        return names if self.segment is None else {*names, self.segment}
+        return names | set(self.where) | ({self.segment} if self.segment else set())
 
 
 class Topic(StrictModel):
@@ -206,6 +210,10 @@ class Topic(StrictModel):
     topic: str = Field(min_length=1)
     sign: Sign = Field(1, description="of yaw rates and headings; -1 for a sensor mounted upside down")
     delay: float = Field(0.0, description="how long after the fact its stamps are [s]")
+    fields: tuple[str, ...] | None = Field(
+        None, description="where its numbers stand in a message of another type, such as twist.linear.x"
+    )
+    on_change: bool = Field(False, description="of commands: sent when they change, and in force until the next")
 
     @model_validator(mode="before")
     @classmethod
@@ -214,7 +222,7 @@ class Topic(StrictModel):
 
 
 class Topics(StrictModel):
-    """The topics of a ROS 2 bag."""
+    """The topics of a bag. With no sensor named, /odom and /imu are used as far as they are there."""
 
     command: Topic = Field(Topic(topic="/cmd_vel"), description="geometry_msgs Twist or TwistStamped")
     odometry: Topic | None = Field(None, description="nav_msgs Odometry of the encoders alone; its twist is used")
@@ -225,12 +233,16 @@ class Topics(StrictModel):
     clock: Literal["stamp", "receive"] = Field(
         "stamp", description="whose times count: the messages' or the recorder's"
     )
+    definitions: dict[str, str] = Field(
+        default_factory=dict, description="files of message definitions, beside the mapping, by type: pkg/msg/Name"
+    )
 
-    @model_validator(mode="after")
-    def _measured(self) -> Self:
-        if self.odometry is None and self.imu is None and self.pose is None:
-            raise ValueError("nothing measured: name the topic of 'odometry', 'imu' or 'pose'")
-        return self
+    def named(self, there: Collection[str]) -> Self:
+        """The same with the usual sensors among the topics `there`, where none is named."""
+        if self.odometry or self.imu or self.pose:
+            return self
+        usual = {"odometry": "/odom", "imu": "/imu"}
+        return self.model_copy(update={role: Topic(topic=name) for role, name in usual.items() if name in there})
 
 
 class Wheels(StrictModel):
@@ -248,6 +260,9 @@ class LogMapping(StrictModel):
     columns: Columns | None = None
     topics: Topics | None = None
     wheels: Wheels | None = None
+    times: tuple[tuple[float, float], ...] = Field(
+        (), description="from and to of the parts to be used, on the log's clock [s]; without any, all of it"
+    )
     gap: Positive | None = Field(None, description="longest time between two commands or rows of one stretch [s]")
 
     def sources(self) -> dict[str, str]:
@@ -276,4 +291,9 @@ def load_mapping(name: str | Path) -> LogMapping:
     models.checked_yaml.ConfigError
         If there is no such mapping or it has a mistake.
     """
-    return load_checked(LogMapping, named_file("mapping", MAPPINGS, name))
+    path = named_file("mapping", MAPPINGS, name)
+    mapping = load_checked(LogMapping, path)
+    if mapping.topics is not None and mapping.topics.definitions:
+        beside = {kind: str(path.parent / file) for kind, file in mapping.topics.definitions.items()}
+        return mapping.model_copy(update={"topics": mapping.topics.model_copy(update={"definitions": beside})})
+    return mapping

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ def read_log(path: str | Path, mapping: str | Path | None = None, sample_time: f
     if odd := check_period(raw.name, period, settings):
         raise ConfigError(str(odd))
     longest_step = (loaded.gap if loaded else None) or settings.longest_step(period)
-    records, findings = _records(raw, dt, longest_step, settings)
+    records, findings = _records(raw, dt, longest_step, loaded.times if loaded else (), settings)
     findings = [*raw.findings, *check_timing(raw, period, settings), *findings]
     records, stuck = check_sensors(records, settings)
     findings += [*stuck, *check_commands(raw.name, records, settings), *diagnose(raw.name, records, settings)]
@@ -67,15 +68,19 @@ def read_log(path: str | Path, mapping: str | Path | None = None, sample_time: f
 
 
 def _records(
-    raw: RawLog, dt: float, longest_step: float, settings: CheckSettings
+    raw: RawLog,
+    dt: float,
+    longest_step: float,
+    times: Sequence[tuple[float, float]],
+    settings: CheckSettings,
 ) -> tuple[list[Record], list[Finding]]:
     """The stretches that are long enough, and findings about gaps and those that are not."""
     records: list[Record] = []
     findings: list[Finding] = []
     longest, end = 0, np.inf
     for stretch in raw.stretches:
-        for first, last in pieces(stretch, longest_step):
-            if first - end > longest_step:
+        for first, last in pieces(stretch, longest_step, times):
+            if not times and first - end > longest_step:
                 findings.append(gap_finding(raw.name, end, first, settings))
             end = last
             record = resample(raw.name, stretch, first, last, dt, settings)

@@ -1,4 +1,4 @@
-"""Logs made worse on purpose: the cause is named with its remedy, nothing else is, and nonsense gives no configuration."""
+"""Logs made worse on purpose: the cause is named with its remedy, nothing else is, and nonsense is refused."""
 
 import pytest
 from degraded_logs import CASES, FIRST_TEN, logs_of, verdict
