@@ -183,6 +183,7 @@ def identify(
         on_findings=on_findings or (lambda _: None),
         on_log=on_log,
         force=force,
+        most_rows=identification_settings().most_rows["effects" if effects else "plain"],
     )
     more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
     title = name or f"{chosen.name.upper()} from {paths[0].stem}{more}"

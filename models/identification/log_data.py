@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
@@ -76,6 +78,7 @@ def read_data(
     on_findings: Callable[[Sequence[Finding]], None],
     on_log: Callable[[Log], None] | None = None,
     force: bool = False,
+    most_rows: int | None = None,
 ) -> LogData:
     """Read all logs and divide them.
 
@@ -97,6 +100,8 @@ def read_data(
         Called with each log before its findings.
     force
         Whether logs are used although findings of severity "error" speak against it.
+    most_rows
+        Of either part that are used, those in which the commands change most; None for all.
 
     Raises
     ------
@@ -137,13 +142,23 @@ def read_data(
         validation = [record for _, last in halves for record in last]
         held_out = f"the last {100 * (1 - fit_share):.0f} % of the rows of each log"
     warnings: list[str] = []
+    spare = [
+        Finding(
+            "subset", "note", use, f"{most_rows} of {rows} rows are used, the parts in which the commands change most"
+        )
+        for use, records in (("identification", train), ("validation", validation))
+        if most_rows is not None and (rows := sum(len(record.command) for record in records)) > most_rows
+    ]
+    on_findings(spare)
+    if most_rows is not None:
+        train, validation = most_informative(train, most_rows), most_informative(validation, most_rows)
     data = LogData(
         train=_usable(train, needed, "to identify from", warnings),
         validation=_usable(validation, needed, "to validate on", warnings),
         logs=tuple(log.name for log in fitted),
         held_out=held_out,
         yaw=yaw,
-        findings=(*(finding for log in read for finding in log.findings), *together),
+        findings=(*(finding for log in read for finding in log.findings), *together, *spare),
         warnings=tuple(warnings),
     )
     check(_Clock, {"sample_time": data.train[0].dt}, data.logs[0])
@@ -166,6 +181,28 @@ def divide(records: Sequence[Record], share: float) -> tuple[list[Record], list[
             last.append(record.part(left, count))
         left -= count
     return first, last
+
+
+def most_informative(records: Sequence[Record], most: int) -> list[Record]:
+    """At most `most` rows in all, of the parts of a minute in which the commands change most; in order."""
+    if sum(len(record.command) for record in records) <= most:
+        return list(records)
+    commands = np.concatenate([record.command for record in records])
+    scale = np.maximum(commands.std(axis=0), 1e-12)
+    span = max(1, round(identification_settings().part_time / records[0].dt))
+    parts = [(i, first) for i, record in enumerate(records) for first in range(0, len(record.command), span)]
+    scores = [
+        float((np.abs(np.diff(records[i].command[first : first + span], axis=0)) / scale).sum()) for i, first in parts
+    ]
+    taken: list[tuple[int, int]] = []
+    left = most
+    for at in np.argsort(-np.array(scores), kind="stable"):
+        i, first = parts[at]
+        count = min(span, len(records[i].command) - first)
+        if count <= left:
+            taken.append((i, first))
+            left -= count
+    return [records[i].part(first, min(first + span, len(records[i].command))) for i, first in sorted(taken)]
 
 
 def _usable(records: Sequence[Record], needed: Sequence[str], use: str, warnings: list[str]) -> tuple[Record, ...]:

@@ -76,6 +76,8 @@ def _print(found: Identification, out: Path) -> None:
     chosen = report.fitted.orders
     if chosen:
         _print_line(f"order {chosen.order}: {chosen.reason}")
+    for line in report.in_short():
+        _print_line(line)
     for setting in found.configuration.limits:
         _print_line(f"limit {setting.name}: {setting.value} {setting.reason}")
     _print_line(f"estimated in {report.fitted.seconds:.1f} s; written to {out}")
