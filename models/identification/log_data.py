@@ -125,10 +125,6 @@ def read_data(
             log.require_sound()
         read.append(log)
     fitted, tried = read[: len(logs)], read[len(logs) :]
-    together = compare_logs(fitted)
-    on_findings([finding for finding in together if force or finding.severity != "error"])
-    if not force:
-        refuse([finding for finding in together if finding.severity == "error"])
     has_gyro = any(record.yaw_rate is not None for log in fitted for record in log.records)
     yaw: YawSource = "gyro" if has_gyro else "encoders"
     needed = ("twist", *(["yaw_rate"] if yaw == "gyro" else []), *(["wheels"] if wheels else []))
@@ -152,9 +148,17 @@ def read_data(
     on_findings(spare)
     if most_rows is not None:
         train, validation = most_informative(train, most_rows), most_informative(validation, most_rows)
+    usable = (
+        _usable(train, needed, "to identify from", warnings),
+        _usable(validation, needed, "to validate on", warnings),
+    )
+    together = compare_logs(fitted)
+    on_findings([finding for finding in together if force or finding.severity != "error"])
+    if not force:
+        refuse([finding for finding in together if finding.severity == "error"])
     data = LogData(
-        train=_usable(train, needed, "to identify from", warnings),
-        validation=_usable(validation, needed, "to validate on", warnings),
+        train=usable[0],
+        validation=usable[1],
         logs=tuple(log.name for log in fitted),
         held_out=held_out,
         yaw=yaw,
