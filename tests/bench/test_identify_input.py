@@ -115,7 +115,7 @@ def test_a_log_that_speaks_against_itself_gives_a_configuration_only_by_force(fo
     log = write_csv(tmp_path / "rpm.csv", COLUMNS | {"v": 60 / (2 * np.pi) * COLUMNS["v"]})
     words = ["identify", str(log), "--mapping", str(folder / "map.yaml"), "--out", str(tmp_path / "o")]
     result = runner.invoke(app, words)
-    assert result.exit_code == 2 and "v of the encoders is 9.5" in result.stderr
+    assert result.exit_code == 2 and "v of the encoders is 9.2" in result.stderr
     assert not (tmp_path / "o").exists()
     assert runner.invoke(app, [*words, "--force"]).exit_code == 0
     assert (tmp_path / "o" / "config.yaml").exists()
