@@ -9,6 +9,7 @@ from typing import Any
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.studies.identification.figures import FOLDER, draw_identification, figures_of
+from diffdrive_mpc.bench.studies.identification.trial_drives import PATHS, trial_drives, trial_table, trial_warnings
 from diffdrive_mpc.bench.table import rich_table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification import Identification, identify
@@ -17,7 +18,7 @@ from diffdrive_mpc.models.identification.log_data import OptionError
 from diffdrive_mpc.models.logs import Finding, Log
 from diffdrive_mpc.models.logs.diagnosis import summary
 from diffdrive_mpc.models.logs.record import counted
-from diffdrive_mpc.mpc import Controller, load_config
+from diffdrive_mpc.mpc import load_config
 
 
 def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **options: Any) -> None:  # noqa: ANN401 - those of `identify`
@@ -44,13 +45,19 @@ def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **opt
             raise ConfigError(f"--{error.option.replace('_', '-')}{error.rest}") from error
         bar.begin("figures", len(figures_of(found.report)))
         found.write(folder, draw_identification(found.report, folder, bar.advance), force=force)
-        written = force or not found.refusal
-        if written:
-            Controller(load_config(folder / CONFIG_FILE))  # what is written can be driven with
+        drives = None
+        if force or not found.refusal:
+            bar.begin("driving", 2 * len(PATHS))
+            drives = trial_drives(found, load_config(folder / CONFIG_FILE), bar.advance)
+            with (folder / "report.md").open("a", encoding="utf-8") as report:
+                report.write("\n" + trial_table(drives).markdown())
     _print(found, out)
-    if not written:
+    if drives is None:
         old = f" ({out / CONFIG_FILE} is of an earlier run)" if (out / CONFIG_FILE).exists() else ""
         raise ConfigError(f"{found.refusal}; no model and no configuration are written{old}, --force writes them")
+    output_console().print(rich_table(trial_table(drives)))
+    for warning in trial_warnings(drives):
+        _print_line(f"warning: {warning}")
 
 
 def _print_log(log: Log) -> None:
@@ -69,7 +76,8 @@ def _print(found: Identification, out: Path) -> None:
     report = found.report
     for table in report.scores:
         output_console().print(rich_table(table))
-    said = {str(finding) for finding in report.data.findings}
+    findings = report.data.findings
+    said = {*map(str, findings), *counted([finding for finding in findings if finding.severity != "note"])}
     for warning in report.warnings:
         if warning not in said:
             _print_line(f"warning: {warning}")

@@ -165,4 +165,5 @@ def in_degrees(heading: FloatArray) -> bool:
     steps = np.abs(np.diff(heading[np.isfinite(heading)]))
     steps = steps[steps > 0]
     turns = np.abs(steps - 2 * np.pi * np.round(steps / (2 * np.pi)))
-    return len(steps) > 0 and bool(np.mean((turns > 1.5) | (steps > 50)) > 0.003)
+    full_turn = np.abs(steps - 360.0) < 20.0
+    return len(steps) > 0 and bool(full_turn.any() or np.mean((turns > 1.5) | (steps > 50)) > 0.003)

@@ -136,8 +136,8 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
             odd = _odd_one_out(sizes, low, high)
             if odd is None:
                 break
-            # Gyro and pose are of the same body, whatever its wheels do.
-            partner = {GYRO: POSE, POSE: GYRO}.get(odd, "") if channel == 1 else ""
+            # Gyro and pose are of one body, whatever its wheels do; wheels follow commands, however it skids.
+            partner = {GYRO: POSE, POSE: GYRO, COMMAND: ENCODERS}.get(odd, "") if channel == 1 else ""
             others = [partner] if partner in sizes else [name for name in sizes if name != odd]
             rest = float(np.exp(np.median([np.log(sizes[name]) for name in others])))
             ratio = sizes.pop(odd) / rest
