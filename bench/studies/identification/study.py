@@ -45,16 +45,26 @@ def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **opt
             raise ConfigError(f"--{error.option.replace('_', '-')}{error.rest}") from error
         bar.begin("figures", len(figures_of(found.report)))
         found.write(folder, draw_identification(found.report, folder, bar.advance), force=force)
-        drives = None
+        drives, refused = None, found.refusal
         if force or not found.refusal:
             bar.begin("driving", 2 * len(PATHS))
-            drives = trial_drives(found, load_config(folder / CONFIG_FILE), bar.advance)
+            config = load_config(folder / CONFIG_FILE)
+            try:
+                drives = trial_drives(found, config, bar.advance)
+            except ValueError as error:
+                if not force:
+                    raise
+                refused = f"written by force, but it does not drive: {error}"
+        if drives is not None:
             with (folder / "report.md").open("a", encoding="utf-8") as report:
                 report.write("\n" + trial_table(drives).markdown())
     _print(found, out)
+    if drives is None and force:
+        _print_line(f"warning: {refused}")
+        return
     if drives is None:
         old = f" ({out / CONFIG_FILE} is of an earlier run)" if (out / CONFIG_FILE).exists() else ""
-        raise ConfigError(f"{found.refusal}; no model and no configuration are written{old}, --force writes them")
+        raise ConfigError(f"{refused}; no model and no configuration are written{old}, --force writes them")
     output_console().print(rich_table(trial_table(drives)))
     for warning in trial_warnings(drives):
         _print_line(f"warning: {warning}")
