@@ -52,6 +52,9 @@ def identify(
         bool, typer.Option("--effects", help="Look for what the base does around an sm: slew, steps, tyres, veer.")
     ] = False,
     name: Annotated[str | None, typer.Option(help="Name of the model.", show_default="from the logs")] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write model and configuration also where logs or FIT speak against it.")
+    ] = False,
 ) -> None:
     """Identify a velocity model from logs; write it with a configuration, a report and figures."""
     from diffdrive_mpc.bench.studies.identification.study import identify_into  # noqa: PLC0415 - --help does without it
@@ -66,6 +69,7 @@ def identify(
         order=order,
         effects=effects,
         name=name,
+        force=force,
     )
 
 

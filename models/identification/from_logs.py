@@ -18,12 +18,12 @@ from diffdrive_mpc.models.identification.log_data import LogData, OptionError, r
 from diffdrive_mpc.models.identification.poses import from_poses
 from diffdrive_mpc.models.identification.report import IdentificationReport
 from diffdrive_mpc.models.identification.settings import identification_settings
-from diffdrive_mpc.models.logs import Finding
+from diffdrive_mpc.models.logs import Finding, Log
 from diffdrive_mpc.models.structures.identified import model_file, write_model_file
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.structure import Structure
-from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 
 AUTOMATIC = "auto"
 CONFIG_FILE = "config.yaml"
@@ -64,8 +64,26 @@ class Identification:
         """The report, in short."""
         return str(self.report)
 
-    def write(self, folder: str | Path, figures: Mapping[str, str] | None = None) -> None:
+    @property
+    def refusal(self) -> str:
+        """Why no controller should drive with this model, in a line; empty where nothing speaks against it."""
+        worse = [
+            f"{channel} {fit:.0f} %"
+            for channel, fit in zip(CHANNELS, self.report.fitted.validation.fit_percent, strict=True)
+            if not fit >= 0
+        ]
+        if not worse:
+            return ""
+        return (
+            f"FIT on data held out is below zero ({', '.join(worse)}): the model predicts worse than a "
+            "constant; look at the "
+            "warnings and the first lines on the log"
+        )
+
+    def write(self, folder: str | Path, figures: Mapping[str, str] | None = None, *, force: bool = False) -> None:
         """Write `FILES` into `folder`, which is made where missing; files of these names are replaced.
+
+        Where there is a `refusal`, model and configuration are not written unless with `force`.
 
         Parameters
         ----------
@@ -73,6 +91,8 @@ class Identification:
             Where to.
         figures
             Titles and relative paths of figures that the report shows.
+        force
+            Whether to write model and configuration in spite of a `refusal`.
 
         Raises
         ------
@@ -83,8 +103,9 @@ class Identification:
         words = self.report.markdown(figures)
         numbers = json.dumps(self.report.as_json(), indent=1, allow_nan=False) + "\n"
         folder.mkdir(parents=True, exist_ok=True)
-        write_model_file(folder / MODEL_FILE, self.content)
-        (folder / CONFIG_FILE).write_text(self.configuration.text(), encoding="utf-8")
+        if force or not self.refusal:
+            write_model_file(folder / MODEL_FILE, self.content)
+            (folder / CONFIG_FILE).write_text(self.configuration.text(), encoding="utf-8")
         (folder / "report.json").write_text(numbers, encoding="utf-8")
         (folder / "report.md").write_text(words, encoding="utf-8")
 
@@ -99,6 +120,8 @@ def identify(
     fit_share: float | None = None,
     order: int | str = AUTOMATIC,
     name: str | None = None,
+    force: bool = False,
+    on_log: Callable[[Log], None] | None = None,
     on_findings: Callable[[Sequence[Finding]], None] | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> Identification:
@@ -123,6 +146,10 @@ def identify(
         Order of an ssm, or "auto" to choose it.
     name
         Of the model; by default from the logs.
+    force
+        Whether to go on where the logs speak against it: wrong units, dead wheels, channels that are never driven.
+    on_log
+        Called with each log once it is read, before anything is fitted.
     on_findings
         Called with notes and warnings of each log once it is read, also when an error of it is raised next.
     on_progress
@@ -154,6 +181,9 @@ def identify(
         fit_share=identification_settings().fit_share if fit_share is None else fit_share,
         wheels=chosen.needs_wheels,
         on_findings=on_findings or (lambda _: None),
+        on_log=on_log,
+        force=force,
+        most_rows=identification_settings().most_rows["effects" if effects else "plain"],
     )
     more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
     title = name or f"{chosen.name.upper()} from {paths[0].stem}{more}"

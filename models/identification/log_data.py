@@ -6,9 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
+from diffdrive_mpc.models.logs.diagnosis import compare_logs
+from diffdrive_mpc.models.logs.record import refuse
 from diffdrive_mpc.models.output_error.experiment import YawSource
 from diffdrive_mpc.models.robot import SampleTime
 
@@ -50,7 +54,7 @@ class LogData:
     yaw
         Whether omega is the gyro's or, without one, the encoders'.
     findings
-        Of all logs, notes and warnings.
+        Of all logs, notes and warnings; with `force` errors, too.
     warnings
         What was left out of the logs.
     """
@@ -72,6 +76,9 @@ def read_data(
     fit_share: float,
     wheels: bool,
     on_findings: Callable[[Sequence[Finding]], None],
+    on_log: Callable[[Log], None] | None = None,
+    force: bool = False,
+    most_rows: int | None = None,
 ) -> LogData:
     """Read all logs and divide them.
 
@@ -89,6 +96,12 @@ def read_data(
         Whether the model is identified from the speeds of the wheels.
     on_findings
         Called with notes and warnings of each log once it is read, also when an error of it is raised next.
+    on_log
+        Called with each log before its findings.
+    force
+        Whether logs are used although findings of severity "error" speak against it.
+    most_rows
+        Of either part that are used, those in which the commands change most; None for all.
 
     Raises
     ------
@@ -105,8 +118,11 @@ def read_data(
     read: list[Log] = []
     for path in (*logs, *validate):
         log = read_log(path, mapping, read[0].records[0].dt if read else None)
-        on_findings([finding for finding in log.findings if finding.severity != "error"])
-        log.require_sound()
+        if on_log:
+            on_log(log)
+        on_findings([finding for finding in log.findings if force or finding.severity != "error"])
+        if not force:
+            log.require_sound()
         read.append(log)
     fitted, tried = read[: len(logs)], read[len(logs) :]
     has_gyro = any(record.yaw_rate is not None for log in fitted for record in log.records)
@@ -122,13 +138,31 @@ def read_data(
         validation = [record for _, last in halves for record in last]
         held_out = f"the last {100 * (1 - fit_share):.0f} % of the rows of each log"
     warnings: list[str] = []
+    spare = [
+        Finding(
+            "subset", "note", use, f"{most_rows} of {rows} rows are used, the parts in which the commands change most"
+        )
+        for use, records in (("identification", train), ("validation", validation))
+        if most_rows is not None and (rows := sum(len(record.command) for record in records)) > most_rows
+    ]
+    on_findings(spare)
+    if most_rows is not None:
+        train, validation = most_informative(train, most_rows), most_informative(validation, most_rows)
+    usable = (
+        _usable(train, needed, "to identify from", warnings),
+        _usable(validation, needed, "to validate on", warnings),
+    )
+    together = compare_logs(fitted)
+    on_findings([finding for finding in together if force or finding.severity != "error"])
+    if not force:
+        refuse([finding for finding in together if finding.severity == "error"])
     data = LogData(
-        train=_usable(train, needed, "to identify from", warnings),
-        validation=_usable(validation, needed, "to validate on", warnings),
+        train=usable[0],
+        validation=usable[1],
         logs=tuple(log.name for log in fitted),
         held_out=held_out,
         yaw=yaw,
-        findings=tuple(finding for log in read for finding in log.findings),
+        findings=(*(finding for log in read for finding in log.findings), *together, *spare),
         warnings=tuple(warnings),
     )
     check(_Clock, {"sample_time": data.train[0].dt}, data.logs[0])
@@ -151,6 +185,28 @@ def divide(records: Sequence[Record], share: float) -> tuple[list[Record], list[
             last.append(record.part(left, count))
         left -= count
     return first, last
+
+
+def most_informative(records: Sequence[Record], most: int) -> list[Record]:
+    """At most `most` rows in all, of the parts of a minute in which the commands change most; in order."""
+    if sum(len(record.command) for record in records) <= most:
+        return list(records)
+    commands = np.concatenate([record.command for record in records])
+    scale = np.maximum(commands.std(axis=0), 1e-12)
+    span = max(1, round(identification_settings().part_time / records[0].dt))
+    parts = [(i, first) for i, record in enumerate(records) for first in range(0, len(record.command), span)]
+    scores = [
+        float((np.abs(np.diff(records[i].command[first : first + span], axis=0)) / scale).sum()) for i, first in parts
+    ]
+    taken: list[tuple[int, int]] = []
+    left = most
+    for at in np.argsort(-np.array(scores), kind="stable"):
+        i, first = parts[at]
+        count = min(span, len(records[i].command) - first)
+        if count <= left:
+            taken.append((i, first))
+            left -= count
+    return [records[i].part(first, min(first + span, len(records[i].command))) for i, first in sorted(taken)]
 
 
 def _usable(records: Sequence[Record], needed: Sequence[str], use: str, warnings: list[str]) -> tuple[Record, ...]:

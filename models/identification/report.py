@@ -26,6 +26,7 @@ from diffdrive_mpc.models.identification.tables import (
     slip_table,
 )
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import counted
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.table import Table
 from diffdrive_mpc.models.velocity_model import CHANNELS
@@ -64,7 +65,7 @@ class IdentificationReport:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Everything that a user should know before trusting the model: of the log, the estimate and its scores."""
-        found = [str(finding) for finding in self.data.findings if finding.severity == "warning"]
+        found = counted([finding for finding in self.data.findings if finding.severity != "note"])
         found += [*self.data.warnings, *self.fitted.identified.warnings, *self.poses.warnings]
         if self.data.yaw == "encoders":
             found.append(
@@ -76,6 +77,36 @@ class IdentificationReport:
                 "wheels.encoder_track"
             )
         return tuple(dict.fromkeys([*found, *score_warnings(self.fitted), *mount_warnings(self.poses)]))
+
+    def in_short(self) -> list[str]:
+        """What was found, whether to trust it, and what to do next: a line each."""
+        gain = self.fitted.identified.model.dc_gain
+        late = self.fitted.identified.model.dead_time
+        lags = [
+            f"{channel} {gain[i, i]:.3g} times its command after {late[i]:.2f} s and a lag"
+            for i, channel in enumerate(CHANNELS)
+        ]
+        clipped = [f"{channel} clipped at {level:.3g}" for channel, level in self.fitted.identified.limits.items()]
+        fit = [float(value) for value in self.fitted.validation.fit_percent]
+        worst, limits = min(fit), identification_settings().warn
+        errors = [finding for finding in self.data.findings if finding.severity == "error"]
+        said = f"{worst:.0f} % of the worse channel is predicted on data held out"
+        count = len(self.warnings)
+        if errors or not worst >= 0:
+            trust, step = (
+                f"No: {errors[0].words if errors else said}",
+                "mend that first, in the mapping or on the robot",
+            )
+        elif worst < limits.low_fit:
+            trust, step = f"With care: {said}", "read the warnings, and drive gently with it"
+        else:
+            trust = f"Yes, where it was driven: {said}" + (
+                f"; {count} warnings" if count > 1 else "; 1 warning" if count else ""
+            )
+            step = "diffdrive-mpc simulate --config config.yaml, then the robot" + (
+                "; read the warnings" if count else ""
+            )
+        return [f"Found: {'; '.join([*lags, *clipped])}.", f"To be trusted? {trust}.", f"Next: {step}."]
 
     @property
     def scores(self) -> tuple[Table, ...]:
@@ -117,7 +148,7 @@ class IdentificationReport:
             tables.append(slip_table(poses))
         if self.data.findings:
             tables.append(finding_table(self.data.findings))
-        parts = [f"# {self.name}", "", *self._facts(), "", self.scores[0].markdown()]
+        parts = [f"# {self.name}", "", *_bullets(self.in_short()), "", *self._facts(), "", self.scores[0].markdown()]
         parts += ["## Warnings", "", *_bullets(self.warnings), ""]
         for title, path in (figures or {}).items():
             parts += [f"## {title}", "", f"![{title}]({path})", ""]

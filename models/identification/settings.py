@@ -26,6 +26,10 @@ class IdentificationSettings(StrictModel):
 
     fit_share: Positive = Field(description="of each log to identify from [-]")
     shares: tuple[Positive, Positive] = Field(description="least and largest share to identify from [-]")
+    most_rows: dict[str, int] = Field(
+        description="of a log that are fitted, and that are scored, without and with effects"
+    )
+    part_time: Positive = Field(description="that is taken or left together [s]")
     fewest_readings: int = Field(gt=0, description="[-]")
     pose_window: Positive = Field(description="[s]")
     horizons: tuple[Positive, ...] = Field(description="horizons of the open-loop pose error [s]")

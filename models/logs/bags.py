@@ -1,4 +1,4 @@
-"""A ROS 2 bag as a log: its topics as rows of numbers, on one clock. Nothing that the bag brings along is run."""
+"""A bag of ROS 2 or ROS 1 as a log: its topics as rows of numbers, on one clock. Nothing in it is ever run."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +21,10 @@ from diffdrive_mpc.models.logs.record import BoolArray, Finding, ranges
 from diffdrive_mpc.models.logs.sampling import RawLog, RawStretch, Signal, increasing, unwrapped, usual_step
 
 if TYPE_CHECKING:
-    from rosbags.rosbag2 import Reader
+    from rosbags.rosbag1 import Reader as Reader1
+    from rosbags.rosbag2 import Reader as Reader2
+
+    Reader = Reader1 | Reader2
 
 Reading = tuple[float, ...]
 
@@ -95,31 +100,45 @@ class TopicRows:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Reader]:
-    """Open a rosbag2: its folder, or one .mcap or .db3 file.
+    """Open a rosbag2, its folder or one .mcap or .db3 file, or a .bag of ROS 1.
 
     Raises
     ------
     ConfigError
         If it cannot be read, here or while the context reads on.
     """
-    from rosbags.rosbag2 import Reader  # noqa: PLC0415 - only those who read bags need the library
+    # Only those who read bags need the library.
+    from rosbags.rosbag1 import Reader as Reader1  # noqa: PLC0415
+    from rosbags.rosbag2 import Reader as Reader2  # noqa: PLC0415
 
     try:
-        with Reader(path) as reader:
+        with (Reader1 if of_ros1(path) else Reader2)(path) as reader:
             yield reader
     except ConfigError:
         raise
     except Exception as error:  # a damaged file fails in as many ways as there are bytes
         reason = " ".join(str(error).split()) or type(error).__name__
+        kind, rescue = ("ROS 1", "rosbag reindex") if of_ros1(path) else ("ROS 2", "ros2 bag reindex")
         raise ConfigError(
-            f"{path}: cannot be read as a ROS 2 bag ({reason}); is it complete? `ros2 bag reindex` may save it"
+            f"{path}: cannot be read as a {kind} bag ({reason}); is it complete? `{rescue}` may save it"
         ) from error
 
 
-def read_topic(reader: Reader, path: Path, topic: str, decoders: Decoders) -> TopicRows:
+def of_ros1(path: Path) -> bool:
+    """Whether the path is that of a bag of ROS 1: one file that says so in its first bytes, or by its ending."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(7) == b"#ROSBAG" or path.suffix == ".bag"
+
+
+def read_topic(
+    reader: Reader, path: Path, topic: Topic, decoders: Decoders, definitions: Mapping[str, str] = MappingProxyType({})
+) -> TopicRows:
     """Read all messages of one topic.
 
-    Message types are the library's own, never the definitions inside the bag, from which it would generate code.
+    Message types are the library's own and those of `definitions`, files that the user names, by type; never the
+    definitions inside the bag, from which it would generate code.
 
     Raises
     ------
@@ -130,28 +149,66 @@ def read_topic(reader: Reader, path: Path, topic: str, decoders: Decoders) -> To
     """
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
 
-    connections = [connection for connection in reader.connections if connection.topic == topic]
+    name = topic.topic
+    connections: list[Any] = [connection for connection in reader.connections if connection.topic == name]
     if not connections:
         there = ", ".join(sorted({f"{known.topic} ({known.msgtype})" for known in reader.connections})) or "none"
-        raise ConfigError(f"{path}: no topic '{topic}'; name it under 'topics' in the mapping; the bag has {there}")
+        raise ConfigError(f"{path}: no topic '{name}'; name it under 'topics' in the mapping; the bag has {there}")
     kinds = sorted({connection.msgtype for connection in connections})
+    if topic.fields is not None:
+        decoders = dict.fromkeys(kinds, _reader_of(path, topic))
     if len(kinds) > 1 or kinds[0] not in decoders:
-        raise ConfigError(f"{path}: topic '{topic}' is of type {', '.join(kinds)}; expected {' or '.join(decoders)}")
-    store, decode = get_typestore(Stores.ROS2_JAZZY), decoders[kinds[0]]
+        raise ConfigError(
+            f"{path}: topic '{name}' is of type {', '.join(kinds)}; expected {' or '.join(decoders)}; of "
+            "another type name "
+            "'fields', where its numbers stand, and a file for it under 'definitions'"
+        )
+    ros1 = of_ros1(path)
+    store, decode = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY), decoders[kinds[0]]
+    _register(path, store, kinds[0], definitions)
     received, stamped, values = [], [], []
     for _, timestamp, data in reader.messages(connections=connections):
-        message = store.deserialize_cdr(data, kinds[0])
+        message = (store.deserialize_ros1 if ros1 else store.deserialize_cdr)(data, kinds[0])
         received.append(timestamp)
         stamped.append(stamp(message))
         values.append(decode(message))
     promised = sum(connection.msgcount for connection in connections)
     if len(values) < promised:  # the library skips what it cannot make out in a damaged file
-        raise ValueError(f"topic '{topic}' holds {len(values)} of {promised} messages")
+        raise ValueError(f"topic '{name}' holds {len(values)} of {promised} messages")
     if not values:
-        raise ConfigError(f"{path}: topic '{topic}' holds no message")
-    return TopicRows(topic, np.array(received), np.array(stamped), np.array(values))
+        raise ConfigError(f"{path}: topic '{name}' holds no message")
+    return TopicRows(name, np.array(received), np.array(stamped), np.array(values))
 
 
+def _register(path: Path, store: Any, kind: str, definitions: Mapping[str, str]) -> None:  # noqa: ANN401
+    """Teach the library the types that the user defines; raises ConfigError where one of `kind` is still unknown."""
+    from rosbags.typesys import get_types_from_msg  # noqa: PLC0415
+
+    for name, file in definitions.items():
+        try:
+            store.register(get_types_from_msg(Path(file).read_text(encoding="utf-8"), name))
+        except Exception as error:  # the library's own, and those of reading
+            raise ConfigError(f"{file}: cannot be read as the definition of {name} ({error})") from error
+    if kind not in store.fielddefs:
+        raise ConfigError(f"{path}: messages of type {kind} are unknown; give their .msg file under 'definitions'")
+
+
+def _reader_of(path: Path, topic: Topic) -> Callable[[Any], Reading]:
+    """Takes the numbers out of a message where the mapping says that they stand."""
+    fields = [field.split(".") for field in topic.fields or ()]
+
+    def decode(message: Any) -> Reading:  # noqa: ANN401
+        try:
+            return tuple(float(reduce(getattr, field, message)) for field in fields)
+        except (AttributeError, TypeError, ValueError) as error:
+            raise ConfigError(
+                f"{path}: topic '{topic.topic}': no number under 'fields' {topic.fields}: {error}"
+            ) from error
+
+    return decode
+
+
+_WIDTHS = {"command": 2, "odometry": 2, "imu": 1, "pose": 3}
 _DECODERS: dict[str, Decoders] = {"command": COMMANDS, "odometry": ODOMETRY, "imu": IMU, "pose": POSES}
 _FIELDS = {"odometry": "twist", "imu": "yaw_rate", "pose": "pose"}
 
@@ -178,33 +235,48 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         command and the sensors have no time in common.
     """
     with opened(path) as reader:
-        topics = mapping.topics if mapping else _usual_topics(path, {known.topic for known in reader.connections})
+        there = {known.topic for known in reader.connections}
+        topics = mapping.topics if mapping else Topics()
         if topics is None:
             raise ConfigError(f"{path}: the mapping has no 'topics', which a bag needs")
+        topics = topics.named(there)
         asked = {role: topic for role in _DECODERS if (topic := getattr(topics, role)) is not None}
-        rows = {role: read_topic(reader, path, topic.topic, _DECODERS[role]) for role, topic in asked.items()}
+        if set(asked) == {"command"}:
+            raise ConfigError(
+                f"{path}: neither /odom nor /imu is there; give a mapping file that names the topics; the bag has "
+                f"{', '.join(sorted(there)) or 'none'}"
+            )
+        for role, topic in asked.items():
+            if topic.fields is not None and len(topic.fields) != _WIDTHS[role]:
+                raise ConfigError(
+                    f"{path}: topic '{topic.topic}': give {_WIDTHS[role]} 'fields', not {len(topic.fields)}"
+                )
+        rows = {
+            role: read_topic(reader, path, topic, _DECODERS[role], topics.definitions) for role, topic in asked.items()
+        }
     findings: list[Finding] = []
     times = _times(path, rows, topics, findings)
     origin = min(time.min() for time in times.values())
     signals = {
         role: _signal(path, rows[role], 1e-9 * (times[role] - origin), asked[role], role, findings) for role in rows
     }
-    stretch = _stretch(path, signals.pop("command"), {_FIELDS[role]: signal for role, signal in signals.items()})
-    response = next(stretch.measured[field] for field in _FIELDS.values() if field in stretch.measured)
+    command = signals.pop("command")
+    measured = {_FIELDS[role]: signal for role, signal in signals.items()}
+    response = next(measured[field] for field in _FIELDS.values() if field in measured)
+    if topics.command.on_change:
+        command = _repeated(command, response.time)
+    stretch = _stretch(path, command, measured)
     # The faster of the two, so that neither the commands' times nor the readings are blurred.
-    sample_time = np.fmin(usual_step([stretch.command.time]), usual_step([response.time]))
+    sample_time = usual_step([response.time])
+    if not topics.command.on_change:
+        sample_time = float(np.fmin(usual_step([stretch.command.time]), sample_time))
     return RawLog(path.name, (stretch,), tuple(findings), float(sample_time))
 
 
-def _usual_topics(path: Path, there: set[str]) -> Topics:
-    usual = {"odometry": "/odom", "imu": "/imu"}
-    found = {role: Topic(topic=topic) for role, topic in usual.items() if topic in there}
-    if not found:
-        raise ConfigError(
-            f"{path}: neither /odom nor /imu is there; give a mapping file that names the topics; the bag has "
-            f"{', '.join(sorted(there)) or 'none'}"
-        )
-    return Topics(odometry=found.get("odometry"), imu=found.get("imu"))
+def _repeated(command: Signal, clock: FloatArray) -> Signal:
+    """Commands that are sent when they change, once more at every time of `clock` (n,) [s] from the first on."""
+    time = np.union1d(command.time, clock[clock >= command.time[0]])
+    return Signal(time, command.value[np.searchsorted(command.time, time, side="right") - 1])
 
 
 def _times(path: Path, rows: dict[str, TopicRows], topics: Topics, findings: list[Finding]) -> dict[str, FloatArray]:

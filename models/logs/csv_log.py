@@ -12,7 +12,9 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.clock_checks import require_one_clock
-from diffdrive_mpc.models.logs.csv_table import CsvTable, read_table
+from diffdrive_mpc.models.logs.csv_table import CsvTable, read_header, read_table
+from diffdrive_mpc.models.logs.diagnosis.readings import check_stamps, held_share, in_degrees
+from diffdrive_mpc.models.logs.long_logs import chosen_rows
 from diffdrive_mpc.models.logs.mapping import (
     FACTORS,
     FOUR_WHEELS,
@@ -87,6 +89,12 @@ class RowReader:
     def column(self, column: SignalColumn) -> tuple[FloatArray, BoolArray]:
         """Values (n,) in SI units, NaN where there is none, and (n,) True where a cell holds NaN or infinity."""
         values, empty = self.table.numbers(column.column)
+        if empty.all():
+            raise ConfigError(
+                f"{self.table.path}: column '{column.column}' is empty in every row; name the right column, "
+                "or leave it "
+                "out of the mapping"
+            )
         bad = np.isnan(values) & ~empty
         if bad.any():
             place = f"{self.table.path.name}, line {ranges(self.table.lines[bad])}"
@@ -177,19 +185,27 @@ def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
         If the file or a column is missing, a cell is no number, no row has a time and a command, the mapping lacks
         something that a unit needs, or a sensor's times are on another clock than the rows'.
     """
-    table = read_table(path)
-    columns, wheels = (mapping or _own_mapping(table)).columns, mapping.wheels if mapping else None
+    columns, wheels = (mapping or _own_mapping(path)).columns, mapping.wheels if mapping else None
     if columns is None:
         raise ConfigError(f"{path}: the mapping has no 'columns', which a CSV file needs")
+    settings = check_settings()
+    whole = _where(read_table(path, columns.names()), columns)
+    table, findings = chosen_rows(whole, columns, settings)
+    findings = [*table.findings, *findings]
+    del whole
     reader = RowReader(table, wheels)
-    findings = list(table.findings)
     time = _times(table, columns)
     commands, wheel_commands, broken = reader.command(columns.command)
     always = np.ones(len(time), dtype=bool)
-    command = RowSignal(time, commands, always)
-    wheel_command = None if wheel_commands is None else RowSignal(time, wheel_commands, always)
+    sent = time - columns.command.delay
+    command = RowSignal(sent, commands, always)
+    wheel_command = None if wheel_commands is None else RowSignal(sent, wheel_commands, always)
     measured = _measured(reader, columns, time)
     findings += reader.findings
+    known = np.isfinite(time)
+    smooth = next(iter(measured.values())).value[known, -1]
+    if columns.time is not None and (odd := check_stamps(path.name, time[known], smooth, settings)):
+        raise ConfigError(str(odd))
     stretches = []
     for rows in _forward(table, columns, time, broken, findings):
         signal = command.signal(rows)
@@ -204,21 +220,30 @@ def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
     return RawLog(path.name, tuple(stretches), tuple(findings), columns.sample_time)
 
 
-def _own_mapping(table: CsvTable) -> LogMapping:
-    mapping = load_mapping(OWN_FORMAT)
+def _own_mapping(path: Path) -> LogMapping:
+    mapping, header = load_mapping(OWN_FORMAT), read_header(path)
     assert mapping.columns is not None
-    if not mapping.columns.names() <= set(table.header):
-        raise ConfigError(
-            f"{table.path}: which column is what? Give a mapping file; the columns are {', '.join(table.header)}"
-        )
+    if header and not mapping.columns.names() <= set(header):
+        raise ConfigError(f"{path}: which column is what? Give a mapping file; the columns are {', '.join(header)}")
     return mapping
+
+
+def _where(table: CsvTable, columns: Columns) -> CsvTable:
+    """The rows that the mapping's 'where' chooses."""
+    keep = np.ones(len(table.row), dtype=bool)
+    for name, wanted in columns.where.items():
+        values = wanted if isinstance(wanted, tuple) else (wanted,)
+        keep &= np.isin(table.cells(name), [table.cell(value) for value in values])
+    if not keep.any():
+        raise ConfigError(f"{table.path}: no row has {columns.where}, as 'where' in the mapping asks")
+    return table if keep.all() else table.part(keep)
 
 
 def _times(table: CsvTable, columns: Columns) -> FloatArray:
     """(n,) times of the rows [s]."""
     if columns.time is None:
         assert columns.sample_time is not None
-        return columns.sample_time * np.arange(len(table.rows), dtype=float)
+        return np.asarray(columns.sample_time * table.row, dtype=float)
     return FACTORS[columns.time.unit] * table.numbers(columns.time.column)[0]
 
 
@@ -238,6 +263,14 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
         fresh = fresh_rows(together) if sensor.held else np.ones(len(time), dtype=bool)
         if not (sensor.held or counts):
             reader.findings += _seems_held(reader.table, name, together)
+        if name == "pose" and in_degrees(together[:, 2]):
+            words = (
+                "the heading of the pose steps as degrees do, not radians: give 'theta' of the pose "
+                "`unit: deg` in the mapping"
+            )
+            reader.findings.append(Finding("wrong unit", "error", reader.table.path.name, words))
+            value = values["pose"] * [1.0, 1.0, FACTORS["deg"]]
+            values = {"pose": value}
         for field, value in values.items():
             signals[field] = RowSignal(own - sensor.delay, value, fresh, counts)
 
@@ -252,14 +285,16 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
 
 
 def _seems_held(table: CsvTable, sensor: str, readings: FloatArray) -> list[Finding]:
-    """A finding where many readings (n, width) of a moving robot repeat the one before bit for bit."""
-    moving = readings[np.isfinite(readings).all(axis=1) & readings.any(axis=1)]
-    share = float(np.mean((np.diff(moving, axis=0) == 0).all(axis=1))) if len(moving) > 1 else 0.0
+    """A finding where readings (n, width) repeat the one before bit for bit although they change quickly."""
+    known = readings[np.isfinite(readings).all(axis=1)]
+    moving = np.asarray(known.any(axis=1))
+    share = held_share(known, moving)
     if share <= check_settings().held_share:
         return []
     words = (
-        f"{100 * share:.0f} % of the readings of the {sensor} repeat the one before; if they are held from row to row, "
-        "say `held: true` in the mapping"
+        f"{100 * share:.0f} % of the readings of the {sensor} repeat the one before even while it changes "
+        "quickly: they are held "
+        "from row to row: say `held: true` in the mapping"
     )
     return [Finding("held readings", "note", table.path.name, words)]
 
@@ -283,8 +318,12 @@ def _forward(
         words = f"time goes backwards by {-step:.3f} s, to {time[row]:.3f} s; a new stretch begins"
         findings.append(Finding("time backwards", "warning", f"{where}{table.lines[row]}", words))
     if columns.segment is not None:
-        segment = np.array(table.texts(columns.segment))[rows]
+        segment = table.cells(columns.segment)[rows]
         cut |= segment[1:] != segment[:-1]
+    if table.row[-1] - table.row[0] >= len(table.row):
+        steps_of_rows = np.diff(table.row)
+        left_out = np.concatenate([[False], steps_of_rows > np.median(steps_of_rows)])
+        cut |= np.diff(np.cumsum(left_out)[rows]) > 0
     cut |= broken[rows[1:]]
     parts = np.split(rows, np.flatnonzero(cut) + 1)
     parts = [part[~broken[part]] for part in parts]

@@ -1,44 +1,57 @@
-"""A CSV file as columns of numbers, with every fault named by its line."""
+"""The columns of a CSV file that a mapping names, as numbers, read block by block; every fault is named by its line."""
 
 from __future__ import annotations
 
 import csv
 import difflib
-from dataclasses import dataclass
+import io
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import BoolArray, Finding
 
 _SEPARATORS = ",;\t"
+_BLOCK = 1 << 24
+"""Bytes that are parsed at a time."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class CsvTable:
-    """The cells of a CSV file with a header in its first line.
+    """Columns of a CSV file with a header in its first line.
 
     Attributes
     ----------
     path
         The file.
     header
-        Names of the columns.
-    lines
-        (n,) line of each row in the file.
-    rows
-        n rows of cells, as many as the header has names.
+        Names of all its columns.
+    row, lines
+        (n,) number of each row in the file, from 0, and its line.
+    values
+        (n,) cells of each column that was read; a word stands for itself as a number below `_WORDS`.
+    empty
+        (n,) True for empty cells; only of columns that have any.
+    words
+        The words, by their number.
     findings
         What was wrong with the file as a table.
     """
 
     path: Path
     header: list[str]
-    lines: FloatArray
-    rows: list[list[str]]
-    findings: tuple[Finding, ...]
+    row: NDArray[np.int64]
+    lines: NDArray[np.int64]
+    values: dict[str, FloatArray]
+    empty: dict[str, BoolArray]
+    words: dict[str, float] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
 
     def numbers(self, name: str) -> tuple[FloatArray, BoolArray]:
         """Numbers (n,) of a column, NaN in empty cells and for what is not finite, and (n,) True for empty cells.
@@ -48,30 +61,57 @@ class CsvTable:
         ConfigError
             If there is no such column, or a cell holds something else than a number.
         """
-        cells = self.texts(name)
-        empty = np.array([not cell for cell in cells])
-        try:
-            values = np.array([cell or "nan" for cell in cells], dtype=float)
-        except ValueError:
-            line, cell = next((int(line), cell) for line, cell in zip(self.lines, cells, strict=True) if _wrong(cell))
+        values = self.cells(name)
+        wrong = values <= _WORDS
+        if self.words and wrong.any():
+            at = int(np.argmax(wrong))
+            cell = next(word for word, number in self.words.items() if number == values[at])
             raise ConfigError(
-                f"{self.path}, line {line}, column '{name}': '{cell}' is no number; leave the cell empty where a "
+                f"{self.path}, line {self.lines[at]}, column '{name}': '{cell}' is no number; leave the cell "
+                "empty where a "
                 "reading is missing"
-            ) from None
+            )
+        empty = self.empty.get(name, np.zeros(len(values), dtype=bool))
         return np.where(np.isfinite(values), values, np.nan), empty
 
-    def texts(self, name: str) -> list[str]:
-        """Cells of a column as they stand; raises ConfigError if there is no such column."""
+    def cells(self, name: str) -> FloatArray:
+        """Cells (n,) of a column, words as their numbers; raises ConfigError if there is no such column."""
         if name not in self.header:
             near = difflib.get_close_matches(name, self.header, n=1, cutoff=0.5)
             hint = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(self.header)}"
             raise ConfigError(f"{self.path}: column '{name}' is missing; {hint}")
-        index = self.header.index(name)
-        return [row[index].strip() for row in self.rows]
+        return self.values[name]
+
+    def cell(self, text: str | float) -> float:
+        """The number that stands for a text in `cells`: its own, or that of the word; NaN where no cell holds it."""
+        try:
+            return float(text)
+        except ValueError:
+            return self.words.get(str(text).strip(), float("nan"))
+
+    def part(self, rows: NDArray[np.intp] | BoolArray) -> CsvTable:
+        """The table of some rows."""
+        values = {name: cells[rows] for name, cells in self.values.items()}
+        empty = {name: cells[rows] for name, cells in self.empty.items()}
+        return CsvTable(
+            self.path, self.header, self.row[rows], self.lines[rows], values, empty, self.words, self.findings
+        )
 
 
-def read_table(path: Path) -> CsvTable:
-    """Read a CSV file; its separator is a comma, a semicolon or a tab.
+_WORDS = -1e300
+"""Words in a column of words are numbered downwards from here."""
+
+
+def read_header(path: Path) -> list[str]:
+    """Names of the columns; raises ConfigError as `read_table`."""
+    with _opened(path) as file:
+        return _header(path, file)[0]
+
+
+def read_table(path: Path, names: Collection[str]) -> CsvTable:
+    """Read columns of a CSV file; its separator is a comma, a semicolon or a tab.
+
+    Memory holds one block of text at a time, and eight bytes for each cell of the columns named.
 
     Raises
     ------
@@ -79,37 +119,126 @@ def read_table(path: Path) -> CsvTable:
         If the file cannot be read, is empty, names a column twice, or a line has too few or too many cells. Only the
         last line may be cut off: it is left out, with a finding.
     """
+    blocks: list[dict[str, FloatArray]] = []
+    empties: list[dict[str, BoolArray]] = []
+    lines: list[NDArray[np.int64]] = []
+    words: dict[str, float] = {}
+    findings: list[Finding] = []
+    with _opened(path) as file:
+        header, separator = _header(path, file)
+        twice = next((name for i, name in enumerate(header) if name in header[:i]), None)
+        if twice is not None:
+            raise ConfigError(f"{path}: column '{twice}' is there twice; rename one")
+        wanted = [name for name in header if name in names]
+        line = 2
+        try:
+            for text, last in _blocks(file):
+                parsed = _quick(text, separator, header, wanted)
+                if parsed is None:
+                    parsed = _careful(path, text, separator, header, wanted, line, words, findings if last else None)
+                found, empty, numbers = parsed
+                blocks.append(found)
+                empties.append(empty)
+                lines.append(line + numbers)
+                line += text.count("\n")
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            raise ConfigError(f"{path}: cannot be read as CSV ({getattr(error, 'strerror', None) or error})") from error
+    if not sum(len(part) for part in lines):
+        raise ConfigError(f"{path}: no rows; a log has a header line and a row of numbers per sample")
+    values, missing = {}, {}
+    for name in wanted:
+        values[name] = np.concatenate([block.pop(name) for block in blocks])
+        if any(name in empty for empty in empties):
+            parts = zip(lines, empties, strict=True)
+            missing[name] = np.concatenate([empty.get(name, np.zeros(len(part), dtype=bool)) for part, empty in parts])
+    line_numbers = np.concatenate(lines)
+    return CsvTable(path, header, np.arange(len(line_numbers)), line_numbers, values, missing, words, tuple(findings))
+
+
+def _opened(path: Path) -> BinaryIO:
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            separator = max(_SEPARATORS, key=file.readline().count)
-            file.seek(0)
-            reader = csv.reader(file, delimiter=separator)
-            header = [name.strip() for name in next(reader, [])]
-            numbered = [(reader.line_num, row) for row in reader if row]
+        return path.open("rb")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read as CSV ({error.strerror or error})") from error
+
+
+def _header(path: Path, file: BinaryIO) -> tuple[list[str], str]:
+    """Names in the first line, and the separator."""
+    try:
+        first = file.readline().decode("utf-8-sig")
+        if "\0" in first:
+            raise ConfigError(f"{path}: cannot be read as CSV (it holds bytes that are no text)")
+        separator = max(_SEPARATORS, key=first.count)
+        return [name.strip() for name in next(csv.reader([first], delimiter=separator), [])], separator
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(f"{path}: cannot be read as CSV ({getattr(error, 'strerror', None) or error})") from error
-    twice = next((name for i, name in enumerate(header) if name in header[:i]), None)
-    if twice is not None:
-        raise ConfigError(f"{path}: column '{twice}' is there twice; rename one")
-    findings = []
-    if numbered and len(numbered[-1][1]) < len(header):
-        findings.append(
-            Finding("incomplete line", "note", f"{path.name}, line {numbered[-1][0]}", "cut off; it is left out")
-        )
-        numbered.pop()
-    for line, row in numbered:
-        if len(row) != len(header):
-            raise ConfigError(f"{path}, line {line}: {len(row)} cells, expected {len(header)} as in the header")
-    if not numbered:
-        raise ConfigError(f"{path}: no rows; a log has a header line and a row of numbers per sample")
-    return CsvTable(
-        path, header, np.array([line for line, _ in numbered]), [row for _, row in numbered], tuple(findings)
-    )
 
 
-def _wrong(cell: str) -> bool:
+def _blocks(file: BinaryIO) -> Iterator[tuple[str, bool]]:
+    """Whole lines, a block at a time, and whether the block is the last."""
+    text = file.read(_BLOCK) + file.readline()
+    while text:
+        following = file.read(_BLOCK)
+        following += file.readline() if following else b""
+        yield text.decode("utf-8").replace("\r\n", "\n"), not following
+        text = following
+
+
+_Parsed = tuple[dict[str, FloatArray], dict[str, BoolArray], NDArray[np.int64]]
+
+
+def _quick(text: str, separator: str, header: list[str], wanted: list[str]) -> _Parsed | None:
+    """A block of plain numbers; None where it holds anything else: quotes, words, empty cells, shorter lines."""
+    count = text.count("\n") + (not text.endswith("\n"))
+    if '"' in text or "\n\n" in text or text.count(separator) != count * (len(header) - 1) or not wanted:
+        return None
+    columns = [header.index(name) for name in wanted]
     try:
-        float(cell or "nan")
+        table = np.loadtxt(io.StringIO(text), delimiter=separator, usecols=columns, comments=None, ndmin=2)
     except ValueError:
-        return True
-    return False
+        return None
+    if len(table) != count:
+        return None
+    return {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(wanted)}, {}, np.arange(count)
+
+
+def _careful(
+    path: Path,
+    text: str,
+    separator: str,
+    header: list[str],
+    wanted: list[str],
+    line: int,
+    words: dict[str, float],
+    findings: list[Finding] | None,
+) -> _Parsed:
+    """A block cell by cell, its first on `line`; `findings` are given for the last block, which may be cut off."""
+    reader = csv.reader(io.StringIO(text), delimiter=separator)
+    numbered = [(reader.line_num - 1, row) for row in reader if row]
+    if findings is not None and numbered and len(numbered[-1][1]) < len(header):
+        place = f"{path.name}, line {line + numbered[-1][0]}"
+        findings.append(Finding("incomplete line", "note", place, "cut off; it is left out"))
+        numbered.pop()
+    for at, row in numbered:
+        if len(row) != len(header):
+            raise ConfigError(f"{path}, line {line + at}: {len(row)} cells, expected {len(header)} as in the header")
+    values, missing = {}, {}
+    for name in wanted:
+        index = header.index(name)
+        cells = [row[index].strip() for _, row in numbered]
+        try:
+            values[name] = np.array([cell or "nan" for cell in cells], dtype=float)
+        except ValueError:
+            values[name] = np.array([_number(cell, words) for cell in cells])
+        empty = np.array([not cell for cell in cells], dtype=bool)
+        if empty.any():
+            missing[name] = empty
+    return values, missing, np.array([at for at, _ in numbered], dtype=np.int64)
+
+
+def _number(cell: str, words: dict[str, float]) -> float:
+    try:
+        return float(cell or "nan")
+    except ValueError:
+        # Doubles near the largest are far apart: each word is a power of two further down.
+        return words.setdefault(cell, _WORDS * (1 + len(words) / 1e6))

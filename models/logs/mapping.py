@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -37,16 +38,6 @@ FACTORS: dict[str, float] = {
     "rpm": 2.0 * math.pi / 60.0,
 }
 """SI value of one of each unit. A wheel's ticks and rim speeds also need its ticks per turn or its radius."""
-
-MIXED_UP: dict[str, float] = {
-    "degrees and radians": 180.0 / math.pi,
-    "revolutions per minute and rad/s": 60.0 / (2.0 * math.pi),
-    "revolutions and radians": 2.0 * math.pi,
-    "millimetres and metres": 1000.0,
-    "centimetres and metres": 100.0,
-    "km/h and m/s": 3.6,
-}
-"""Factors by which a signal is wrong when two units were mixed up, either way round."""
 
 
 MAPPINGS = Path(__file__).parent / "mappings"
@@ -140,6 +131,8 @@ class _TwistOrWheels(StrictModel):
 class CommandColumns(_TwistOrWheels):
     """What was commanded: (v, omega), or wheel speeds left and right. An empty cell: the last command still holds."""
 
+    delay: float = Field(0.0, description="how long after the robot took it a command appears in the log [s]")
+
     @model_validator(mode="after")
     def _no_counts(self) -> Self:
         if self.given("v") and self.given("left"):
@@ -187,6 +180,9 @@ class Columns(StrictModel):
     time: TimeColumn | None = Field(None, description="times of the rows")
     sample_time: Positive | None = Field(None, description="time between rows [s], for a log without time stamps")
     segment: str | None = Field(None, description="column whose change begins a new stretch")
+    where: dict[str, str | float | tuple[str | float, ...]] = Field(
+        default_factory=dict, description="value, or values, that a column must have for a row to be used"
+    )
     command: CommandColumns
     encoders: EncoderColumns | None = None
     gyro: GyroColumns | None = None
@@ -205,7 +201,7 @@ class Columns(StrictModel):
         groups = [self.command, self.encoders, self.gyro, self.pose]
         parts = [part for group in groups if group is not None for _, part in group]
         names = {part.column for part in [self.time, *parts] if isinstance(part, Column)}
-        return names if self.segment is None else {*names, self.segment}
+        return names | set(self.where) | ({self.segment} if self.segment else set())
 
 
 class Topic(StrictModel):
@@ -214,6 +210,10 @@ class Topic(StrictModel):
     topic: str = Field(min_length=1)
     sign: Sign = Field(1, description="of yaw rates and headings; -1 for a sensor mounted upside down")
     delay: float = Field(0.0, description="how long after the fact its stamps are [s]")
+    fields: tuple[str, ...] | None = Field(
+        None, description="where its numbers stand in a message of another type, such as twist.linear.x"
+    )
+    on_change: bool = Field(False, description="of commands: sent when they change, and in force until the next")
 
     @model_validator(mode="before")
     @classmethod
@@ -222,7 +222,7 @@ class Topic(StrictModel):
 
 
 class Topics(StrictModel):
-    """The topics of a ROS 2 bag."""
+    """The topics of a bag. With no sensor named, /odom and /imu are used as far as they are there."""
 
     command: Topic = Field(Topic(topic="/cmd_vel"), description="geometry_msgs Twist or TwistStamped")
     odometry: Topic | None = Field(None, description="nav_msgs Odometry of the encoders alone; its twist is used")
@@ -233,12 +233,16 @@ class Topics(StrictModel):
     clock: Literal["stamp", "receive"] = Field(
         "stamp", description="whose times count: the messages' or the recorder's"
     )
+    definitions: dict[str, str] = Field(
+        default_factory=dict, description="files of message definitions, beside the mapping, by type: pkg/msg/Name"
+    )
 
-    @model_validator(mode="after")
-    def _measured(self) -> Self:
-        if self.odometry is None and self.imu is None and self.pose is None:
-            raise ValueError("nothing measured: name the topic of 'odometry', 'imu' or 'pose'")
-        return self
+    def named(self, there: Collection[str]) -> Self:
+        """The same with the usual sensors among the topics `there`, where none is named."""
+        if self.odometry or self.imu or self.pose:
+            return self
+        usual = {"odometry": "/odom", "imu": "/imu"}
+        return self.model_copy(update={role: Topic(topic=name) for role, name in usual.items() if name in there})
 
 
 class Wheels(StrictModel):
@@ -256,7 +260,22 @@ class LogMapping(StrictModel):
     columns: Columns | None = None
     topics: Topics | None = None
     wheels: Wheels | None = None
+    times: tuple[tuple[float, float], ...] = Field(
+        (), description="from and to of the parts to be used, on the log's clock [s]; without any, all of it"
+    )
     gap: Positive | None = Field(None, description="longest time between two commands or rows of one stretch [s]")
+
+    def sources(self) -> dict[str, str]:
+        """Names of columns or topics by stream: "command", "encoders", "gyro", "pose"."""
+        found: dict[str, str] = {}
+        for group in (self.columns, self.topics):
+            for role, part in group or ():
+                name = {"odometry": "encoders", "imu": "gyro"}.get(role, role)
+                if isinstance(part, Topic):
+                    found[name] = part.topic
+                elif part is not None and name in ("command", "encoders", "gyro", "pose"):
+                    found[name] = ", ".join(column.column for key, column in part if isinstance(column, SignalColumn))
+        return found
 
 
 def load_mapping(name: str | Path) -> LogMapping:
@@ -272,4 +291,9 @@ def load_mapping(name: str | Path) -> LogMapping:
     models.checked_yaml.ConfigError
         If there is no such mapping or it has a mistake.
     """
-    return load_checked(LogMapping, named_file("mapping", MAPPINGS, name))
+    path = named_file("mapping", MAPPINGS, name)
+    mapping = load_checked(LogMapping, path)
+    if mapping.topics is not None and mapping.topics.definitions:
+        beside = {kind: str(path.parent / file) for kind, file in mapping.topics.definitions.items()}
+        return mapping.model_copy(update={"topics": mapping.topics.model_copy(update={"definitions": beside})})
+    return mapping

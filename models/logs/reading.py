@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,11 @@ from diffdrive_mpc.models.logs.bags import is_bag, read_bag
 from diffdrive_mpc.models.logs.check_settings import CheckSettings, check_settings
 from diffdrive_mpc.models.logs.clock_checks import check_timing, gap_finding
 from diffdrive_mpc.models.logs.csv_log import read_csv
+from diffdrive_mpc.models.logs.diagnosis import diagnose
+from diffdrive_mpc.models.logs.diagnosis.readings import check_period, without_spikes
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.logs.record import Finding, Log, Record
-from diffdrive_mpc.models.logs.record_checks import check_commands, check_responses, check_sensors
+from diffdrive_mpc.models.logs.record_checks import check_commands, check_sensors
 from diffdrive_mpc.models.logs.sampling import RawLog, pieces, resample, usual_step
 
 
@@ -48,30 +51,36 @@ def read_log(path: str | Path, mapping: str | Path | None = None, sample_time: f
     if not path.exists():
         raise ConfigError(f"{path}: there is no such file or folder")
     loaded = None if mapping is None else load_mapping(mapping)
-    raw = (read_bag if is_bag(path) else read_csv)(path, loaded)
     settings = check_settings()
+    raw = without_spikes((read_bag if is_bag(path) else read_csv)(path, loaded), settings)
     period = usual_step([stretch.clock for stretch in raw.stretches])
     dt = sample_time or raw.sample_time or period
     if not np.isfinite(dt):
         raise ConfigError(f"{path}: no two rows follow each other in time; is the column of times the right one?")
+    if odd := check_period(raw.name, period, settings):
+        raise ConfigError(str(odd))
     longest_step = (loaded.gap if loaded else None) or settings.longest_step(period)
-    records, findings = _records(raw, dt, longest_step, settings)
+    records, findings = _records(raw, dt, longest_step, loaded.times if loaded else (), settings)
     findings = [*raw.findings, *check_timing(raw, period, settings), *findings]
     records, stuck = check_sensors(records, settings)
-    findings += [*stuck, *check_commands(raw.name, records, settings), *check_responses(raw.name, records, settings)]
-    return Log(raw.name, tuple(records), tuple(findings))
+    findings += [*stuck, *check_commands(raw.name, records, settings), *diagnose(raw.name, records, settings)]
+    return Log(raw.name, tuple(records), tuple(findings), loaded.sources() if loaded else {})
 
 
 def _records(
-    raw: RawLog, dt: float, longest_step: float, settings: CheckSettings
+    raw: RawLog,
+    dt: float,
+    longest_step: float,
+    times: Sequence[tuple[float, float]],
+    settings: CheckSettings,
 ) -> tuple[list[Record], list[Finding]]:
     """The stretches that are long enough, and findings about gaps and those that are not."""
     records: list[Record] = []
     findings: list[Finding] = []
     longest, end = 0, np.inf
     for stretch in raw.stretches:
-        for first, last in pieces(stretch, longest_step):
-            if first - end > longest_step:
+        for first, last in pieces(stretch, longest_step, times):
+            if not times and first - end > longest_step:
                 findings.append(gap_finding(raw.name, end, first, settings))
             end = last
             record = resample(raw.name, stretch, first, last, dt, settings)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -117,9 +118,9 @@ class Record:
         start = self.start + first * self.dt
         end = self.start + (stop - 1) * self.dt
         cut: dict[str, Any] = {
-            field.name: value[first:stop]
-            for field in fields(self)
-            if isinstance(value := getattr(self, field.name), np.ndarray)
+            entry.name: value[first:stop]
+            for entry in fields(self)
+            if isinstance(value := getattr(self, entry.name), np.ndarray)
         }
         return replace(self, name=f"{self.name} (of it {start:.1f} to {end:.1f} s)", start=start, **cut)
 
@@ -165,18 +166,42 @@ class Log:
         The stretches that can be used, all with the same sample time, in the order of the log.
     findings
         What is wrong or worth knowing, in the order found.
+    sources
+        Columns or topics by stream: "command", "encoders", "gyro", "pose".
     """
 
     name: str
     records: tuple[Record, ...]
     findings: tuple[Finding, ...]
+    sources: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def errors(self) -> tuple[Finding, ...]:
+        """The findings that would make a model wrong."""
+        return tuple(finding for finding in self.findings if finding.severity == "error")
 
     def require_sound(self) -> None:
         """Raise ConfigError with the line of the first finding that is an error; do nothing where there is none."""
-        errors = [finding for finding in self.findings if finding.severity == "error"]
-        if errors:
-            more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-            raise ConfigError(f"{errors[0]}{more}")
+        refuse(self.errors)
+
+
+def refuse(errors: Sequence[Finding]) -> None:
+    """Raise ConfigError with the line of the first error; do nothing where there is none."""
+    if errors:
+        more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+        raise ConfigError(f"{errors[0]}{more}")
+
+
+def counted(findings: Sequence[Finding], most: int = 2) -> list[str]:
+    """One line per finding; of those of one kind only the first `most`, and how many more there are."""
+    lines, seen = [], Counter(finding.kind for finding in findings)
+    told: Counter[str] = Counter()
+    for finding in findings:
+        told[finding.kind] += 1
+        if told[finding.kind] <= most:
+            left = seen[finding.kind] - most if told[finding.kind] == most else 0
+            lines.append(f"{finding}" + (f" (and {left} more like it)" if left > 0 else ""))
+    return lines
 
 
 def ranges(numbers: Iterable[int], most: int = 5) -> str:

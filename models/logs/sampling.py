@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -149,11 +149,17 @@ def sample(signal: Signal, grid: FloatArray, dt: float, tolerance: float, reach:
     return values, fresh & np.isfinite(values).all(axis=1)
 
 
-def pieces(stretch: RawStretch, longest_step: float) -> Iterator[tuple[float, float]]:
-    """From and to [s] of the parts of a stretch between pauses longer than `longest_step` [s]."""
-    edges = np.flatnonzero(np.diff(stretch.clock) > longest_step)
-    for first, last in zip([0, *(edges + 1)], [*edges, len(stretch.clock) - 1], strict=True):
-        yield float(stretch.clock[first]), float(stretch.clock[last])
+def pieces(
+    stretch: RawStretch, longest_step: float, times: Sequence[tuple[float, float]] = ()
+) -> Iterator[tuple[float, float]]:
+    """From and to [s] of the parts of a stretch between pauses longer than `longest_step` [s], inside `times` [s]."""
+    for begin, end in times or [(-np.inf, np.inf)]:
+        clock = stretch.clock[(stretch.clock >= begin) & (stretch.clock <= end)]
+        if not len(clock):
+            continue
+        edges = np.flatnonzero(np.diff(clock) > longest_step)
+        for first, last in zip([0, *(edges + 1)], [*edges, len(clock) - 1], strict=True):
+            yield float(clock[first]), float(clock[last])
 
 
 def resample(

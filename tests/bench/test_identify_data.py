@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from log_parts import drive, write_csv, write_mapping
 
-from diffdrive_mpc.models.identification.log_data import divide, read_data
+from diffdrive_mpc.models.identification.log_data import divide, most_informative, read_data
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.logs.geometry import firmware_track, wheel_geometry
 from diffdrive_mpc.models.wheels import WheelKinematics
@@ -96,3 +96,12 @@ def test_wheels_and_gyro_that_were_never_read_together_tell_no_track():
         fresh_yaw_rate=~even,
     )
     assert firmware_track([apart], wheel_geometry([apart]), np.eye(2)) is None
+
+
+def test_of_many_rows_the_parts_that_are_driven_most_are_used():
+    command = np.zeros((12000, 2))
+    command[3000:6000] = np.repeat(np.random.default_rng(1).normal(size=(60, 2)), 50, axis=0)
+    record = Record("long", 0.0, 0.02, command, twist=command)
+    (part,) = most_informative([record], 4000)
+    assert (part.start, len(part.command)) == (60.0, 3000)
+    assert most_informative([record], 12000) == [record]

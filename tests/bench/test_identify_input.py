@@ -49,7 +49,7 @@ def folder(tmp_path_factory):
     ("arguments", "message"),
     [
         ("missing.csv --mapping map.yaml", "column 'gyro' is missing"),
-        ("degrees.csv --mapping map.yaml", "degrees and radians"),
+        ("degrees.csv --mapping map.yaml", "`unit: deg/s`"),
         ("constant.csv --mapping map.yaml", "constant.csv"),
         ("ten.csv --mapping map.yaml", "10 samples in the longest stretch, at least 20 are needed"),
         ("nan.csv --mapping map.yaml", "no row has both a time and a command"),
@@ -105,8 +105,33 @@ def test_findings_are_shown_before_the_error_that_stops(folder, tmp_path):
         app, ["identify", str(log), "--mapping", str(folder / "map.yaml"), "--out", str(tmp_path / "o")]
     )
     assert result.exit_code == 2
-    assert result.stdout.startswith("note: gap.csv, 4.0 to 6.0 s: no data")
-    assert "degrees" in result.stderr
+    lines = result.stdout.splitlines()
+    assert [line.split()[0] for line in lines[:6]] == ["gap.csv", "streams", "time", "commands", "v", "omega"]
+    assert lines[6].startswith("note: gap.csv, 4.0 to 6.0 s: no data")
+    assert "deg/s" in result.stderr
+
+
+def test_a_log_that_speaks_against_itself_gives_a_configuration_only_by_force(folder, tmp_path):
+    log = write_csv(tmp_path / "rpm.csv", COLUMNS | {"v": 60 / (2 * np.pi) * COLUMNS["v"]})
+    words = ["identify", str(log), "--mapping", str(folder / "map.yaml"), "--out", str(tmp_path / "o")]
+    result = runner.invoke(app, words)
+    assert result.exit_code == 2 and "v of the encoders is 9.2" in result.stderr
+    assert not (tmp_path / "o").exists()
+    assert runner.invoke(app, [*words, "--force"]).exit_code == 0
+    assert (tmp_path / "o" / "config.yaml").exists()
+    assert "To be trusted? No" in (tmp_path / "o" / "report.md").read_text()
+
+
+def test_a_fit_below_zero_leaves_the_report_alone(folder, tmp_path):
+    """The log held out is of a robot that turns a quarter as far: no model of the first predicts it."""
+    log = write_csv(tmp_path / "one.csv", COLUMNS)
+    other = write_csv(tmp_path / "other.csv", COLUMNS | {"gyro": 0.25 * COLUMNS["gyro"]})
+    words = ["identify", str(log), "--validate", str(other), "--mapping", str(folder / "map.yaml")]
+    result = runner.invoke(app, [*words, "--out", str(tmp_path / "o")])
+    assert result.exit_code == 2 and "below zero (omega -" in result.stderr and "--force" in result.stderr
+    assert sorted(path.name for path in (tmp_path / "o").iterdir() if path.is_file()) == ["report.json", "report.md"]
+    assert runner.invoke(app, [*words, "--force", "--out", str(tmp_path / "o")]).exit_code == 0
+    assert (tmp_path / "o" / "config.yaml").exists()
 
 
 def test_a_folder_that_is_a_file_is_refused_before_the_logs_are_read(folder, tmp_path):

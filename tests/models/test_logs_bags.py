@@ -1,4 +1,4 @@
-"""ROS 2 bags, both storages: what is read, whose clock counts, and that a bag can run nothing."""
+"""Bags of ROS 2, both storages, and of ROS 1: what is read, whose clock counts, and that a bag can run nothing."""
 
 import shutil
 import sqlite3
@@ -6,7 +6,10 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-from log_parts import bag_topics, drive, write_bag, write_csv, write_mapping
+from log_parts import BAG_START, bag_topics, drive, message, write_bag, write_csv, write_mapping
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs import read_log
@@ -196,7 +199,7 @@ def test_a_damaged_bag_is_one_line(tmp_path, storage, damage):
 
 def test_a_bag_of_ros_1_is_one_line(tmp_path):
     (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
-    with pytest.raises(ConfigError, match="cannot be read as a ROS 2 bag"):
+    with pytest.raises(ConfigError, match="cannot be read as a ROS 1 bag"):
         read_log(tmp_path / "old.bag")
 
 
@@ -233,3 +236,75 @@ def test_bag_and_csv_agree_in_what_they_judge(tmp_path):
     )
     bag = read_log(write_bag(tmp_path / "bag", bag_topics(columns)))
     assert [f.words for f in csv.findings] == [f.words for f in bag.findings]
+
+
+def test_a_mapping_that_names_the_clock_alone_finds_the_usual_sensors(tmp_path):
+    topics = bag_topics(COLUMNS)
+    bag = write_bag(tmp_path / "bag", {name: topics[name] for name in ("/cmd_vel", "/odom", "/imu")})
+    log = read_log(bag, write_mapping(tmp_path / "map.yaml", "topics: {clock: receive}\n"))
+    assert log.records[0].twist is not None and log.records[0].yaw_rate is not None
+
+
+def test_commands_sent_on_change_stay_in_force(tmp_path):
+    topics = bag_topics(COLUMNS)
+    kind, received, stamped, readings = topics["/cmd_vel"]
+    topics["/cmd_vel"] = (kind, received[::25], stamped[::25], readings[::25])  # the command changes every 25
+    bag = write_bag(tmp_path / "bag", topics)
+    text = "topics: {command: {topic: /cmd_vel, on_change: true}, odometry: /odom, imu: /imu}\n"
+    (record,) = read_log(bag, write_mapping(tmp_path / "map.yaml", text)).records
+    assert record.dt == pytest.approx(0.02)
+    whole = np.column_stack([COLUMNS["v_ref"], COLUMNS["omega_ref"]])
+    assert np.array_equal(record.command, whole[: len(record.command)])
+
+
+def test_a_bag_of_ros_1_reads_like_that_of_ros_2(tmp_path):
+    store = get_typestore(Stores.ROS1_NOETIC)
+    topics = bag_topics(COLUMNS)
+    types = store.types
+    vector = types["geometry_msgs/msg/Vector3"]
+    with Writer1(tmp_path / "drive.bag") as writer:
+        connections = {
+            name: writer.add_connection(name, f"geometry_msgs/msg/{kind}", typestore=store)
+            for name, kind in (("/cmd_vel", "Twist"), ("/wheels", "TwistStamped"))
+        }
+        for name, source in (("/cmd_vel", "/cmd_vel"), ("/wheels", "/odom")):
+            _, _, stamped, readings = topics[source]
+            for at, (v, omega) in zip(stamped, readings, strict=True):
+                seconds = BAG_START + at
+                twist = types["geometry_msgs/msg/Twist"](vector(v, 0.0, 0.0), vector(0.0, 0.0, omega))
+                if name == "/wheels":
+                    stamp = types["builtin_interfaces/msg/Time"](int(seconds), round((seconds % 1) * 1e9))
+                    twist = types["geometry_msgs/msg/TwistStamped"](types["std_msgs/msg/Header"](0, stamp, ""), twist)
+                kind = connections[name].msgtype
+                writer.write(connections[name], round(seconds * 1e9), store.serialize_ros1(twist, kind))
+    text = """
+topics:
+  odometry: {topic: /wheels, fields: [twist.linear.x, twist.angular.z]}
+"""
+    (record,) = read_log(tmp_path / "drive.bag", write_mapping(tmp_path / "map.yaml", text)).records
+    assert np.array_equal(record.twist[:, 0], COLUMNS["v"][: len(record.twist)])
+    assert np.array_equal(record.command[:, 1], COLUMNS["omega_ref"][: len(record.command)])
+
+
+def test_a_message_of_ones_own_is_read_by_its_definition(tmp_path):
+    (tmp_path / "Speeds.msg").write_text("std_msgs/Header header\nfloat64 forward\nfloat64 turning\n")
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg((tmp_path / "Speeds.msg").read_text(), "mine/msg/Speeds"))
+    with Writer(tmp_path / "bag", version=9) as writer:
+        commands = writer.add_connection("/cmd_vel", "geometry_msgs/msg/Twist", typestore=store)
+        speeds = writer.add_connection("/speeds", "mine/msg/Speeds", typestore=store)
+        for k, at in enumerate(COLUMNS["t"]):
+            nanoseconds = round((BAG_START + at) * 1e9)
+            command = (COLUMNS["v_ref"][k], COLUMNS["omega_ref"][k])
+            twist = store.serialize_cdr(message("geometry_msgs/msg/Twist", command, at), "geometry_msgs/msg/Twist")
+            writer.write(commands, nanoseconds, twist)
+            stamp = store.types["builtin_interfaces/msg/Time"](nanoseconds // 10**9, nanoseconds % 10**9)
+            header = store.types["std_msgs/msg/Header"](stamp, "base_link")
+            own = store.types["mine/msg/Speeds"](header, COLUMNS["v"][k], COLUMNS["omega_wheels"][k])
+            writer.write(speeds, nanoseconds, store.serialize_cdr(own, "mine/msg/Speeds"))
+    text = "topics:\n  odometry: {topic: /speeds, fields: [forward, turning]}\n"
+    with pytest.raises(ConfigError, match="give their .msg file under 'definitions'"):
+        read_log(tmp_path / "bag", write_mapping(tmp_path / "map.yaml", text))
+    text += "  definitions: {mine/msg/Speeds: Speeds.msg}\n"
+    (record,) = read_log(tmp_path / "bag", write_mapping(tmp_path / "map.yaml", text)).records
+    assert np.array_equal(record.twist[:, 1], COLUMNS["omega_wheels"][: len(record.twist)])

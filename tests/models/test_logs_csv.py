@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
-from log_parts import DT, drive, write_csv, write_mapping
+from log_parts import DT, MAPPING, drive, write_csv, write_mapping
 
-from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.logs import csv_table, read_log
+from diffdrive_mpc.models.logs.csv_table import read_table
+from diffdrive_mpc.models.logs.long_logs import most_driven
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.log_csv import write_log
@@ -185,3 +188,45 @@ def test_a_log_of_simulate_needs_no_mapping(tmp_path):
     late = run.measured_pose_time < run.time - 0.5 * record.dt
     moved = np.linalg.norm(run.measured_pose[late, :2] - run.true_pose[late, :2], axis=1)
     assert np.median(np.linalg.norm(errors[:, :2], axis=1)) < 0.5 * np.median(moved)
+
+
+def test_rows_are_chosen_by_time_and_by_the_value_of_a_column(tmp_path):
+    mode = ["manual" if t < 4.0 else "auto" for t in COLUMNS["t"]]
+    path = write_csv(tmp_path / "log.csv", COLUMNS | {"mode": mode})
+    chosen = MAPPING + "  where: {mode: auto}\ntimes: [[3.0, 8.0], [12.0, 14.0]]\n"
+    log = read_log(path, write_mapping(tmp_path / "map.yaml", chosen))
+    assert [(round(r.start, 2), round(r.end, 2)) for r in log.records] == [(4.0, 8.0), (12.0, 14.0)]
+    with pytest.raises(ConfigError, match="no row has"):
+        read_log(path, write_mapping(tmp_path / "map.yaml", chosen.replace("auto", "automatic")))
+
+
+def test_rows_left_out_by_where_end_a_stretch(tmp_path):
+    """Without time stamps, too: the rows before and after are not next to each other."""
+    joystick = (np.arange(len(COLUMNS["t"])) // 250 % 2).astype(float)
+    path = write_csv(tmp_path / "log.csv", COLUMNS | {"joystick": joystick})
+    mapping = MAPPING.replace("time: t", "sample_time: 0.02") + "  where: {joystick: 0}\n"
+    log = read_log(path, write_mapping(tmp_path / "map.yaml", mapping))
+    assert [len(record.command) for record in log.records] == [250] * (len(COLUMNS["t"]) // 500)
+    assert [record.start for record in log.records] == [10.0 * i for i in range(len(log.records))]
+
+
+def test_a_kilohertz_log_is_thinned_and_that_is_said(tmp_path):
+    columns = drive(seconds=10.0, dt=0.001)
+    log = read_log(write_csv(tmp_path / "log.csv", columns), write_mapping(tmp_path / "map.yaml"))
+    assert log.records[0].dt == pytest.approx(0.01)
+    assert ["one row in 10" in str(finding) for finding in log.findings] == [True]
+
+
+def test_of_a_long_log_the_parts_that_are_driven_most_are_used():
+    lively = np.zeros(1000)
+    lively[200:300] = lively[700:800] = np.tile([1.0, -1.0], 50)
+    assert list(most_driven([lively], 200, part=100)) == [*range(200, 300), *range(700, 800)]
+
+
+def test_a_file_is_read_the_same_in_small_blocks(tmp_path, monkeypatch):
+    path = write_csv(tmp_path / "log.csv", COLUMNS)
+    whole = read_table(path, list(COLUMNS))
+    monkeypatch.setattr(csv_table, "_BLOCK", 1000)
+    blocks = read_table(path, list(COLUMNS))
+    assert np.array_equal(whole.lines, blocks.lines)
+    assert all(np.array_equal(whole.values[name], blocks.values[name]) for name in COLUMNS)

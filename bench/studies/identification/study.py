@@ -15,12 +15,16 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification import Identification, identify
 from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE, FILES
 from diffdrive_mpc.models.identification.log_data import OptionError
-from diffdrive_mpc.models.logs import Finding
+from diffdrive_mpc.models.logs import Finding, Log
+from diffdrive_mpc.models.logs.diagnosis import summary
+from diffdrive_mpc.models.logs.record import counted
 from diffdrive_mpc.mpc import load_config
 
 
-def identify_into(logs: Sequence[Path], out: Path, **options: Any) -> None:  # noqa: ANN401 - those of `identify`
-    """Identify a model, print how good it is, and write files and figures into `out`.
+def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **options: Any) -> None:  # noqa: ANN401 - those of `identify`
+    """Identify a model, print what was understood of the logs and how good it is, write files and figures into `out`.
+
+    Without `force` neither model nor configuration is written where the logs or the FIT speak against it.
 
     Raises
     ------
@@ -29,37 +33,71 @@ def identify_into(logs: Sequence[Path], out: Path, **options: Any) -> None:  # n
     """
     with staged(out, files=FILES, folders=(FOLDER,)) as folder, ProgressBar("reading", 1) as bar:
         try:
-            found = identify(logs, on_findings=_print_findings, on_progress=lambda text: bar.begin(text, 1), **options)
+            found = identify(
+                logs,
+                force=force,
+                on_log=_print_log,
+                on_findings=_print_findings,
+                on_progress=lambda text: bar.begin(text, 1),
+                **options,
+            )
         except OptionError as error:
             raise ConfigError(f"--{error.option.replace('_', '-')}{error.rest}") from error
         bar.begin("figures", len(figures_of(found.report)))
-        found.write(folder, draw_identification(found.report, folder, bar.advance))
-        bar.begin("driving", 2 * len(PATHS))
-        drives = trial_drives(found, load_config(folder / CONFIG_FILE), bar.advance)
-        with (folder / "report.md").open("a", encoding="utf-8") as report:
-            report.write("\n" + trial_table(drives).markdown())
+        found.write(folder, draw_identification(found.report, folder, bar.advance), force=force)
+        drives, refused = None, found.refusal
+        if force or not found.refusal:
+            bar.begin("driving", 2 * len(PATHS))
+            config = load_config(folder / CONFIG_FILE)
+            try:
+                drives = trial_drives(found, config, bar.advance)
+            except ValueError as error:
+                if not force:
+                    raise
+                refused = f"written by force, but it does not drive: {error}"
+        if drives is not None:
+            with (folder / "report.md").open("a", encoding="utf-8") as report:
+                report.write("\n" + trial_table(drives).markdown())
     _print(found, out)
+    if drives is None and force:
+        _print_line(f"warning: {refused}")
+        return
+    if drives is None:
+        old = f" ({out / CONFIG_FILE} is of an earlier run)" if (out / CONFIG_FILE).exists() else ""
+        raise ConfigError(f"{refused}; no model and no configuration are written{old}, --force writes them")
     output_console().print(rich_table(trial_table(drives)))
     for warning in trial_warnings(drives):
         _print_line(f"warning: {warning}")
 
 
+def _print_log(log: Log) -> None:
+    _print_line(log.name)
+    for line in summary(log):
+        _print_line(f"  {line}")
+
+
 def _print_findings(findings: Sequence[Finding]) -> None:
-    for finding in findings:
-        _print_line(f"{finding.severity}: {finding}")
+    for severity in ("note", "warning", "error"):
+        for line in counted([finding for finding in findings if finding.severity == severity]):
+            _print_line(f"{severity}: {line}")
 
 
 def _print(found: Identification, out: Path) -> None:
     report = found.report
     for table in report.scores:
         output_console().print(rich_table(table))
-    said = {str(finding) for finding in report.data.findings}
+    findings = report.data.findings
+    said = {*map(str, findings), *counted([finding for finding in findings if finding.severity != "note"])}
     for warning in report.warnings:
         if warning not in said:
             _print_line(f"warning: {warning}")
     chosen = report.fitted.orders
     if chosen:
         _print_line(f"order {chosen.order}: {chosen.reason}")
+    for line in report.in_short():
+        _print_line(line)
+    for setting in found.configuration.limits:
+        _print_line(f"limit {setting.name}: {setting.value} {setting.reason}")
     _print_line(f"estimated in {report.fitted.seconds:.1f} s; written to {out}")
 
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.logs.bags import COMMANDS, ODOMETRY, POSES, Reading, TopicRows, opened, read_topic
+from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
 
@@ -37,9 +38,11 @@ def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
     Raises ConfigError if the bag cannot be read, no command in it drives, or it ends before the reference does.
     """
     with opened(bag) as reader:
-        poses = read_topic(reader, bag, "/ground_truth/pose", POSES)
-        twists = read_topic(reader, bag, "/ground_truth/twist", {"geometry_msgs/msg/TwistStamped": _body_twist})
-        commands = read_topic(reader, bag, "/cmd_vel", COMMANDS)
+        poses = read_topic(reader, bag, Topic(topic="/ground_truth/pose"), POSES)
+        twists = read_topic(
+            reader, bag, Topic(topic="/ground_truth/twist"), {"geometry_msgs/msg/TwistStamped": _body_twist}
+        )
+        commands = read_topic(reader, bag, Topic(topic="/cmd_vel"), COMMANDS)
     moving = np.flatnonzero(commands.value.any(axis=1))
     if not moving.size:
         raise ConfigError(f"{bag}: every command is zero: the controller never drove")
@@ -131,8 +134,8 @@ def loop_timing(bag: Path, sample_time: float) -> LoopTiming:
     Raises ConfigError if the bag cannot be read or has fewer than two commands after the first odometry.
     """
     with opened(bag) as reader:
-        commands = read_topic(reader, bag, "/cmd_vel", COMMANDS)
-        odometry = read_topic(reader, bag, "/odom", ODOMETRY)
+        commands = read_topic(reader, bag, Topic(topic="/cmd_vel"), COMMANDS)
+        odometry = read_topic(reader, bag, Topic(topic="/odom"), ODOMETRY)
     times = command_times(commands)
     newest = np.searchsorted(odometry.stamped, times, side="right") - 1
     counted = newest >= 0

@@ -1,0 +1,115 @@
+"""What is wrong with a log as a whole, before anything is fitted: one cause, one sentence, one remedy.
+
+Every rule looks at streams as the rules before it have mended them, so that one fault is told once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from diffdrive_mpc.models.logs.check_settings import CheckSettings, check_settings
+from diffdrive_mpc.models.logs.diagnosis.agreement import check_parts, compare, relations
+from diffdrive_mpc.models.logs.diagnosis.clipping import check_clipping
+from diffdrive_mpc.models.logs.diagnosis.scales import check_axes, check_presence, check_signs, check_units
+from diffdrive_mpc.models.logs.diagnosis.shifts import check_shifts
+from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, POSE, Streams, answer, streams_of
+from diffdrive_mpc.models.logs.diagnosis.wheels import check_wheels
+from diffdrive_mpc.models.logs.record import Finding, Log, Record
+from diffdrive_mpc.models.logs.record_checks import UNITS, check_excitation, command_changes
+from diffdrive_mpc.models.velocity_model import CHANNELS
+
+__all__ = ["compare_logs", "diagnose", "summary"]
+
+
+def diagnose(log: str, records: Sequence[Record], settings: CheckSettings) -> list[Finding]:
+    """Findings about how commands and sensors of one log fit together.
+
+    Parameters
+    ----------
+    log
+        Its name.
+    records
+        Its stretches.
+    settings
+        The thresholds.
+    """
+    streams = streams_of(records, settings)
+    findings = check_presence(log, streams)
+    if not _long_enough(streams, settings):
+        return findings
+    findings += check_wheels(log, streams, settings)
+    findings += check_axes(log, streams, settings)
+    findings += check_signs(log, streams, settings)
+    findings += check_units(log, streams, settings)
+    findings += check_parts(log, streams, settings)
+    findings += check_shifts(log, streams, settings)
+    findings += check_clipping(log, streams, settings)
+    return findings
+
+
+def _long_enough(streams: Streams, settings: CheckSettings) -> bool:
+    """Whether the commands change often enough, in long enough a time, for answers to be told from chance."""
+    samples = int(np.isfinite(streams.command[:, 0]).sum())
+    return samples * streams.dt >= settings.shortest_drive
+
+
+def compare_logs(logs: Sequence[Log]) -> list[Finding]:
+    """Findings about logs that are to be used together: what none of them drives, and whether they are of one robot."""
+    settings = check_settings()
+    findings = check_excitation(", ".join(log.name for log in logs), [r for log in logs for r in log.records], settings)
+    sound = [log for log in logs if not log.errors]
+    known = [relations(streams_of(log.records, settings), settings) for log in sound] if len(sound) > 1 else []
+    for log, other in zip(sound[1:], known[1:], strict=True):
+        findings += compare(sound[0].name, log.name, known[0], other, settings)
+    return findings
+
+
+def summary(log: Log) -> list[str]:
+    """Five lines on what was understood of a log: streams, times, commands, and what drives v and omega."""
+    settings = check_settings()
+    records = log.records
+    dt = records[0].dt
+    streams = streams_of(records, settings)
+    rates = {"command": 1 / dt}
+    for name, mask in (("encoders", "fresh_twist"), ("gyro", "fresh_yaw_rate"), ("pose", "fresh_pose")):
+        fresh = [getattr(record, mask) for record in records if getattr(record, mask) is not None]
+        if fresh:
+            rates[name] = float(np.mean(np.concatenate(fresh))) / dt
+    told = [
+        f"{name} {rate:.3g} Hz" + (f" ({log.sources[name]})" if name in log.sources else "")
+        for name, rate in rates.items()
+    ]
+    driven = sum(len(record.command) for record in records) * dt
+    stretches = "1 stretch" if len(records) == 1 else f"{len(records)} stretches"
+    lines = [
+        f"streams   {', '.join(told)}",
+        f"time      {records[0].start:.1f} to {records[-1].end:.1f} s, {driven:.0f} s of it in {stretches}, "
+        f"one sample every {dt:.4g} s",
+        "commands  " + "; ".join(_commanded(records, channel, settings) for channel in (0, 1)),
+    ]
+    return [*lines, *(f"{CHANNELS[channel]:10}" + _driven(streams, channel, settings) for channel in (0, 1))]
+
+
+def _commanded(records: Sequence[Record], channel: int, settings: CheckSettings) -> str:
+    values = np.concatenate([record.command[:, channel] for record in records])
+    changes = command_changes(records, channel, settings)
+    return f"{CHANNELS[channel]} {values.min():.3g} to {values.max():.3g} {UNITS[CHANNELS[channel]]}, {changes} changes"
+
+
+def _driven(streams: Streams, channel: int, settings: CheckSettings) -> str:
+    """How the sensors of a channel answer to its command, in words."""
+    told = []
+    for name in streams.present(channel):
+        command, values = streams.channel(COMMAND, channel), streams.channel(name, channel)
+        assert command is not None and values is not None
+        found = answer(streams, streams.smoothed(command) if name == POSE else command, values, settings)
+        if found is None:
+            told.append(f"{name} not driven")
+        else:
+            late = found.dead_time + 2 * found.lag
+            told.append(
+                f"{name} {found.gain[0, 0]:.3g} times, {late:.2f} s later, correlation {found.correlation[0]:.2f}"
+            )
+    return "command -> " + "; ".join(told) if told else "measured by nothing"

@@ -1,0 +1,169 @@
+"""What is wrong with single readings and stamps: spikes, held values, plateaus, shuffled and bursty clocks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.check_settings import CheckSettings
+from diffdrive_mpc.models.logs.record import BoolArray, Finding
+from diffdrive_mpc.models.logs.sampling import RawLog, RawStretch, Signal
+
+_SENSOR = {"twist": "encoders", "wheels": "encoders", "wheel_speeds": "encoders", "yaw_rate": "gyro", "pose": "pose"}
+_FEWEST = 100
+"""Readings, below which nothing is said about spikes or held values."""
+
+
+def without_spikes(raw: RawLog, settings: CheckSettings) -> RawLog:
+    """The log without readings that stand far off from those right before and after, with a finding per sensor."""
+    findings = []
+    stretches = list(raw.stretches)
+    for sensor in ("encoders", "gyro", "pose"):
+        fields = [name for name in raw.stretches[0].measured if _SENSOR[name] == sensor]
+        if not fields:
+            continue
+        masks = [_spikes([stretch.measured[name].value for stretch in stretches], settings) for name in fields]
+        hit = [np.any(parts, axis=0) for parts in zip(*masks, strict=True)]
+        count, total = sum(int(part.sum()) for part in hit), sum(len(part) for part in hit)
+        if not count or count > settings.most_spikes * total:
+            continue
+        first = next(
+            stretch.measured[fields[0]].time[part][0]
+            for stretch, part in zip(stretches, hit, strict=True)
+            if part.any()
+        )
+        words = (
+            f"{count} readings of the {sensor} ({100 * count / total:.2g} %) stand far off from those before "
+            "and after: "
+            "spikes; they are left out"
+        )
+        findings.append(Finding("spikes", "warning", f"{raw.name}, first at {first:.1f} s", words))
+        stretches = [_without(stretch, fields, part) for stretch, part in zip(stretches, hit, strict=True)]
+    return replace(raw, stretches=tuple(stretches), findings=(*raw.findings, *findings))
+
+
+def _spikes(values: list[FloatArray], settings: CheckSettings) -> list[BoolArray]:
+    """Per stretch (n,) True where one or two readings leap out and back by more than readings do."""
+    off = [_leaps(part) for part in values]
+    together, readings = np.concatenate(off), np.concatenate(values)
+    if len(together) < _FEWEST:
+        return [np.zeros(len(part), dtype=bool) for part in values]
+    usual = np.percentile(together, 95, axis=0)
+    span = np.ptp(np.percentile(readings, [5, 95], axis=0), axis=0)
+    bound = np.maximum(settings.spike_scatter * usual, settings.spike_span * span)
+    return [((part > bound) & (bound > 0)).any(axis=1) for part in off]
+
+
+def _leaps(values: FloatArray) -> FloatArray:
+    """(n, width) by how much readings stand out, to the same side, from those one or two before and after."""
+    leap = np.zeros_like(values)
+    padded = np.pad(values, ((2, 2), (0, 0)), mode="edge")
+    count = len(values)
+    for before, after in ((1, 1), (1, 2), (2, 1)):
+        left, right = (values - padded[2 + k : 2 + k + count] for k in (-before, after))
+        leap = np.maximum(leap, np.where(left * right > 0, np.minimum(np.abs(left), np.abs(right)), 0.0))
+    return leap
+
+
+def _without(stretch: RawStretch, fields: list[str], hit: BoolArray) -> RawStretch:
+    measured = dict(stretch.measured)
+    for name in fields:
+        measured[name] = Signal(measured[name].time[~hit], measured[name].value[~hit])
+    return replace(stretch, measured=measured)
+
+
+def held_share(readings: FloatArray, moving: BoolArray) -> float:
+    """Share of readings (n, width) that repeat the one before although the sensor is changing quickly.
+
+    Quantised readings of a robot that keeps its speed repeat, too; while the speed changes by many steps at a time they
+    do not. `moving` (n,) says which rows count.
+    """
+    if len(readings) < _FEWEST:
+        return 0.0
+    change = np.abs(np.diff(readings, axis=0))
+    repeats = (change == 0).all(axis=1)
+    reach = 4
+    slope = np.zeros(len(change))
+    slope[reach:-reach] = np.max(
+        np.abs(readings[2 * reach + 1 :] - readings[: -2 * reach - 1]) / np.maximum(np.ptp(readings, axis=0), 1e-12),
+        axis=1,
+    )[: len(change) - 2 * reach]
+    counted = moving[1:] & np.isfinite(slope)
+    if not counted.any():
+        return 0.0
+    quick = counted & (slope >= np.percentile(slope[counted], 90))
+    return float(repeats[quick].mean()) if quick.any() else 0.0
+
+
+def check_stamps(name: str, time: FloatArray, readings: FloatArray, settings: CheckSettings) -> Finding | None:
+    """The finding that makes stamps (n,) [s] of the rows useless as they stand; None where they run forward evenly.
+
+    Parameters
+    ----------
+    name
+        Of the log.
+    time, readings
+        Stamps, and (n,) one measured signal in the order of the rows, by whose smoothness the order is judged.
+    settings
+        The thresholds.
+    """
+    steps = np.diff(time)
+    if len(steps) < settings.fewest_samples:
+        return None
+    back = int((steps < 0).sum())
+    if back > max(3.0, settings.disordered * len(steps)):
+        order = np.argsort(time, kind="stable")
+        as_written, in_order = (float(np.nansum(np.abs(np.diff(part)))) for part in (readings, readings[order]))
+        usual = float(np.ptp(time)) / len(steps)
+        remedy = (
+            "sort the rows by their time"
+            if in_order < as_written
+            else f"the rows are in order and the stamps are not: give `sample_time: {usual:.4g}` in place of `time`"
+        )
+        words = f"time runs backwards {back} times in {len(steps)} steps: {remedy}"
+        return Finding("shuffled stamps", "error", name, words)
+    typical = float(np.median(steps))
+    forward = steps[(steps > 0) & (steps < settings.clock_jump)]
+    if not len(forward):
+        return None
+    pause = float(np.percentile(forward, 99))
+    inside = steps < settings.clock_jump
+    usual = float(steps[inside].sum() / inside.sum())
+    if typical < settings.burst_step * usual and pause > 2 * usual:
+        words = (
+            f"stamps come in bursts: most steps are {typical:.2g} s, then {pause:.2g} s pass, {usual:.3g} s "
+            "on average; the rows "
+            f"were stamped when they were written, not when they were read: give `sample_time: {usual:.3g}` "
+            "in place of `time`"
+        )
+        return Finding("bursty stamps", "error", name, words)
+    return None
+
+
+def check_period(name: str, period: float, settings: CheckSettings) -> Finding | None:
+    """The finding for a sample time [s] that no log of a robot has; None where it is one."""
+    low, high = settings.sample_times
+    if low <= period <= high:
+        return None
+    units = {unit: scale for unit, scale in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if low <= period * scale <= high}
+    remedy = f"`unit: {next(iter(units))}` in the mapping" if units else "is it the right column, in the right unit?"
+    words = (
+        f"the times step by {period:.4g} s, which is no sample time of a robot: "
+        f"{'give the time ' if units else ''}{remedy}"
+    )
+    return Finding("wrong unit", "error", name, words)
+
+
+def in_degrees(heading: FloatArray) -> bool:
+    """Whether headings (n,) that are taken for radians step as only degrees do.
+
+    From one reading to the next radians change by less than one and a half, or by a full turn; degrees by anything
+    up to 360.
+    """
+    steps = np.abs(np.diff(heading[np.isfinite(heading)]))
+    steps = steps[steps > 0]
+    turns = np.abs(steps - 2 * np.pi * np.round(steps / (2 * np.pi)))
+    full_turn = np.abs(steps - 360.0) < 20.0
+    return len(steps) > 0 and bool(full_turn.any() or np.mean((turns > 1.5) | (steps > 50)) > 0.003)

@@ -1,0 +1,275 @@
+"""Signs, units and axes: streams that measure the same thing must agree on it, and the odd one out is named."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.check_settings import CheckSettings
+from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, ENCODERS, GYRO, POSE, Streams, answer
+from diffdrive_mpc.models.logs.mapping import FACTORS
+from diffdrive_mpc.models.logs.record import Finding
+from diffdrive_mpc.models.velocity_model import CHANNELS
+
+_UNITS: dict[tuple[str, int], tuple[str, ...]] = {
+    (COMMAND, 0): ("mm/s", "cm/s", "km/h"),
+    (COMMAND, 1): ("deg/s", "rpm"),
+    (ENCODERS, 0): ("rpm", "deg/s", "mm/s", "cm/s", "km/h"),
+    (ENCODERS, 1): ("deg/s", "rpm"),
+    (GYRO, 1): ("deg/s", "rpm"),
+    (POSE, 0): ("mm", "cm"),
+    (POSE, 1): ("deg",),
+}
+"""Units that the columns of a stream may be in, by stream and channel."""
+_WHAT = {
+    (COMMAND, 0): "v of the command",
+    (COMMAND, 1): "omega of the command",
+    (ENCODERS, 0): "v of the encoders",
+    (ENCODERS, 1): "omega of the encoders",
+    (GYRO, 1): "omega of the gyro",
+    (POSE, 0): "v of the pose",
+    (POSE, 1): "omega of the pose",
+}
+
+
+@dataclass(frozen=True)
+class _Vote:
+    """How one stream stands to the command: steady gain, and correlation at the best lag; its sign is the gain's."""
+
+    gain: float
+    correlation: float
+
+
+def check_axes(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """Findings about poses whose axes, heading and motion contradict each other; mended in `streams`."""
+    if streams.pose is None:
+        return []
+    votes = _votes(streams, 1, settings)
+    turned = POSE in votes and votes[POSE].correlation < settings.wrong_sign
+    direction = np.sign(streams.delayed(streams.lagged(streams.command[:, 0], 0.1), 0.2))
+    step = streams.motion()
+    motion, heading = step[:, 0] + 1j * step[:, 1], np.exp(-1j * streams.pose[:, 2])
+    used = np.isfinite(motion) & np.isfinite(heading) & np.isfinite(direction)
+    size = float((np.abs(motion[used]) * np.abs(direction[used])).sum())
+    if not used.any() or size == 0 or np.ptp(streams.command[used, 0]) == 0:
+        return []
+    along = complex((motion * heading * direction)[used].sum()) / size
+    across = complex((np.conj(motion) * heading * direction)[used].sum()) / size
+    if abs(across) < settings.clear_correlation or abs(across) < 1.5 * abs(along):
+        return []
+    if turned:
+        streams.pose = streams.pose * [1.0, 1.0, -1.0]
+        words = (
+            "omega of the pose runs against the command and against its own path: give 'theta' of the pose `sign: -1`"
+        )
+        return [Finding("wrong sign", "error", log, words)]
+    angle = math.degrees(np.angle(across))
+    if abs(abs(angle) - 90) < 30:
+        streams.pose = streams.pose[:, [1, 0, 2]]
+        words = "the pose moves as if x and y were exchanged: exchange the columns of 'x' and 'y' of the pose"
+    else:
+        axis = 1 if abs(angle) < 45 else 0
+        streams.pose = streams.pose * np.where(np.arange(3) == axis, -1.0, 1.0)
+        name = "xy"[axis]
+        words = f"the path of the pose is the mirror image of its own heading: give '{name}' of the pose `sign: -1`"
+    return [Finding("mirrored pose", "error", log, words)]
+
+
+def check_signs(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """Findings about streams that do not follow, or run against the majority; mended in `streams`, or taken out."""
+    findings = []
+    for channel in (0, 1):
+        votes = _votes(streams, channel, settings)
+        if not votes:
+            continue
+        best = max(abs(vote.correlation) for vote in votes.values())
+        for name, vote in list(votes.items()):
+            if (
+                abs(vote.correlation) < settings.weak_correlation
+                or -settings.weak_correlation > vote.correlation > settings.wrong_sign
+            ):
+                findings.append(_weak(log, name, channel, vote, best, settings))
+                _take_out(streams, name)
+                del votes[name]
+        against = [name for name, vote in votes.items() if vote.correlation < 0]
+        if not against:
+            continue
+        most = len(against) > 1 and len(against) == len(votes)
+        for name in [COMMAND] if most else against:
+            what = _WHAT[name, channel]
+            reference = "all sensors" if most else "the command"
+            both = name == ENCODERS and channel == 0 and streams.wheels is not None
+            worst = min(vote.correlation for vote in votes.values()) if most else votes[name].correlation
+            words = (
+                f"{what} runs against {reference} (correlation {worst:.2f}); give it `sign: -1` in the mapping"
+                f"{', both sides' if both else ''}"
+            )
+            findings.append(Finding("wrong sign", "error", log, words))
+            _turn(streams, name, channel)
+            if both and ENCODERS in (others := _votes(streams, 1, settings)) and others[ENCODERS].correlation < 0:
+                _turn(streams, ENCODERS, 1)  # wheels that run backwards turn both
+    return findings
+
+
+def _weak(log: str, name: str, channel: int, vote: _Vote, best: float, settings: CheckSettings) -> Finding:
+    words = (
+        f"{_WHAT[name, channel]} hardly follows the command (correlation {vote.correlation:.2f}); is it the "
+        "right column, and "
+        "did the robot obey these commands?"
+    )
+    # Where another sensor follows, this one is wrong; poses are not what a model is made from.
+    lost = name != POSE and best > settings.clear_correlation
+    return Finding("weak response", "error" if lost else "warning", log, words)
+
+
+def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """Findings about streams whose size disagrees with the others'; mended in `streams`."""
+    findings: list[Finding] = []
+    for channel in (0, 1):
+        votes = _votes(streams, channel, settings)
+        sizes = {COMMAND: 1.0} | {name: abs(vote.gain) for name, vote in votes.items() if vote.gain}
+        low, high = settings.gain_of_v if channel == 0 else settings.gain_of_omega
+        while len(sizes) > 1:
+            odd = _odd_one_out(sizes, low, high)
+            if odd is None:
+                break
+            # Gyro and pose are of one body, whatever its wheels do; wheels follow commands, however it skids.
+            partner = {GYRO: POSE, POSE: GYRO, COMMAND: ENCODERS}.get(odd, "") if channel == 1 else ""
+            others = [partner] if partner in sizes else [name for name in sizes if name != odd]
+            rest = float(np.exp(np.median([np.log(sizes[name]) for name in others])))
+            ratio = sizes.pop(odd) / rest
+            skids = channel == 1 and odd in (GYRO, POSE) and partner not in sizes
+            findings.append(_unit(log, odd, channel, ratio, skids, streams, settings))
+            _scale(streams, odd, channel, 1 / ratio)
+    return findings
+
+
+def _odd_one_out(sizes: dict[str, float], low: float, high: float) -> str | None:
+    """The stream furthest from the others' median where a robot cannot be the reason; of two, the sensor."""
+    logs = {name: math.log(size) for name, size in sizes.items()}
+    worst = None
+    for name in sizes:
+        others = [value for other, value in logs.items() if other != name]
+        apart = logs[name] - float(np.median(others))
+        bound = (low, high) if name != COMMAND else (1 / high, 1 / low)
+        outside = not math.log(bound[0]) <= apart <= math.log(bound[1])
+        # The command stands last: of two that disagree, the sensor is named.
+        rank = (abs(apart) if outside else -1.0, name != COMMAND)
+        if outside and (worst is None or rank > worst[0]):
+            worst = (rank, name)
+    return None if worst is None else worst[1]
+
+
+def _unit(
+    log: str, name: str, channel: int, ratio: float, skids: bool, streams: Streams, settings: CheckSettings
+) -> Finding:
+    what = _WHAT[name, channel]
+    factors = {unit: 1 / FACTORS[unit] for unit in _UNITS[name, channel]}
+    radius = _radius(streams)
+    if name == ENCODERS and radius is not None:
+        factors = {unit: factor for unit, factor in factors.items() if unit in ("rpm", "deg/s")} | {"m/s": radius}
+    # A body on skidding wheels turns less than they say.
+    usual = settings.usual_skid if skids else 1.0
+    apart = {unit: abs(math.log(ratio / (usual * factor))) for unit, factor in factors.items()}
+    # Declared in that unit and logged in SI is the same mistake the other way round.
+    apart |= {
+        f"{_si(unit)} (and not {unit})": abs(math.log(ratio * factor / usual)) for unit, factor in factors.items()
+    }
+    unit = min(apart, key=apart.__getitem__)
+    close = settings.unit_tolerance * (3 if skids else 1 + channel)
+    against = "what the others say"
+    if apart[unit] < close:
+        remedy = f"its column is in another unit: `unit: {unit}` in the mapping"
+    elif name == ENCODERS and ratio > settings.most_unit_gain:
+        remedy = "its columns may count ticks: `unit: ticks/s` or `unit: ticks` in the mapping, and `ticks_per_turn`"
+    else:
+        remedy = "no unit of the mapping explains it; check its column, its unit and the lengths under 'wheels'"
+    words = f"{what} is {ratio:.3g} times {against}; {remedy}"
+    return Finding("wrong unit", "error", log, words)
+
+
+def _si(unit: str) -> str:
+    return {"mm": "m", "cm": "m", "deg": "rad", "mm/s": "m/s", "cm/s": "m/s", "km/h": "m/s", "m/s": "rad/s"}.get(
+        unit, "rad/s"
+    )
+
+
+def _radius(streams: Streams) -> float | None:
+    """By which the mapping turned wheel speeds into v [m]; None without wheels."""
+    if streams.wheels is None or streams.twist is None:
+        return None
+    mean, v = streams.wheels.mean(axis=1), streams.twist[:, 0]
+    both = np.isfinite(mean) & np.isfinite(v)
+    size = float(mean[both] @ mean[both])
+    return abs(float(mean[both] @ v[both])) / size if size > 0 else None
+
+
+def _votes(streams: Streams, channel: int, settings: CheckSettings) -> dict[str, _Vote]:
+    """How each sensor of the channel answers to the command; empty where that never changes."""
+    votes = {}
+    command = streams.channel(COMMAND, channel)
+    assert command is not None
+    for name in streams.present(channel):
+        values = streams.channel(name, channel)
+        assert values is not None
+        found = answer(streams, streams.smoothed(command) if name == POSE else command, values, settings)
+        if found is not None:
+            votes[name] = _Vote(float(found.gain[0, 0]), float(found.correlation[0]))
+    return votes
+
+
+def _take_out(streams: Streams, name: str) -> None:
+    if name == ENCODERS:
+        streams.twist = streams.wheels = None
+    elif name == GYRO:
+        streams.yaw_rate = None
+    elif name == POSE:
+        streams.pose = None
+
+
+def _turn(streams: Streams, name: str, channel: int) -> None:
+    _scale(streams, name, channel, -1.0)
+
+
+def _scale(streams: Streams, name: str, channel: int, factor: float) -> None:
+    """Multiply one channel of a stream, or the whole of one whose channels share their columns."""
+    columns = np.where(np.arange(2) == channel, factor, 1.0)
+    if name == COMMAND:
+        streams.command = streams.command * columns
+    elif name == ENCODERS and streams.twist is not None:
+        shared = streams.wheels is not None and factor > 0
+        streams.twist = streams.twist * (factor if shared else columns)
+    elif name == GYRO and streams.yaw_rate is not None:
+        streams.yaw_rate = streams.yaw_rate * factor
+    elif name == POSE and streams.pose is not None:
+        streams.pose = streams.pose * ([factor, factor, 1.0] if channel == 0 else [1.0, 1.0, factor])
+
+
+def check_presence(log: str, streams: Streams) -> list[Finding]:
+    """Findings about sensors that never change although they are asked to; they are taken out of `streams`."""
+    findings = []
+    for channel in (0, 1):
+        command = streams.command[:, channel]
+        if np.nanmax(command) == np.nanmin(command):
+            continue
+        for name in streams.present(channel):
+            # A stretch too short for the pose's window has no speeds, and that is no fault of the pose.
+            values = streams.pose if name == POSE else streams.channel(name, channel)
+            assert values is not None
+            readings: FloatArray = values[np.isfinite(values)]
+            if (
+                len(readings)
+                and np.ptp(values[np.isfinite(values).reshape(len(values), -1).all(axis=1)], axis=0).max() > 0
+            ):
+                continue
+            words = (
+                f"{CHANNELS[channel]} of the {name} never changes although it is commanded to; is it the "
+                "right column, and the "
+                "sensor connected?"
+            )
+            findings.append(Finding("no response", "error", log, words))
+            _take_out(streams, name)
+    return findings

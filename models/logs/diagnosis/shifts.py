@@ -1,0 +1,129 @@
+"""Streams that are shifted in time against the others, causal or not."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from diffdrive_mpc.models.logs.check_settings import CheckSettings
+from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, POSE, Answer, Streams, answer, foresight
+from diffdrive_mpc.models.logs.record import Finding
+
+
+def check_shifts(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """At most one finding about a sensor, and one about the commands."""
+    findings = _between_sensors(log, streams, settings)
+    answers = _answers(streams, settings)
+    return [*findings, *_commands(log, streams, answers, settings)]
+
+
+def _answers(streams: Streams, settings: CheckSettings) -> dict[tuple[str, int], Answer]:
+    """How each channel of each sensor answers to its command, where it does so clearly."""
+    answers = {}
+    for channel in (0, 1):
+        command = streams.channel(COMMAND, channel)
+        assert command is not None
+        for name in streams.present(channel):
+            values = streams.channel(name, channel)
+            assert values is not None
+            driven = streams.smoothed(command) if name == POSE else command
+            found = answer(streams, driven, values, settings, intervals=True)
+            if found is not None and abs(found.correlation[0]) > settings.clear_correlation:
+                answers[name, channel] = found
+    return answers
+
+
+def _between_sensors(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """The finding for the sensor that is later or earlier than the others; it is mended in `streams`."""
+    apart: dict[tuple[str, str], tuple[float, float]] = {}
+    for channel in (0, 1):
+        for first, second in combinations(streams.present(channel), 2):
+            a, b = streams.channel(first, channel), streams.channel(second, channel)
+            assert a is not None and b is not None
+            if POSE in (first, second):
+                a, b = (streams.smoothed(part) if name != POSE else part for name, part in ((first, a), (second, b)))
+            found = answer(streams, a, b, settings, intervals=True, both_measured=True)
+            if found is None or found.correlation[0] < settings.clear_correlation:
+                continue
+            if (first, second) not in apart or channel == 1:  # turns are sharper than straights
+                apart[first, second] = (found.dead_time, found.deviation if np.isfinite(found.deviation) else 0.0)
+    shifted = {pair: value for pair, value in apart.items() if abs(value[0]) > max(settings.sensor_shift, 3 * value[1])}
+    if not shifted:
+        return []
+    name = _odd_one(shifted, streams, settings)
+    signed = [
+        (shift if pair[1] == name else -shift, deviation)
+        for pair, (shift, deviation) in shifted.items()
+        if name in pair
+    ]
+    late, deviation = (float(np.mean([part[i] for part in signed])) for i in (0, 1))
+    others = sorted({other for pair in shifted for other in pair} - {name})
+    remedy = f"add {late:.2f} to the `delay` of the {name} in the mapping"
+    words = (
+        f"the {name} is {abs(late):.2f} +- {1.96 * deviation:.2f} s {'later' if late > 0 else 'earlier'} than the "
+        f"{' and the '.join(others)}: {remedy}"
+    )
+    _shift(streams, name, -late)
+    return [Finding("time shift", "warning", log, words)]
+
+
+def _odd_one(shifted: dict[tuple[str, str], tuple[float, float]], streams: Streams, settings: CheckSettings) -> str:
+    """The sensor in most of the pairs; of two the one that comes before its command, or else the later."""
+    names = sorted({name for pair in shifted for name in pair})
+    counts = [sum(name in pair for pair in shifted) for name in names]
+    if len(names) > 2 and counts.count(max(counts)) == 1:
+        return names[int(np.argmax(counts))]
+    (first, second), (shift, _) = max(shifted.items(), key=lambda item: abs(item[1][0]))
+    early, late = (first, second) if shift > 0 else (second, first)
+    answers = _answers(streams, settings)
+    before = [found.dead_time for (name, _), found in answers.items() if name == early]
+    return early if before and min(before) < -settings.earliest_response else late
+
+
+def _shift(streams: Streams, name: str, seconds: float) -> None:
+    if name == "encoders" and streams.twist is not None:
+        streams.twist = streams.delayed(streams.twist, seconds)
+    elif name == "gyro" and streams.yaw_rate is not None:
+        streams.yaw_rate = streams.delayed(streams.yaw_rate, seconds)
+    elif streams.pose is not None:
+        streams.pose = streams.delayed(streams.pose, seconds)
+
+
+def _commands(
+    log: str, streams: Streams, answers: dict[tuple[str, int], Answer], settings: CheckSettings
+) -> list[Finding]:
+    if not answers:
+        return []
+    times = [found.dead_time for found in answers.values()]
+    middle, scatter = float(np.median(times)), float(np.ptp(times) / 2 if len(times) > 1 else 0.0)
+    own = np.array([found.deviation for found in answers.values()])
+    deviation = float(np.hypot(scatter, np.nan_to_num(np.nanmedian(own)) if np.isfinite(own).any() else 0.0))
+    if middle < -settings.earliest_response and _foreseen(streams, answers, settings):
+        words = (
+            f"every sensor moves {-middle:.2f} +- {2 * deviation:.2f} s before its command, which no robot "
+            "can: the commands "
+            f"are stamped late; give the command `delay: {-middle + settings.usual_response:.2f}` in the "
+            "mapping, or more"
+        )
+        return [Finding("time shift", "error", log, words)]
+    if middle > settings.late_response:
+        words = (
+            f"all sensors begin to follow the command only after {middle:.2f} +- {2 * deviation:.2f} s; if "
+            "the robot is quicker "
+            "than that, the commands are stamped early: give the command `delay: "
+            f"{settings.usual_response - middle:.2f}` in the mapping"
+        )
+        return [Finding("time shift", "note", log, words)]
+    return []
+
+
+def _foreseen(streams: Streams, answers: dict[tuple[str, int], Answer], settings: CheckSettings) -> bool:
+    """Whether sensors tell commands that are still to come: a lag of another shape can look like a lead."""
+    shares = []
+    for name, channel in answers:
+        command, values = streams.channel(COMMAND, channel), streams.channel(name, channel)
+        assert command is not None and values is not None
+        if name != POSE:
+            shares.append(foresight(streams, command, values, settings))
+    return bool(shares) and float(np.median(shares)) > settings.foresight

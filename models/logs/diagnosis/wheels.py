@@ -1,0 +1,137 @@
+"""Whether the encoders of the two sides are what the mapping says: dead, reversed, exchanged, uneven, or counts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.check_settings import CheckSettings
+from diffdrive_mpc.models.logs.diagnosis.streams import Answer, Streams, answer
+from diffdrive_mpc.models.logs.record import Finding
+
+_SIDES = ("left", "right")
+_NAMES = {2: _SIDES, 4: ("front_left", "front_right", "rear_left", "rear_right")}
+
+
+def check_wheels(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
+    """At most one finding about the encoders; they are mended in `streams`, or taken out."""
+    if streams.twist is None:
+        return []
+    finding = _running_counts(log, streams, settings) or (
+        _sides_of_twist(log, streams, settings) if streams.wheels is None else _each_wheel(log, streams, settings)
+    )
+    return [] if finding is None else [finding]
+
+
+def _running_counts(log: str, streams: Streams, settings: CheckSettings) -> Finding | None:
+    assert streams.twist is not None
+    found = answer(streams, streams.command, streams.twist, settings)
+    if found is None or found.correlation.max() > settings.clear_correlation:
+        return None
+    rate = streams.each(
+        lambda part: np.gradient(part, streams.dt, axis=0) if len(part) > 1 else part * np.nan, streams.twist
+    )
+    instead = answer(streams, streams.command, rate, settings)
+    if instead is None or instead.correlation.min() < settings.clear_correlation:
+        return None
+    streams.twist = streams.wheels = None
+    words = (
+        "not the encoders' readings but their changes follow the command: they are running counts; give their columns "
+        "`unit: ticks`, and `ticks_per_turn` under 'wheels'"
+    )
+    return Finding("running counts", "error", log, words)
+
+
+def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding | None:
+    """By how each wheel follows what was commanded of the two sides."""
+    assert streams.wheels is not None and streams.twist is not None
+    names = _NAMES[streams.wheels.shape[1]]
+    present = np.isfinite(streams.wheels).all(axis=1)
+    size = np.sqrt(np.mean(streams.wheels[present] ** 2, axis=0)) if present.any() else np.zeros(len(names))
+    dead = size < settings.dead_wheel * size.max()
+    if dead.any() and not dead.all():
+        words = (
+            f"the wheel '{names[int(np.argmax(dead))]}' reads nothing while the others turn: mend its "
+            "encoder or its column"
+        )
+        streams.twist = streams.wheels = None
+        return Finding("dead wheel", "error", log, words)
+    sides = _commanded_sides(streams)
+    found = None if sides is None else answer(streams, sides, streams.wheels, settings)
+    if sides is None or found is None or found.correlation.max() < settings.clear_correlation:
+        return None
+    gain = found.gain.T  # rows: wheels; columns: commanded left, right
+    own = np.array([gain[i, i % 2] for i in range(len(names))])
+    other = np.array([gain[i, 1 - i % 2] for i in range(len(names))])
+    if (np.abs(other) > 2 * np.abs(own)).all():
+        if (other < 0).all():
+            return None  # both sides exchanged and reversed: a robot that drives backwards, told by the sign of v
+        streams.twist = streams.twist * [1.0, -1.0]
+        words = (
+            "each side of the encoders follows what the other was commanded: exchange left and right of "
+            "the encoders, or of the commands"
+        )
+        return Finding("swapped sides", "error", log, words)
+    strong = np.abs(own) > np.abs(other)
+    reversed_ = strong & (own < 0)
+    if reversed_.any() and not reversed_.all():
+        bad = " and ".join(f"'{name}'" for name, bad in zip(names, reversed_, strict=True) if bad)
+        words = f"the wheel {bad} turns against its command, the others do not: give {bad} of the encoders `sign: -1`"
+        streams.twist = streams.wheels = None
+        return Finding("reversed wheel", "error", log, words)
+    lengths = np.abs(own)
+    if strong.all() and lengths.min() * settings.uneven_wheels < lengths.max():
+        odd = int(np.argmax(np.abs(np.log(lengths / np.median(lengths))))) if len(lengths) > 2 else _odd_side(found)
+        rest = float(np.median(np.delete(lengths, odd)))
+        words = (
+            f"the wheel '{names[odd]}' reads {lengths[odd] / rest:.3g} times as fast as the "
+            f"other{'s' if len(names) > 2 else ''} for the same "
+            "command: give its column the right unit, or check its ticks per turn"
+        )
+        streams.twist = streams.wheels = None
+        return Finding("uneven wheels", "error", log, words)
+    return None
+
+
+def _odd_side(found: Answer) -> int:
+    """Of two, the side whose gain is further from one."""
+    return int(np.argmax(np.abs(np.log(np.abs(np.diag(found.gain))))))
+
+
+def _commanded_sides(streams: Streams) -> FloatArray | None:
+    """(N, 2) commanded speeds of the two sides [m/s over the wheels' radius]; by the track behind the log's omega."""
+    assert streams.wheels is not None and streams.twist is not None
+    present = np.isfinite(streams.wheels).all(axis=1) & np.isfinite(streams.twist).all(axis=1)
+    wheels, twist = streams.wheels[present], streams.twist[present]
+    mean = wheels.mean(axis=1)
+    difference = wheels[:, 1::2].mean(axis=1) - wheels[:, ::2].mean(axis=1)
+    if not (mean @ mean > 0 and difference @ difference > 0):
+        return None
+    # The mapping made v = r mean and omega = r difference / b of these very wheels, so both are exact.
+    radius = abs(float(mean @ twist[:, 0]) / float(mean @ mean))
+    per_track = abs(float(difference @ twist[:, 1]) / float(difference @ difference))
+    if radius == 0 or per_track == 0:
+        return None
+    half = 0.5 * streams.command[:, 1] / per_track
+    middle = streams.command[:, 0] / radius
+    return np.column_stack([middle - half, middle + half])
+
+
+def _sides_of_twist(log: str, streams: Streams, settings: CheckSettings) -> Finding | None:
+    """Without wheels: a dead side makes v and omega of the encoders one and the same."""
+    assert streams.twist is not None
+    present = np.isfinite(streams.twist).all(axis=1) & np.isfinite(streams.command).all(axis=1)
+    twist, command = streams.twist[present], streams.command[present]
+    if len(twist) < 2 or np.ptp(command, axis=0).min() == 0 or np.ptp(twist, axis=0).min() == 0:
+        return None
+    together, asked = (float(np.corrcoef(*part.T)[0, 1]) for part in (twist, command))
+    if abs(together) < settings.collinear or abs(asked) > settings.clear_correlation:
+        return None
+    side = "left" if together > 0 else "right"
+    streams.twist = None
+    words = (
+        f"v and omega of the encoders are one and the same (correlation {together:.2f}), those of the command "
+        "are not: the "
+        f"{side} wheel reads nothing; mend its encoder"
+    )
+    return Finding("dead wheel", "error", log, words)
