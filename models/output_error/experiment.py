@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -12,6 +13,9 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import BoolArray, Record
 
 _FEWEST_SAMPLES = 20
+# A jump is a change between neighbouring readings that is beyond so many times what next to all of them stay below [%].
+_USUAL = 99.0
+_JUMP = 2.0
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,8 @@ class Experiment:
         (K, p).
     counts
         (K, p) which outputs are readings of their own; the others may hold anything.
+    follows
+        Whether the experiment goes on where the one before it ended.
 
     Raises
     ------
@@ -42,6 +48,7 @@ class Experiment:
     inputs: FloatArray
     outputs: FloatArray
     counts: BoolArray
+    follows: bool = False
 
     def __post_init__(self) -> None:
         """Check, and put zero where an output does not count."""
@@ -62,7 +69,33 @@ class Experiment:
     def channel(self, inputs: int, outputs: int) -> Experiment:
         """One input and one output of this experiment."""
         i, o = slice(inputs, inputs + 1), slice(outputs, outputs + 1)
-        return Experiment(self.name, self.dt, self.inputs[:, i], self.outputs[:, o], self.counts[:, o])
+        return Experiment(self.name, self.dt, self.inputs[:, i], self.outputs[:, o], self.counts[:, o], self.follows)
+
+
+def joined(experiments: Sequence[Experiment]) -> list[Experiment]:
+    """The same samples, those that follow each other as one experiment: what happens in one begins in the one before."""
+    runs: list[list[Experiment]] = []
+    for experiment in experiments:
+        if runs and experiment.follows:
+            runs[-1].append(experiment)
+        else:
+            runs.append([experiment])
+    return [
+        run[0]
+        if len(run) == 1
+        else Experiment(
+            run[0].name,
+            run[0].dt,
+            *(np.concatenate([getattr(part, name) for part in run]) for name in ("inputs", "outputs", "counts")),
+        )
+        for run in runs
+    ]
+
+
+def parted(rows: Sequence[FloatArray], experiments: Sequence[Experiment]) -> list[FloatArray]:
+    """Rows (K, ...) of `joined(experiments)`, in pieces as long as the experiments."""
+    cuts = np.cumsum([experiment.samples for experiment in experiments])[:-1]
+    return list(np.split(np.concatenate(rows), cuts))
 
 
 YawSource = Literal["gyro", "encoders"]
@@ -86,7 +119,7 @@ def twist_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> lis
             omega, fresh_omega = twist[:, 1], fresh_twist
         outputs, counts = np.column_stack([twist[:, 0], omega]), np.column_stack([fresh_twist, fresh_omega])
         experiments.append(Experiment(record.name, record.dt, record.command, outputs, counts))
-    return experiments
+    return _chained(experiments, records)
 
 
 def wheel_experiments(records: Sequence[Record]) -> list[Experiment]:
@@ -103,7 +136,23 @@ def wheel_experiments(records: Sequence[Record]) -> list[Experiment]:
         speeds, fresh = _signal(record, name, "fresh_twist")
         counts = np.tile(fresh[:, None], (1, speeds.shape[1]))
         experiments.append(Experiment(record.name, record.dt, record.command, speeds, counts))
-    return experiments
+    return _chained(experiments, records)
+
+
+def _chained(experiments: Sequence[Experiment], records: Sequence[Record]) -> list[Experiment]:
+    """The experiments, with a mark on those that follow the one before: in time, and without a jump of any reading.
+
+    A log may be cut anywhere, and what has no times of its own may have lost rows between two segments.
+    """
+    steps = [[np.abs(np.diff(y[c])) for y, c in zip(s.outputs.T, s.counts.T, strict=True)] for s in experiments]
+    usual = [np.percentile(np.concatenate(rows), _USUAL) for rows in zip(*steps, strict=True)]
+    chained = list(experiments[:1])
+    for (one, earlier), (other, later) in pairwise(zip(experiments, records, strict=True)):
+        near = earlier.dt == later.dt and abs(later.start - earlier.end - later.dt) < 0.5 * later.dt
+        last = np.array([one.outputs[np.flatnonzero(c)[-1], i] for i, c in enumerate(one.counts.T)])
+        first = np.array([other.outputs[np.argmax(c), i] for i, c in enumerate(other.counts.T)])
+        chained.append(replace(other, follows=near and bool(np.all(np.abs(first - last) <= _JUMP * np.array(usual)))))
+    return chained
 
 
 def _signal(record: Record, name: str, mask: str) -> tuple[FloatArray, BoolArray]:

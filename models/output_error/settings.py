@@ -39,6 +39,7 @@ class EstimatorSettings(StrictModel):
     track: Range = Field(description="[m]")
     start_dead_times: tuple[float, ...] = Field(description="grid of first guesses [s]")
     start_frequencies: tuple[Positive, ...] = Field(description="grid of first guesses [rad/s]")
+    start_deviation: Positive = Field(description="of a stretch from a settled state, part of the usual deviation [-]")
     impulse_response: Positive = Field(description="length of the impulse response an SSM starts from [s]")
     saturation: SaturationSettings
     warn: WarningSettings

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import Experiment, joined, parted
 from diffdrive_mpc.models.output_error.layout import Layout
 from diffdrive_mpc.models.output_error.linear_system import LinearSystem
-from diffdrive_mpc.models.output_error.problem import OutputErrorProblem
+from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_prior
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.statistics import (
     Sandwich,
@@ -86,8 +85,8 @@ def fit_output_error(
     """Fit every candidate, go on with the best, and find its covariance.
 
     Weighted least squares with a trust region (scipy), reweighted until it settles: outputs by the scale of their
-    residuals, single readings by whether their neighbours agree. The commands before an experiment are not known, so
-    the first readings, for as long as the dead time, do not count.
+    residuals, single readings by whether their neighbours agree. Experiments that follow each other are one run; a run
+    begins near the settled state of an unknown command (see `past_prior`).
 
     Parameters
     ----------
@@ -109,19 +108,20 @@ def fit_output_error(
     """
     if not experiments:
         raise ValueError("no data: give at least one record in which the robot moves")
+    pieces, experiments = experiments, joined(experiments)
     spread = output_spread(experiments)
     scale = spread if scale is None else scale
     with threadpool_limits(1):  # the matrices are small: threads only get in each other's way
         fits = []
         for layout, start in candidates:
-            weights = _weights(layout, start, experiments, scale)
+            weights = _weights(experiments, scale)
             fits.append((*_solve(layout, start, experiments, weights, trial), weights))
         layout, parameters, cost, weights = min(fits, key=lambda fit: fit[2])
         for _ in range(_ROUNDS):
             residuals = _residuals(layout, parameters, experiments, weights)
             trust = spike_weights(residuals) if robust else [np.ones_like(rows) for rows in residuals]
             scale = residual_scale(residuals, trust, spread)
-            weights = _weights(layout, parameters, experiments, scale, trust)
+            weights = _weights(experiments, scale, trust)
             before = _cost(layout, parameters, experiments, weights)
             layout, parameters, cost = _solve(layout, parameters, experiments, weights, _EVALUATIONS)
             if before - cost < _SETTLED * cost:
@@ -129,7 +129,14 @@ def fit_output_error(
         residuals = _residuals(layout, parameters, experiments, weights)
         found = _covariance(layout, parameters, experiments, weights)
     return OutputErrorFit(
-        layout, parameters, found.covariance, scale, residuals, trust, found.effective_samples, found.condition
+        layout,
+        parameters,
+        found.covariance,
+        scale,
+        parted(residuals, pieces),
+        parted(trust, pieces),
+        found.effective_samples,
+        found.condition,
     )
 
 
@@ -141,7 +148,7 @@ def _solve(
     parametrisation, own = layout.parametrisation.recentred(start[: layout.counts[0]])
     layout = layout.around(parametrisation)
     start = np.concatenate([own, start[len(own) :]])
-    problem = OutputErrorProblem(layout, experiments, weights)
+    problem = _problem(layout, start, experiments, weights)
     low, high = layout.bounds
     result = least_squares(
         problem.residuals,
@@ -157,40 +164,35 @@ def _solve(
     return layout, np.asarray(result.x), float(result.cost)
 
 
+def _problem(
+    layout: Layout, near: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray]
+) -> OutputErrorProblem:
+    """The problem with the prior of the pasts that the system `near` gives."""
+    prior = past_prior(layout.system(near), experiments, estimator_settings().start_deviation)
+    return OutputErrorProblem(layout, experiments, weights, prior)
+
+
 def _cost(
     layout: Layout, parameters: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray]
 ) -> float:
-    return 0.5 * float(np.sum(OutputErrorProblem(layout, experiments, weights).residuals(parameters) ** 2))
+    return 0.5 * float(np.sum(_problem(layout, parameters, experiments, weights).residuals(parameters) ** 2))
 
 
 def _residuals(
     layout: Layout, parameters: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray]
 ) -> list[FloatArray]:
-    simulated = OutputErrorProblem(layout, experiments, weights).simulations(parameters)
+    simulated = _problem(layout, parameters, experiments, weights).simulations(parameters)
     return [
         np.where(weight > 0, experiment.outputs - outputs, np.nan)
         for experiment, outputs, weight in zip(experiments, simulated, weights, strict=True)
     ]
 
 
-def _known_commands(layout: Layout, parameters: FloatArray, experiment: Experiment) -> NDArray[np.bool_]:
-    """(K,) from where on every command that still acts lies inside the experiment."""
-    longest = float(layout.system(parameters).dead_time.max())
-    return np.asarray(np.arange(experiment.samples) > np.floor(longest / experiment.dt))
-
-
 def _weights(
-    layout: Layout,
-    parameters: FloatArray,
-    experiments: Sequence[Experiment],
-    scale: FloatArray,
-    trust: list[FloatArray] | None = None,
+    experiments: Sequence[Experiment], scale: FloatArray, trust: list[FloatArray] | None = None
 ) -> list[FloatArray]:
     """Square roots of the weights, over the scale."""
-    weights = [
-        (experiment.counts & _known_commands(layout, parameters, experiment)[:, None]) / scale
-        for experiment in experiments
-    ]
+    weights = [experiment.counts / scale for experiment in experiments]
     if trust is None:
         return weights
     return [weight * np.sqrt(part) for weight, part in zip(weights, trust, strict=True)]
@@ -199,9 +201,9 @@ def _weights(
 def _covariance(
     layout: Layout, parameters: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray]
 ) -> Sandwich:
-    problem = OutputErrorProblem(layout, experiments, weights)
-    jacobian, error = problem.jacobian(parameters), problem.residuals(parameters).reshape(-1, layout.outputs)
-    error = np.where(np.concatenate(weights) > 0, error, np.nan)
+    problem, rows = _problem(layout, parameters, experiments, weights), sum(weight.size for weight in weights)
+    jacobian, error = problem.jacobian(parameters)[:rows], problem.residuals(parameters)[:rows]
+    error = np.where(np.concatenate(weights) > 0, error.reshape(-1, layout.outputs), np.nan)
     cuts = np.cumsum([experiment.samples for experiment in experiments])[:-1]
     return sandwich(np.split(jacobian.reshape(*error.shape, -1), cuts), np.split(error, cuts))
 

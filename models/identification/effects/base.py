@@ -18,6 +18,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import wheel_geometry
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
+from diffdrive_mpc.models.output_error.experiment import joined, parted
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
@@ -60,7 +61,7 @@ class IdentifiedBase:
 
     def readings(self, records: Sequence[Record]) -> list[FloatArray]:
         """For each record (K, 3) v and omega of the encoders, omega of the gyro, from one free run over it."""
-        return [free_run(self.point, experiment) for experiment in sensed(records)]
+        return self._runs(self.point, records)
 
     def body_twists(self, records: Sequence[Record]) -> list[FloatArray]:
         """For each record (K, 2) true v [m/s] and yaw rate [rad/s] from one free run, without sensors' errors."""
@@ -68,15 +69,13 @@ class IdentifiedBase:
         prompt |= {"encoders.delay": 0.0, "gyro.offset": 0.0}
         travel = self.pose.value("pose.travel") if self.pose else 1.0
         twists = []
-        for experiment in sensed(records):
-            seen = free_run(prompt, experiment)
+        for seen in self._runs(prompt, records):
             twists.append(np.column_stack([travel * seen[:, 0], seen[:, 2]]))
         return twists
 
     def fit_percent(self, records: Sequence[Record]) -> FloatArray:
         """(3,) pooled FIT [%] of v and omega of the encoders, omega of the gyro; raises ValueError as `sensed`."""
-        experiments = sensed(records)
-        simulated = [free_run(self.point, experiment) for experiment in experiments]
+        experiments, simulated = sensed(records), self.readings(records)
         return np.array(
             [
                 pooled_fit_percent(
@@ -86,6 +85,10 @@ class IdentifiedBase:
                 for row in range(3)
             ]
         )
+
+    def _runs(self, point: Point, records: Sequence[Record]) -> list[FloatArray]:
+        experiments = sensed(records)
+        return parted([free_run(point, run) for run in joined(experiments)], experiments)
 
 
 def identify_with_effects(
@@ -117,7 +120,7 @@ def identify_with_effects(
     """
     geometry = wheel_geometry(records)
     track = encoder_track or (geometry.track if geometry else None)
-    selection = select_effects(sensed(records), track, on_trial)
+    selection = select_effects(joined(sensed(records)), track, on_trial)
     fit = selection.fit
     pose = pose_sensor(records, fit.point)
     effects = _effects(fit.point, pose)

@@ -31,6 +31,7 @@ def sensed(records: Sequence[Record]) -> list[Experiment]:
             wheels.inputs,
             np.column_stack([wheels.outputs, body.outputs[:, 1]]),
             np.column_stack([wheels.counts, body.counts[:, 1]]),
+            wheels.follows and body.follows,
         )
         for wheels, body in zip(by_encoders, by_gyro, strict=True)
     ]
