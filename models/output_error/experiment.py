@@ -12,7 +12,9 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import BoolArray, Record
 
-_FEWEST_SAMPLES = 20
+_FEWEST_IN_ALL = 20
+# A stretch has a past of its own, three numbers for each channel; below this it says nothing else.
+_FEWEST_SAMPLES = 5
 # A jump is a change between neighbouring readings that is beyond so many times what next to all of them stay below [%].
 _USUAL = 99.0
 _JUMP = 2.0
@@ -56,7 +58,7 @@ class Experiment:
             raise ValueError(f"{self.name}: inputs, outputs and their masks must have the same number of samples")
         for row in self.counts.T:
             if row.sum() < _FEWEST_SAMPLES:
-                raise ValueError(f"{self.name}: {row.sum()} readings; at least {_FEWEST_SAMPLES} are needed")
+                raise ValueError(f"{self.name}: {row.sum()} readings; a stretch needs at least {_FEWEST_SAMPLES}")
         if not (np.isfinite(self.inputs).all() and np.isfinite(self.outputs[self.counts]).all()):
             raise ValueError(f"{self.name}: a sample is not finite; cut the record there")
         object.__setattr__(self, "outputs", np.where(self.counts, self.outputs, 0.0))
@@ -144,6 +146,11 @@ def _chained(experiments: Sequence[Experiment], records: Sequence[Record]) -> li
 
     A log may be cut anywhere, and what has no times of its own may have lost rows between two segments.
     """
+    if not experiments:
+        return []
+    readings = int(np.sum([experiment.counts.sum(axis=0) for experiment in experiments], axis=0).min())
+    if readings < _FEWEST_IN_ALL:
+        raise ValueError(f"{experiments[0].name}: {readings} readings; at least {_FEWEST_IN_ALL} are needed")
     steps = [[np.abs(np.diff(y[c])) for y, c in zip(s.outputs.T, s.counts.T, strict=True)] for s in experiments]
     usual = [np.percentile(np.concatenate(rows), _USUAL) for rows in zip(*steps, strict=True)]
     chained = list(experiments[:1])

@@ -218,12 +218,12 @@ def past_prior(system: LinearSystem, experiments: Sequence[Experiment], deviatio
     as far as the states of the experiments, from rest, deviate from those that their commands settle in.
     """
     hold, total, count = -np.linalg.solve(system.A, system.B), np.zeros(system.A.shape), 0
+    sampled = {dt: sample(system, dt) for dt in {experiment.dt for experiment in experiments}}
+    respond = {dt: StateResponse(one.A) for dt, one in sampled.items()}
     for experiment in experiments:
-        sampled = sample(system, experiment.dt)
-        inputs = np.clip(experiment.inputs, -system.limit, system.limit)
-        recent, older = delayed(inputs, sampled.delay, np.zeros(inputs.shape[1]))
-        states = StateResponse(sampled.A)((sampled.B0 @ recent + sampled.B1 @ older)[:, None, :])[:, 0]
-        off = states - hold @ inputs.T
+        inputs, here = np.clip(experiment.inputs, -system.limit, system.limit), sampled[experiment.dt]
+        recent, older = delayed(inputs, here.delay, np.zeros(inputs.shape[1]))
+        off = respond[experiment.dt]((here.B0 @ recent + here.B1 @ older)[:, None, :])[:, 0] - hold @ inputs.T
         total, count = total + off @ off.T, count + len(inputs)
     sizes, axes = np.linalg.eigh(total / count)
     sizes = deviation * np.sqrt(np.maximum(sizes, _MOVED**2 * max(sizes.max(), np.finfo(float).tiny)))
