@@ -81,8 +81,8 @@ class OutputErrorProblem:
     weights
         For each experiment (K, p) factors of the residuals, not negative; zero where a sample does not count.
     prior
-        (m + n, m + n) one over the standard deviation of the past, the command before it first: the past's part of the
-        residuals is this times it. See `past_prior`. By default all zero: any past will do.
+        For each experiment (m + n, m + n) one over the standard deviation of its past, the command before it first: the
+        past's part of the residuals is this times it. See `past_prior`. By default all zero: any past will do.
     """
 
     def __init__(
@@ -90,10 +90,11 @@ class OutputErrorProblem:
         layout: Layout,
         experiments: Sequence[Experiment],
         weights: Sequence[FloatArray],
-        prior: FloatArray | None = None,
+        prior: Sequence[FloatArray] | None = None,
     ) -> None:
         self._layout, self._experiments, self._weights = layout, list(experiments), list(weights)
-        self._rows, self._prior = sum(weight.size for weight in weights), prior
+        self._rows = sum(weight.size for weight in weights)
+        self._prior = [None] * len(weights) if prior is None else list(prior)
         self._longest = {experiment.dt: 0 for experiment in experiments}
         for experiment in experiments:
             self._longest[experiment.dt] = max(self._longest[experiment.dt], experiment.samples)
@@ -105,11 +106,11 @@ class OutputErrorProblem:
             return np.full(self._rows + len(self._experiments) * (system.B.shape[1] + len(system.A)), np.inf)
         models = self._models(system)
         parts, pasts = [], []
-        for experiment, weight in zip(self._experiments, self._weights, strict=True):
+        for experiment, weight, prior in zip(self._experiments, self._weights, self._prior, strict=True):
             model = models[experiment.dt]
             states = _forced(model, _drive(model, experiment, np.zeros(system.B.shape[1])))
             error = (weight * (experiment.outputs - system.offset - states.T @ system.C.T)).ravel()
-            pasts.append(_project(error, self._past(model, weight)))
+            pasts.append(_project(error, _past(model, weight, prior)))
             parts.append(error)
         return np.concatenate(parts + pasts)
 
@@ -119,8 +120,9 @@ class OutputErrorProblem:
         models = self._models(system)
         slopes = {dt: self._derivatives(parameters, dt) for dt in models}
         parts, pasts = [], []
-        for experiment, weight in zip(self._experiments, self._weights, strict=True):
-            rows, past = self._experiment_jacobian(models[experiment.dt], *slopes[experiment.dt], experiment, weight)
+        for experiment, weight, prior in zip(self._experiments, self._weights, self._prior, strict=True):
+            model = models[experiment.dt]
+            rows, past = _experiment_jacobian(model, *slopes[experiment.dt], experiment, weight, prior)
             parts.append(rows)
             pasts.append(past)
         return np.concatenate(parts + pasts)
@@ -130,8 +132,8 @@ class OutputErrorProblem:
         system = self._layout.system(parameters)
         models = self._models(system)
         return [
-            self._simulate(models[experiment.dt], experiment, weight)[0].T @ system.C.T + system.offset
-            for experiment, weight in zip(self._experiments, self._weights, strict=True)
+            _simulate(models[experiment.dt], experiment, weight, prior)[0].T @ system.C.T + system.offset
+            for experiment, weight, prior in zip(self._experiments, self._weights, self._prior, strict=True)
         ]
 
     def _models(self, system: LinearSystem) -> dict[float, _Model]:
@@ -166,49 +168,51 @@ class OutputErrorProblem:
         )
 
 
-    def _past(self, model: _Model, weight: FloatArray) -> _Past:
-        free = model.past[..., : len(weight)]
-        count = free.shape[1]
-        rows = weight[: free.shape[-1], :, None] * np.moveaxis(np.tensordot(model.system.C, free, 1), 2, 0)
-        prior = np.zeros((count, count)) if self._prior is None else self._prior
-        left, values, right = np.linalg.svd(np.vstack([rows.reshape(-1, count), prior]), full_matrices=False)
-        keep = values > _SEEN * max(values[0], np.finfo(float).tiny)
-        return _Past(left[:-count, keep], left[-count:, keep], right[keep].T / values[keep])
+def _past(model: _Model, weight: FloatArray, prior: FloatArray | None) -> _Past:
+    free = model.past[..., : len(weight)]
+    count = free.shape[1]
+    rows = weight[: free.shape[-1], :, None] * np.moveaxis(np.tensordot(model.system.C, free, 1), 2, 0)
+    known = np.zeros((count, count)) if prior is None else prior
+    left, values, right = np.linalg.svd(np.vstack([rows.reshape(-1, count), known]), full_matrices=False)
+    keep = values > _SEEN * max(values[0], np.finfo(float).tiny)
+    return _Past(left[:-count, keep], left[-count:, keep], right[keep].T / values[keep])
 
-    def _simulate(
-        self, model: _Model, experiment: Experiment, weight: FloatArray
-    ) -> tuple[FloatArray, _Drive, FloatArray, _Past]:
-        """States (n, K) from the best past, what drives them, the command before, what a past can explain."""
-        system, past = model.system, self._past(model, weight)
-        unknown = np.zeros(system.B.shape[1])
-        states = _forced(model, _drive(model, experiment, unknown))
-        early = len(past.seen) // experiment.outputs.shape[1]
-        error = weight * (experiment.outputs - system.offset - states.T @ system.C.T)
-        found = past.recover @ (past.seen.T @ error[:early].ravel())
-        states[:, :early] += np.tensordot(model.past[..., :early], found, (1, 0))
-        before = found[: len(unknown)]
-        return states, _drive(model, experiment, before), before, past
 
-    def _experiment_jacobian(
-        self,
-        model: _Model,
-        slope: LinearSystem,
-        sampled_slope: SampledSystem,
-        experiment: Experiment,
-        weight: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """(K p, q) derivatives of an experiment's weighted residuals, and (m + n, q) of its past's."""
-        states, drive, before, past = self._simulate(model, experiment, weight)
-        forcing = sampled_slope.A @ states + sampled_slope.B0 @ drive.recent + sampled_slope.B1 @ drive.older
-        if slope.limit.any():
-            forcing += (model.sampled.B0 * slope.limit[:, None, :]) @ drive.recent_clipped
-            forcing += (model.sampled.B1 * slope.limit[:, None, :]) @ drive.older_clipped
-        settled = -np.linalg.solve(model.system.A, ((slope.A @ model.hold + slope.B) @ before).T)
-        sensitivity = model.respond(np.moveaxis(forcing, 0, 1), settled)
-        change = np.tensordot(model.system.C, sensitivity, 1) + np.moveaxis(slope.C @ states, 0, 1)
-        change += slope.offset.T[:, :, None]
-        rows = -(weight[:, :, None] * np.moveaxis(change, 2, 0)).reshape(weight.size, -1)
-        return rows, _project(rows, past)
+def _simulate(
+    model: _Model, experiment: Experiment, weight: FloatArray, prior: FloatArray | None
+) -> tuple[FloatArray, _Drive, FloatArray, _Past]:
+    """States (n, K) from the best past, what drives them, the command before, what a past can explain."""
+    system, past = model.system, _past(model, weight, prior)
+    unknown = np.zeros(system.B.shape[1])
+    states = _forced(model, _drive(model, experiment, unknown))
+    early = len(past.seen) // experiment.outputs.shape[1]
+    error = weight * (experiment.outputs - system.offset - states.T @ system.C.T)
+    found = past.recover @ (past.seen.T @ error[:early].ravel())
+    states[:, :early] += np.tensordot(model.past[..., :early], found, (1, 0))
+    before = found[: len(unknown)]
+    return states, _drive(model, experiment, before), before, past
+
+
+def _experiment_jacobian(
+    model: _Model,
+    slope: LinearSystem,
+    sampled_slope: SampledSystem,
+    experiment: Experiment,
+    weight: FloatArray,
+    prior: FloatArray | None,
+) -> tuple[FloatArray, FloatArray]:
+    """(K p, q) derivatives of an experiment's weighted residuals, and (m + n, q) of its past's."""
+    states, drive, before, past = _simulate(model, experiment, weight, prior)
+    forcing = sampled_slope.A @ states + sampled_slope.B0 @ drive.recent + sampled_slope.B1 @ drive.older
+    if slope.limit.any():
+        forcing += (model.sampled.B0 * slope.limit[:, None, :]) @ drive.recent_clipped
+        forcing += (model.sampled.B1 * slope.limit[:, None, :]) @ drive.older_clipped
+    settled = -np.linalg.solve(model.system.A, ((slope.A @ model.hold + slope.B) @ before).T)
+    sensitivity = model.respond(np.moveaxis(forcing, 0, 1), settled)
+    change = np.tensordot(model.system.C, sensitivity, 1) + np.moveaxis(slope.C @ states, 0, 1)
+    change += slope.offset.T[:, :, None]
+    rows = -(weight[:, :, None] * np.moveaxis(change, 2, 0)).reshape(weight.size, -1)
+    return rows, _project(rows, past)
 
 
 def past_prior(system: LinearSystem, experiments: Sequence[Experiment], deviation: float) -> FloatArray:

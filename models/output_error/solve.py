@@ -29,6 +29,8 @@ _ROUNDS = 5
 _EVALUATIONS = 25
 # A level has to lie below the largest command by so many standard deviations.
 _CERTAIN = 2.0
+# Size of a past, in standard deviations of its prior, up to which it is taken for what the prior means.
+_TIED = 3.0
 # Only the level and the gain have to move before the best level shows.
 _TRIAL = 6
 
@@ -113,21 +115,23 @@ def fit_output_error(
     scale = spread if scale is None else scale
     with threadpool_limits(1):  # the matrices are small: threads only get in each other's way
         fits = []
+        ties = np.ones(len(experiments))
         for layout, start in candidates:
             weights = _weights(experiments, scale)
-            fits.append((*_solve(layout, start, experiments, weights, trial), weights))
+            fits.append((*_solve(layout, start, experiments, weights, ties, trial), weights))
         layout, parameters, cost, weights = min(fits, key=lambda fit: fit[2])
         for _ in range(_ROUNDS):
-            residuals = _residuals(layout, parameters, experiments, weights)
+            residuals = _residuals(layout, parameters, experiments, weights, ties)
             trust = spike_weights(residuals) if robust else [np.ones_like(rows) for rows in residuals]
             scale = residual_scale(residuals, trust, spread)
             weights = _weights(experiments, scale, trust)
-            before = _cost(layout, parameters, experiments, weights)
-            layout, parameters, cost = _solve(layout, parameters, experiments, weights, _EVALUATIONS)
+            ties = _ties(layout, parameters, experiments, weights, ties)
+            before = _cost(layout, parameters, experiments, weights, ties)
+            layout, parameters, cost = _solve(layout, parameters, experiments, weights, ties, _EVALUATIONS)
             if before - cost < _SETTLED * cost:
                 break
-        residuals = _residuals(layout, parameters, experiments, weights)
-        found = _covariance(layout, parameters, experiments, weights)
+        residuals = _residuals(layout, parameters, experiments, weights, ties)
+        found = _covariance(layout, parameters, experiments, weights, ties)
     return OutputErrorFit(
         layout,
         parameters,
@@ -141,14 +145,19 @@ def fit_output_error(
 
 
 def _solve(
-    layout: Layout, start: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray], evaluations: int
+    layout: Layout,
+    start: FloatArray,
+    experiments: Sequence[Experiment],
+    weights: list[FloatArray],
+    ties: FloatArray,
+    evaluations: int,
 ) -> tuple[Layout, FloatArray, float]:
     from scipy.optimize import least_squares  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
 
     parametrisation, own = layout.parametrisation.recentred(start[: layout.counts[0]])
     layout = layout.around(parametrisation)
     start = np.concatenate([own, start[len(own) :]])
-    problem = _problem(layout, start, experiments, weights)
+    problem = _problem(layout, start, experiments, weights, ties)
     low, high = layout.bounds
     result = least_squares(
         problem.residuals,
@@ -165,23 +174,48 @@ def _solve(
 
 
 def _problem(
-    layout: Layout, near: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray]
+    layout: Layout,
+    near: FloatArray,
+    experiments: Sequence[Experiment],
+    weights: list[FloatArray],
+    ties: FloatArray,
 ) -> OutputErrorProblem:
-    """The problem with the prior of the pasts that the system `near` gives."""
+    """The problem with the prior of the pasts that the system `near` gives, for each experiment so strong."""
     prior = past_prior(layout.system(near), experiments, estimator_settings().start_deviation)
-    return OutputErrorProblem(layout, experiments, weights, prior)
+    return OutputErrorProblem(layout, experiments, weights, [tie * prior for tie in ties])
+
+
+def _ties(
+    layout: Layout,
+    parameters: FloatArray,
+    experiments: Sequence[Experiment],
+    weights: list[FloatArray],
+    ties: FloatArray,
+) -> FloatArray:
+    """(experiments,) factors of the prior of each past: 1, and less where readings clearly speak against it (Huber)."""
+    residuals = _problem(layout, parameters, experiments, weights, ties).residuals(parameters)
+    size = np.linalg.norm(residuals[sum(map(np.size, weights)) :].reshape(len(ties), -1), axis=1) / ties
+    return np.asarray(np.sqrt(_TIED / np.maximum(size, _TIED)))
 
 
 def _cost(
-    layout: Layout, parameters: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray]
+    layout: Layout,
+    parameters: FloatArray,
+    experiments: Sequence[Experiment],
+    weights: list[FloatArray],
+    ties: FloatArray,
 ) -> float:
-    return 0.5 * float(np.sum(_problem(layout, parameters, experiments, weights).residuals(parameters) ** 2))
+    return 0.5 * float(np.sum(_problem(layout, parameters, experiments, weights, ties).residuals(parameters) ** 2))
 
 
 def _residuals(
-    layout: Layout, parameters: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray]
+    layout: Layout,
+    parameters: FloatArray,
+    experiments: Sequence[Experiment],
+    weights: list[FloatArray],
+    ties: FloatArray,
 ) -> list[FloatArray]:
-    simulated = _problem(layout, parameters, experiments, weights).simulations(parameters)
+    simulated = _problem(layout, parameters, experiments, weights, ties).simulations(parameters)
     return [
         np.where(weight > 0, experiment.outputs - outputs, np.nan)
         for experiment, outputs, weight in zip(experiments, simulated, weights, strict=True)
@@ -199,9 +233,13 @@ def _weights(
 
 
 def _covariance(
-    layout: Layout, parameters: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray]
+    layout: Layout,
+    parameters: FloatArray,
+    experiments: Sequence[Experiment],
+    weights: list[FloatArray],
+    ties: FloatArray,
 ) -> Sandwich:
-    problem, rows = _problem(layout, parameters, experiments, weights), sum(weight.size for weight in weights)
+    problem, rows = _problem(layout, parameters, experiments, weights, ties), sum(map(np.size, weights))
     jacobian, error = problem.jacobian(parameters)[:rows], problem.residuals(parameters)[:rows]
     error = np.where(np.concatenate(weights) > 0, error.reshape(-1, layout.outputs), np.nan)
     cuts = np.cumsum([experiment.samples for experiment in experiments])[:-1]

@@ -195,7 +195,9 @@ def first_guesses(layout: Layout, experiments: Sequence[Experiment], label: str)
 
     def cost(start: FloatArray) -> float:
         prior = past_prior(layout.system(start), experiments, settings.start_deviation)
-        return float(np.sum(OutputErrorProblem(layout, experiments, weights, prior).residuals(start) ** 2))
+        return float(
+            np.sum(OutputErrorProblem(layout, experiments, weights, [prior] * len(experiments)).residuals(start) ** 2)
+        )
 
     return sorted(grid, key=cost)[:_TRIED]
 
