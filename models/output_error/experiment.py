@@ -75,23 +75,19 @@ class Experiment:
 
 
 def joined(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """The same samples, those that follow each other as one experiment: what happens in one begins in the one before."""
+    """The same samples, those that follow each other as one: what happens in one begins in the one before."""
     runs: list[list[Experiment]] = []
     for experiment in experiments:
         if runs and experiment.follows:
             runs[-1].append(experiment)
         else:
             runs.append([experiment])
-    return [
-        run[0]
-        if len(run) == 1
-        else Experiment(
-            run[0].name,
-            run[0].dt,
-            *(np.concatenate([getattr(part, name) for part in run]) for name in ("inputs", "outputs", "counts")),
-        )
-        for run in runs
-    ]
+    return [run[0] if len(run) == 1 else _one(run) for run in runs]
+
+
+def _one(run: Sequence[Experiment]) -> Experiment:
+    inputs, outputs = (np.concatenate([getattr(part, name) for part in run]) for name in ("inputs", "outputs"))
+    return Experiment(run[0].name, run[0].dt, inputs, outputs, np.concatenate([part.counts for part in run]))
 
 
 def parted(rows: Sequence[FloatArray], experiments: Sequence[Experiment]) -> list[FloatArray]:

@@ -207,7 +207,7 @@ def _experiment_jacobian(
     if slope.limit.any():
         forcing += (model.sampled.B0 * slope.limit[:, None, :]) @ drive.recent_clipped
         forcing += (model.sampled.B1 * slope.limit[:, None, :]) @ drive.older_clipped
-    settled = -np.linalg.solve(model.system.A, ((slope.A @ model.hold + slope.B) @ before).T)
+    settled = np.asarray(-np.linalg.solve(model.system.A, ((slope.A @ model.hold + slope.B) @ before).T))
     sensitivity = model.respond(np.moveaxis(forcing, 0, 1), settled)
     change = np.tensordot(model.system.C, sensitivity, 1) + np.moveaxis(slope.C @ states, 0, 1)
     change += slope.offset.T[:, :, None]
@@ -233,7 +233,7 @@ def past_prior(system: LinearSystem, experiments: Sequence[Experiment], deviatio
     sizes = deviation * np.sqrt(np.maximum(sizes, _MOVED**2 * max(sizes.max(), np.finfo(float).tiny)))
     usual = np.sqrt(np.mean(np.concatenate([e.inputs for e in experiments]) ** 2, axis=0))
     commands = np.diag(1.0 / np.maximum(usual, np.finfo(float).tiny ** 0.25))
-    return linalg.block_diag(commands, axes.T / sizes[:, None])
+    return np.asarray(linalg.block_diag(commands, axes.T / sizes[:, None]))
 
 
 def _drive(model: _Model, experiment: Experiment, before: FloatArray) -> _Drive:

@@ -13,9 +13,9 @@ from diffdrive_mpc.models.base_effects import BaseEffects, PoseMount, TwistSlew,
 from diffdrive_mpc.models.identification.effects import identify_with_effects
 from diffdrive_mpc.models.identification.effects.free_run import free_run, sensed, smoothed, two_lags
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
-from diffdrive_mpc.models.identification.effects.selection import blocks
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.held_out import blocks
 from diffdrive_mpc.models.pose import integrate_pose
 
 TRUE = BaseEffects.model_validate(

@@ -51,6 +51,8 @@ class IdentifiedBase:
         Every parameter of the free run, sensors included.
     pose
         Delay of the poses, travel over encoders, and mount; None without enough poses.
+    points
+        As `point`, found without each block of the records.
     """
 
     identified: IdentifiedModel
@@ -58,6 +60,7 @@ class IdentifiedBase:
     trials: tuple[Trial, ...]
     point: Point
     pose: ParameterEstimate | None
+    points: tuple[Point, ...] = ()
 
     def readings(self, records: Sequence[Record]) -> list[FloatArray]:
         """For each record (K, 3) v and omega of the encoders, omega of the gyro, from one free run over it."""
@@ -95,6 +98,7 @@ def identify_with_effects(
     records: Sequence[Record],
     *,
     encoder_track: float | None = None,
+    limits: Mapping[str, float] | None = None,
     on_trial: Callable[[str], None] | None = None,
 ) -> IdentifiedBase:
     """Identify SM and what the base does around it.
@@ -110,6 +114,8 @@ def identify_with_effects(
     encoder_track
         Track by which the encoders' yaw rate was computed [m]; by default from the records' wheel speeds. Where neither
         tells it, effects of single wheels are not tried, and a warning says so.
+    limits
+        Of channels whose command the plain model found to be clipped: tried as an effect.
     on_trial
         Called with the name of the effect that is tried next.
 
@@ -120,7 +126,7 @@ def identify_with_effects(
     """
     geometry = wheel_geometry(records)
     track = encoder_track or (geometry.track if geometry else None)
-    selection = select_effects(joined(sensed(records)), track, on_trial)
+    selection = select_effects(joined(sensed(records)), track, on_trial, limits)
     fit = selection.fit
     pose = pose_sensor(records, fit.point)
     effects = _effects(fit.point, pose)
@@ -131,13 +137,13 @@ def identify_with_effects(
         content={**_linear(fit.point), "base_effects": rounded_effects(effects)},
         parameters=parameters,
         offset=np.array([0.0, fit.point["gyro.offset"]]),
-        limits={},
+        limits={c: float(rounded(fit.point[f"limit.{c}"])) for c in CHANNELS if f"limit.{c}" in fit.point},
         yaw="gyro",
         method=METHOD,
         fits=(),
         warnings=(*warnings, *_doubts(fit, parameters)),
     )
-    return IdentifiedBase(identified, selection.effects, selection.trials, fit.point, pose)
+    return IdentifiedBase(identified, selection.effects, selection.trials, fit.point, pose, selection.points)
 
 
 def rounded_effects(effects: BaseEffects) -> Mapping[str, Any]:
