@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check
 from diffdrive_mpc.models.identification.settings import identification_settings
+from diffdrive_mpc.models.identification.spikes import without_spikes
 from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
 from diffdrive_mpc.models.output_error.experiment import YawSource
 from diffdrive_mpc.models.robot import SampleTime
@@ -107,7 +108,9 @@ def read_data(
         log = read_log(path, mapping, read[0].records[0].dt if read else None)
         on_findings([finding for finding in log.findings if finding.severity != "error"])
         log.require_sound()
-        read.append(log)
+        records, spikes = without_spikes(log.records, log.name)
+        on_findings(spikes)
+        read.append(replace(log, records=tuple(records), findings=(*log.findings, *spikes)))
     fitted, tried = read[: len(logs)], read[len(logs) :]
     has_gyro = any(record.yaw_rate is not None for log in fitted for record in log.records)
     yaw: YawSource = "gyro" if has_gyro else "encoders"

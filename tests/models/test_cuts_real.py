@@ -49,20 +49,23 @@ if "DIFFDRIVE_MPC_DATA" in os.environ:
 
     @cache
     def halves(log):
-        """Records to identify from and records held out, as `identify` divides them."""
+        """Records to identify from and records held out, divided as `identify` does."""
         path = Path(os.environ["DIFFDRIVE_MPC_DATA"]) / LOGS[log] / f"{log}.csv"
-        return divide(read_log(path, log).records, 0.6)
+        records = read_log(path, log).records
+        if len(records) < 10:  # seven minutes in one piece says it as well as all of it
+            records = (records[0].part(0, 8400),)
+        return divide(records, 0.6)
 
     @cache
     def as_shipped(log):
         train, held_out = halves(log)
-        return validate(identify_sm(train).system, held_out).fit_percent
+        return validate(identify_sm(train, limits=False).system, held_out).fit_percent
 
     @pytest.mark.parametrize("cut", CUTS)
     @pytest.mark.parametrize("log", LOGS)
     def test_a_cut_costs_less_than_three_points(log, cut):
         train, held_out = halves(log)
-        found = validate(identify_sm(stretches(train, cut)).system, held_out).fit_percent
+        found = validate(identify_sm(stretches(train, cut), limits=False).system, held_out).fit_percent
         assert (found > as_shipped(log) - 3.0).all(), found
 
     @pytest.mark.parametrize("log", LOGS)

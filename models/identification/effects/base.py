@@ -222,5 +222,11 @@ def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[str]:
     for name, (low, high, _) in effect_settings().parameters.items():
         # Nothing of something is a finding; anything else at a bound is none.
         if name in fit.point and fit.point[name] in (low, high) and fit.point[name] != 0.0:
+            if name == "encoders.delay" and fit.point[name] < 0.0:
+                sentences.append(
+                    f"the encoders seem to lead the gyro by {-low:g} s or more, which they cannot: the "
+                    "mapping takes off too much delay of the encoders, or the gyro has one"
+                )
+                continue
             sentences.append(f"{name} = {fit.point[name]:.4g} lies at a bound of the search: the data do not tell it")
     return sentences
