@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -55,15 +57,36 @@ def cut(experiments: Sequence[Experiment], pieces: Pieces) -> list[Experiment]:
     return found
 
 
-def held_out_powers(fit: OutputErrorFit, experiments: Sequence[Experiment], robust: bool = True) -> FloatArray:
-    """(blocks, p) mean square error of each output in each block, by a model like `fit` made without that block.
+class HeldOut(NamedTuple):
+    """What models like one fit, each made without one block, say of that block and of the fit."""
+
+    powers: FloatArray
+    """(blocks, p) mean square error of each output in each block"""
+    parameters: FloatArray
+    """(blocks, q)"""
+
+    @property
+    def deviation(self) -> FloatArray:
+        """(q,) standard deviation of the fit's parameters from their scatter (jackknife by blocks).
+
+        So few blocks tell it badly: Student's distribution makes up for it.
+        """
+        from scipy import stats  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+
+        count = len(self.parameters)
+        scatter = np.sqrt((count - 1) ** 2 / count * self.parameters.var(axis=0, ddof=1))
+        return np.asarray(scatter * stats.t.ppf(0.975, count - 1) / stats.norm.ppf(0.975))
+
+
+def hold_out(fit: OutputErrorFit, experiments: Sequence[Experiment], robust: bool = True) -> HeldOut:
+    """Search anew, from `fit`, without each block in turn.
 
     Raises
     ------
     ValueError
         As `blocks`; or if an output never changes without some block.
     """
-    powers = []
+    powers, parameters = [], []
     for rest, block in blocks(experiments):
         found = fit_output_error([(fit.layout, fit.parameters)], cut(experiments, rest), robust, scale=fit.scale)
         errors = [
@@ -71,20 +94,25 @@ def held_out_powers(fit: OutputErrorFit, experiments: Sequence[Experiment], robu
             for one in cut(experiments, block)
         ]
         powers.append(np.nanmean(np.concatenate(errors) ** 2, axis=0))
-    return np.array(powers)
+        parameters.append(found.parameters)
+    return HeldOut(np.array(powers), np.array(parameters))
 
 
-def predicts_better(
-    new: OutputErrorFit, old: OutputErrorFit, experiments: Sequence[Experiment], robust: bool = True
-) -> bool:
-    """Whether models like `new` predict the blocks they were made without better than ones like `old`.
+def with_limit_if_better(
+    limited: OutputErrorFit, plain: OutputErrorFit, experiments: Sequence[Experiment], robust: bool = True
+) -> OutputErrorFit:
+    """`limited`, which has the last parameter more than `plain`, if models like it predict held-out blocks better.
 
-    Records too short for that decide nothing: then True.
+    Few commands lie beyond a limit, so its deviation is not taken below that between blocks. Records too short to hold
+    blocks out decide nothing: then `limited` stays.
     """
     experiments = joined(experiments)
     try:
-        blocks(experiments)
+        with_it, without = (hold_out(fit, experiments, robust) for fit in (limited, plain))
     except ValueError:
-        return True
-    one, other = (held_out_powers(fit, experiments, robust).sum(axis=0) for fit in (new, old))
-    return bool(np.log(one / other).sum() < 0.0)
+        return limited
+    if np.log(with_it.powers.sum(axis=0) / without.powers.sum(axis=0)).sum() >= 0.0:
+        return plain
+    wider = np.ones(len(limited.parameters))
+    wider[-1] = max(1.0, with_it.deviation[-1] / np.sqrt(limited.covariance[-1, -1]))
+    return replace(limited, covariance=limited.covariance * np.outer(wider, wider))

@@ -26,6 +26,7 @@ class ScatterSettings(StrictModel):
     """When parts of a log are said to differ."""
 
     blocks: int = Field(ge=3, description="of equal length")
+    student: Positive = Field(description="97.5 % quantile of Student's over that of the normal distribution [-]")
     chance: Positive = Field(description="variance between blocks over the stated one, up to which it is chance [-]")
 
 

@@ -144,7 +144,8 @@ def _widened(covariance: FloatArray, scatter: FloatArray) -> FloatArray:
     """`covariance` with the variances of `scatter` where these are larger than chance would make them."""
     variance = np.maximum(np.diag(covariance), np.finfo(float).tiny)
     ratio = np.diag(scatter) / variance
-    wider = np.sqrt(np.where(ratio > estimator_settings().scatter.chance, ratio, 1.0))
+    settings = estimator_settings().scatter
+    wider = np.where(ratio > settings.chance, settings.student * np.sqrt(ratio), 1.0)
     return np.asarray(covariance * np.outer(wider, wider))
 
 

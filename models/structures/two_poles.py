@@ -12,7 +12,7 @@ from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import Experiment, joined
-from diffdrive_mpc.models.output_error.held_out import predicts_better
+from diffdrive_mpc.models.output_error.held_out import with_limit_if_better
 from diffdrive_mpc.models.output_error.layout import Layout
 from diffdrive_mpc.models.output_error.linear_system import AnyArray
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
@@ -159,7 +159,7 @@ def identify_channel(
     )
     if limit:
         limited = find_limits(fit, experiments, 0, robust)
-        fit = limited if limited is fit or predicts_better(limited, fit, experiments, robust) else fit
+        fit = fit if limited is fit else with_limit_if_better(limited, fit, experiments, robust)
     named = (*TwoPoles.model_fields, *(_plain(name) for name in fit.layout.names[3:]))
     parameters = ParameterEstimate(fit.layout.names, fit.parameters, fit.covariance).derived(
         named, lambda row: np.concatenate([two_poles(row[:3]), row[3:]])

@@ -12,7 +12,7 @@ from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import joined, twist_experiments
-from diffdrive_mpc.models.output_error.held_out import blocks, cut, held_out_powers
+from diffdrive_mpc.models.output_error.held_out import blocks, cut, hold_out
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -31,7 +31,7 @@ def loses(base: IdentifiedBase, plain: IdentifiedModel, records: Sequence[Record
     spread = []
     for row in range(2):
         channel = [experiment.channel(row, row) for experiment in experiments]
-        powers.append(held_out_powers(plain.fits[row], channel)[:, 0])
+        powers.append(hold_out(plain.fits[row], channel).powers[:, 0])
         spread.append(np.std(np.concatenate([one.outputs[one.counts] for one in channel])))
     with_effects = []
     for (_, block), point in zip(blocks(seen), base.points, strict=True):
