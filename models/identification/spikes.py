@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -40,7 +41,8 @@ def without_spikes(records: Sequence[Record], name: str) -> tuple[list[Record], 
         if not count:
             continue
         for i, old, out in zip(rows, fresh, wild, strict=True):
-            cleaned[i] = replace(cleaned[i], **{mask: old & ~out})
+            kept: dict[str, Any] = {mask: old & ~out}
+            cleaned[i] = replace(cleaned[i], **kept)
         words = (
             f"{count} readings of the {_SENSORS[signal]} ({100 * count / total:.2g} %) are spikes that their "
             "neighbours contradict; they are left out"
