@@ -121,8 +121,9 @@ class Case:
 
     Beside the dimensions it has `config`, the controller's configuration file, None for the shipped one of the model,
     and `overrides`, values that replace those of the configuration. `top_speed` lays the trajectory's segments anew so
-    that the fastest of them has this speed [m/s]; `late` is by how many ticks the plant's dead time is longer than
-    the controller was told: that many are added to the plant's; where it is negative, `overrides` tell of more.
+    that the fastest of them has this speed [m/s]; `scaled` fits them to size and limits of the configuration's robot;
+    `late` is by how many ticks the plant's dead time is longer than the controller was told: that many are added to the
+    plant's; where it is negative, `overrides` tell of more.
     """
 
     controller: str = _dimension(
@@ -170,6 +171,7 @@ class Case:
     config: str | None = None
     overrides: Overrides = ()
     top_speed: float | None = None
+    scaled: bool = False
     late: int = 0
 
     @property

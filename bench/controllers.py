@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from diffdrive_mpc.bench.case import AS_FILED, Case, Overrides
 from diffdrive_mpc.bench.late_plant import LatePlant
@@ -13,9 +14,11 @@ from diffdrive_mpc.bench.peers import PEERS, make_peer
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Reference, TrackingController
 from diffdrive_mpc.models.load import MODEL_NAMES, load_model, model_path
+from diffdrive_mpc.models.robot import TwistBounds, load_robot
 from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import load_segments
+from diffdrive_mpc.mpc.trajectories.scaled import scaled_to_robot
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.sim import Plant, Run, make_plant, simulate
 
@@ -25,22 +28,21 @@ CONTROLLERS = ("mpc", *PEERS)
 def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
     """Make the controller, plant and reference of a case.
 
-    Raises ConfigError or ValueError if a name is unknown, a file has a mistake, or controller and plant have different
-    sample times.
+    The plant takes commands at the sample time of the configuration. Raises ConfigError or ValueError if a name is
+    unknown or a file has a mistake.
     """
     return make_controller(case), build_plant(case), load_reference(case)
 
 
 def build_plant(case: Case) -> Plant:
     """Make the plant of a case; raises as `build` does."""
-    plant = make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario)
+    told: dict[str, Any] = {}
     if case.controller not in PEERS:
-        asked = controller_config(case.model, case.config, case.overrides).sample_time
-        if asked != plant.sample_time:
-            raise ConfigError(
-                f"sample_time {asked} s: the plant '{case.plant}' takes a command every {plant.sample_time} s; "
-                f"set sample_time to that"
-            )
+        config, carried = controller_config(case.model, case.config, case.overrides), load_robot().limits
+        # What the link of the papers' robot carries is no limit of another robot's model.
+        bounds = {name: max(getattr(config.limits, name), getattr(carried, name)) for name in ("v", "omega")}
+        told = {"sample_time": config.sample_time, "limits": TwistBounds(**bounds)}
+    plant = make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario, **told)
     return LatePlant(plant, case.late) if case.late > 0 else plant
 
 
@@ -52,7 +54,7 @@ def run_case(case: Case) -> Run:
 def check_cases(cases: Iterable[Case]) -> None:
     """Build what differs in more than trajectory and seed once, and load every trajectory; raises as `build` does."""
     every = list(cases)
-    for case in {(case.trajectory, case.timing): case for case in every}.values():
+    for case in {(case.trajectory, case.timing, case.scaled): case for case in every}.values():
         load_reference(case)
     for case in {replace(case, trajectory="", timing="", seed=0): case for case in every}.values():
         build(case)
@@ -61,8 +63,13 @@ def check_cases(cases: Iterable[Case]) -> None:
 def load_reference(case: Case) -> Trajectory:
     """The trajectory of a case with its timing; raises ConfigError if either cannot be used.
 
-    With a top speed of its own it stops where the curvature jumps.
+    With a top speed of its own, and scaled to the robot, it stops where the curvature jumps.
     """
+    if case.scaled:
+        config = controller_config(
+            Case().model if case.controller in PEERS else case.model, case.config, case.overrides
+        )
+        return scaled_to_robot(case.trajectory, config, load_model(config.model))
     if case.top_speed is not None:
         segments = load_segments(case.trajectory)
         faster = case.top_speed / max(abs(one.v) for one in segments)

@@ -59,7 +59,8 @@ REPRODUCE = ShownReport("reproduce", ("odometry.png", "orders.png", "virtual-tra
 SPEED = ShownReport("speed", ("horizon.png", "tail.png"), ("speed.json",), "performance.md")
 PEERS = ShownReport("peers", (), (), "peers.md")
 EDGE = ShownReport("edge", ("overview.png",), (), "peers.md", study="bench")
-SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, PEERS, EDGE)
+ROBUSTNESS = ShownReport("robustness", ("ratios.png",), (), "robustness.md")
+SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, PEERS, EDGE, ROBUSTNESS)
 
 
 def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:

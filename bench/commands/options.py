@@ -52,6 +52,12 @@ Model = Annotated[
         help="Velocity model: mbm, sm, ssm, kinematic, or the path of a file.", show_default="ssm, or --config's"
     ),
 ]
+Scaled = Annotated[
+    bool,
+    typer.Option(
+        "--scale-to-robot", help="Fit paths of segments to wheels.encoder_track and limits of the configuration."
+    ),
+]
 Jobs = Annotated[int | None, typer.Option("--jobs", min=1, help="Processes.", show_default="one for each core")]
 
 

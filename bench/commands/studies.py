@@ -13,6 +13,7 @@ from diffdrive_mpc.bench.commands.one_line_errors import FAILED
 from diffdrive_mpc.bench.commands.options import (
     ConfigFile,
     Jobs,
+    Scaled,
     Settings,
     Sweep,
     file_option,
@@ -40,6 +41,7 @@ def simulate(
     out: Annotated[Path | None, out_option("figures")] = None,
     log: Annotated[Path | None, typer.Option(help="CSV file for the log of the run.", show_default=False)] = None,
     laps: Annotated[int, typer.Option(min=1, help="Drive it so often, and learn from lap to lap.")] = 1,
+    scale_to_robot: Scaled = False,
     **values: Any,  # noqa: ANN401 - text or number
 ) -> None:
     """Run one closed loop and print how well it tracked; --out draws it, --log writes it as CSV."""
@@ -47,7 +49,7 @@ def simulate(
     from diffdrive_mpc.bench.studies.comparison.single import simulate_one  # noqa: PLC0415
 
     run = simulate_one if laps == 1 else partial(simulate_laps, laps=laps)
-    run(values, config=config, settings=settings or [], out=out, log=log)
+    run(values, config=config, settings=settings or [], out=out, log=log, scaled=scale_to_robot)
 
 
 @with_dimensions(several=True)
@@ -66,6 +68,7 @@ def bench(
     ] = None,
     jobs: Jobs = None,
     quick: Annotated[bool, typer.Option("--quick", help="One seed and no horizon sweep.")] = False,
+    scale_to_robot: Scaled = False,
     **values: str | None,
 ) -> None:
     """Compare controllers on trajectories. Options that name several things take them with commas between.
@@ -77,7 +80,9 @@ def bench(
     from diffdrive_mpc.bench.studies.comparison.study import ComparisonStudy  # noqa: PLC0415
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
-    asked = read_options(values, horizons=horizons, config=config, settings=settings or [], quick=quick)
+    asked = read_options(
+        values, horizons=horizons, config=config, settings=settings or [], quick=quick, scaled=scale_to_robot
+    )
     complaint = incomplete(carry_out(ComparisonStudy(asked), out, jobs))
     if complaint:
         typer.echo(f"error: {complaint}", err=True)

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.base_effects import BaseEffects, WheelCommand
+from diffdrive_mpc.models.identification.horizon import choose_pace
+from diffdrive_mpc.models.identification.sensor_noise import sensor_noise
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import WheelGeometry, firmware_track
@@ -23,6 +25,13 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 
 MODEL_FILE = "model.yaml"
 _UNITS = {"v": "m/s", "omega": "rad/s"}
+_NOISE_UNITS = {
+    "wheel_speed_noise": "m/s",
+    "wheel_yaw_rate_noise": "rad/s",
+    "yaw_rate_noise": "rad/s",
+    "position_noise": "m",
+    "heading_noise": "rad",
+}
 _UNKNOWN_SLEW = "# v_slew and omega_slew are not in a log: set them if the robot must be driven more gently"
 _UNKNOWN_WHEELS = (
     "# Not in the log: limits.wheel_speed, wheels.track and wheels.encoder_track keep the default; set them."
@@ -38,13 +47,13 @@ class Setting:
     name
         Key inside its group.
     value
-        A positive number, rounded as the file holds it, or a word.
+        A positive number, rounded as the file holds it, a whole one, or a word.
     reason
         Unit, and where the value comes from.
     """
 
     name: str
-    value: float | str
+    value: float | int | str
     reason: str = ""
 
     def line(self) -> str:
@@ -61,20 +70,27 @@ class Configuration:
     ----------
     name
         Of the model.
-    general, limits, wheels
-        Settings without a group, and those of two groups; the last is empty where the log says nothing of wheels.
+    general, limits, wheels, estimator, reentry, failure
+        Settings without a group, and those of groups; the others may be empty.
     """
 
     name: str
     general: tuple[Setting, ...]
     limits: tuple[Setting, ...]
     wheels: tuple[Setting, ...]
+    estimator: tuple[Setting, ...] = ()
+    reentry: tuple[Setting, ...] = ()
+    failure: tuple[Setting, ...] = ()
+
+    @property
+    def groups(self) -> dict[str, tuple[Setting, ...]]:
+        """The settings with a group, by its name."""
+        return {name: getattr(self, name) for name in ("limits", "wheels", "estimator", "reentry", "failure")}
 
     def mapping(self) -> dict[str, Any]:
         """Keys and values as `load_config` takes them; the model is the file beside the configuration."""
-        groups = {"limits": self.limits, "wheels": self.wheels}
         content: dict[str, Any] = {setting.name: setting.value for setting in self.general}
-        for group, settings in groups.items():
+        for group, settings in self.groups.items():
             if settings:
                 content[group] = {setting.name: setting.value for setting in settings}
         return content
@@ -90,6 +106,9 @@ class Configuration:
             *(["wheels:"] if self.wheels else [_UNKNOWN_WHEELS]),
             *(f"  {setting.line()}" for setting in self.wheels),
         ]
+        for group in ("estimator", "reentry", "failure"):
+            if self.groups[group]:
+                lines += [f"{group}:", *(f"  {setting.line()}" for setting in self.groups[group])]
         return "\n".join(lines) + "\n"
 
 
@@ -140,11 +159,54 @@ def configure(
             _setting("track", track, "m, by which the robot turned omega_ref into wheel speeds"),
             _setting("encoder_track", geometry.track, "m, by which the log's omega was computed"),
         ]
-    general = (
-        Setting("model", MODEL_FILE),
-        Setting("sample_time", float(f"{train[0].dt:.6g}"), "s, of the log: the period at which `step` is called"),
+    lengths = _lengths(limit[0] * gain[0], geometry)
+    return Configuration(
+        name,
+        _general(identified, train[0].dt),
+        (*limits, *lengths.get("limits", ())),
+        tuple(wheels),
+        _noises(train),
+        tuple(lengths.get("reentry", ())),
+        tuple(lengths.get("failure", ())),
     )
-    return Configuration(name, general, tuple(limits), tuple(wheels))
+
+
+def _lengths(speed: float, geometry: WheelGeometry | None) -> dict[str, list[Setting]]:
+    """What a robot larger or faster than that of the papers needs more room for, by group."""
+    usual = load_robot()
+    larger = max(speed / usual.limits.v, geometry.track / usual.track if geometry is not None else 0.0)
+    found: dict[str, list[Setting]] = {}
+    if larger > 1.0:
+        for key, length in identification_settings().lengths.items():
+            group, _, name = key.partition(".")
+            reason = f"m, {larger:.1f} times as much as usual, as the robot is larger or faster"
+            found.setdefault(group, []).append(_setting(name, larger * length, reason))
+    return found
+
+
+def _general(identified: IdentifiedModel, dt: float) -> tuple[Setting, ...]:
+    pace = choose_pace(identified.model, dt)
+    source = "of the log" if pace.every == 1 else f"{pace.every} samples of the log, as the robot is slow"
+    return (
+        Setting("model", MODEL_FILE),
+        Setting("sample_time", float(f"{pace.sample_time:.6g}"), f"s, {source}: the period at which `step` is called"),
+        Setting(
+            "horizon",
+            pace.horizon,
+            f"steps, {pace.horizon * pace.sample_time:.2f} s; the robot has answered a "
+            f"command after {pace.settling:.2f} s",
+        ),
+    )
+
+
+def _noises(train: Sequence[Record]) -> tuple[Setting, ...]:
+    """Those that are larger than usual."""
+    found, least = sensor_noise(train), identification_settings().least_noise
+    return tuple(
+        _setting(name, found[name], f"{_NOISE_UNITS[name]}, scatter of the log's readings")
+        for name in least
+        if found.get(name, 0.0) > least[name]
+    )
 
 
 def _slew(identified: IdentifiedModel) -> list[Setting]:

@@ -42,6 +42,12 @@ class IdentificationSettings(StrictModel):
     certain: Positive = Field(description="[standard deviations]")
     least_slew: Annotated[float, Field(gt=0, le=1)] = Field(description="part of the slew found [-]")
     spikes: SpikeSettings
+    settled: Annotated[float, Field(gt=0, lt=1)] = Field(description="[-]")
+    look_ahead: Positive = Field(description="horizon over the settling time [-]")
+    least_steps: int = Field(ge=1, le=200, description="[-]")
+    most_steps: int = Field(ge=1, le=200, description="[-]")
+    lengths: dict[str, Positive] = Field(description="by dotted key of the configuration [m]")
+    least_noise: dict[str, Positive] = Field(description="by the key of the group estimator [SI units]")
     warn: JudgementSettings
 
 

@@ -130,7 +130,7 @@ class Estimator(Group):
     load_shift_uncertainty: NotNegative = Field(0.02, description="the same, what is not known of it [s^2]")
     load_shift_drift: NotNegative = Field(0.003, description="random walk of that [s^2 per sqrt(s)]")
     gyro_bias_uncertainty: Positive = Field(0.003, description="bias of the gyro, at the start [rad/s]")
-    gyro_bias_drift: Positive = Field(0.0003, description="random walk of that bias [rad/s per sqrt(s)]")
+    gyro_bias_drift: Positive = Field(0.007, description="random walk of that bias [rad/s per sqrt(s)]")
     least_yaw_rate: Positive = Field(0.1, description="turning more slowly, the gains of omega stay frozen [rad/s]")
     least_speed: Positive = Field(0.1, description="driving more slowly, gain and slip do not grow uncertain [m/s]")
     surprise: Annotated[float, Field(ge=4)] = Field(

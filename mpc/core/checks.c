@@ -90,6 +90,7 @@ int ddmpc_check_pose(ddmpc_controller *c, ddmpc_time t, const ddmpc_stamped *pos
     }
     estimator->pose_stamp = checked->stamp = pose->stamp;
     memcpy(checked->value, pose->value, sizeof checked->value);
+    checked->doubt[0] = checked->doubt[1] = R(1.0);
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
             checked->covariance[i][j] = pose->has_covariance ? pose->covariance[3 * i + j]

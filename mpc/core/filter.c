@@ -349,6 +349,19 @@ static void expect(const ddmpc_controller *c, const ddmpc_belief *belief, const 
     factorise(found);
 }
 
+/* Stretch the deviations of position and heading, correlations staying as they are. */
+static void doubt(const ddmpc_controller *c, ddmpc_belief *belief, const real by[2])
+{
+    const int Z = BELIEF(c), at = STATES(c) + POSE;
+    if (!(by[0] > R(1.0) || by[1] > R(1.0)))
+        return;
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < Z; j++) {
+            belief->covariance[(at + i) * Z + j] *= by[i / 2];
+            belief->covariance[j * Z + at + i] *= by[i / 2];
+        }
+}
+
 real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_pose *pose,
                                real ahead)
 {
@@ -356,6 +369,7 @@ real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, 
     real innovation[3], solved[3], gain[MOST_BELIEF][3], half[MOST_BELIEF][3];
     moved_pose moved;
     expectation f;
+    doubt(c, belief, pose->doubt);
     move_from(c, belief->mean, ahead, &moved);
     for (int i = 0; i < 3; i++)
         innovation[i] = pose->value[i] - moved.pose[i];

@@ -96,6 +96,7 @@ typedef struct {
 typedef struct {
     ddmpc_time stamp;
     real value[3], covariance[3][3];
+    real doubt[2]; /* by how much the belief before it was too sure of position and heading, in deviations */
 } ddmpc_checked_pose;
 
 /* One tick of the history: the belief before and after its measurements. */
@@ -159,6 +160,7 @@ typedef struct {
     int seen, same;
     ddmpc_time next_pose;           /* when one is kept again */
     real residual[3], scatter[2];   /* of poses against dead reckoning; their variance over the one stated */
+    real widest[2]; /* the widening of poses so far */
     int residuals;
     real body_by_wheels[2], body_by_model[2], wheels_by_model[2]; /* of turning, as quotients of sums */
     real misfit[MONITORED_DELAYS];  /* of poses, were they so late */
@@ -232,6 +234,8 @@ struct ddmpc_controller {
     real share;
     real rim[2];           /* smoothed speeds of the right and left wheels by their encoders [m/s] */
     int short_ticks;       /* for which wheels have been short of what was asked */
+    real patience;         /* factor by which it takes longer, after errors, to find a wheel short */
+    int short_one;         /* the wheel that was found so */
     real reach, rim_reach; /* see `watch_wheels`: without slip, and of the wheels at their rim [m/s] */
     real *parameters;     /* [N+1][P] */
     real *reference_pose; /* [SAMPLES][3] */
@@ -297,7 +301,7 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
 /* Compare what all say of the motion up to a pose; returns who is accused from now on, as bits by subject. */
 int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose);
 /* Give a pose the covariance that it has, where it states far too little. */
-void ddmpc_monitor_widen(const ddmpc_controller *c, ddmpc_checked_pose *pose);
+void ddmpc_monitor_widen(ddmpc_controller *c, ddmpc_checked_pose *pose);
 /* Say in the result what was found. */
 void ddmpc_monitor_report(ddmpc_controller *c);
 

@@ -41,8 +41,10 @@ static const ddmpc_time WINDOW_LENGTH[WINDOWS] = {0.5, 1.5, 3.0};
 #define MUCH_TURN R(6.0)
 #define MOST_TURN R(8.0)
 #define HELD R(0.2) /* turning less than this share of what its wheels do, it is held */
-/* Share of a newly seen scatter in its mean; a squared deviation counts no more than this. */
+/* Share of a newly seen scatter in its mean, which the first ones exceed: a mean of all, the stated one among them.
+   A squared deviation counts no more than OUTLIER. */
 #define NOVELTY R(0.04)
+#define FIRST_ONES 25
 #define OUTLIER R(9.0)
 /* By so much poses must fit better at another delay before it is taken for theirs, and what is left of it at the next
    pose that is kept. */
@@ -66,6 +68,7 @@ void ddmpc_monitor_clear(ddmpc_controller *c)
     m->body_by_wheels[0] = FIRST_TURN / c->constants->wheel_yaw_ratio;
     m->body_by_model[0] = FIRST_TURN;
     m->wheels_by_model[0] = FIRST_TURN * c->constants->wheel_yaw_ratio;
+    m->widest[0] = m->widest[1] = R(1.0);
 }
 
 /* The motion up to now, `ago` of those that are kept. */
@@ -281,14 +284,15 @@ static void learn_scatter(ddmpc_monitor *m, const ddmpc_checked_pose *pose, cons
         seen[i / 2] += square(off[i] - m->residual[i]) / (i < 2 ? R(12.0) : R(6.0));
         m->residual[i] = off[i];
     }
-    if (m->residuals < 2) {
+    if (m->residuals < FIRST_ONES)
         m->residuals++;
+    if (m->residuals <= 2)
         return;
-    }
+    const real share = ddmpc_max(NOVELTY, R(1.0) / (real)m->residuals);
     for (int i = 0; i < 2; i++) {
         const real most = OUTLIER * ddmpc_max(m->scatter[i], R(1.0)), ratio = seen[i] / stated[i];
         /* Not by min: NaN must go. */
-        m->scatter[i] += NOVELTY * ((ratio < most ? ratio : most) - m->scatter[i]);
+        m->scatter[i] += share * ((ratio < most ? ratio : most) - m->scatter[i]);
     }
 }
 
@@ -521,9 +525,17 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
 
 static real widening(real scatter) { return scatter > NOISY ? ddmpc_min(scatter, NOISIEST) : R(1.0); }
 
-void ddmpc_monitor_widen(const ddmpc_controller *c, ddmpc_checked_pose *pose)
+void ddmpc_monitor_widen(ddmpc_controller *c, ddmpc_checked_pose *pose)
 {
-    const real by[2] = {ddmpc_sqrt(widening(c->monitor.scatter[0])), ddmpc_sqrt(widening(c->monitor.scatter[1]))};
+    ddmpc_monitor *m = &c->monitor;
+    real by[2];
+    for (int i = 0; i < 2; i++) {
+        const real wide = widening(m->scatter[i]);
+        /* What was believed came from poses that were trusted too much. */
+        pose->doubt[i] = wide > m->widest[i] ? ddmpc_sqrt(wide / m->widest[i]) : R(1.0);
+        m->widest[i] = ddmpc_max(wide, m->widest[i]);
+        by[i] = ddmpc_sqrt(wide);
+    }
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
             pose->covariance[i][j] *= by[i / 2] * by[j / 2];

@@ -19,6 +19,8 @@
 /* The robot has to be behind or beside its reference by this share of what the reference waits for, or of the band. */
 #define ASTRAY R(0.6)
 #define BESIDE R(0.5)
+/* The band is no narrower than the deviation of the position times this. */
+#define UNSURE R(3.0)
 /* Faster by this than all that was asked lately [m/s]. */
 #define FASTER R(0.1)
 /* What they reach is believed to grow again by this share [1/s]. */
@@ -34,7 +36,8 @@ static void forget(ddmpc_controller *c)
     c->plan_age = -1;
     c->has_result = c->has_driven = c->latched = c->finished = 0;
     c->rim[0] = c->rim[1] = R(0.0);
-    c->short_ticks = 0;
+    c->short_ticks = c->short_one = 0;
+    c->patience = R(1.0);
     c->reach = c->rim_reach = (real)HUGE_VAL;
     c->pending = DDMPC_DONE;
 }
@@ -217,7 +220,10 @@ ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const 
     const real v = twist[0], omega = twist[1];
     const int backwards = v < R(0.0), driving = ddmpc_fabs(v) > k->standing;
     const real ahead = backwards ? -stray.along : stray.along;
-    stray.outside = ddmpc_fabs(stray.across) > k->band || ddmpc_fabs(stray.heading) > k->heading_band ||
+    /* What is not known of the pose is no reason to leave the path for. */
+    const real *deviation = c->result.estimate.deviation + STATES(c) + POSE;
+    const real band = ddmpc_max(k->band, UNSURE * ddmpc_hypot(deviation[0], deviation[1]));
+    stray.outside = ddmpc_fabs(stray.across) > band || ddmpc_fabs(stray.heading) > k->heading_band ||
                     !(-k->behind <= ahead && ahead <= k->ahead);
     if (driving) {
         stray.late = -ahead / k->wait;
@@ -383,7 +389,13 @@ static void watch_wheels(ddmpc_controller *c)
         found = short_wheel(c, by_reference, read);
     }
     c->short_ticks = found < 0 ? 0 : c->short_ticks + 1;
-    if (c->short_ticks * k->sample_time > LASTING) {
+    /* One that turns faster after all was only slow to answer: then it takes twice as long to convince. */
+    if (ddmpc_fabs(c->rim[c->short_one]) > c->rim_reach * (R(1.0) + SHORT) + LEAST_SHORT) {
+        c->reach = c->rim_reach = (real)HUGE_VAL;
+        c->patience *= R(2.0);
+    }
+    if (c->short_ticks * k->sample_time > LASTING * (ddmpc_time)c->patience) {
+        c->short_one = found;
         c->rim_reach = ddmpc_fabs(c->rim[found]);
         c->reach = ddmpc_fabs(c->rim[found] / by_reference[found]) *
                    (ddmpc_fabs(wanted[0]) + k->half_track * ddmpc_fabs(wanted[1]));

@@ -29,6 +29,8 @@ _NOW = np.zeros(1)
 # Share of what the wheels reach that the reference may ask for: the rest is for holding the path. How far ahead it is
 # looked for [s].
 _USABLE, _LOOK = 0.85, 0.6
+# The band is no narrower than the deviation of the position times this.
+_UNSURE = 3.0
 
 
 class Stray(Protocol):
@@ -219,7 +221,9 @@ class Pursuit:
             return TooFar(distance)
         turned = abs(float(wrap_angle(estimate.pose[2] - window.pose[here, 2])))
         moved = float(window.arc_length[here] - np.interp(time, window.times, window.arc_length))
-        beside, aside = distance > settings.band, turned > settings.heading_band
+        # As in mpc/core/tick.c.
+        band = max(settings.band, _UNSURE * math.hypot(*estimate.pose_deviation[:2]))
+        beside, aside = distance > band, turned > settings.heading_band
         displaced = self._displaced(moved)
         if self._way_back is None and not (beside or aside or displaced):
             return None
@@ -233,7 +237,7 @@ class Pursuit:
             self._limits(),
         )
         if beside or not (aside or displaced):
-            reason = f"outside the band by {max(0.0, distance - settings.band):.2f} m"
+            reason = f"outside the band by {max(0.0, distance - band):.2f} m"
         else:
             reason = f"turned by {turned:.1f} rad" if aside else f"carried {moved:+.2f} m along the path"
         self._reason = f"{reason}: rejoining {found.ahead:.2f} m ahead"

@@ -20,6 +20,8 @@ class TrajectorySettings(StrictModel):
     least_turn_radius: float = Field(gt=0, description="tightest radius of a path through waypoints [m]")
     smoothing: float = Field(gt=0, description="distance from the drawn path that smooth timing may use [m]")
     smooth_piece: float = Field(gt=0, description="length of the pieces into which a smoothed path is cut [m]")
+    reach_share: float = Field(gt=0, lt=1, description="share of what a robot reaches that a scaled path asks for")
+    slew_share: float = Field(gt=0, lt=1, description="share of its slew, for the same")
     longest_duration: float = Field(gt=0, description="longest trajectory [s]")
 
 

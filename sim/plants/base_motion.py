@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from diffdrive_mpc.models.base_effects import PARTS, BaseEffects
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.velocity_model import VelocityModel
 
 
@@ -30,14 +32,16 @@ class BaseMotion:
     model
         The linear dynamics.
     effects
-        What the base does around them; without any, a step is a whole sample.
+        What the base does around them; without any, a step is a whole sample, if that is short.
     sample_time
         For which a command is held [s].
     """
 
     def __init__(self, model: VelocityModel, effects: BaseEffects, sample_time: float) -> None:
         self._effects = effects
-        self.steps = 1 if effects.model_copy(update={"pose_mount": None}) == BaseEffects() else PARTS
+        plain = effects.model_copy(update={"pose_mount": None}) == BaseEffects()
+        # Over a step the twist counts as the mean of its ends: so it is no longer than that of the papers' robot.
+        self.steps = max(1 if plain else PARTS, math.ceil(sample_time / load_robot().sample_time - 1e-9))
         self.step_time = sample_time / self.steps
         self._model = model.discretise(self.step_time)
         self.reset()

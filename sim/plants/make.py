@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.robot import Robot, TwistBounds, load_robot
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.plant import Plant
@@ -25,6 +25,8 @@ def make_plant(
     *,
     extra_dead_time: float = 0.0,
     scenario: str | Path = "none",
+    sample_time: float | None = None,
+    limits: TwistBounds | None = None,
 ) -> Plant:
     """Build a plant.
 
@@ -47,6 +49,10 @@ def make_plant(
     scenario
         Name of a shipped scenario or path of a scenario file: what happens to the robot during a run. Its random values
         are drawn from `seed`, in a stream of their own. "model:" plants take those without mass, wheels and motors.
+    sample_time
+        Time for which a command holds [s]; by default that of the robot. The physics has steps of its own.
+    limits
+        For "model:" plants: commands beyond this are cut off; by default as the link of the robot of the papers does.
 
     Raises
     ------
@@ -79,6 +85,7 @@ def make_plant(
             firmware=build.firmware if build else None,
             scenario=happening if happening.physical else None,
             sideways=floor.sideways,
+            sample_time=sample_time,
         )
         if not happening.kinds:
             return robot
@@ -103,6 +110,7 @@ def make_plant(
             seed,
             extra_dead_time=extra_dead_time,
             effects=load_base_effects(model),
+            robot=_model_robot(sample_time, limits),
         )
         return DisturbedPlant(plant, happening, load_robot()) if happening.kinds else plant
     raise ConfigError(
@@ -110,6 +118,12 @@ def make_plant(
         "file) or 'model:NAME' (mbm, sm, ssm, a robot such as 'husky', or the path of a model file), with more "
         "dead time 'model:NAME+SECONDS'"
     )
+
+
+def _model_robot(sample_time: float | None, limits: TwistBounds | None) -> Robot:
+    robot = load_robot()
+    bounds = robot.limits if limits is None else robot.limits.model_copy(update={"v": limits.v, "omega": limits.omega})
+    return robot.model_copy(update={"sample_time": sample_time or robot.sample_time, "limits": bounds})
 
 
 def _split(text: str) -> tuple[str, float]:

@@ -39,6 +39,8 @@ class MujocoPlant:
         What happens to chassis and motors; the rest of it is for `sim.plants.disturbed_plant.DisturbedPlant`.
     sideways
         Friction across the rolling direction of the wheels over that along it.
+    sample_time
+        Time for which a command holds [s]; by default that of `robot`. Steps of the physics are about as long as there.
     """
 
     def __init__(
@@ -52,11 +54,13 @@ class MujocoPlant:
         firmware: Firmware | None = None,
         scenario: Scenario | None = None,
         sideways: float = 1.0,
+        sample_time: float | None = None,
     ) -> None:
         robot, twin = robot or load_robot(), twin or load_twin_parameters()
         self._robot = robot
-        self._substeps = twin.substeps
-        step = robot.sample_time / twin.substeps
+        self._sample_time = robot.sample_time if sample_time is None else sample_time
+        self._substeps = max(1, round(twin.substeps * self._sample_time / robot.sample_time))
+        step = self._sample_time / self._substeps
         pulse = 2 * np.pi / robot.encoder_pulses
         phase = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_ENCODER_PHASE_KEY,))).random(4)
         load, slope = (scenario.payload, scenario.slope) if scenario else (None, None)
@@ -71,13 +75,13 @@ class MujocoPlant:
             self._disturbances = DisturbedPhysics(scenario, self._chassis, self._loops, friction, base, torque)
         self._exact_speeds = sensors.encoders.speed_sd == 0.0
         kinematics = WheelKinematics(robot.wheel_radius, robot.track)
-        self._sensors = Sensors(sensors, kinematics, robot.sample_time, seed=seed, noisy_encoders=False)
+        self._sensors = Sensors(sensors, kinematics, self._sample_time, seed=seed, noisy_encoders=False)
         self.reset(np.zeros(3))
 
     @property
     def sample_time(self) -> float:
         """Time between two control ticks [s]."""
-        return self._robot.sample_time
+        return self._sample_time
 
     @property
     def time(self) -> float:

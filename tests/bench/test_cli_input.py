@@ -79,7 +79,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("simulate --set weights.across=-1", "weights.across"),
         ("simulate --set horizon=0", "horizon"),
         ("simulate --set sample_time=0", "sample_time"),
-        ("simulate --set sample_time=0.05", "every 0.0202 s"),
+        ("simulate --trajectory spline-3 --scale-to-robot", "unknown trajectory 'spline-3'"),
         ("simulate --set horizon=5,10", "use 'bench'"),
         ("simulate --set horizon", "write KEY=VALUE"),
         ("simulate --seed -1", "--seed"),

@@ -80,7 +80,6 @@ def test_a_peer_has_no_model_and_no_settings() -> None:
         ({"sensors": ("foo",)}, "unknown sensor"),
         ({"scenarios": ("none", "foo")}, "unknown scenario"),
         ({"settings": ((("horizn", 5),),)}, "did you mean 'horizon'"),
-        ({"settings": ((("sample_time", 0.05),),)}, "0.0202"),
     ],
 )
 def test_what_cannot_be_run_is_refused_before_anything_runs(change: dict[str, object], message: str) -> None:

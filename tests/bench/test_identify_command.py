@@ -83,6 +83,17 @@ def test_model_file_report_and_screen_agree(mine):
     assert set(content.uncertainty.parameters) <= set(report["parameters"])
 
 
+def test_the_configuration_was_driven_on_stand_ins_and_the_report_says_how(mine):
+    out, screen = mine
+    words = (out / "report.md").read_text()
+    _, _, driving = words.partition("## Driving with it")
+    rows = [line.split(" | ") for line in driving.splitlines() if line.startswith(("| the model", "| one of"))]
+    assert [row[1] for row in rows] == 2 * ["circle", "square", "s", "cane"]
+    assert all(float(row[4]) < 5.0 and row[5] == "0" and row[6].startswith("yes") for row in rows)
+    assert "Driving with it" in screen
+    assert "does not drive" not in screen
+
+
 def test_every_figure_is_in_the_report_and_every_link_leads_somewhere(mine):
     out, _ = mine
     names = sorted(path.name for path in (out / "figures").iterdir())

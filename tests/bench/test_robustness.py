@@ -16,7 +16,12 @@ from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.bench.outcomes import SolverShares
 from diffdrive_mpc.bench.studies.robustness.conditions import load_conditions
-from diffdrive_mpc.bench.studies.robustness.results import ConditionOutcome, ratios, study_tables
+from diffdrive_mpc.bench.studies.robustness.results import (
+    ConditionOutcome,
+    ratios,
+    run_condition,
+    study_tables,
+)
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.load import ROBOT_NAMES
 from diffdrive_mpc.sim import make_plant
@@ -52,7 +57,7 @@ def test_a_peer_is_told_nothing() -> None:
 
 def _row(condition: str, case: Case, error: float, **changes: object) -> ConditionOutcome:
     made = metrics(position_rmse_m=error, **{k: v for k, v in changes.items() if k == "completed"})  # type: ignore[arg-type]
-    row = ConditionOutcome(condition, case, made, recovery(), SolverShares(90.0, 10.0, 0.0, 0), 0.01, "", "", 0.0)
+    row = ConditionOutcome(condition, case, made, recovery(), SolverShares(90.0, 10.0, 0.0, 0), 0.01, 1.0, "", "", 0.0)
     return replace(row, **{k: v for k, v in changes.items() if k != "completed"})  # type: ignore[arg-type]
 
 
@@ -79,6 +84,28 @@ def test_tables_show_every_condition_and_what_was_said() -> None:
     assert errors.rows[2][-1] == "0/1"
     assert behind.rows == (("a", "1.00", "2.00"), ("b", "2.00", "1.00"))
     assert [row[:3] for row in said.rows] == [("a", "SSM", "the reference waits"), ("b", "SSM", "tipped over")]
+
+
+@pytest.mark.parametrize("name", ["default", "biased_gyro"])
+def test_the_estimate_knows_how_good_its_heading_is(name: str) -> None:
+    condition = CONDITIONS.conditions[name]
+    paths = ("circle", "square", "s", "cane")
+    rows = [run_condition(name, condition.case("mpc", "ssm", path, 50), CONDITIONS.settled) for path in paths]
+    assert 0.3 < sum(row.heading_nees for row in rows) / len(rows) <= 2.0
+
+
+def test_poses_ten_times_noisier_than_stated_do_not_lead_astray() -> None:
+    row = run_condition("noise_5cm", CONDITIONS.conditions["noise_5cm"].case("mpc", "sm", "circle", 50), 2.0)
+    assert row.metrics.completed
+    # Twice what is left once the scatter is known; 0.03 m where it is learned too late.
+    assert row.metrics.position_rmse_m < 0.03
+    assert row.late_lateral_m < 0.05
+
+
+def test_a_robot_that_answers_late_is_not_taken_for_one_that_gets_no_faster() -> None:
+    row = run_condition("warthog", CONDITIONS.conditions["warthog"].case("mpc", "sm", "circle", 0), 2.0)
+    assert row.metrics.completed
+    assert row.metrics.lateral_max_m < 0.1
 
 
 def test_a_small_study_runs_and_repeats(tmp_path: Path) -> None:

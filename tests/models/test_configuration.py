@@ -81,3 +81,15 @@ def test_the_file_says_what_the_mapping_says(slew, geometry):
     assert ("Not in the log" in text) == (geometry is None)
     if geometry:
         assert found.mapping()["wheels"] == {"track": 0.5, "encoder_track": 0.4}
+
+
+def test_a_larger_robot_has_more_room_and_a_small_one_no_less_than_usual():
+    large = configure("robot", identified(), TRAIN, WheelGeometry(0.2, 0.99)).mapping()
+    assert large["reentry"]["band"] == pytest.approx(3 * 0.08)
+    assert large["failure"]["max_position_error"] == pytest.approx(3.0)
+    small = configure("robot", identified(), TRAIN, WheelGeometry(0.02, 0.1)).mapping()
+    assert "reentry" not in small
+    fast = [Record("drive", 0.0, 0.05, 6 * COMMANDS, twist=6 * COMMANDS)]
+    assert configure("robot", identified(), fast, None).mapping()["reentry"]["wait"] == pytest.approx(
+        0.9 * 3 / 1.5 * 0.1
+    )

@@ -234,7 +234,9 @@ class OracleController:
         v, omega = twist
         ahead = math.copysign(along, along * v)
         near = -BEHIND * settings.wait <= ahead <= AHEAD * settings.wait
-        outside = abs(across) > settings.band or abs(turned) > settings.heading_band or not near
+        # What is not known of the pose is no reason to leave the path for.
+        band = max(settings.band, 3.0 * math.hypot(*estimate.pose_deviation[:2]))
+        outside = abs(across) > band or abs(turned) > settings.heading_band or not near
         if abs(v) > STANDING:
             return Stray(outside, -ahead / settings.wait)
         # It stands, or turns on the spot: then the robot has to arrive first.

@@ -40,7 +40,7 @@ class WheelReach:
 
     def restart(self) -> None:
         """Know of no end."""
-        self.actual, self.ticks = np.zeros(2), 0
+        self.actual, self.ticks, self.found, self.patience = np.zeros(2), 0, 0, 1
         self._know_nothing()
 
     def _know_nothing(self) -> None:
@@ -70,7 +70,11 @@ class WheelReach:
             if short.any() and (along <= by_command.max(axis=1) + _FASTER).all():
                 found = int(np.argmax(np.where(short, lacks, -np.inf)))
         self.ticks = 0 if found is None else self.ticks + 1
-        if found is not None and self.ticks * self.dt > _LASTING:
+        if abs(self.actual[self.found]) > self.at_rim * (1 + _SHORT) + _LEAST:
+            self._know_nothing()
+            self.patience *= 2
+        if found is not None and self.ticks * self.dt > _LASTING * self.patience:
+            self.found = found
             self.at_rim = abs(self.actual[found])
             needed = abs(wanted[0]) + self.half_track * abs(wanted[1])
             self.speed = abs(self.actual[found] / by_reference[found]) * needed

@@ -240,3 +240,25 @@ def test_delivered_pose_between_ticks_lies_on_the_path() -> None:
     for column in (0, 1):
         # Chord against arc over one sample: v omega dt^2 / 8 = 1.2e-5 m.
         np.testing.assert_allclose(late[:, 1 + column], np.interp(late[:, 0], times, xy[:, column]), atol=2e-5)
+
+
+@pytest.mark.parametrize("name", PLANTS)
+@pytest.mark.parametrize("dt", [0.01, 0.05, 0.1])
+def test_how_often_a_command_is_repeated_changes_nothing(name: str, dt: float) -> None:
+    plants = [make_plant(name, sensors="perfect", sample_time=one) for one in (None, dt)]
+    for plant in plants:
+        while plant.time < 2.0 - 1e-9:
+            plant.advance([0.4, 0.5])
+    usual, other = plants
+    # Steps of the physics differ by a few per cent, and the ends of the drives by less than a tick.
+    off = integrate_pose(usual.true_pose, usual.true_twist[0], usual.true_twist[2], other.time - usual.time)
+    assert other.sample_time == dt
+    np.testing.assert_allclose(other.true_pose, off, atol=2e-3)
+
+
+def test_a_model_plant_carries_what_its_robot_is_allowed() -> None:
+    fast = load_robot().limits.model_copy(update={"v": 3.0})
+    plant = make_plant("model:sm", sensors="perfect", limits=fast)
+    for _ in range(100):
+        plant.advance([2.5, 0.0])
+    assert plant.true_twist[0] == pytest.approx(2.5 * load_model("sm").dc_gain[0, 0], rel=0.01)

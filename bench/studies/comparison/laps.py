@@ -74,12 +74,13 @@ def simulate_laps(
     settings: Sequence[str],
     out: Path | None,
     log: Path | None,
+    scaled: bool = False,
 ) -> None:
     """Drive laps with rehearsal and without, print them in a table, and write figures and the last log where asked.
 
     Arguments and errors are those of `simulate_one`.
     """
-    case = asked_case(values, config=config, settings=settings)
+    case = asked_case(values, config=config, settings=settings, scaled=scaled)
     if case.controller in PEERS:
         raise ConfigError(f"--laps: the controller '{case.controller}' does not learn from laps; mpc does")
     with ExitStack() as stack:

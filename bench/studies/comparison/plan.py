@@ -23,6 +23,7 @@ class ComparisonSettings(StrictModel):
     horizons: tuple[Annotated[int, Field(ge=1)], ...] = Field((), description="of the sweep [steps]; empty for none")
     config: str | None = Field(None, description="controller configuration file in place of the shipped ones")
     settings: tuple[Overrides, ...] = Field(((),), description="combinations of swept configuration values")
+    scaled: bool = Field(False, description="whether paths are scaled to the configuration's robot")
     beyond: bool = Field(False, description="other speeds, dead times and seeds beside the tables, see `CasePlan`")
 
     def values(self, dimension: str) -> tuple[Any, ...]:
@@ -66,6 +67,7 @@ def read_options(
     config: Path | None = None,
     settings: Sequence[str] = (),
     quick: bool = False,
+    scaled: bool = False,
 ) -> ComparisonSettings:
     """What the options of the command ask for.
 
@@ -73,7 +75,7 @@ def read_options(
     ----------
     values
         By the plural of a dimension's name, the text of its option; None where it was not given.
-    horizons, config, settings, quick
+    horizons, config, settings, quick, scaled
         As typed.
 
     Raises ConfigError or ValueError if an option cannot be used.
@@ -83,8 +85,8 @@ def read_options(
     asked: dict[str, object] = {one.several: one.read(text, one.list_option) for one, text in given.items()}
     if "controllers" not in asked and (config is not None or settings or "models" in asked):
         asked["controllers"] = ("mpc",)  # who asks for a model or a configuration asks about that
-    asked["beyond"] = not (quick or config or settings or set(asked) - {"controllers", "models", "seeds"})
-    chosen = default.model_copy(update={"settings": tuple(sweep_settings(settings)), **asked})
+    asked["beyond"] = not (quick or config or settings or scaled or set(asked) - {"controllers", "models", "seeds"})
+    chosen = default.model_copy(update={"settings": tuple(sweep_settings(settings)), "scaled": scaled, **asked})
     if not chosen.ours:
         if any((values.get("models") is not None, config is not None, settings, horizons is not None)):
             name = chosen.values("controllers")[0]
@@ -155,9 +157,13 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
     if unknown:
         raise ConfigError(f"unknown controller '{unknown[0]}'; known: {', '.join(CONTROLLERS)}")
     _check_labels(settings)
-    ours = [Case(model=model, config=settings.config) for model in models] if settings.ours else []
+    ours = (
+        [Case(model=model, config=settings.config, scaled=settings.scaled) for model in models] if settings.ours else []
+    )
     drivers = [replace(case, overrides=values) for case in ours for values in settings.settings]
-    peers = {name: [Case(controller=name, model=NO_MODEL)] for name in controllers if name in PEERS}
+    peers = {
+        name: [Case(controller=name, model=NO_MODEL, scaled=settings.scaled)] for name in controllers if name in PEERS
+    }
     # Trajectories and seeds vary fastest.
     several = {one.name: settings.values(one.several) for one in DIMENSIONS if one.place}
     several |= {"trajectory": settings.values("trajectories"), "seed": settings.values("seeds")}

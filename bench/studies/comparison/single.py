@@ -25,7 +25,13 @@ _MESSAGES_SHOWN = 5
 
 
 def simulate_one(
-    values: Mapping[str, Any], *, config: Path | None, settings: Sequence[str], out: Path | None, log: Path | None
+    values: Mapping[str, Any],
+    *,
+    config: Path | None,
+    settings: Sequence[str],
+    out: Path | None,
+    log: Path | None,
+    scaled: bool = False,
 ) -> None:
     """Run a case, print its tables, and write figures and log where asked.
 
@@ -33,13 +39,13 @@ def simulate_one(
     ----------
     values
         By dimension, `model` being None where it was not given.
-    config, settings, out, log
+    config, settings, out, log, scaled
         As typed.
 
     Raises ConfigError, ValueError or OSError if a name, a file, a value or a place to write to cannot be used; before
     the run, and nothing is made then.
     """
-    case = asked_case(values, config=config, settings=settings)
+    case = asked_case(values, config=config, settings=settings, scaled=scaled)
     parts = build(case)
     with ExitStack() as stack:
         draft = None if log is None else stack.enter_context(log_file(log))
@@ -53,14 +59,14 @@ def simulate_one(
     report(Outcome(case, run))
 
 
-def asked_case(values: Mapping[str, Any], *, config: Path | None, settings: Sequence[str]) -> Case:
+def asked_case(values: Mapping[str, Any], *, config: Path | None, settings: Sequence[str], scaled: bool) -> Case:
     """The case that was typed; arguments and errors are those of `simulate_one`."""
     name, model = values["controller"], values["model"]
     if name in PEERS and (settings or config is not None or model is not None):
         raise ConfigError(f"the controller '{name}' takes no --model, --config or --set")
     model = NO_MODEL if name in PEERS else chosen_model(model, config)
     file = None if config is None else str(config)
-    return Case(**{**values, "model": model}, config=file, overrides=single_settings(settings))
+    return Case(**{**values, "model": model}, config=file, overrides=single_settings(settings), scaled=scaled)
 
 
 @contextmanager

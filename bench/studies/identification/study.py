@@ -9,13 +9,14 @@ from typing import Any
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.studies.identification.figures import FOLDER, draw_identification, figures_of
+from diffdrive_mpc.bench.studies.identification.trial_drives import PATHS, trial_drives, trial_table, trial_warnings
 from diffdrive_mpc.bench.table import rich_table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification import Identification, identify
 from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE, FILES
 from diffdrive_mpc.models.identification.log_data import OptionError
 from diffdrive_mpc.models.logs import Finding
-from diffdrive_mpc.mpc import Controller, load_config
+from diffdrive_mpc.mpc import load_config
 
 
 def identify_into(logs: Sequence[Path], out: Path, **options: Any) -> None:  # noqa: ANN401 - those of `identify`
@@ -33,8 +34,14 @@ def identify_into(logs: Sequence[Path], out: Path, **options: Any) -> None:  # n
             raise ConfigError(f"--{error.option.replace('_', '-')}{error.rest}") from error
         bar.begin("figures", len(figures_of(found.report)))
         found.write(folder, draw_identification(found.report, folder, bar.advance))
-        Controller(load_config(folder / CONFIG_FILE))  # what is written can be driven with
+        bar.begin("driving", 2 * len(PATHS))
+        drives = trial_drives(found, load_config(folder / CONFIG_FILE), bar.advance)
+        with (folder / "report.md").open("a", encoding="utf-8") as report:
+            report.write("\n" + trial_table(drives).markdown())
     _print(found, out)
+    output_console().print(rich_table(trial_table(drives)))
+    for warning in trial_warnings(drives):
+        _print_line(f"warning: {warning}")
 
 
 def _print_findings(findings: Sequence[Finding]) -> None:

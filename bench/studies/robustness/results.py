@@ -14,8 +14,10 @@ from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.outcomes import SolverShares, group, mean, metrics_row, model_name, plain
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.sim import Metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery
+from diffdrive_mpc.sim.run import Run
 
 _DIGITS = 6
 """Of every number in `robustness.json`."""
@@ -35,6 +37,9 @@ class ConditionOutcome:
         Statistics, return after a disturbance, and the ways of the solver.
     late_lateral_m
         Largest |lateral| of the ticks from `settled` on; NaN where there are none.
+    heading_nees
+        Mean of the squared error of the estimated heading over its variance, about 1 where the estimate knows how good
+        it is; NaN for a controller that tells no estimate.
     ended
         Why the robot was lost; empty where it was not.
     message
@@ -49,6 +54,7 @@ class ConditionOutcome:
     recovery: Recovery
     shares: SolverShares
     late_lateral_m: float
+    heading_nees: float
     ended: str
     message: str
     said_percent: float
@@ -60,7 +66,7 @@ class ConditionOutcome:
 
     def as_json(self) -> dict[str, object]:
         """Labels and numbers as plain values, without step times."""
-        own = ("condition", "late_lateral_m", "ended", "message", "said_percent")
+        own = ("condition", "late_lateral_m", "heading_nees", "ended", "message", "said_percent")
         kept = {k: v for k, v in metrics_row(self).items() if not k.startswith(("step_time", "solve_time", "deadline"))}
         settings = {"set": dict(self.case.overrides)}
         row: dict[str, object] = plain(
@@ -81,10 +87,17 @@ def run_condition(condition: str, case: Case, settled: float) -> ConditionOutcom
         run.recovery,
         SolverShares.of(run),
         float(np.max(late)) if late.size else float("nan"),
+        _heading_nees(run),
         run.ended,
         said.most_common(1)[0][0] if said else "",
         100.0 * said.total() / len(run.messages),
     )
+
+
+def _heading_nees(run: Run) -> float:
+    error, variance = wrap_angle(run.estimates[:, 2] - run.true_pose[:, 2]), run.estimate_deviations[:, 2] ** 2
+    known = variance > 0.0
+    return float(np.mean(error[known] ** 2 / variance[known])) if known.any() else float("nan")
 
 
 Rows = Sequence[ConditionOutcome]
@@ -113,6 +126,7 @@ def study_tables(rows: Rows) -> list[Table]:
         "position RMSE [mm]": mean_of("position_rmse_m", millis),
         "largest late lateral [mm]": lambda runs: millis(max(one.late_lateral_m for one in runs)),
         "position max [mm]": worst_of("position_max_m", millis),
+        "heading NEES": lambda runs: number(float(np.mean([one.heading_nees for one in runs])), 1),
         "completed": completed,
     }
     note = "Mean RMSE and largest errors over trajectories and seeds; of a run that ended early, of what was driven."

@@ -1,0 +1,147 @@
+"""Does the configuration drive? Paths scaled to the robot, on the identified model and on one of the held-out part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diffdrive_mpc.models.base_effects import BaseEffects
+from diffdrive_mpc.models.identification import Identification
+from diffdrive_mpc.models.identification.from_logs import identify_data
+from diffdrive_mpc.models.identification.log_data import LogData
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.models.table import Table, number
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc import Controller, ControllerConfig
+from diffdrive_mpc.mpc.trajectories.scaled import scaled_to_robot
+from diffdrive_mpc.sim import Metrics, simulate
+from diffdrive_mpc.sim.plants.model_plant import ModelPlant
+from diffdrive_mpc.sim.plants.surface import Slip
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+
+PATHS = ("circle", "square", "s", "cane")
+ITSELF, HELD_OUT = "the model", "one of the held-out part"
+_TITLE = "Driving with it"
+_FAR = 0.05
+"""Share of the turning circle beside the path from which a drive is warned of [-]."""
+_NOTE = (
+    "Paths scaled to size and limits of the robot, sensors of the simulated one. On the model itself this shows that "
+    "configuration and model agree; on a linear model of the held-out part, how much depends on the part."
+)
+
+
+@dataclass(frozen=True)
+class TrialDrive:
+    """One path on one stand-in of the robot.
+
+    Attributes
+    ----------
+    plant
+        `ITSELF` or `HELD_OUT`.
+    path
+        Which.
+    metrics
+        Of the run.
+    turning_circle
+        Diameter of the circle that the robot drives at its limits of v and omega [m].
+    """
+
+    plant: str
+    path: str
+    metrics: Metrics
+    turning_circle: float
+
+    @property
+    def lateral_share(self) -> float:
+        """Largest lateral error over the turning circle [-]."""
+        return self.metrics.lateral_max_m / self.turning_circle
+
+
+def trial_drives(
+    found: Identification, config: ControllerConfig, on_run: Callable[[], None] = lambda: None
+) -> list[TrialDrive]:
+    """Drive `PATHS` with the configuration on stand-ins of the robot; `on_run` is called after each.
+
+    Where the held-out part allows no model of its own there is no stand-in of it.
+    """
+    gain = np.abs(np.diag(found.model.dc_gain))
+    circle = 2 * gain[0] * config.limits.v / (gain[1] * config.limits.omega)
+    effects = BaseEffects.model_validate(found.report.fitted.identified.content.get("base_effects", {}))
+    plants: list[tuple[str, VelocityModel, BaseEffects]] = [(ITSELF, found.model, effects)]
+    other = _of_held_out(found.report.data)
+    if other is not None:
+        plants.append((HELD_OUT, other, BaseEffects()))
+    slip, usual = _slip(found.report.data), load_robot()
+    limits = usual.limits.model_copy(update={"v": config.limits.v, "omega": config.limits.omega})
+    robot = usual.model_copy(update={"sample_time": config.sample_time, "limits": limits})
+    drives = []
+    for name, model, around in plants:
+        for path in PATHS:
+            plant = ModelPlant(model, slip, load_sensor_set("default"), effects=around, robot=robot)
+            reference = scaled_to_robot(path, config, found.model)
+            drives.append(TrialDrive(name, path, simulate(Controller(config), plant, reference).metrics, circle))
+            on_run()
+    return drives
+
+
+def _of_held_out(data: LogData) -> VelocityModel | None:
+    swapped = replace(data, train=data.validation, validation=data.train)
+    try:
+        return identify_data(swapped, STRUCTURES["sm"], "held-out part").model
+    except ValueError:
+        return None
+
+
+def _slip(data: LogData) -> Slip:
+    """The yaw rate of the body over that of the encoders: where there is a gyro, the model has the body's."""
+    both = [
+        (record.yaw_rate[used], record.twist[used, 1])
+        for record in data.train
+        if record.yaw_rate is not None and record.twist is not None
+        for used in [np.isfinite(record.yaw_rate) & np.isfinite(record.twist[:, 1])]
+    ]
+    ratio = 1.0
+    if both:
+        body, wheels = (np.concatenate(one) for one in zip(*both, strict=True))
+        ratio = float(body @ wheels / (wheels @ wheels))
+    return Slip(yaw_gain=1.0, wheel_yaw_gain=ratio, longitudinal_gain=1.0, side_slip=0.0)
+
+
+def trial_table(drives: Sequence[TrialDrive]) -> Table:
+    """Errors, a row for each stand-in and path."""
+    columns = ("stand-in", "path", "position RMSE [m]", "largest lateral [m]", "of the turning circle [%]")
+    return Table(
+        _TITLE,
+        (*columns, "fall-backs", "completed"),
+        tuple(
+            (
+                drive.plant,
+                drive.path,
+                number(drive.metrics.position_rmse_m, 4),
+                number(drive.metrics.lateral_max_m, 4),
+                number(100 * drive.lateral_share, 1),
+                str(drive.metrics.fallbacks),
+                "yes" if drive.metrics.completed else "no",
+            )
+            for drive in drives
+        ),
+        text_columns=2,
+        note=_NOTE,
+    )
+
+
+def trial_warnings(drives: Sequence[TrialDrive]) -> list[str]:
+    """A line for each drive that failed."""
+    return [
+        f"the configuration does not drive '{drive.path}' on {drive.plant}: "
+        + (
+            f"{100 * drive.lateral_share:.0f} % of its turning circle beside the path"
+            if drive.metrics.completed
+            else "it did not arrive"
+        )
+        for drive in drives
+        if not drive.metrics.completed or drive.lateral_share > _FAR
+    ]
