@@ -136,9 +136,10 @@ def configure(
     margin = identification_settings().limit_margin
     asked = np.abs(np.concatenate([record.command for record in train]))
     base = BaseEffects.model_validate(identified.content.get("base_effects", {})).wheel_command
+    top_speed = base.top_speed if base and (base.top_speed or np.inf) < asked[:, 0].max() else None
     limit, reasons = np.empty(2), []
     for row, channel in enumerate(CHANNELS):
-        found = identified.limits.get(channel, base.top_speed if base and channel == "v" else None)
+        found = identified.limits.get(channel, top_speed if channel == "v" else None)
         limit[row] = asked[:, row].max() if found is None else found
         reasons.append("largest command of the log" if found is None else "where the robot clips it")
     gain = np.diag(identified.model.dc_gain)
