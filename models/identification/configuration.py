@@ -135,9 +135,11 @@ def configure(
     """
     margin = identification_settings().limit_margin
     asked = np.abs(np.concatenate([record.command for record in train]))
+    base = BaseEffects.model_validate(identified.content.get("base_effects", {})).wheel_command
+    top_speed = base.top_speed if base and (base.top_speed or np.inf) < asked[:, 0].max() else None
     limit, reasons = np.empty(2), []
     for row, channel in enumerate(CHANNELS):
-        found = identified.limits.get(channel)
+        found = identified.limits.get(channel, top_speed if channel == "v" else None)
         limit[row] = asked[:, row].max() if found is None else found
         reasons.append("largest command of the log" if found is None else "where the robot clips it")
     gain = np.diag(identified.model.dc_gain)
@@ -151,10 +153,9 @@ def configure(
         ),
     ]
     wheels: list[Setting] = []
-    base = BaseEffects.model_validate(identified.content.get("base_effects", {})).wheel_command
     track = base.track if base else firmware_track(train, geometry, identified.model.dc_gain) if geometry else None
     if geometry is not None and track is not None:
-        limits.append(_wheel_speed(np.minimum(asked, limit), track, base, float(gain[0])))
+        limits.append(_wheel_speed(np.minimum(asked, limit), track, base, float(gain[0]), _reached(identified, train)))
         wheels = [
             _setting("track", track, "m, by which the robot turned omega_ref into wheel speeds"),
             _setting("encoder_track", geometry.track, "m, by which the log's omega was computed"),
@@ -225,11 +226,20 @@ def _slew(identified: IdentifiedModel) -> list[Setting]:
     return slews
 
 
-def _wheel_speed(commands: FloatArray, track: float, base: WheelCommand | None, gain: float) -> Setting:
+def _reached(identified: IdentifiedModel, train: Sequence[Record]) -> float:
+    """Fastest that a robot whose v is limited was seen to drive [m/s]; infinity for others."""
+    if "v" not in identified.limits:
+        return np.inf
+    return float(np.nanpercentile(np.abs(np.concatenate([r.twist[:, 0] for r in train if r.twist is not None])), 99.5))
+
+
+def _wheel_speed(commands: FloatArray, track: float, base: WheelCommand | None, gain: float, reached: float) -> Setting:
     """Of one side; `commands` (K, 2) are the sizes that the robot was driven with."""
     rim = identification_settings().limit_margin * float((commands[:, 0] + 0.5 * track * commands[:, 1]).max())
     if base is not None and base.top_speed is not None and gain * base.top_speed < rim:
         return _setting("wheel_speed", gain * base.top_speed, "m/s at the rim, where the motors saturate")
+    if reached < rim:
+        return _setting("wheel_speed", reached, "m/s at the rim, the fastest seen of a robot that limits its speed")
     return _setting("wheel_speed", rim, "m/s at the rim, the fastest that the log asked of a side, with a margin")
 
 

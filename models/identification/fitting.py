@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.effects import IdentifiedBase, identify_with_effects
+from diffdrive_mpc.models.identification.effects.comparison import loses
 from diffdrive_mpc.models.identification.log_data import LogData, OptionError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
@@ -82,12 +83,12 @@ def fit(
     geometry = wheel_geometry(data.train)
     base: IdentifiedBase | None = None
     started = perf_counter()
+    if effects and data.yaw != "gyro":
+        raise OptionError("effects", ": they are told apart by a gyro beside the encoders; map one, or leave it out")
+    radius = geometry.radius if geometry else None
+    found = structure.identify(data.train, Conditions(data.validation, data.yaw, order, radius))
     if effects:
-        base = _with_effects(data, geometry, on_trial)
-        found = Found(base.identified)
-    else:
-        radius = geometry.radius if geometry else None
-        found = structure.identify(data.train, Conditions(data.validation, data.yaw, order, radius))
+        found, base = _with_effects(data, found, geometry, on_trial)
     seconds = perf_counter() - started
     identified = found.identified
     _ = identified.model  # refuses what cannot be a robot
@@ -102,11 +103,17 @@ def fit(
 
 
 def _with_effects(
-    data: LogData, geometry: WheelGeometry | None, on_trial: Callable[[str], None] | None
-) -> IdentifiedBase:
-    if data.yaw != "gyro":
-        raise OptionError("effects", ": they are told apart by a gyro beside the encoders; map one, or leave it out")
-    return identify_with_effects(data.train, encoder_track=geometry.track if geometry else None, on_trial=on_trial)
+    data: LogData, plain: Found, geometry: WheelGeometry | None, on_trial: Callable[[str], None] | None
+) -> tuple[Found, IdentifiedBase | None]:
+    """The model with effects, or the plain one with a warning where it predicts blocks held out at least as well."""
+    track = geometry.track if geometry else None
+    limits = plain.identified.limits
+    base = identify_with_effects(data.train, encoder_track=track, limits=limits, on_trial=on_trial)
+    words = loses(base, plain.identified, data.train)
+    if words is None:
+        return Found(base.identified), base
+    warned = replace(plain.identified, warnings=(*plain.identified.warnings, words))
+    return Found(warned, plain.orders), None
 
 
 def _simulated(identified: IdentifiedModel, base: IdentifiedBase | None, records: Sequence[Record]) -> list[FloatArray]:

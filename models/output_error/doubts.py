@@ -31,7 +31,9 @@ def at_bounds(fit: OutputErrorFit, label: str) -> list[str]:
     low, high = fit.layout.bounds
     sentences = []
     for name, value, lower, upper in zip(fit.layout.names, fit.parameters, low, high, strict=True):
-        if min(value - lower, upper - value) < _AT_BOUND:
+        if name.startswith("dead_time") and value - lower < _AT_BOUND:
+            sentences.append(f"{label}: no dead time is seen beside the lag; has the mapping taken off too much delay?")
+        elif min(value - lower, upper - value) < _AT_BOUND:
             side = "lower" if value - lower < upper - value else "upper"
             shown, bound = _readable(name), np.exp(value) if name.startswith("log_") else value
             sentences.append(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -11,7 +12,12 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import BoolArray, Record
 
-_FEWEST_SAMPLES = 20
+_FEWEST_IN_ALL = 20
+# A stretch has a past of its own, three numbers for each channel; below this it says nothing else.
+_FEWEST_SAMPLES = 5
+# A jump is a change between neighbouring readings that is beyond so many times what next to all of them stay below [%].
+_USUAL = 99.0
+_JUMP = 2.0
 
 
 @dataclass(frozen=True)
@@ -30,6 +36,8 @@ class Experiment:
         (K, p).
     counts
         (K, p) which outputs are readings of their own; the others may hold anything.
+    follows
+        Whether the experiment goes on where the one before it ended.
 
     Raises
     ------
@@ -42,6 +50,7 @@ class Experiment:
     inputs: FloatArray
     outputs: FloatArray
     counts: BoolArray
+    follows: bool = False
 
     def __post_init__(self) -> None:
         """Check, and put zero where an output does not count."""
@@ -49,7 +58,7 @@ class Experiment:
             raise ValueError(f"{self.name}: inputs, outputs and their masks must have the same number of samples")
         for row in self.counts.T:
             if row.sum() < _FEWEST_SAMPLES:
-                raise ValueError(f"{self.name}: {row.sum()} readings; at least {_FEWEST_SAMPLES} are needed")
+                raise ValueError(f"{self.name}: {row.sum()} readings; a stretch needs at least {_FEWEST_SAMPLES}")
         if not (np.isfinite(self.inputs).all() and np.isfinite(self.outputs[self.counts]).all()):
             raise ValueError(f"{self.name}: a sample is not finite; cut the record there")
         object.__setattr__(self, "outputs", np.where(self.counts, self.outputs, 0.0))
@@ -62,7 +71,29 @@ class Experiment:
     def channel(self, inputs: int, outputs: int) -> Experiment:
         """One input and one output of this experiment."""
         i, o = slice(inputs, inputs + 1), slice(outputs, outputs + 1)
-        return Experiment(self.name, self.dt, self.inputs[:, i], self.outputs[:, o], self.counts[:, o])
+        return Experiment(self.name, self.dt, self.inputs[:, i], self.outputs[:, o], self.counts[:, o], self.follows)
+
+
+def joined(experiments: Sequence[Experiment]) -> list[Experiment]:
+    """The same samples, those that follow each other as one: what happens in one begins in the one before."""
+    runs: list[list[Experiment]] = []
+    for experiment in experiments:
+        if runs and experiment.follows:
+            runs[-1].append(experiment)
+        else:
+            runs.append([experiment])
+    return [run[0] if len(run) == 1 else _one(run) for run in runs]
+
+
+def _one(run: Sequence[Experiment]) -> Experiment:
+    inputs, outputs = (np.concatenate([getattr(part, name) for part in run]) for name in ("inputs", "outputs"))
+    return Experiment(run[0].name, run[0].dt, inputs, outputs, np.concatenate([part.counts for part in run]))
+
+
+def parted(rows: Sequence[FloatArray], experiments: Sequence[Experiment]) -> list[FloatArray]:
+    """Rows (K, ...) of `joined(experiments)`, in pieces as long as the experiments."""
+    cuts = np.cumsum([experiment.samples for experiment in experiments])[:-1]
+    return list(np.split(np.concatenate(rows), cuts))
 
 
 YawSource = Literal["gyro", "encoders"]
@@ -86,7 +117,7 @@ def twist_experiments(records: Sequence[Record], yaw: YawSource = "gyro") -> lis
             omega, fresh_omega = twist[:, 1], fresh_twist
         outputs, counts = np.column_stack([twist[:, 0], omega]), np.column_stack([fresh_twist, fresh_omega])
         experiments.append(Experiment(record.name, record.dt, record.command, outputs, counts))
-    return experiments
+    return _chained(experiments, records)
 
 
 def wheel_experiments(records: Sequence[Record]) -> list[Experiment]:
@@ -103,7 +134,28 @@ def wheel_experiments(records: Sequence[Record]) -> list[Experiment]:
         speeds, fresh = _signal(record, name, "fresh_twist")
         counts = np.tile(fresh[:, None], (1, speeds.shape[1]))
         experiments.append(Experiment(record.name, record.dt, record.command, speeds, counts))
-    return experiments
+    return _chained(experiments, records)
+
+
+def _chained(experiments: Sequence[Experiment], records: Sequence[Record]) -> list[Experiment]:
+    """The experiments, with a mark on those that follow the one before: in time, and without a jump of any reading.
+
+    A log may be cut anywhere, and what has no times of its own may have lost rows between two segments.
+    """
+    if not experiments:
+        return []
+    readings = int(np.sum([experiment.counts.sum(axis=0) for experiment in experiments], axis=0).min())
+    if readings < _FEWEST_IN_ALL:
+        raise ValueError(f"{experiments[0].name}: {readings} readings; at least {_FEWEST_IN_ALL} are needed")
+    steps = [[np.abs(np.diff(y[c])) for y, c in zip(s.outputs.T, s.counts.T, strict=True)] for s in experiments]
+    usual = [np.percentile(np.concatenate(rows), _USUAL) for rows in zip(*steps, strict=True)]
+    chained = list(experiments[:1])
+    for (one, earlier), (other, later) in pairwise(zip(experiments, records, strict=True)):
+        near = earlier.dt == later.dt and abs(later.start - earlier.end - later.dt) < 0.5 * later.dt
+        last = np.array([one.outputs[np.flatnonzero(c)[-1], i] for i, c in enumerate(one.counts.T)])
+        first = np.array([other.outputs[np.argmax(c), i] for i, c in enumerate(other.counts.T)])
+        chained.append(replace(other, follows=near and bool(np.all(np.abs(first - last) <= _JUMP * np.array(usual)))))
+    return chained
 
 
 def _signal(record: Record, name: str, mask: str) -> tuple[FloatArray, BoolArray]:

@@ -1,8 +1,10 @@
 """Output error: measured outputs minus a simulation from the inputs alone, and its derivatives.
 
-Each experiment has an initial state of its own. It enters linearly, so it is solved for exactly inside every evaluation
-and projected out of the derivatives (variable projection, Golub and Pereyra 1973, with Kaufman's 1975 simplification,
-whose gradient is exact): any number of experiments costs no parameter.
+Each experiment has a past of its own: a command before it, in whose settled state the robot was, and a deviation from
+that state, which a prior keeps small (else it would explain the transient, and dynamics and dead time would not be seen
+where stretches begin at a step). Both enter linearly, so they are solved for exactly inside every evaluation and
+projected out of the derivatives (variable projection, Golub and Pereyra 1973, with Kaufman's 1975 simplification, whose
+gradient is exact): any number of experiments costs no parameter.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy import linalg
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import Experiment
@@ -26,8 +29,10 @@ from diffdrive_mpc.models.output_error.linear_system import (
 
 # Any step this small is exact in complex arithmetic.
 _COMPLEX_STEP = 1e-30
-# Directions of the initial state that the outputs show less than this, relative to the best seen, are left at zero.
+# Directions of the past that the outputs show less than this, relative to the best seen, are left at zero.
 _SEEN = 1e-9
+# Directions of the state that the commands move less than this, relative to the one moved most, count as moved so much.
+_MOVED = 1e-4
 # What is left of an initial state counts no more once its slowest part has decayed to this.
 _DECAYED = 1e-12
 
@@ -47,17 +52,21 @@ class _Model(NamedTuple):
     system: LinearSystem
     sampled: SampledSystem
     respond: StateResponse
-    free: FloatArray
-    """(n, n, E) states from each unit initial state, until they have decayed."""
+    hold: FloatArray
+    """(n, m) settled states of unit inputs"""
+    past: FloatArray
+    """(n, m + n, E) states from each unit command before, and each unit deviation, until they have decayed."""
 
 
-class _InitialState(NamedTuple):
-    """What an initial state can explain, E early samples long."""
+class _Past(NamedTuple):
+    """What a past can explain, E early samples long; r directions."""
 
     seen: FloatArray
-    """(E p, r) orthonormal basis of the weighted outputs that initial states give."""
+    """(E p, r) what an orthonormal basis of the outputs that pasts give, and of their prior, has in the outputs"""
+    prior: FloatArray
+    """(m + n, r) and what it has in the prior"""
     recover: FloatArray
-    """(n, r) from components along the basis to the initial state."""
+    """(m + n, r) from components along the basis to the command before and the deviation"""
 
 
 class OutputErrorProblem:
@@ -71,60 +80,78 @@ class OutputErrorProblem:
         The data.
     weights
         For each experiment (K, p) factors of the residuals, not negative; zero where a sample does not count.
+    prior
+        For each experiment (m + n, m + n) one over the standard deviation of its past, the command before it first: the
+        past's part of the residuals is this times it. See `past_prior`. By default all zero: any past will do.
     """
 
-    def __init__(self, layout: Layout, experiments: Sequence[Experiment], weights: Sequence[FloatArray]) -> None:
+    def __init__(
+        self,
+        layout: Layout,
+        experiments: Sequence[Experiment],
+        weights: Sequence[FloatArray],
+        prior: Sequence[FloatArray] | None = None,
+    ) -> None:
         self._layout, self._experiments, self._weights = layout, list(experiments), list(weights)
         self._rows = sum(weight.size for weight in weights)
+        self._prior = [None] * len(weights) if prior is None else list(prior)
         self._longest = {experiment.dt: 0 for experiment in experiments}
         for experiment in experiments:
             self._longest[experiment.dt] = max(self._longest[experiment.dt], experiment.samples)
 
     def residuals(self, parameters: FloatArray) -> FloatArray:
-        """(rows,) weighted residuals by experiment and sample; infinite where the model is unstable."""
+        """(rows,) weighted residuals by experiment and sample, then those of the pasts; infinite where unstable."""
         system = self._layout.system(parameters)
         if np.linalg.eigvals(system.A).real.max() >= 0:
-            return np.full(self._rows, np.inf)
+            return np.full(self._rows + len(self._experiments) * (system.B.shape[1] + len(system.A)), np.inf)
         models = self._models(system)
-        parts = []
-        for experiment, weight in zip(self._experiments, self._weights, strict=True):
+        parts, pasts = [], []
+        for experiment, weight, prior in zip(self._experiments, self._weights, self._prior, strict=True):
             model = models[experiment.dt]
-            states = _forced(model, _drive(model, experiment))
+            states = _forced(model, _drive(model, experiment, np.zeros(system.B.shape[1])))
             error = (weight * (experiment.outputs - system.offset - states.T @ system.C.T)).ravel()
-            _project(error, _initial_state(model, weight).seen)
+            pasts.append(_project(error, _past(model, weight, prior)))
             parts.append(error)
-        return np.concatenate(parts)
+        return np.concatenate(parts + pasts)
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """(rows, q) derivatives of `residuals`."""
         system = self._layout.system(parameters)
         models = self._models(system)
         slopes = {dt: self._derivatives(parameters, dt) for dt in models}
-        return np.concatenate(
-            [
-                _experiment_jacobian(models[experiment.dt], *slopes[experiment.dt], experiment, weight)
-                for experiment, weight in zip(self._experiments, self._weights, strict=True)
-            ]
-        )
+        parts, pasts = [], []
+        for experiment, weight, prior in zip(self._experiments, self._weights, self._prior, strict=True):
+            model = models[experiment.dt]
+            rows, past = _experiment_jacobian(model, *slopes[experiment.dt], experiment, weight, prior)
+            parts.append(rows)
+            pasts.append(past)
+        return np.concatenate(parts + pasts)
 
     def simulations(self, parameters: FloatArray) -> list[FloatArray]:
-        """For each experiment the simulated outputs (K, p), sensor offset included, from the best initial state."""
+        """For each experiment the simulated outputs (K, p), sensor offset included, from the best past."""
         system = self._layout.system(parameters)
         models = self._models(system)
         return [
-            _simulate(models[experiment.dt], experiment, weight)[0].T @ system.C.T + system.offset
-            for experiment, weight in zip(self._experiments, self._weights, strict=True)
+            _simulate(models[experiment.dt], experiment, weight, prior)[0].T @ system.C.T + system.offset
+            for experiment, weight, prior in zip(self._experiments, self._weights, self._prior, strict=True)
         ]
 
     def _models(self, system: LinearSystem) -> dict[float, _Model]:
         """The system at every sample time of the data."""
         n, slowest = len(system.A), np.linalg.eigvals(system.A).real.max()
+        hold = -np.linalg.solve(system.A, system.B)
         models = {}
         for dt, longest in self._longest.items():
             sampled = sample(system, dt)
             respond = StateResponse(sampled.A)
-            early = int(min(longest, n + np.log(_DECAYED) / (slowest * dt)))
-            models[dt] = _Model(system, sampled, respond, respond(np.zeros((n, n, early)), np.eye(n)))
+            early = int(min(longest, n + 2 + sampled.delay.max() + np.log(_DECAYED) / (slowest * dt)))
+            acting = np.arange(early)
+            before = [
+                sampled.B0[:, [j]] * (acting < delay) + sampled.B1[:, [j]] * (acting < delay + 1)
+                for j, delay in enumerate(sampled.delay)
+            ]
+            drive = np.stack([*before, *np.zeros((n, n, early))], axis=1)
+            models[dt] = _Model(system, sampled, respond, hold, respond(drive, np.hstack([hold, np.eye(n)])))
         return models
 
     def _derivatives(self, parameters: FloatArray, dt: float) -> tuple[LinearSystem, SampledSystem]:
@@ -141,39 +168,79 @@ class OutputErrorProblem:
         )
 
 
-def _simulate(model: _Model, experiment: Experiment, weight: FloatArray) -> tuple[FloatArray, _Drive, _InitialState]:
-    """States (n, K) from the best initial state, what drives them, and what an initial state can explain."""
-    system, drive, initial = model.system, _drive(model, experiment), _initial_state(model, weight)
-    states = _forced(model, drive)
-    early = len(initial.seen) // experiment.outputs.shape[1]
+def _past(model: _Model, weight: FloatArray, prior: FloatArray | None) -> _Past:
+    free = model.past[..., : len(weight)]
+    count = free.shape[1]
+    rows = weight[: free.shape[-1], :, None] * np.moveaxis(np.tensordot(model.system.C, free, 1), 2, 0)
+    known = np.zeros((count, count)) if prior is None else prior
+    left, values, right = np.linalg.svd(np.vstack([rows.reshape(-1, count), known]), full_matrices=False)
+    keep = values > _SEEN * max(values[0], np.finfo(float).tiny)
+    return _Past(left[:-count, keep], left[-count:, keep], right[keep].T / values[keep])
+
+
+def _simulate(
+    model: _Model, experiment: Experiment, weight: FloatArray, prior: FloatArray | None
+) -> tuple[FloatArray, _Drive, FloatArray, _Past]:
+    """States (n, K) from the best past, what drives them, the command before, what a past can explain."""
+    system, past = model.system, _past(model, weight, prior)
+    unknown = np.zeros(system.B.shape[1])
+    states = _forced(model, _drive(model, experiment, unknown))
+    early = len(past.seen) // experiment.outputs.shape[1]
     error = weight * (experiment.outputs - system.offset - states.T @ system.C.T)
-    start = initial.recover @ (initial.seen.T @ error[:early].ravel())
-    states[:, :early] += np.tensordot(model.free[..., :early], start, (1, 0))
-    return states, drive, initial
+    found = past.recover @ (past.seen.T @ error[:early].ravel())
+    states[:, :early] += np.tensordot(model.past[..., :early], found, (1, 0))
+    before = found[: len(unknown)]
+    return states, _drive(model, experiment, before), before, past
 
 
 def _experiment_jacobian(
-    model: _Model, slope: LinearSystem, sampled_slope: SampledSystem, experiment: Experiment, weight: FloatArray
-) -> FloatArray:
-    """(K p, q) derivatives of an experiment's weighted residuals."""
-    states, drive, initial = _simulate(model, experiment, weight)
+    model: _Model,
+    slope: LinearSystem,
+    sampled_slope: SampledSystem,
+    experiment: Experiment,
+    weight: FloatArray,
+    prior: FloatArray | None,
+) -> tuple[FloatArray, FloatArray]:
+    """(K p, q) derivatives of an experiment's weighted residuals, and (m + n, q) of its past's."""
+    states, drive, before, past = _simulate(model, experiment, weight, prior)
     forcing = sampled_slope.A @ states + sampled_slope.B0 @ drive.recent + sampled_slope.B1 @ drive.older
     if slope.limit.any():
         forcing += (model.sampled.B0 * slope.limit[:, None, :]) @ drive.recent_clipped
         forcing += (model.sampled.B1 * slope.limit[:, None, :]) @ drive.older_clipped
-    sensitivity = model.respond(np.moveaxis(forcing, 0, 1))
+    settled = np.asarray(-np.linalg.solve(model.system.A, ((slope.A @ model.hold + slope.B) @ before).T))
+    sensitivity = model.respond(np.moveaxis(forcing, 0, 1), settled)
     change = np.tensordot(model.system.C, sensitivity, 1) + np.moveaxis(slope.C @ states, 0, 1)
     change += slope.offset.T[:, :, None]
     rows = -(weight[:, :, None] * np.moveaxis(change, 2, 0)).reshape(weight.size, -1)
-    _project(rows, initial.seen)
-    return np.asarray(rows)
+    return rows, _project(rows, past)
 
 
-def _drive(model: _Model, experiment: Experiment) -> _Drive:
+def past_prior(system: LinearSystem, experiments: Sequence[Experiment], deviation: float) -> FloatArray:
+    """One over the standard deviations of a past, (m + n, m + n), as `OutputErrorProblem` takes it.
+
+    Commands before an experiment are as large as those in it. A state deviates from the settled one `deviation` times
+    as far as the states of the experiments, from rest, deviate from those that their commands settle in.
+    """
+    hold, total, count = -np.linalg.solve(system.A, system.B), np.zeros(system.A.shape), 0
+    sampled = {dt: sample(system, dt) for dt in {experiment.dt for experiment in experiments}}
+    respond = {dt: StateResponse(one.A) for dt, one in sampled.items()}
+    for experiment in experiments:
+        inputs, here = np.clip(experiment.inputs, -system.limit, system.limit), sampled[experiment.dt]
+        recent, older = delayed(inputs, here.delay, np.zeros(inputs.shape[1]))
+        off = respond[experiment.dt]((here.B0 @ recent + here.B1 @ older)[:, None, :])[:, 0] - hold @ inputs.T
+        total, count = total + off @ off.T, count + len(inputs)
+    sizes, axes = np.linalg.eigh(total / count)
+    sizes = deviation * np.sqrt(np.maximum(sizes, _MOVED**2 * max(sizes.max(), np.finfo(float).tiny)))
+    usual = np.sqrt(np.mean(np.concatenate([e.inputs for e in experiments]) ** 2, axis=0))
+    commands = np.diag(1.0 / np.maximum(usual, np.finfo(float).tiny ** 0.25))
+    return np.asarray(linalg.block_diag(commands, axes.T / sizes[:, None]))
+
+
+def _drive(model: _Model, experiment: Experiment, before: FloatArray) -> _Drive:
     limit, delay = model.system.limit, model.sampled.delay
     clipped = np.clip(experiment.inputs, -limit, limit)
     beyond = np.where(np.abs(experiment.inputs) > limit, np.sign(experiment.inputs), 0.0)
-    return _Drive(*delayed(clipped, delay), *delayed(beyond, delay))
+    return _Drive(*delayed(clipped, delay, before), *delayed(beyond, delay, np.zeros_like(before)))
 
 
 def _forced(model: _Model, drive: _Drive) -> FloatArray:
@@ -181,15 +248,9 @@ def _forced(model: _Model, drive: _Drive) -> FloatArray:
     return model.respond((model.sampled.B0 @ drive.recent + model.sampled.B1 @ drive.older)[:, None, :])[:, 0]
 
 
-def _initial_state(model: _Model, weight: FloatArray) -> _InitialState:
-    free = model.free[..., : len(weight)]
-    rows = weight[: free.shape[-1], :, None] * np.moveaxis(np.tensordot(model.system.C, free, 1), 2, 0)
-    left, values, right = np.linalg.svd(rows.reshape(-1, len(free)), full_matrices=False)
-    keep = values > _SEEN * max(values[0], np.finfo(float).tiny)
-    return _InitialState(left[:, keep], right[keep].T / values[keep])
-
-
-def _project(rows: FloatArray, seen: FloatArray) -> None:
-    """Take out of `rows` (K p, ...), in place, what an initial state can explain."""
-    early = rows[: len(seen)]
-    early -= seen @ (seen.T @ early)
+def _project(rows: FloatArray, past: _Past) -> FloatArray:
+    """Take out of `rows` (K p, ...), in place, what a past can explain; return what the prior says (m + n, ...)."""
+    early = rows[: len(past.seen)]
+    along = past.seen.T @ early
+    early -= past.seen @ along
+    return -past.prior @ along

@@ -22,6 +22,21 @@ class SaturationSettings(StrictModel):
     evidence: Positive = Field(description="least fall of the information criterion [-]")
 
 
+class ScatterSettings(StrictModel):
+    """When parts of a log are said to differ."""
+
+    blocks: int = Field(ge=3, description="of equal length")
+    student: Positive = Field(description="97.5 % quantile of Student's over that of the normal distribution [-]")
+    chance: Positive = Field(description="variance between blocks over the stated one, up to which it is chance [-]")
+
+
+class HeldOutSettings(StrictModel):
+    """How blocks of the records are held out in turn."""
+
+    blocks: int = Field(ge=2, description="of equal length")
+    fewest_readings: int = Field(ge=5, description="of each output in a part of a record")
+
+
 class WarningSettings(StrictModel):
     """When a parameter is said to be badly known."""
 
@@ -39,8 +54,11 @@ class EstimatorSettings(StrictModel):
     track: Range = Field(description="[m]")
     start_dead_times: tuple[float, ...] = Field(description="grid of first guesses [s]")
     start_frequencies: tuple[Positive, ...] = Field(description="grid of first guesses [rad/s]")
+    start_deviation: Positive = Field(description="of a stretch from a settled state, part of the usual deviation [-]")
     impulse_response: Positive = Field(description="length of the impulse response an SSM starts from [s]")
     saturation: SaturationSettings
+    held_out: HeldOutSettings
+    scatter: ScatterSettings
     warn: WarningSettings
     residual_lag: Positive = Field(description="longest lag of the residuals' correlations [s]")
 

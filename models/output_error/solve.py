@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import Experiment, joined, parted
 from diffdrive_mpc.models.output_error.layout import Layout
 from diffdrive_mpc.models.output_error.linear_system import LinearSystem
-from diffdrive_mpc.models.output_error.problem import OutputErrorProblem
+from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_prior
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.statistics import (
     Sandwich,
@@ -30,6 +29,8 @@ _ROUNDS = 5
 _EVALUATIONS = 25
 # A level has to lie below the largest command by so many standard deviations.
 _CERTAIN = 2.0
+# Size of a past, in standard deviations of its prior, up to which it is taken for what the prior means.
+_TIED = 3.0
 # Only the level and the gain have to move before the best level shows.
 _TRIAL = 6
 
@@ -86,8 +87,8 @@ def fit_output_error(
     """Fit every candidate, go on with the best, and find its covariance.
 
     Weighted least squares with a trust region (scipy), reweighted until it settles: outputs by the scale of their
-    residuals, single readings by whether their neighbours agree. The commands before an experiment are not known, so
-    the first readings, for as long as the dead time, do not count.
+    residuals, single readings by whether their neighbours agree. Experiments that follow each other are one run; a run
+    begins near the settled state of an unknown command (see `past_prior`).
 
     Parameters
     ----------
@@ -109,39 +110,54 @@ def fit_output_error(
     """
     if not experiments:
         raise ValueError("no data: give at least one record in which the robot moves")
+    pieces, experiments = experiments, joined(experiments)
     spread = output_spread(experiments)
     scale = spread if scale is None else scale
     with threadpool_limits(1):  # the matrices are small: threads only get in each other's way
         fits = []
+        ties = np.ones(len(experiments))
         for layout, start in candidates:
-            weights = _weights(layout, start, experiments, scale)
-            fits.append((*_solve(layout, start, experiments, weights, trial), weights))
+            weights = _weights(experiments, scale)
+            fits.append((*_solve(layout, start, experiments, weights, ties, trial), weights))
         layout, parameters, cost, weights = min(fits, key=lambda fit: fit[2])
         for _ in range(_ROUNDS):
-            residuals = _residuals(layout, parameters, experiments, weights)
+            residuals = _residuals(layout, parameters, experiments, weights, ties)
             trust = spike_weights(residuals) if robust else [np.ones_like(rows) for rows in residuals]
             scale = residual_scale(residuals, trust, spread)
-            weights = _weights(layout, parameters, experiments, scale, trust)
-            before = _cost(layout, parameters, experiments, weights)
-            layout, parameters, cost = _solve(layout, parameters, experiments, weights, _EVALUATIONS)
+            weights = _weights(experiments, scale, trust)
+            ties = _ties(layout, parameters, experiments, weights, ties)
+            before = _cost(layout, parameters, experiments, weights, ties)
+            layout, parameters, cost = _solve(layout, parameters, experiments, weights, ties, _EVALUATIONS)
             if before - cost < _SETTLED * cost:
                 break
-        residuals = _residuals(layout, parameters, experiments, weights)
-        found = _covariance(layout, parameters, experiments, weights)
+        residuals = _residuals(layout, parameters, experiments, weights, ties)
+        found = _covariance(layout, parameters, experiments, weights, ties)
     return OutputErrorFit(
-        layout, parameters, found.covariance, scale, residuals, trust, found.effective_samples, found.condition
+        layout,
+        parameters,
+        found.covariance,
+        scale,
+        parted(residuals, pieces),
+        parted(trust, pieces),
+        found.effective_samples,
+        found.condition,
     )
 
 
 def _solve(
-    layout: Layout, start: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray], evaluations: int
+    layout: Layout,
+    start: FloatArray,
+    experiments: Sequence[Experiment],
+    weights: list[FloatArray],
+    ties: FloatArray,
+    evaluations: int,
 ) -> tuple[Layout, FloatArray, float]:
     from scipy.optimize import least_squares  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
 
     parametrisation, own = layout.parametrisation.recentred(start[: layout.counts[0]])
     layout = layout.around(parametrisation)
     start = np.concatenate([own, start[len(own) :]])
-    problem = OutputErrorProblem(layout, experiments, weights)
+    problem = _problem(layout, start, experiments, weights, ties)
     low, high = layout.bounds
     result = least_squares(
         problem.residuals,
@@ -157,51 +173,75 @@ def _solve(
     return layout, np.asarray(result.x), float(result.cost)
 
 
+def _problem(
+    layout: Layout,
+    near: FloatArray,
+    experiments: Sequence[Experiment],
+    weights: list[FloatArray],
+    ties: FloatArray,
+) -> OutputErrorProblem:
+    """The problem with the prior of the pasts that the system `near` gives, for each experiment so strong."""
+    prior = past_prior(layout.system(near), experiments, estimator_settings().start_deviation)
+    return OutputErrorProblem(layout, experiments, weights, [tie * prior for tie in ties])
+
+
+def _ties(
+    layout: Layout,
+    parameters: FloatArray,
+    experiments: Sequence[Experiment],
+    weights: list[FloatArray],
+    ties: FloatArray,
+) -> FloatArray:
+    """(experiments,) factors of the prior of each past: 1, and less where readings clearly speak against it (Huber)."""
+    residuals = _problem(layout, parameters, experiments, weights, ties).residuals(parameters)
+    size = np.linalg.norm(residuals[sum(map(np.size, weights)) :].reshape(len(ties), -1), axis=1) / ties
+    return np.asarray(np.sqrt(_TIED / np.maximum(size, _TIED)))
+
+
 def _cost(
-    layout: Layout, parameters: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray]
+    layout: Layout,
+    parameters: FloatArray,
+    experiments: Sequence[Experiment],
+    weights: list[FloatArray],
+    ties: FloatArray,
 ) -> float:
-    return 0.5 * float(np.sum(OutputErrorProblem(layout, experiments, weights).residuals(parameters) ** 2))
+    return 0.5 * float(np.sum(_problem(layout, parameters, experiments, weights, ties).residuals(parameters) ** 2))
 
 
 def _residuals(
-    layout: Layout, parameters: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray]
+    layout: Layout,
+    parameters: FloatArray,
+    experiments: Sequence[Experiment],
+    weights: list[FloatArray],
+    ties: FloatArray,
 ) -> list[FloatArray]:
-    simulated = OutputErrorProblem(layout, experiments, weights).simulations(parameters)
+    simulated = _problem(layout, parameters, experiments, weights, ties).simulations(parameters)
     return [
         np.where(weight > 0, experiment.outputs - outputs, np.nan)
         for experiment, outputs, weight in zip(experiments, simulated, weights, strict=True)
     ]
 
 
-def _known_commands(layout: Layout, parameters: FloatArray, experiment: Experiment) -> NDArray[np.bool_]:
-    """(K,) from where on every command that still acts lies inside the experiment."""
-    longest = float(layout.system(parameters).dead_time.max())
-    return np.asarray(np.arange(experiment.samples) > np.floor(longest / experiment.dt))
-
-
 def _weights(
-    layout: Layout,
-    parameters: FloatArray,
-    experiments: Sequence[Experiment],
-    scale: FloatArray,
-    trust: list[FloatArray] | None = None,
+    experiments: Sequence[Experiment], scale: FloatArray, trust: list[FloatArray] | None = None
 ) -> list[FloatArray]:
     """Square roots of the weights, over the scale."""
-    weights = [
-        (experiment.counts & _known_commands(layout, parameters, experiment)[:, None]) / scale
-        for experiment in experiments
-    ]
+    weights = [experiment.counts / scale for experiment in experiments]
     if trust is None:
         return weights
     return [weight * np.sqrt(part) for weight, part in zip(weights, trust, strict=True)]
 
 
 def _covariance(
-    layout: Layout, parameters: FloatArray, experiments: Sequence[Experiment], weights: list[FloatArray]
+    layout: Layout,
+    parameters: FloatArray,
+    experiments: Sequence[Experiment],
+    weights: list[FloatArray],
+    ties: FloatArray,
 ) -> Sandwich:
-    problem = OutputErrorProblem(layout, experiments, weights)
-    jacobian, error = problem.jacobian(parameters), problem.residuals(parameters).reshape(-1, layout.outputs)
-    error = np.where(np.concatenate(weights) > 0, error, np.nan)
+    problem, rows = _problem(layout, parameters, experiments, weights, ties), sum(map(np.size, weights))
+    jacobian, error = problem.jacobian(parameters)[:rows], problem.residuals(parameters)[:rows]
+    error = np.where(np.concatenate(weights) > 0, error.reshape(-1, layout.outputs), np.nan)
     cuts = np.cumsum([experiment.samples for experiment in experiments])[:-1]
     return sandwich(np.split(jacobian.reshape(*error.shape, -1), cuts), np.split(error, cuts))
 

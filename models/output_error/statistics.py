@@ -7,7 +7,7 @@ Robust Statistics, Wiley 1981: min(1, c / |z|) of residuals z over their scale.
 Covariance H^-1 S H^-1 ("sandwich"): H is the information that white residuals would give, S the long-run covariance of
 the scores. Sources: Ljung, System Identification, 2nd edition, 1999, section 9.4 (output error with coloured noise);
 Newey, West, Econometrica 1987, 55(3), 703-708 (weights of the lags); Andrews, Econometrica 1991, 59(3), 817-858
-(how many lags).
+(how many lags). Where parts of a log differ by more than S says, their scatter stands in for it.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.settings import estimator_settings
 
 _SPIKE = 5.0
 """c for single readings: on normal noise next to none is held back."""
@@ -106,7 +107,8 @@ def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> S
     shaped = information / np.outer(spread, spread)
     bread = np.linalg.pinv(shaped, rcond=1e-14, hermitian=True) / np.outer(spread, spread)
     used = sum(int(np.isfinite(error).sum()) for error in errors)
-    covariance = bread @ long_run_covariance(scores) @ bread * used / max(used - count, 1)
+    white = bread @ long_run_covariance(scores) @ bread * used / max(used - count, 1)
+    covariance = _widened(white, bread @ block_covariance(scores) @ bread)
     return Sandwich(covariance, effective_samples(errors), float(np.linalg.cond(shaped)))
 
 
@@ -125,6 +127,26 @@ def long_run_covariance(scores: Sequence[FloatArray], window: int | None = None)
             part = row[lag:].T @ row[:-lag]
             total += (1 - lag / (window + 1)) * (part + part.T)
     return total
+
+
+def block_covariance(scores: Sequence[FloatArray]) -> FloatArray:
+    """(q, q) covariance of the scores' (K, q) sum, from their scatter between blocks of equal length in time.
+
+    What a model cannot explain may last longer than any window: a gain that differs from one command to the next, a
+    floor that changes. Source: Liang, Zeger, Biometrika 1986, 73(1), 13-22 (scores summed by cluster).
+    """
+    count = estimator_settings().scatter.blocks
+    sums = np.array([block.sum(axis=0) for block in np.array_split(np.concatenate(scores), count)])
+    return np.asarray(count / (count - 1) * sums.T @ sums)
+
+
+def _widened(covariance: FloatArray, scatter: FloatArray) -> FloatArray:
+    """`covariance` with the variances of `scatter` where these are larger than chance would make them."""
+    variance = np.maximum(np.diag(covariance), np.finfo(float).tiny)
+    ratio = np.diag(scatter) / variance
+    settings = estimator_settings().scatter
+    wider = np.where(ratio > settings.chance, settings.student * np.sqrt(ratio), 1.0)
+    return np.asarray(covariance * np.outer(wider, wider))
 
 
 def effective_samples(errors: Sequence[FloatArray]) -> FloatArray:

@@ -1,7 +1,7 @@
 """How good a model is on records: FIT and RMSE of a free simulation, and whether its residuals are white.
 
-Protocol: each record is simulated from its commands once, started at the first measured output and never restarted; FIT
-is pooled over records.
+Protocol: each record is simulated from its commands once, started at the first measured output and never restarted, and
+records that follow each other as one; FIT is pooled over records.
 
 Sources: Guffanti et al., Sensors 2025, 25(11), 3553 (FIT); Ljung, Box, Biometrika 1978, 65(2), 297-303 (portmanteau
 statistic); Ljung, System Identification, 2nd edition, 1999, section 16.6 (bounds); Bartlett's formula for the variance
@@ -17,7 +17,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.experiment import Experiment, YawSource, twist_experiments
+from diffdrive_mpc.models.output_error.experiment import Experiment, YawSource, joined, parted, twist_experiments
 from diffdrive_mpc.models.output_error.linear_system import LinearSystem, StateResponse, delayed, sample, settled_start
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 
@@ -179,8 +179,7 @@ def validate(system: LinearSystem, records: Sequence[Record], yaw: YawSource = "
     ValueError
         If a record lacks a signal, or a measured signal never changes.
     """
-    experiments = twist_experiments(records, yaw)
-    return score([simulate_experiment(system, experiment) for experiment in experiments], experiments)
+    return score(simulate_records(system, records, yaw), twist_experiments(records, yaw))
 
 
 def score(simulated: Sequence[FloatArray], experiments: Sequence[Experiment]) -> Validation:
@@ -201,7 +200,8 @@ def score(simulated: Sequence[FloatArray], experiments: Sequence[Experiment]) ->
 
 def simulate_records(system: LinearSystem, records: Sequence[Record], yaw: YawSource = "gyro") -> list[FloatArray]:
     """For each record the simulated v [m/s] and omega [rad/s] (K, 2), sensor offsets included; raises as `validate`."""
-    return [simulate_experiment(system, experiment) for experiment in twist_experiments(records, yaw)]
+    experiments = twist_experiments(records, yaw)
+    return parted([simulate_experiment(system, run) for run in joined(experiments)], experiments)
 
 
 def simulate_experiment(system: LinearSystem, experiment: Experiment) -> FloatArray:

@@ -206,6 +206,7 @@ def _combined(experiment: Experiment, weights: FloatArray, column: int) -> Exper
         experiment.inputs[:, column : column + 1],
         (experiment.outputs @ weights)[:, None],
         np.asarray(experiment.counts.all(axis=1, keepdims=True)),
+        experiment.follows,
     )
 
 

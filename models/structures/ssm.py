@@ -177,7 +177,7 @@ def _fit(
     if below:
         system = below.system
         left = [
-            Experiment(experiment.name, experiment.dt, experiment.inputs, residuals, np.isfinite(residuals))
+            replace(experiment, outputs=residuals, counts=np.isfinite(residuals))
             for experiment, residuals in zip(experiments, below.residuals, strict=True)
         ]
         more = from_impulse_response(impulse_response(left, system.dead_time, length), 1, dt)

@@ -11,11 +11,12 @@ from pydantic import Field
 from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error import doubts
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.experiment import Experiment, joined
+from diffdrive_mpc.models.output_error.held_out import with_limit_if_better
 from diffdrive_mpc.models.output_error.layout import Layout
 from diffdrive_mpc.models.output_error.linear_system import AnyArray
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
-from diffdrive_mpc.models.output_error.problem import OutputErrorProblem
+from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_prior
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, find_limits, fit_output_error
 from diffdrive_mpc.models.output_error.statistics import output_spread
@@ -157,7 +158,8 @@ def identify_channel(
         [(layout, start) for start in first_guesses(layout, experiments, label)], experiments, robust
     )
     if limit:
-        fit = find_limits(fit, experiments, 0, robust)
+        limited = find_limits(fit, experiments, 0, robust)
+        fit = fit if limited is fit else with_limit_if_better(limited, fit, experiments, robust)
     named = (*TwoPoles.model_fields, *(_plain(name) for name in fit.layout.names[3:]))
     parameters = ParameterEstimate(fit.layout.names, fit.parameters, fit.covariance).derived(
         named, lambda row: np.concatenate([two_poles(row[:3]), row[3:]])
@@ -183,7 +185,8 @@ def first_guesses(layout: Layout, experiments: Sequence[Experiment], label: str)
         raise ValueError(f"{label}: the command never changes; it excites nothing")
     spread = output_spread(experiments)
     gain = float(np.clip(spread[0] / commanded, *settings.gain))
-    problem = OutputErrorProblem(layout, experiments, [experiment.counts / spread for experiment in experiments])
+    experiments = joined(experiments)
+    weights = [experiment.counts / spread for experiment in experiments]
     _, dead_times, *others = layout.counts
     rest = np.zeros(sum(others))
     grid = [
@@ -191,7 +194,14 @@ def first_guesses(layout: Layout, experiments: Sequence[Experiment], label: str)
         for frequency in settings.start_frequencies
         for dead_time in (settings.start_dead_times if dead_times else (0.0,))
     ]
-    return sorted(grid, key=lambda start: float(np.sum(problem.residuals(start) ** 2)))[:_TRIED]
+
+    def cost(start: FloatArray) -> float:
+        prior = past_prior(layout.system(start), experiments, settings.start_deviation)
+        return float(
+            np.sum(OutputErrorProblem(layout, experiments, weights, [prior] * len(experiments)).residuals(start) ** 2)
+        )
+
+    return sorted(grid, key=cost)[:_TRIED]
 
 
 def _plain(name: str) -> str:

@@ -33,10 +33,14 @@ def step_commands(seed, duration, hold=2.5) -> FloatArray:
     return np.repeat(np.column_stack([v, omega]), round(hold / DT), axis=0)
 
 
-def record_of(effects: BaseEffects, seed, duration, *, noise=1.0, yaw_ratio=1.8, delay=0.05) -> Record:
-    """What encoders (late) and gyro (biased) of the made-up robot read; noise in multiples of the usual."""
+def record_of(effects: BaseEffects, seed, duration, *, noise=1.0, yaw_ratio=1.8, delay=0.05, clip=np.inf) -> Record:
+    """What encoders (late) and gyro (biased) of the made-up robot read; noise in multiples of the usual.
+
+    The robot clips |omega_ref| at `clip`.
+    """
     commands = step_commands(seed, duration)
-    response = respond(linear_model(), effects, commands, DT)
+    taken = np.column_stack([commands[:, 0], np.clip(commands[:, 1], -clip, clip)])
+    response = respond(linear_model(), effects, taken, DT)
     stream = np.random.default_rng(seed + 1000)
     time = DT * np.arange(len(commands))
     late = np.column_stack([np.interp(time - delay, time, column) for column in response.wheels.T])

@@ -11,12 +11,14 @@ from hypothesis import strategies as st
 
 from diffdrive_mpc.models.base_effects import BaseEffects, PoseMount, TwistSlew, WheelCommand, YawRelaxation, respond
 from diffdrive_mpc.models.identification.effects import identify_with_effects
+from diffdrive_mpc.models.identification.effects.comparison import loses
 from diffdrive_mpc.models.identification.effects.free_run import free_run, sensed, smoothed, two_lags
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
-from diffdrive_mpc.models.identification.effects.selection import blocks
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.held_out import blocks
 from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.models.structures.sm import identify_sm
 
 TRUE = BaseEffects.model_validate(
     {
@@ -158,6 +160,23 @@ def test_the_model_file_holds_what_was_found(found):
 
 def test_a_base_without_effects_ends_with_none():
     assert identify_with_effects([record_of(BaseEffects(), 7, 75.0)]).effects == ()
+
+
+def test_a_limit_that_the_plain_model_found_lives_on():
+    record = record_of(BaseEffects(), 7, 75.0, clip=1.0)
+    limits = identify_sm([record]).limits
+    assert limits == {"omega": pytest.approx(1.0, abs=0.05)}
+    found = identify_with_effects([record], limits=limits).identified
+    assert found.limits == {"omega": pytest.approx(1.0, abs=0.03)}
+    assert found.parameters.deviation("omega.limit") < 0.05
+
+
+def test_effects_stay_only_where_they_predict_better_than_the_plain_model(found):
+    records = [record_of(TRUE, 7, 150.0, yaw_ratio=RATIO)]
+    plain = identify_sm(records)
+    assert loses(found, plain, records) is None
+    spoilt = replace(found, points=tuple({**point, "gain.omega": 0.5 * point["gain.omega"]} for point in found.points))
+    assert "no better than the plain model" in loses(spoilt, plain, records)
 
 
 def bare(record):

@@ -103,7 +103,7 @@ def test_fit_of_perfect_mean_and_worse():
 
 def test_useless_data_are_refused():
     with pytest.raises(ValueError, match="at least"):
-        experiment(steps(1.0)[:10], steps(1.0)[:10])
+        experiment(steps(1.0)[:4], steps(1.0)[:4])
     with pytest.raises(ValueError, match="not finite"):
         experiment(steps(1.0), np.full(170, np.nan))
     with pytest.raises(ValueError, match="same number of samples"):

@@ -18,6 +18,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import wheel_geometry
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
+from diffdrive_mpc.models.output_error.experiment import joined, parted
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
@@ -50,6 +51,8 @@ class IdentifiedBase:
         Every parameter of the free run, sensors included.
     pose
         Delay of the poses, travel over encoders, and mount; None without enough poses.
+    points
+        As `point`, found without each block of the records.
     """
 
     identified: IdentifiedModel
@@ -57,10 +60,11 @@ class IdentifiedBase:
     trials: tuple[Trial, ...]
     point: Point
     pose: ParameterEstimate | None
+    points: tuple[Point, ...] = ()
 
     def readings(self, records: Sequence[Record]) -> list[FloatArray]:
         """For each record (K, 3) v and omega of the encoders, omega of the gyro, from one free run over it."""
-        return [free_run(self.point, experiment) for experiment in sensed(records)]
+        return self._runs(self.point, records)
 
     def body_twists(self, records: Sequence[Record]) -> list[FloatArray]:
         """For each record (K, 2) true v [m/s] and yaw rate [rad/s] from one free run, without sensors' errors."""
@@ -68,15 +72,13 @@ class IdentifiedBase:
         prompt |= {"encoders.delay": 0.0, "gyro.offset": 0.0}
         travel = self.pose.value("pose.travel") if self.pose else 1.0
         twists = []
-        for experiment in sensed(records):
-            seen = free_run(prompt, experiment)
+        for seen in self._runs(prompt, records):
             twists.append(np.column_stack([travel * seen[:, 0], seen[:, 2]]))
         return twists
 
     def fit_percent(self, records: Sequence[Record]) -> FloatArray:
         """(3,) pooled FIT [%] of v and omega of the encoders, omega of the gyro; raises ValueError as `sensed`."""
-        experiments = sensed(records)
-        simulated = [free_run(self.point, experiment) for experiment in experiments]
+        experiments, simulated = sensed(records), self.readings(records)
         return np.array(
             [
                 pooled_fit_percent(
@@ -87,11 +89,16 @@ class IdentifiedBase:
             ]
         )
 
+    def _runs(self, point: Point, records: Sequence[Record]) -> list[FloatArray]:
+        experiments = sensed(records)
+        return parted([free_run(point, run) for run in joined(experiments)], experiments)
+
 
 def identify_with_effects(
     records: Sequence[Record],
     *,
     encoder_track: float | None = None,
+    limits: Mapping[str, float] | None = None,
     on_trial: Callable[[str], None] | None = None,
 ) -> IdentifiedBase:
     """Identify SM and what the base does around it.
@@ -107,6 +114,8 @@ def identify_with_effects(
     encoder_track
         Track by which the encoders' yaw rate was computed [m]; by default from the records' wheel speeds. Where neither
         tells it, effects of single wheels are not tried, and a warning says so.
+    limits
+        Of channels whose command the plain model found to be clipped: tried as an effect.
     on_trial
         Called with the name of the effect that is tried next.
 
@@ -117,7 +126,7 @@ def identify_with_effects(
     """
     geometry = wheel_geometry(records)
     track = encoder_track or (geometry.track if geometry else None)
-    selection = select_effects(sensed(records), track, on_trial)
+    selection = select_effects(joined(sensed(records)), track, on_trial, limits)
     fit = selection.fit
     pose = pose_sensor(records, fit.point)
     effects = _effects(fit.point, pose)
@@ -128,13 +137,13 @@ def identify_with_effects(
         content={**_linear(fit.point), "base_effects": rounded_effects(effects)},
         parameters=parameters,
         offset=np.array([0.0, fit.point["gyro.offset"]]),
-        limits={},
+        limits={c: float(rounded(fit.point[f"limit.{c}"])) for c in CHANNELS if f"limit.{c}" in fit.point},
         yaw="gyro",
         method=METHOD,
         fits=(),
         warnings=(*warnings, *_doubts(fit, parameters)),
     )
-    return IdentifiedBase(identified, selection.effects, selection.trials, fit.point, pose)
+    return IdentifiedBase(identified, selection.effects, selection.trials, fit.point, pose, selection.points)
 
 
 def rounded_effects(effects: BaseEffects) -> Mapping[str, Any]:
@@ -213,5 +222,11 @@ def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[str]:
     for name, (low, high, _) in effect_settings().parameters.items():
         # Nothing of something is a finding; anything else at a bound is none.
         if name in fit.point and fit.point[name] in (low, high) and fit.point[name] != 0.0:
+            if name == "encoders.delay" and fit.point[name] < 0.0:
+                sentences.append(
+                    f"the encoders seem to lead the gyro by {-low:g} s or more, which they cannot: the "
+                    "mapping takes off too much delay of the encoders, or the gyro has one"
+                )
+                continue
             sentences.append(f"{name} = {fit.point[name]:.4g} lies at a bound of the search: the data do not tell it")
     return sentences

@@ -12,6 +12,7 @@ from diffdrive_mpc.models.identification.effects.free_run import Point, free_run
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.held_out import Pieces, cut
 from diffdrive_mpc.models.output_error.statistics import output_spread, residual_scale, sandwich, spike_weights
 
 
@@ -33,14 +34,10 @@ class Weighted:
     weights: Sequence[FloatArray]
     scale: FloatArray
 
-    def part(self, pieces: Sequence[tuple[int, int, int]]) -> Weighted:
+    def part(self, pieces: Pieces) -> Weighted:
         """Some of the data: of each piece the number of its experiment, and its samples from and up to."""
-        cut = [(self.experiments[i], slice(first, stop), self.weights[i]) for i, first, stop in pieces]
-        return Weighted(
-            [Experiment(s.name, s.dt, s.inputs[rows], s.outputs[rows], s.counts[rows]) for s, rows, _ in cut],
-            [w[rows] for _, rows, w in cut],
-            self.scale,
-        )
+        weights = [self.weights[i][first:stop] for i, first, stop in pieces]
+        return Weighted(cut(self.experiments, pieces), weights, self.scale)
 
     def errors(self, point: Point, *, smooth: bool = False) -> list[FloatArray]:
         """For each experiment (K, 3) weighted errors of a free run, NaN where there is no reading."""

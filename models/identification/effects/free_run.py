@@ -31,6 +31,7 @@ def sensed(records: Sequence[Record]) -> list[Experiment]:
             wheels.inputs,
             np.column_stack([wheels.outputs, body.outputs[:, 1]]),
             np.column_stack([wheels.counts, body.counts[:, 1]]),
+            wheels.follows and body.follows,
         )
         for wheels, body in zip(by_encoders, by_gyro, strict=True)
     ]
@@ -107,7 +108,8 @@ def two_lags(drive: FloatArray, start: float, lag: float, spread: float, step: f
 
 def _asked(point: Point, commands: FloatArray, step: float, start: FloatArray, smooth: bool) -> FloatArray:
     """(n, 2) twist that the motors are asked for."""
-    asked = commands
+    most = np.array([point.get("limit.v", np.inf), point.get("limit.omega", np.inf)])
+    asked = np.clip(commands, -most, most)
     if "slew.v" in point:
         asked = TwistSlew.model_construct(v=point["slew.v"], omega=point["slew.omega"]).follow(asked, step, start)
     if "encoders.track" not in point:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,9 +13,8 @@ from diffdrive_mpc.models.identification.effects.free_run import Point
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.held_out import blocks
 
-Pieces = list[tuple[int, int, int]]
-"""Number of an experiment, its samples from and up to."""
 LINEAR = (
     "gain.v",
     "gain.omega",
@@ -27,7 +26,9 @@ LINEAR = (
     "encoders.yaw_ratio",
     "gyro.offset",
 )
+_CLIPPED = "clipped commands"
 EFFECTS: Mapping[str, tuple[str, ...]] = {
+    _CLIPPED: ("limit.v", "limit.omega"),
     "twist slew": ("slew.v", "slew.omega"),
     "lag of the encoders": ("encoders.lag",),
     "top speed of the wheels": ("wheels.top_speed",),
@@ -67,35 +68,24 @@ def tried(fit: EffectFit, data: Weighted) -> Tried:
     return Tried(fit, tuple(found.point for found in fits))
 
 
-def gain(old: Tried, new: Tried, data: Weighted) -> tuple[float, int]:
-    """Fall of the logarithm of the held-out error power from `old` to `new`, mean over sensors; in how many blocks."""
+class Worth(NamedTuple):
+    """What one model is worth over another on held-out blocks."""
+
+    gain: float
+    """fall of the logarithm of the error power, mean over sensors"""
+    error: float
+    """its standard error, from the scatter between blocks"""
+    blocks: int
+    """in how many the power falls"""
+
+
+def gain(old: Tried, new: Tried, data: Weighted) -> Worth:
+    """Compare two models by the blocks that they were made without."""
     powers = np.array([_powers(model, data) for model in (old, new)])
-    by_block = np.log(powers).mean(axis=2)
+    falls = -np.diff(np.log(powers).mean(axis=2), axis=0)[0]
     whole = np.log(powers.sum(axis=1)).mean(axis=1)
-    return float(whole[0] - whole[1]), int(np.sum(by_block[0] > by_block[1]))
-
-
-def blocks(experiments: Sequence[Experiment]) -> list[tuple[Pieces, Pieces]]:
-    """For each part of equal length, in the order of time: the data without it, and it; short rests are left out."""
-    settings = effect_settings()
-    ends = np.cumsum([experiment.samples for experiment in experiments])
-    edges = np.linspace(0, ends[-1], settings.blocks + 1).astype(int)
-    folds = []
-    for low, high in pairwise(edges):
-        rest: Pieces = []
-        block: Pieces = []
-        for i, (experiment, end) in enumerate(zip(experiments, ends, strict=True)):
-            count = experiment.samples
-            a, b = np.clip([low - end + count, high - end + count], 0, count).tolist()
-            for first, stop, into in ((0, a, rest), (a, b, block), (b, count, rest)):
-                if (experiment.counts[first:stop].sum(axis=0) >= settings.fewest_readings).all():
-                    into.append((i, first, stop))
-        if not (rest and block):
-            raise ValueError(
-                f"the records are too short to hold any of {settings.blocks} blocks out; give a longer log"
-            )
-        folds.append((rest, block))
-    return folds
+    error = float(falls.std(ddof=1) / np.sqrt(len(falls)))
+    return Worth(float(whole[0] - whole[1]), error, int(np.sum(falls > 0)))
 
 
 def _powers(model: Tried, data: Weighted) -> FloatArray:
@@ -148,16 +138,22 @@ class Selection:
         What was tried, in this order.
     data
         The readings as weighted in the end.
+    points
+        The parameters found without each block of the records.
     """
 
     fit: EffectFit
     effects: tuple[str, ...]
     trials: tuple[Trial, ...]
     data: Weighted
+    points: tuple[Point, ...]
 
 
 def select_effects(
-    experiments: Sequence[Experiment], encoder_track: float | None, on_trial: Callable[[str], None] | None = None
+    experiments: Sequence[Experiment],
+    encoder_track: float | None,
+    on_trial: Callable[[str], None] | None = None,
+    limits: Mapping[str, float] | None = None,
 ) -> Selection:
     """Fit the linear model with its sensors, then try every effect.
 
@@ -173,6 +169,8 @@ def select_effects(
         to single wheels is tried.
     on_trial
         Called with the name of what is tried next.
+    limits
+        Of channels whose command a simpler model found to be clipped.
 
     Raises
     ------
@@ -183,6 +181,7 @@ def select_effects(
     start = {name: settings.parameters[name][2] for name in LINEAR}
     if encoder_track is not None:
         start["encoders.track"] = encoder_track
+    clipped = {f"limit.{channel}": level for channel, level in (limits or {}).items()}
     data = weighted(experiments)
     for _ in range(_ROUNDS):
         fit = fit_effects(start, LINEAR, data)
@@ -191,14 +190,16 @@ def select_effects(
     effects: list[str] = []
     trials: list[Trial] = []
     for effect in EFFECTS:
-        if effect in _OF_SINGLE_WHEELS and encoder_track is None:
+        known = {name: value for name, value in clipped.items() if name in EFFECTS[effect]}
+        if (effect in _OF_SINGLE_WHEELS and encoder_track is None) or (effect == _CLIPPED and not known):
             continue
         if on_trial is not None:
             on_trial(effect)
-        candidate = tried(_with(model.fit, effect, data), data)
-        worth, better = gain(model, candidate, data)
-        kept = worth > settings.worth and 2 * better > settings.blocks
-        trials.append(Trial(effect, worth, better, kept, again=False))
+        candidate = tried(_with(model.fit, effect, data, known), data)
+        worth = gain(model, candidate, data)
+        sure = worth.gain > settings.certain * worth.error
+        kept = sure and worth.gain > settings.worth and 2 * worth.blocks > len(model.points)
+        trials.append(Trial(effect, worth.gain, worth.blocks, kept, again=False))
         if kept:
             effects.append(effect)
             model, data = candidate, weighted(experiments, candidate.fit.point)
@@ -206,19 +207,20 @@ def select_effects(
         if on_trial is not None:
             on_trial(f"without {effect}")
         candidate = tried(_without(model.fit, effect, data), data)
-        worth, better = gain(candidate, model, data)
-        kept = worth > settings.worth
-        trials.append(Trial(effect, worth, better, kept, again=True))
+        worth = gain(candidate, model, data)
+        kept = worth.gain > settings.worth
+        trials.append(Trial(effect, worth.gain, worth.blocks, kept, again=True))
         if not kept:
             effects.remove(effect)
             model, data = candidate, weighted(experiments, candidate.fit.point)
-    return Selection(_settled(model.fit, data), tuple(effects), tuple(trials), data)
+    return Selection(_settled(model.fit, data), tuple(effects), tuple(trials), data, model.points)
 
 
-def _with(fit: EffectFit, effect: str, data: Weighted) -> EffectFit:
-    """The best fit with an effect more."""
+def _with(fit: EffectFit, effect: str, data: Weighted, known: Point) -> EffectFit:
+    """The best fit with an effect more, begun from what is known of its parameters."""
     settings = effect_settings()
     guess = {name: settings.parameters[name][2] for name in EFFECTS[effect] if name in settings.parameters}
+    guess = dict(known) or guess
     free = (*fit.free, *guess)
     if "wheels.top_speed" in guess:
         guess["wheels.top_speed"] = _little_less_than_fastest(data.experiments)

@@ -1,0 +1,118 @@
+"""Blocks of the records held out in turn: what a model predicts of them that was made without them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.output_error.experiment import Experiment, joined
+from diffdrive_mpc.models.output_error.settings import estimator_settings
+from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
+from diffdrive_mpc.models.output_error.validation import simulate_experiment
+
+Pieces = list[tuple[int, int, int]]
+"""Number of an experiment, its samples from and up to."""
+
+
+def blocks(experiments: Sequence[Experiment]) -> list[tuple[Pieces, Pieces]]:
+    """For each part of equal length, in the order of time: the data without it, and it; short rests are left out.
+
+    Raises
+    ------
+    ValueError
+        If the experiments are too short for it.
+    """
+    settings = estimator_settings().held_out
+    ends = np.cumsum([experiment.samples for experiment in experiments])
+    edges = np.linspace(0, ends[-1], settings.blocks + 1).astype(int)
+    folds = []
+    for low, high in pairwise(edges):
+        rest: Pieces = []
+        block: Pieces = []
+        for i, (experiment, end) in enumerate(zip(experiments, ends, strict=True)):
+            count = experiment.samples
+            a, b = np.clip([low - end + count, high - end + count], 0, count).tolist()
+            for first, stop, into in ((0, a, rest), (a, b, block), (b, count, rest)):
+                if (experiment.counts[first:stop].sum(axis=0) >= settings.fewest_readings).all():
+                    into.append((i, first, stop))
+        if not (rest and block):
+            raise ValueError(
+                f"the records are too short to hold any of {settings.blocks} blocks out; give a longer log"
+            )
+        folds.append((rest, block))
+    return folds
+
+
+def cut(experiments: Sequence[Experiment], pieces: Pieces) -> list[Experiment]:
+    """Some of the data."""
+    found = []
+    for i, first, stop in pieces:
+        whole, rows = experiments[i], slice(first, stop)
+        found.append(Experiment(whole.name, whole.dt, whole.inputs[rows], whole.outputs[rows], whole.counts[rows]))
+    return found
+
+
+class HeldOut(NamedTuple):
+    """What models like one fit, each made without one block, say of that block and of the fit."""
+
+    powers: FloatArray
+    """(blocks, p) mean square error of each output in each block"""
+    parameters: FloatArray
+    """(blocks, q)"""
+
+    @property
+    def deviation(self) -> FloatArray:
+        """(q,) standard deviation of the fit's parameters from their scatter (jackknife by blocks).
+
+        So few blocks tell it badly: Student's distribution makes up for it.
+        """
+        from scipy import stats  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+
+        count = len(self.parameters)
+        scatter = np.sqrt((count - 1) ** 2 / count * self.parameters.var(axis=0, ddof=1))
+        return np.asarray(scatter * stats.t.ppf(0.975, count - 1) / stats.norm.ppf(0.975))
+
+
+def hold_out(fit: OutputErrorFit, experiments: Sequence[Experiment], robust: bool = True) -> HeldOut:
+    """Search anew, from `fit`, without each block in turn.
+
+    Raises
+    ------
+    ValueError
+        As `blocks`; or if an output never changes without some block.
+    """
+    powers, parameters = [], []
+    for rest, block in blocks(experiments):
+        found = fit_output_error([(fit.layout, fit.parameters)], cut(experiments, rest), robust, scale=fit.scale)
+        errors = [
+            np.where(one.counts, one.outputs - simulate_experiment(found.system, one), np.nan)
+            for one in cut(experiments, block)
+        ]
+        powers.append(np.nanmean(np.concatenate(errors) ** 2, axis=0))
+        parameters.append(found.parameters)
+    return HeldOut(np.array(powers), np.array(parameters))
+
+
+def with_limit_if_better(
+    limited: OutputErrorFit, plain: OutputErrorFit, experiments: Sequence[Experiment], robust: bool = True
+) -> OutputErrorFit:
+    """`limited`, which has the last parameter more than `plain`, if models like it predict held-out blocks better.
+
+    Few commands lie beyond a limit, so its deviation is not taken below that between blocks. Records too short to hold
+    blocks out decide nothing: then `limited` stays.
+    """
+    experiments = joined(experiments)
+    try:
+        with_it, without = (hold_out(fit, experiments, robust) for fit in (limited, plain))
+    except ValueError:
+        return limited
+    if np.log(with_it.powers.sum(axis=0) / without.powers.sum(axis=0)).sum() >= 0.0:
+        return plain
+    wider = np.ones(len(limited.parameters))
+    wider[-1] = max(1.0, with_it.deviation[-1] / np.sqrt(limited.covariance[-1, -1]))
+    return replace(limited, covariance=limited.covariance * np.outer(wider, wider))
