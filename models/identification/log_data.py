@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check
 from diffdrive_mpc.models.identification.settings import identification_settings
-from diffdrive_mpc.models.identification.spikes import without_spikes
 from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
 from diffdrive_mpc.models.logs.diagnosis import compare_logs
 from diffdrive_mpc.models.logs.record import refuse
@@ -124,9 +123,7 @@ def read_data(
         on_findings([finding for finding in log.findings if force or finding.severity != "error"])
         if not force:
             log.require_sound()
-        records, spikes = without_spikes(log.records, log.name)
-        on_findings(spikes)
-        read.append(replace(log, records=tuple(records), findings=(*log.findings, *spikes)))
+        read.append(log)
     fitted, tried = read[: len(logs)], read[len(logs) :]
     has_gyro = any(record.yaw_rate is not None for log in fitted for record in log.records)
     yaw: YawSource = "gyro" if has_gyro else "encoders"

@@ -21,14 +21,6 @@ class JudgementSettings(StrictModel):
     lever_arm: Positive = Field(description="[m]")
 
 
-class SpikeSettings(StrictModel):
-    """When a reading is one that its neighbours contradict."""
-
-    deviations: Positive = Field(description="of the usual difference from the neighbours' median [-]")
-    share: Positive = Field(description="of the range of the signal [-]")
-    many: Positive = Field(description="part of the readings beyond which they are warned of [-]")
-
-
 class IdentificationSettings(StrictModel):
     """Sizes and thresholds of the way from logs to a model."""
 
@@ -45,7 +37,6 @@ class IdentificationSettings(StrictModel):
     limit_margin: float = Field(ge=1, description="[-]")
     certain: Positive = Field(description="[standard deviations]")
     least_slew: Annotated[float, Field(gt=0, le=1)] = Field(description="part of the slew found [-]")
-    spikes: SpikeSettings
     settled: Annotated[float, Field(gt=0, lt=1)] = Field(description="[-]")
     look_ahead: Positive = Field(description="horizon over the settling time [-]")
     least_steps: int = Field(ge=1, le=200, description="[-]")

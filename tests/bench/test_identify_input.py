@@ -80,7 +80,7 @@ def folder(tmp_path_factory):
         ("good.csv --mapping map.yaml --validate ten.csv", "ten.csv: 10 samples"),
         ("good.csv --mapping map.yaml --name ''", "--name: it is empty"),
         ("good.csv --mapping map.yaml --model sm --structure sm", "--model is the old name of --structure"),
-        ("short.csv --mapping map.yaml", "nothing to identify from: short.csv"),
+        ("short.csv --mapping map.yaml", "short.csv: v was hardly driven"),
         ("", "LOG"),
     ],
 )
