@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from diffdrive_mpc.models.identification.log_data import divide
+from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.output_error.experiment import joined, twist_experiments
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent, validate
@@ -24,6 +25,7 @@ LOGS = {
     "warthog_asphalt": "norlab_warthog_terrains",
     "warthog_gravel": "norlab_warthog_terrains",
 }
+FEWEST = identification_settings().fewest_readings
 CUTS = ("at the step", "60 rows before", "anywhere")
 
 
@@ -40,6 +42,8 @@ def stretches(records, cut, past):
         }[cut]
         edges = np.unique([0, *edges[(edges > 0) & (edges < count)], count]).tolist()
         pieces += [record.part(a, b) for a, b in pairwise(edges) if past or b - a > 30]
+    # As `identify` does.
+    pieces = [p for p in pieces if min(p.fresh_twist.sum(), p.fresh_yaw_rate.sum()) >= FEWEST]
     return pieces if past else [replace(piece, start=3600.0 * i) for i, piece in enumerate(pieces)]
 
 
