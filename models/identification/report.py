@@ -103,8 +103,9 @@ class IdentificationReport:
             trust = f"Yes, where it was driven: {said}" + (
                 f"; {count} warnings" if count > 1 else "; 1 warning" if count else ""
             )
-            step = "diffdrive-mpc simulate --config config.yaml, then the robot" + (
-                "; read the warnings" if count else ""
+            step = (
+                "diffdrive-mpc simulate --config config.yaml --plant model:model.yaml --scale-to-robot, then the robot"
+                + ("; read the warnings" if count else "")
             )
         return [f"Found: {'; '.join([*lags, *clipped])}.", f"To be trusted? {trust}.", f"Next: {step}."]
 
