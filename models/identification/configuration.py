@@ -141,14 +141,20 @@ def configure(
     for row, channel in enumerate(CHANNELS):
         found = identified.limits.get(channel, top_speed if channel == "v" else None)
         limit[row] = asked[:, row].max() if found is None else found
-        reasons.append("largest command of the log" if found is None else "where the robot clips it")
+        reasons.append(
+            "largest command of the log, either way" if found is None else "where the robot clips its command"
+        )
     gain = np.diag(identified.model.dc_gain)
     predicted = margin * np.maximum(gain, 1.0) * limit
     limits = [
         *_slew(identified),
         *(_setting(name, limit[i], f"{_UNITS[name]}, {reasons[i]}") for i, name in enumerate(CHANNELS)),
         *(
-            _setting(f"predicted_{name}", predicted[i], f"{_UNITS[name]}, what the model makes of it, with a margin")
+            _setting(
+                f"predicted_{name}",
+                predicted[i],
+                f"{_UNITS[name]}, the robot's own at most, or the command's, with a margin",
+            )
             for i, name in enumerate(CHANNELS)
         ),
     ]
@@ -175,19 +181,20 @@ def configure(
 def _lengths(speed: float, geometry: WheelGeometry | None) -> dict[str, list[Setting]]:
     """What a robot larger or faster than that of the papers needs more room for, by group."""
     usual = load_robot()
-    larger = max(speed / usual.limits.v, geometry.track / usual.track if geometry is not None else 0.0)
+    faster, wider = speed / usual.limits.v, geometry.track / usual.track if geometry is not None else 0.0
+    larger, why = max((faster, "the robot is so much faster"), (wider, "its track is so much wider"))
     found: dict[str, list[Setting]] = {}
     if larger > 1.0:
         for key, length in identification_settings().lengths.items():
             group, _, name = key.partition(".")
-            reason = f"m, {larger:.1f} times as much as usual, as the robot is larger or faster"
+            reason = f"m, {larger:.1f} times the usual {length:g} m: {why}"
             found.setdefault(group, []).append(_setting(name, larger * length, reason))
     return found
 
 
 def _general(identified: IdentifiedModel, dt: float) -> tuple[Setting, ...]:
     pace = choose_pace(identified.model, dt)
-    source = "of the log" if pace.every == 1 else f"{pace.every} samples of the log, as the robot is slow"
+    source = "of the log" if pace.every == 1 else f"{pace.every} samples of the log, as the robot answers slowly"
     return (
         Setting("model", MODEL_FILE),
         Setting("sample_time", float(f"{pace.sample_time:.6g}"), f"s, {source}: the period at which `step` is called"),

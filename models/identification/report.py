@@ -80,17 +80,19 @@ class IdentificationReport:
 
     def in_short(self) -> list[str]:
         """What was found, whether to trust it, and what to do next: a line each."""
-        gain = self.fitted.identified.model.dc_gain
-        late = self.fitted.identified.model.dead_time
+        model = self.fitted.identified.model
+        gain, late, lag = model.dc_gain, model.dead_time, model.lag - model.dead_time
         lags = [
-            f"{channel} {gain[i, i]:.3g} times its command after {late[i]:.2f} s and a lag"
+            f"{channel} becomes {gain[i, i]:.3g} times its command, after a dead time of {late[i]:.2f} s and a lag of "
+            f"{lag[i]:.2f} s"
             for i, channel in enumerate(CHANNELS)
         ]
         clipped = [f"{channel} clipped at {level:.3g}" for channel, level in self.fitted.identified.limits.items()]
         fit = [float(value) for value in self.fitted.validation.fit_percent]
         worst, limits = min(fit), identification_settings().warn
         errors = [finding for finding in self.data.findings if finding.severity == "error"]
-        said = f"{worst:.0f} % of the worse channel is predicted on data held out"
+        each = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))
+        said = f"of what moves in the data held out it explains (FIT) {each}"
         count = len(self.warnings)
         if errors or not worst >= 0:
             trust, step = (
@@ -100,7 +102,7 @@ class IdentificationReport:
         elif worst < limits.low_fit:
             trust, step = f"With care: {said}", "read the warnings, and drive gently with it"
         else:
-            trust = f"Yes, where it was driven: {said}" + (
+            trust = f"Yes, at the speeds and on the floor of the log: {said}" + (
                 f"; {count} warnings" if count > 1 else "; 1 warning" if count else ""
             )
             step = (

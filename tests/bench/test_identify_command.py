@@ -87,7 +87,7 @@ def test_the_configuration_was_driven_on_stand_ins_and_the_report_says_how(mine)
     out, screen = mine
     words = (out / "report.md").read_text()
     _, _, driving = words.partition("## Driving with it")
-    rows = [line.split(" | ") for line in driving.splitlines() if line.startswith(("| the model", "| one of"))]
+    rows = [line.split(" | ") for line in driving.splitlines() if line.startswith(("| the model", "| a model"))]
     assert [row[1] for row in rows] == 2 * ["circle", "square", "s", "cane"]
     assert all(float(row[4]) < 5.0 and row[5] == "0" and row[6].startswith("yes") for row in rows)
     assert "Driving with it" in screen
