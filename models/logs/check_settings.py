@@ -54,6 +54,7 @@ class CheckSettings(StrictModel):
     late_response: Positive = Field(description="dead time that is said [s]")
     dead_wheel: Share = Field(description="rms speed of a wheel over that of the fastest")
     uneven_wheels: Positive = Field(description="gain of one wheel over that of another")
+    least_part_change: Positive = Field(description="variance of a part that tells of a gain, over the whole log's")
     parts: int = Field(ge=4, description="of a log whose gains are compared")
     scale_change: Positive = Field(description="ratio of gains within a log")
     same_gain: Positive = Field(description="ratio of gains of two logs")

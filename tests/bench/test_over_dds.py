@@ -17,6 +17,7 @@ from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.bench.studies.ros.compare import COMPARED, compare, comparison_table, timing_table
 from diffdrive_mpc.bench.studies.ros.two_processes import DriveFailedError, drive_over_dds, own_domain, running
 from diffdrive_mpc.models.logs.bags import COMMANDS, opened, read_topic
+from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import simulate
 
 BOUND = 120.0
@@ -106,8 +107,8 @@ def test_a_robot_stops_when_its_controller_is_killed(tmp_path, monkeypatch):
             assert base.popen.poll() is None
         assert "no command on /cmd_vel for 0.5 s: the robot stops" in base.output
     with opened(bag) as reader:
-        commands = read_topic(reader, bag, "/cmd_vel", COMMANDS)
-        truth = read_topic(reader, bag, "/ground_truth/twist", COMMANDS)
+        commands = read_topic(reader, bag, Topic(topic="/cmd_vel"), COMMANDS)
+        truth = read_topic(reader, bag, Topic(topic="/ground_truth/twist"), COMMANDS)
     assert commands.value[-1, 0] > 0.2
     since = 1e-9 * (truth.stamped - commands.received[-1])
     assert np.all(truth.value[(since > 0) & (since < 0.5), 0] > 0.2)

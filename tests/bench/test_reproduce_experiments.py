@@ -158,7 +158,7 @@ class CountingBar(ProgressBar):
 
 
 SMALL = SsmStudy(
-    train_duration=8.0,
+    train_duration=12.0,  # in 8 s the faster pole of some drives is not seen
     largest_order=2,
     test_drives=1,
     free_drives=1,

@@ -78,7 +78,8 @@ def _by_part(
     edges = np.searchsorted(energy, np.linspace(0, 1, settings.parts + 1)[1:-1])
     gains, times = [], []
     for part in np.split(np.arange(len(u)), edges):
-        if len(part) > 2 and np.ptp(u[part]) > 0:
+        # A part in which the stream hardly changes tells of no gain.
+        if len(part) > 2 and np.var(u[part]) > settings.least_part_change * np.var(u):
             slope = np.cov(u[part], y[part])[0, 1] / np.var(u[part], ddof=1)
             if slope > 0:
                 gains.append(slope)
