@@ -14,7 +14,7 @@ from diffdrive_mpc.models.logs.diagnosis.agreement import check_parts, compare, 
 from diffdrive_mpc.models.logs.diagnosis.clipping import check_clipping
 from diffdrive_mpc.models.logs.diagnosis.scales import check_axes, check_presence, check_signs, check_units
 from diffdrive_mpc.models.logs.diagnosis.shifts import check_shifts
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, POSE, Streams, answer, streams_of
+from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, answer, streams_of
 from diffdrive_mpc.models.logs.diagnosis.wheels import check_wheels
 from diffdrive_mpc.models.logs.record import Finding, Log, Record
 from diffdrive_mpc.models.logs.record_checks import UNITS, check_excitation, command_changes
@@ -102,9 +102,7 @@ def _driven(streams: Streams, channel: int, settings: CheckSettings) -> str:
     """How the sensors of a channel answer to its command, in words."""
     told = []
     for name in streams.present(channel):
-        command, values = streams.channel(COMMAND, channel), streams.channel(name, channel)
-        assert command is not None and values is not None
-        found = answer(streams, streams.smoothed(command) if name == POSE else command, values, settings)
+        found = answer(streams, *streams.pair(COMMAND, name, channel), settings)
         if found is None:
             told.append(f"{name} not driven")
         else:

@@ -49,10 +49,7 @@ def relations(streams: Streams, settings: CheckSettings) -> list[Relation]:
     found = []
     for channel in (0, 1):
         for first, second in combinations([COMMAND, *streams.present(channel)], 2):
-            a, b = streams.channel(first, channel), streams.channel(second, channel)
-            assert a is not None and b is not None
-            if POSE in (first, second):
-                a, b = (streams.smoothed(part) if name != POSE else part for name, part in ((first, a), (second, b)))
+            a, b = streams.pair(first, second, channel)
             how = answer(streams, a, b, settings, both_measured=first != COMMAND)
             if how is None or how.correlation[0] < settings.weak_correlation:
                 continue

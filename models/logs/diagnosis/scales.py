@@ -210,12 +210,8 @@ def _radius(streams: Streams) -> float | None:
 def _votes(streams: Streams, channel: int, settings: CheckSettings) -> dict[str, _Vote]:
     """How each sensor of the channel answers to the command; empty where that never changes."""
     votes = {}
-    command = streams.channel(COMMAND, channel)
-    assert command is not None
     for name in streams.present(channel):
-        values = streams.channel(name, channel)
-        assert values is not None
-        found = answer(streams, streams.smoothed(command) if name == POSE else command, values, settings)
+        found = answer(streams, *streams.pair(COMMAND, name, channel), settings)
         if found is not None:
             votes[name] = _Vote(float(found.gain[0, 0]), float(found.correlation[0]))
     return votes

@@ -22,13 +22,8 @@ def _answers(streams: Streams, settings: CheckSettings) -> dict[tuple[str, int],
     """How each channel of each sensor answers to its command, where it does so clearly."""
     answers = {}
     for channel in (0, 1):
-        command = streams.channel(COMMAND, channel)
-        assert command is not None
         for name in streams.present(channel):
-            values = streams.channel(name, channel)
-            assert values is not None
-            driven = streams.smoothed(command) if name == POSE else command
-            found = answer(streams, driven, values, settings, intervals=True)
+            found = answer(streams, *streams.pair(COMMAND, name, channel), settings, intervals=True)
             if found is not None and abs(found.correlation[0]) > settings.clear_correlation:
                 answers[name, channel] = found
     return answers
@@ -39,10 +34,7 @@ def _between_sensors(log: str, streams: Streams, settings: CheckSettings) -> lis
     apart: dict[tuple[str, str], tuple[float, float]] = {}
     for channel in (0, 1):
         for first, second in combinations(streams.present(channel), 2):
-            a, b = streams.channel(first, channel), streams.channel(second, channel)
-            assert a is not None and b is not None
-            if POSE in (first, second):
-                a, b = (streams.smoothed(part) if name != POSE else part for name, part in ((first, a), (second, b)))
+            a, b = streams.pair(first, second, channel)
             found = answer(streams, a, b, settings, intervals=True, both_measured=True)
             if found is None or found.correlation[0] < settings.clear_correlation:
                 continue

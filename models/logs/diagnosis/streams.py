@@ -120,6 +120,14 @@ class Streams:
         total, weight = self.each(mean, np.where(known, values, 0.0)), self.each(mean, known.astype(float))
         return np.asarray(np.where(known, total / np.maximum(weight, 1e-9), np.nan))
 
+    def pair(self, first: str, second: str, channel: int) -> tuple[FloatArray, FloatArray]:
+        """(N,) and (N,) v (0) or omega (1) of two streams that have it; beside the pose the other is a mean as well."""
+        a, b = self.channel(first, channel), self.channel(second, channel)
+        assert a is not None and b is not None
+        if POSE not in (first, second):
+            return a, b
+        return a if first == POSE else self.smoothed(a), b if second == POSE else self.smoothed(b)
+
     def inside(self, values: FloatArray, seconds: float) -> FloatArray:
         """Values (N, ...) without the first and last `seconds` of each stretch, of short ones without a third."""
 
