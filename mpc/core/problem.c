@@ -215,7 +215,7 @@ static void run_model(ddmpc_controller *c, const real *plan, real *outputs, int 
         }
         if (k == N)
             break;
-        ddmpc_velocity_step(c, state, line + 2 * (W + k), next, by_state, p->step_jacobian);
+        ddmpc_velocity_step(c, state, line + 2 * (W + k), next, rows ? by_state : 0, rows ? p->by_window : 0);
         memcpy(state, next, (size_t)n * sizeof(real));
         if (!rows)
             continue;
@@ -227,7 +227,7 @@ static void run_model(ddmpc_controller *c, const real *plan, real *outputs, int 
             /* The window's commands from the first of the plan on. */
             for (int w = k < W ? W - k : 0; w <= W; w++)
                 for (int channel = 0; channel < 2; channel++)
-                    after[i * width + 2 * (k - W + w) + channel] += p->step_jacobian[i + n * (n + 2 * w + channel)];
+                    after[i * width + 2 * (k - W + w) + channel] += p->by_window[i + n * (2 * w + channel)];
         }
         real *swapped = now;
         now = after;

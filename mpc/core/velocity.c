@@ -31,7 +31,7 @@ static void linear_step(const ddmpc_controller *c, const real *x, const real *ne
 }
 
 void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *newest, real *after, real *by_state,
-                         real *scratch)
+                         real *by_window)
 {
     const int n = STATES(c);
     if (!NONLINEAR(c)) {
@@ -40,13 +40,14 @@ void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *n
             memcpy(by_state, c->constants->A, (size_t)(n * n) * sizeof(real));
         return;
     }
-    const real *arguments[2] = {x, newest - 2 * WINDOW(c)};
-    real *results[2] = {after, scratch};
-    c->functions.step(arguments, results, 0, 0, 0);
+    real columns[DDMPC_MOST_STATES * DDMPC_MOST_STATES];
+    const real *arguments[3] = {x, newest - 2 * WINDOW(c), c->constants->model_parameters};
+    real *results[3] = {after, by_state ? columns : 0, by_window};
+    c->functions.step(arguments, results, 0, c->problem.work, 0);
     if (by_state)
         for (int i = 0; i < n; i++)
             for (int j = 0; j < n; j++)
-                by_state[i * n + j] = scratch[i + n * j];
+                by_state[i * n + j] = columns[i + n * j];
 }
 
 /* What a Newton step towards a settled (state, command) solves, row by row, with the residual as its last column: the
@@ -55,27 +56,26 @@ static real settling_equations(const ddmpc_controller *c, const real wanted[2], 
                                const real command[2])
 {
     const int n = STATES(c), columns = n + 3;
-    real *held = c->problem.held, *J = c->problem.step_jacobian, *rows = c->problem.settling;
-    real after[DDMPC_MOST_STATES], y[2], by_state[2 * DDMPC_MOST_STATES], largest = R(0.0);
+    real *held = c->problem.held, *by_window = c->problem.by_window, *rows = c->problem.settling;
+    real after[DDMPC_MOST_STATES], y[2], by_output[2 * DDMPC_MOST_STATES], largest = R(0.0);
+    real by_state[DDMPC_MOST_STATES * DDMPC_MOST_STATES];
     for (int i = 0; i < 2 * (WINDOW(c) + 1); i++)
         held[i] = command[i % 2];
-    const real *arguments[2] = {state, held};
-    real *results[2] = {after, J};
-    c->functions.step(arguments, results, 0, 0, 0);
-    ddmpc_velocity_output(c, state, y, by_state);
+    ddmpc_velocity_step(c, state, held + 2 * WINDOW(c), after, by_state, by_window);
+    ddmpc_velocity_output(c, state, y, by_output);
     memset(rows, 0, (size_t)((n + 2) * columns) * sizeof(real));
     for (int i = 0; i < n; i++) {
         real *row = rows + i * columns;
         for (int j = 0; j < n; j++)
-            row[j] = J[i + n * j] - (i == j ? R(1.0) : R(0.0));
+            row[j] = by_state[i * n + j] - (i == j ? R(1.0) : R(0.0));
         for (int j = 0; j < 2 * (WINDOW(c) + 1); j++)
-            row[n + j % 2] += J[i + n * (n + j)];
+            row[n + j % 2] += by_window[i + n * j];
         row[n + 2] = state[i] - after[i];
         largest = ddmpc_max(largest, ddmpc_fabs(row[n + 2]));
     }
     for (int i = 0; i < 2; i++) {
         real *row = rows + (n + i) * columns;
-        memcpy(row, by_state + i * n, (size_t)n * sizeof(real));
+        memcpy(row, by_output + i * n, (size_t)n * sizeof(real));
         row[n + 2] = wanted[i] - y[i];
         largest = ddmpc_max(largest, ddmpc_fabs(row[n + 2]));
     }

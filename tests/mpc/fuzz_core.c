@@ -82,17 +82,23 @@ static int step(const real **arguments, real **results, long long *iw, real *w, 
 {
     const int n = nonlinear_states, W = nonlinear_window;
     const real *x = arguments[0], *oldest = arguments[1], *newest = oldest + 2 * W;
-    real *after = results[0], *gradient = results[1];
+    real *after = results[0], *by_state = results[1], *by_window = results[2];
     (void)iw, (void)w, (void)m;
-    memset(gradient, 0, (size_t)(n * (n + 2 * (W + 1))) * sizeof(real));
+    if (by_state)
+        memset(by_state, 0, (size_t)(n * n) * sizeof(real));
+    if (by_window)
+        memset(by_window, 0, (size_t)(n * 2 * (W + 1)) * sizeof(real));
     for (int i = 0; i < n; i++) {
         const int channel = i % 2;
         const real push = tanh(R(0.5) * (oldest[channel] + newest[channel]) - x[i]);
         const real slope = R(0.2) * (R(1.0) - push * push);
         after[i] = x[i] + R(0.2) * push;
-        gradient[i + n * i] = R(1.0) - slope;
-        gradient[i + n * (n + channel)] += R(0.5) * slope;
-        gradient[i + n * (n + 2 * W + channel)] += R(0.5) * slope;
+        if (by_state)
+            by_state[i + n * i] = R(1.0) - slope;
+        if (by_window) {
+            by_window[i + n * channel] += R(0.5) * slope;
+            by_window[i + n * (2 * W + channel)] += R(0.5) * slope;
+        }
     }
     return 0;
 }
