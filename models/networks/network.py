@@ -105,7 +105,7 @@ class Network:
         return np.asarray(self(np.zeros((1, self.architecture.window, 2)))[0])
 
     def simulate(self, commands: ArrayLike, past: ArrayLike | None = None) -> FloatArray:
-        """Outputs (K, 2) at the samples 0 to K - 1 under `commands` (K, 2), after `past` (window, 2), by default zero."""
+        """Outputs (K, 2) at the samples 0 to K - 1 under `commands` (K, 2), after `past` (window, 2), else zero."""
         window = self.architecture.window
         before = np.zeros((window, 2)) if past is None else np.asarray(past, dtype=float)
         line = np.vstack([before, np.asarray(commands, dtype=float)])

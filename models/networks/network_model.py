@@ -26,13 +26,14 @@ class NetworkModel(NonlinearModel):
     ----------
     network
         The network, which the core evaluates without compiling anything (`mpc/core/network.c`).
-    provenance
-        Where its numbers come from, as the parameter file says it.
     """
 
     network: Network = field(kw_only=True)
-    structure: str = "lstm"
-    provenance: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def structure(self) -> str:
+        """Name of its kind for tables and files."""
+        return "lstm"
 
     @cached_property
     def _jacobians(self) -> tuple[FloatArray, FloatArray, FloatArray]:

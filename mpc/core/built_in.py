@@ -50,8 +50,8 @@ def built_in(model: VelocityModel | DiscreteModel | NonlinearModel) -> BuiltIn |
     kind = model.network.architecture
     if (kind.layers, kind.activation) != (1, "tanh"):
         raise ModelError(
-            f"model '{model.name}': {kind.layers} layers with {kind.activation}; the core has networks of one layer with "
-            "tanh: train one of those to drive with"
+            f"model '{model.name}': {kind.layers} layers with {kind.activation}; the core has networks of one layer "
+            "with tanh: train one of those to drive with"
         )
     work = _work(model.network)
     return BuiltIn("ddmpc_network_step", "ddmpc_network_output", _packed(model.network), work)

@@ -13,11 +13,13 @@ from diffdrive_mpc.mpc.problem.formulas import differentiated
 @cache
 def network_formulas() -> tuple[ca.Function, ...]:
     """Cell and output of a unit, and the activation of a dense layer, as SX functions named as they are in C."""
-    sums = {name: ca.SX.sym(name) for name in ("enter", "keep", "candidate", "cell")}
-    leave, x = ca.SX.sym("leave"), ca.SX.sym("x")
-    says = {"leave": leave, "cell": sums["cell"]}
+    names = ("enter", "keep", "candidate", "leave", "cell", "x")
+    enter, keep, candidate, leave, cell, x = (ca.SX.sym(name) for name in names)
+    before = {"enter": enter, "keep": keep, "candidate": candidate, "cell": cell}
+    now = {"leave": leave, "cell": cell}
+    after = next_cell(enter, keep, candidate, cell, ca.tanh)
     return (
-        differentiated("ddmpc_f_cell", sums, "next_cell", next_cell(*sums.values(), ca.tanh), tuple(sums)),
-        differentiated("ddmpc_f_hidden", says, "hidden", hidden(*says.values(), ca.tanh), tuple(says)),
+        differentiated("ddmpc_f_cell", before, "next_cell", after, tuple(before)),
+        differentiated("ddmpc_f_hidden", now, "hidden", hidden(leave, cell, ca.tanh), tuple(now)),
         differentiated("ddmpc_f_dense", {"x": x}, "y", ca.tanh(x), ("x",)),
     )
