@@ -108,12 +108,12 @@ def train(
 def method(architecture: Architecture, settings: TrainingSettings, found: Training) -> str:
     """How a network was trained, in words for its file."""
     s, a = settings, architecture
+    shares = ", ".join(f"{share:.0%}" for share in s.shares)
     return (
         f"{s.optimiser} at {s.rate:g} with L2 {s.decay:g}, batches of {s.batch}, dropout {s.dropout:g}; validation "
-        f"every {s.validation_every} steps, best of {found.steps} steps at {found.best_step} "
-        f"(patience {s.patience} looks); training, validation and test parts {', '.join(f'{share:.0%}' for share in s.shares)} in this order in time; "
-        f"seed {s.seed}; window {a.window}, {a.layers} x LSTM of {a.units}, dense {a.dense} with {a.activation}, "
-        f"{a.parameters} parameters"
+        f"every {s.validation_every} steps, best of {found.steps} steps at {found.best_step}, patience {s.patience}; "
+        f"training, validation and test parts {shares}, in this order in time; seed {s.seed}; window {a.window}, "
+        f"{a.layers} x LSTM of {a.units}, dense {a.dense} with {a.activation}, {a.parameters} parameters"
     )
 
 
