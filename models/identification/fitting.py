@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from time import perf_counter
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.effects import IdentifiedBase, identify_with_effects
 from diffdrive_mpc.models.identification.effects.comparison import loses
 from diffdrive_mpc.models.identification.log_data import LogData, OptionError
@@ -112,7 +113,7 @@ def _with_effects(
     words = loses(base, plain.identified, data.train)
     if words is None:
         return Found(base.identified), base
-    warned = replace(plain.identified, warnings=(*plain.identified.warnings, words))
+    warned = replace(plain.identified, warnings=(*plain.identified.warnings, Doubt("effects left out", words)))
     return Found(warned, plain.orders), None
 
 

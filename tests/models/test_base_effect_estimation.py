@@ -224,7 +224,7 @@ def test_records_without_a_pose_tell_nothing_of_its_sensor():
 def test_without_a_track_single_wheels_are_left_alone_and_that_is_said():
     found = identify_with_effects([bare(record_of(BaseEffects(), 5, 60.0))])
     assert not any("wheels" in trial.effect for trial in found.trials)
-    assert any("track of the encoders is not known" in warning for warning in found.identified.warnings)
+    assert any("track of the encoders is not known" in doubt.words for doubt in found.identified.warnings)
 
 
 def test_a_record_without_gyro_is_refused_in_one_line():

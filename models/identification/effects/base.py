@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.base_effects import BaseEffects
+from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.effects.fitting import EffectFit, covariance
 from diffdrive_mpc.models.identification.effects.free_run import Point, base_track, free_run, sensed
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
@@ -130,7 +131,7 @@ def identify_with_effects(
     fit = selection.fit
     pose = pose_sensor(records, fit.point)
     effects = _effects(fit.point, pose)
-    warnings = [] if track else ["the track of the encoders is not known: effects of single wheels were not tried"]
+    unknown = Doubt("unknown track", "the track of the encoders is not known: effects of single wheels were not tried")
     parameters = _parameters(selection)
     identified = IdentifiedModel(
         schema=SmFile,
@@ -141,7 +142,7 @@ def identify_with_effects(
         yaw="gyro",
         method=METHOD,
         fits=(),
-        warnings=(*warnings, *_doubts(fit, parameters)),
+        warnings=(*([] if track else [unknown]), *_doubts(fit, parameters)),
     )
     return IdentifiedBase(identified, selection.effects, selection.trials, fit.point, pose, selection.points)
 
@@ -216,17 +217,19 @@ def _physical(name: str, value: float) -> float:
     return float(np.cosh(value)) if kind == "spread" else value
 
 
-def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[str]:
+def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[Doubt]:
     sized = [name for name in parameters.names if not any(part in name for part in _MAY_BE_ZERO)]
-    sentences = doubts.badly_known(parameters.part(sized))
+    found = doubts.badly_known(parameters.part(sized))
     for name, (low, high, _) in effect_settings().parameters.items():
         # Nothing of something is a finding; anything else at a bound is none.
         if name in fit.point and fit.point[name] in (low, high) and fit.point[name] != 0.0:
             if name == "encoders.delay" and fit.point[name] < 0.0:
-                sentences.append(
+                words = (
                     f"the encoders seem to lead the gyro by {-low:g} s or more, which they cannot: the "
                     "mapping takes off too much delay of the encoders, or the gyro has one"
                 )
+                found.append(Doubt("time shift", words))
                 continue
-            sentences.append(f"{name} = {fit.point[name]:.4g} lies at a bound of the search: the data do not tell it")
-    return sentences
+            words = f"{name} = {fit.point[name]:.4g} lies at a bound of the search: the data do not tell it"
+            found.append(Doubt("effect", words))
+    return found
