@@ -192,7 +192,7 @@ typedef struct {
     real *by_window;     /* [n][2(W+1)] Jacobian of a step, column by column */
     real *held;          /* [2(W+1)] a command for ever */
     real *work;          /* memory of the model's step */
-    real *settling;      /* [n+2][n+3] what a Newton step solves */
+    real *settling;      /* [n+2][n+5] what a Newton step solves */
     real *poses;        /* [N+1][3] along the guess */
     real *arc;          /* [8][N] displacement of each arc; its gradient by the model's twist and heading: of x, of y */
     real *cosine, *sine; /* [N] of the path's heading at the samples 1 to N */
@@ -262,9 +262,14 @@ void ddmpc_accept_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose);
    Its Jacobian where asked for: by x (n, n), row by row; and of a nonlinear model by the window, column by column. */
 void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *newest, real *after, real *by_state,
                          real *by_window);
-/* The command under which a nonlinear model settles at the output `wanted`, and the state in which it does; both are
-   guesses at first. Returns 0 if there is none near them. */
-int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], real *state, real command[2]);
+/* Where a nonlinear model settles: at this output, in this state, under this command, and what these two owe to the output;
+   all zero at first, or where there was none. */
+typedef struct {
+    real output[2], state[DDMPC_MOST_STATES], command[2], by_output[2 * (DDMPC_MOST_STATES + 2)];
+    int found;
+} ddmpc_settled;
+/* Where it settles at the output `wanted`, near where it did. Returns 0 if there is none near it. */
+int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *at);
 /* (v, omega) of the model and its gradient (2, n), row by row. */
 void ddmpc_velocity_output(const ddmpc_controller *c, const real *x, real y[2], real *gradient);
 

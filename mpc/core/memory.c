@@ -67,7 +67,7 @@ static void lay_problem(ddmpc_controller *c, memory *m)
         p->sensitivity = reals(m, 2 * n * width);
         p->by_window = reals(m, n * 2 * (WINDOW(c) + 1));
         p->held = reals(m, 2 * (WINDOW(c) + 1));
-        p->settling = reals(m, (n + 2) * (n + 3));
+        p->settling = reals(m, (n + 2) * (n + 5));
         p->work = reals(m, WORK(c));
     }
     p->poses = reals(m, 3 * (N + 1));

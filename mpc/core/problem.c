@@ -31,28 +31,17 @@ static const real *heading_row(const ddmpc_controller *c, int k)
     return c->constants->heading_row + 2 * (STEPS(c) - k);
 }
 
-/* Where a nonlinear model settles: the output that was asked for, the state and the command, and whether there is one. */
-typedef struct {
-    real y[2], state[DDMPC_MOST_STATES], command[2];
-    int found;
-} settled;
-
 /* The command that a nonlinear model needs for a twist of the body, where it has one; its gain at rest gave `command`.
    `last` is where it settles at the sample before, near which this one is sought; most often it is the same. */
-static void settle(const ddmpc_controller *c, const real wanted[2], settled *last, real command[2])
+static void settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *last, real command[2])
 {
     static const real no_gain[4] = {R(1.0), R(0.0), R(0.0), R(1.0)};
     real y[2];
     const real *arguments[3] = {wanted, c->problem.slip, no_gain};
     real *results[1] = {y};
     ddmpc_f_feed_forward(arguments, results, 0, 0, 0);
-    if (!last->found || y[0] != last->y[0] || y[1] != last->y[1]) {
-        if (!last->found)
-            memset(last, 0, sizeof *last);
-        memcpy(last->y, y, sizeof y);
-        last->found = ddmpc_velocity_settle(c, y, last->state, last->command);
-    }
-    if (last->found)
+    const int same = last->found && y[0] == last->output[0] && y[1] == last->output[1];
+    if (same || ddmpc_velocity_settle(c, y, last))
         memcpy(command, last->command, sizeof last->command);
 }
 
@@ -71,7 +60,8 @@ static void look_ahead(ddmpc_controller *c)
         real *results[1] = {p->aim + 4 * i};
         ddmpc_f_aim(arguments, results, 0, 0, 0);
     }
-    settled last = {.found = 0};
+    ddmpc_settled last;
+    last.found = 0;
     for (int i = 0; i < STEPS(c); i++) {
         real wanted[2];
         for (int channel = 0; channel < 2; channel++) {
