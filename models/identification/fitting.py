@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from time import perf_counter
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.effects import IdentifiedBase, identify_with_effects
 from diffdrive_mpc.models.identification.effects.comparison import loses
 from diffdrive_mpc.models.identification.log_data import LogData
@@ -115,7 +116,7 @@ def _with_effects(
     else:
         if words is None:
             return Found(base.identified), base
-    warned = replace(plain.identified, warnings=(*plain.identified.warnings, words))
+    warned = replace(plain.identified, warnings=(*plain.identified.warnings, Doubt("effects left out", words)))
     return Found(warned, plain.orders), None
 
 

@@ -13,8 +13,10 @@ from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.load import model_path, read_model_file
 from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc.mpc.trajectories.load import load_segments
 
 runner = CliRunner()
+ROOT = Path(__file__).parents[2]
 REPORT_KEYS = ["model", "train_fit_percent", "validation_fit_percent", "pose_error", "parameters", "warnings"]
 
 
@@ -92,6 +94,29 @@ def test_the_configuration_was_driven_on_stand_ins_and_the_report_says_how(mine)
     assert all(float(row[4]) < 5.0 and row[5] == "0" and row[6].startswith("yes") for row in rows)
     assert "Driving with it" in screen
     assert "does not drive" not in screen
+
+
+def test_every_warning_says_whether_it_matters_for_driving(mine):
+    report = json.loads((mine[0] / "report.json").read_text())
+    assert report["warnings"]
+    assert all(re.search(r"\((matters|does not matter) for driving: .+\)$", line) for line in report["warnings"])
+    matter = sum("(matters for driving" in line for line in report["warnings"])
+    assert f"{matter or 'none'} of which matter" in mine[1]
+
+
+def test_the_report_ends_with_the_first_drive_on_the_robot(mine, monkeypatch):
+    """Its command runs where the files are, slowly, and what it points at exists."""
+    out, _ = mine
+    _, _, recipe = (out / "report.md").read_text().partition("## The first drive on the robot")
+    (command,) = re.findall(r"`diffdrive-mpc (simulate .*?)`", recipe)
+    monkeypatch.chdir(out)
+    assert "1/1" in run(*command.split())
+    (turn,) = load_segments("first_circle.yaml")
+    assert 0.0 < turn.v < 0.4 * load_config("config.yaml").limits.v
+    assert turn.omega * turn.duration == pytest.approx(2 * np.pi, rel=1e-4)
+    named = set(re.findall(r"docs/\w+\.md", recipe))
+    assert named == {"docs/robot.md", "docs/failure.md"}
+    assert all((ROOT / page).is_file() for page in named)
 
 
 def test_every_figure_is_in_the_report_and_every_link_leads_somewhere(mine):

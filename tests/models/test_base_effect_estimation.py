@@ -227,7 +227,7 @@ def test_records_without_a_pose_tell_nothing_of_its_sensor():
 def test_without_a_track_steps_of_wheels_are_not_tried_and_that_is_said():
     found = identify_with_effects([bare(record_of(BaseEffects(), 5, 60.0))])
     assert not any("steps" in trial.effect for trial in found.trials)
-    assert any("track of the encoders is not known" in warning for warning in found.identified.warnings)
+    assert any("track of the encoders is not known" in doubt.words for doubt in found.identified.warnings)
 
 
 def without_gyro(record):
@@ -276,4 +276,6 @@ def test_where_effects_cannot_be_looked_for_the_plain_model_says_so():
     data = LogData((short,), (record.part(1440, 2400),), ("made up",), "", "gyro", (), ())
     found = fit(data, STRUCTURES["sm"], effects=True)
     assert found.base is None
-    assert any("effects were not looked for: the records are too short" in text for text in found.identified.warnings)
+    assert any(
+        "effects were not looked for: the records are too short" in doubt.words for doubt in found.identified.warnings
+    )

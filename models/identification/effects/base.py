@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.base_effects import BaseEffects
+from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.effects.fitting import EffectFit, covariance
 from diffdrive_mpc.models.identification.effects.free_run import Point, base_track, free_run, sensed
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
@@ -31,6 +32,8 @@ METHOD = (
     "only if it predicts held-out blocks of the records better; outliers held back"
 )
 _BY_GYRO = " and omega of the gyro"
+_NO_TRACK = "the track of the encoders is not known: steps of the wheels were not tried"
+_NO_GYRO = "without a gyro, twist of the tyres, veer and the encoders' lag were not tried"
 # What may well be zero, so that a deviation beside it says nothing.
 _MAY_BE_ZERO = ("dead_time", "encoders.delay", "gyro.offset", "veer")
 _IN_THE_FILE = {"lag": "natural_frequency", "spread": "damping"}
@@ -135,9 +138,8 @@ def identify_with_effects(
     fit = selection.fit
     pose = pose_sensor(records, fit.point) if yaw == "gyro" else None
     effects = _effects(fit.point, pose)
-    warnings = [] if track else ["the track of the encoders is not known: steps of the wheels were not tried"]
-    if yaw != "gyro":
-        warnings.append("without a gyro, twist of the tyres, veer and the encoders' lag were not tried")
+    unseen = [Doubt("unknown track", _NO_TRACK)] if track is None else []
+    unseen += [Doubt("unseen effects", _NO_GYRO)] if yaw != "gyro" else []
     parameters = _parameters(selection)
     identified = IdentifiedModel(
         schema=SmFile,
@@ -148,7 +150,7 @@ def identify_with_effects(
         yaw=yaw,
         method=METHOD if yaw == "gyro" else METHOD.replace(_BY_GYRO, ""),
         fits=(),
-        warnings=(*warnings, *_doubts(fit, parameters)),
+        warnings=(*unseen, *_doubts(fit, parameters)),
     )
     return IdentifiedBase(identified, selection.effects, selection.trials, fit.point, pose, selection.points)
 
@@ -223,18 +225,20 @@ def _physical(name: str, value: float) -> float:
     return float(np.cosh(value)) if kind == "spread" else value
 
 
-def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[str]:
+def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[Doubt]:
     sized = [name for name in parameters.names if not any(part in name for part in _MAY_BE_ZERO)]
-    sentences = doubts.badly_known(parameters.part(sized))
+    found = doubts.badly_known(parameters.part(sized))
     for name, (low, high, _) in effect_settings().parameters.items():
         # Nothing of something is a finding; anything else at a bound is none.
         if name in fit.point and fit.point[name] in (low, high) and fit.point[name] != 0.0:
             if name == "encoders.delay" and fit.point[name] < 0.0:
                 late = f", beside a lag of {fit.point['encoders.lag']:.2g} s" if "encoders.lag" in fit.point else ""
-                sentences.append(
+                words = (
                     f"encoders.delay = {fit.point[name]:.4g} lies at a bound of the search{late}: encoders cannot lead "
                     "the gyro, so the mapping takes off too much delay of theirs, or the gyro has one"
                 )
+                found.append(Doubt("time shift", words))
                 continue
-            sentences.append(f"{name} = {fit.point[name]:.4g} lies at a bound of the search: the data do not tell it")
-    return sentences
+            words = f"{name} = {fit.point[name]:.4g} lies at a bound of the search: the data do not tell it"
+            found.append(Doubt("effect", words))
+    return found
