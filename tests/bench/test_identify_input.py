@@ -72,7 +72,6 @@ def folder(tmp_path_factory):
         ("good.csv --mapping map.yaml --structure ssm --order 7", "--order '7': give auto, or 1 to 5"),
         ("good.csv --mapping map.yaml --order 2", "--order 2: only ssm has a choice of order"),
         ("good.csv --mapping map.yaml --structure ssm --effects", "--effects: they stand around an sm"),
-        ("good.csv --mapping no_gyro.yaml --effects", "--effects: they are told apart by a gyro"),
         ("good.csv --mapping map.yaml --fit-share 1", "--fit-share 1: give 0.1 to 0.9"),
         ("good.csv --mapping map.yaml --fit-share nan", "--fit-share nan: give 0.1 to 0.9"),
         ("good.csv --mapping map.yaml --fit-share 0.5 --validate ten.csv", "--fit-share: with --validate"),
