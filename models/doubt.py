@@ -82,6 +82,7 @@ VERDICTS: Mapping[str, Verdict] = {
     "told together": _no("together they predict the same"),
     "pose calibration": _no("the controller does not use it"),
     "effect": _yes("drive gently until another log tells it"),
+    "unseen effects": _no("the model of what the encoders see is complete"),
     "unknown track": _no("the model around it is complete"),
     "effects left out": _no("the plain model is as good"),
     # Of scores, and of what a log does not have.

@@ -194,7 +194,7 @@ def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
         return NO_POSES
     warnings: list[Doubt] = []
     laws = _slip_laws(train, fitted.geometry, warnings)
-    if fitted.base:
+    if fitted.base and data.yaw == "gyro":
         found = fitted.base.pose or NO_POSES.parameters
         return PoseResults(found, laws, _drift(*_of_base(data, fitted.base), warnings), tuple(warnings))
     gyro = _gyro(train, warnings) if data.yaw == "gyro" else None
