@@ -15,21 +15,24 @@ from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 
 NETWORK = "lstm"
 """The structure of networks on past commands."""
+DRIVES = {"p2_experimental": "drive_experimental", "p2_physical": "drive_physical"}
+"""Shipped drive models, and their structures."""
 PARAMETERS = Path(__file__).parent / "parameters"
-MODEL_NAMES = (*(name for name in STRUCTURES if (PARAMETERS / f"{name}.yaml").is_file()), NETWORK, "kinematic")
-"""Shipped models: one of each structure that ships one, the network, and the one to hold them against."""
+MODEL_NAMES = (*(name for name in STRUCTURES if (PARAMETERS / f"{name}.yaml").is_file()), NETWORK, *DRIVES, "kinematic")
+"""Shipped models: one of each structure that ships one, the network, the drives, the one to hold them against."""
 ROBOTS = PARAMETERS / "robots"
 ROBOT_NAMES = shipped_names(ROBOTS)
 """Real robots that were identified from public logs."""
 
 
 def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
-    """Load a velocity model: a linear one, or a network on past commands.
+    """Load a velocity model: a linear one, a network on past commands, or a drive.
 
     Parameters
     ----------
     name
-        "mbm", "sm", "ssm", "lstm", "kinematic", a robot of `ROBOT_NAMES`, or the path of a parameter file.
+        "mbm", "sm", "ssm", "lstm", "p2_experimental", "p2_physical", "kinematic", a robot of
+        `ROBOT_NAMES`, or the path of a parameter file.
 
     Raises
     ------
@@ -46,6 +49,10 @@ def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
             from diffdrive_mpc.models.networks.network_file import load_network  # noqa: PLC0415
 
             return load_network(path, data)
+        if _structure(data) in DRIVES.values():
+            from diffdrive_mpc.models.drives.drive_file import load_drive  # noqa: PLC0415 - as above
+
+            return load_drive(path, data)
         return build_model(_checked(path, data))
     except ModelError as error:
         raise ModelError(f"{path.name}: {error}") from error
@@ -55,9 +62,7 @@ def load_linear_model(name: str | Path) -> VelocityModel:
     """Load a velocity model of matrices; raises ModelError where it is a function, else as `load_model`."""
     model = load_model(name)
     if not isinstance(model, VelocityModel):
-        raise ModelError(
-            f"model '{name}' is a function of past commands, here matrices are needed; name a linear model"
-        )
+        raise ModelError(f"model '{name}' is a function, here matrices are needed; name a linear model")
     return model
 
 
@@ -65,7 +70,7 @@ def load_base_effects(name: str | Path) -> BaseEffects:
     """Load what a model file says about the base around its model; raises ConfigError as `load_model`."""
     path = model_path(name)
     data = read_yaml(path)
-    return BaseEffects() if _structure(data) == NETWORK else _checked(path, data).base_effects
+    return BaseEffects() if _structure(data) in (NETWORK, *DRIVES.values()) else _checked(path, data).base_effects
 
 
 def model_path(name: str | Path) -> Path:
@@ -88,6 +93,6 @@ def _checked(path: str | Path, data: object) -> ModelFile:
     name = _structure(data)
     structure = STRUCTURES.get(name) if isinstance(name, str) else None
     if structure is None:
-        known = ", ".join((*STRUCTURES, NETWORK))
+        known = ", ".join((*STRUCTURES, NETWORK, *DRIVES.values()))
         raise ConfigError(f"{path}: structure: expected one of {known}, found {name!r}")
     return check(structure.file, data, str(path))

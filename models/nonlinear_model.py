@@ -110,6 +110,11 @@ class NonlinearModel:
         return "function"
 
     @property
+    def plant_step(self) -> ca.Function:
+        """What a plant is moved on by: `step`, unless that rounds off what a robot does sharply."""
+        return self.step
+
+    @property
     def order(self) -> int:
         """Number of states n."""
         return int(self.output.size1_in(0))

@@ -20,7 +20,12 @@ def list_models() -> None:
 
 @models_app.command(epilog="Example: diffdrive-mpc models show ssm")
 def show(
-    name: Annotated[str, typer.Argument(metavar="NAME|FILE", help="mbm, sm, ssm, lstm, kinematic, or a model file.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME|FILE", help="mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic, or a model file."
+        ),
+    ],
 ) -> None:
     """Show one model: matrices, poles, gains, dead times, and where the numbers come from."""
     from diffdrive_mpc.bench.model_report import print_model  # noqa: PLC0415
@@ -54,6 +59,28 @@ def fit(
     output_console().print(table.rich())
     for warning in warnings:
         typer.echo(f"warning: {warning}", err=True)
+
+
+@models_app.command(epilog="Example: diffdrive-mpc models drives --out my_models")
+def drives(
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for p2_experimental.yaml and p2_physical.yaml; by default the shipped ones.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Fit the drive models again, on drives of the simulated robot with changes of direction."""
+    from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
+    from diffdrive_mpc.bench.studies.identification.drive_fitting import fit_drives  # noqa: PLC0415
+    from diffdrive_mpc.models.load import PARAMETERS  # noqa: PLC0415
+
+    folder = out or PARAMETERS
+    folder.mkdir(parents=True, exist_ok=True)
+    with ProgressBar("drives and fits (about a minute)"):
+        table = fit_drives(folder)
+    output_console().print(table.rich())
 
 
 @models_app.command(epilog="Example: diffdrive-mpc models train --out my_models")

@@ -49,7 +49,8 @@ Sweep = Annotated[
 Model = Annotated[
     str | None,
     typer.Option(
-        help="Velocity model: mbm, sm, ssm, lstm, kinematic, or the path of a file.", show_default="ssm, or --config's"
+        help="Velocity model: mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic, or the path of a file.",
+        show_default="ssm, or --config's",
     ),
 ]
 Scaled = Annotated[

@@ -112,7 +112,11 @@ def reproduce(
     *,
     out: Annotated[Path, out_option("reproduce.json, reproduce.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="A small study of under a minute.")] = False,
-    only: Annotated[str | None, parts_option("mbm_sm, ssm, cost, virtual_track")] = None,
+    only: Annotated[str | None, parts_option("mbm_sm, ssm, cost, virtual_track, drive_models")] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(envvar="DIFFDRIVE_MPC_DATA", help="Folder with the real logs.", show_default="without them"),
+    ] = None,
     jobs: Jobs = None,
 ) -> None:
     """Repeat the papers' experiments on the simulated robot and say which findings hold: minutes on two cores."""
@@ -121,7 +125,7 @@ def reproduce(
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
     parts = PARTS if only is None else split_names(only, "--only")
-    carry_out(ReproduceStudy(load_study(quick=quick), parts), out, jobs)
+    carry_out(ReproduceStudy(load_study(quick=quick), parts, data), out, jobs)
 
 
 def peers(

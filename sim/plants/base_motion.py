@@ -75,7 +75,7 @@ class _Function:
 
     def advance(self, command: FloatArray) -> None:
         window = np.vstack([self._past, command])
-        self._state = np.asarray(self._model.step(self._state, window.ravel())).ravel()
+        self._state = np.asarray(self._model.plant_step(self._state, window.ravel())).ravel()
         self._past = window[1:]
 
 

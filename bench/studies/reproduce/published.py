@@ -59,6 +59,13 @@ class PublishedTrack(StrictModel):
     exchanged: list[tuple[int, int]]
 
 
+class PublishedDriveErrors(StrictModel):
+    """Mean and largest error of v [mm/s] and of omega [degrees per second]."""
+
+    v: tuple[float, float]
+    omega: tuple[float, float]
+
+
 class Rules(StrictModel):
     """Thresholds that decide findings."""
 
@@ -82,6 +89,7 @@ class Published(StrictModel):
     free_drives_average: PublishedDrive
     cost: dict[str, PublishedCost]
     virtual_track: PublishedTrack
+    drive_models: dict[str, dict[str, PublishedDriveErrors]]
     rules: Rules
 
 

@@ -10,7 +10,7 @@ from pydantic import Field
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.robot import Positive
 
-PARTS = ("mbm_sm", "ssm", "cost", "virtual_track")
+PARTS = ("mbm_sm", "ssm", "cost", "virtual_track", "drive_models")
 """Names of the parts, in the order of the report."""
 
 Count = Annotated[int, Field(ge=1)]
@@ -50,6 +50,17 @@ class CostStudy(StrictModel):
     simulation_steps: dict[str, Count] = Field(description="of the whole simulations, by model")
 
 
+class DriveStudy(StrictModel):
+    """Drive models on drives with changes of direction, and on logs."""
+
+    drives: Count = Field(description="to fit, and as many held out")
+    duration: Positive = Field(description="of each [s]")
+    v: Positive = Field(description="largest set-point [m/s]")
+    omega: Positive = Field(description="largest set-point [rad/s]")
+    repetitions: Count = Field(description="how many of the repetitions")
+    logs: tuple[str, ...] = Field(description="of bench/studies/real_logs/protocol.yaml")
+
+
 class ReproduceSettings(StrictModel):
     """All parts; a repetition has drives and noise of its own."""
 
@@ -57,6 +68,7 @@ class ReproduceSettings(StrictModel):
     mbm_sm: MbmSmStudy
     ssm: SsmStudy
     cost: CostStudy
+    drive_models: DriveStudy
 
 
 def load_study(*, quick: bool = False) -> ReproduceSettings:

@@ -5,11 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 from diffdrive_mpc.bench.outcomes import plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.studies.reproduce.cost import Cost, cost_findings, cost_table, measure_cost
+from diffdrive_mpc.bench.studies.reproduce.drive_models import (
+    DriveModelsResult,
+    compare_on_log,
+    compare_on_twin,
+    drive_model_findings,
+    drive_model_tables,
+)
 from diffdrive_mpc.bench.studies.reproduce.mbm_and_sm import (
     MbmSmResult,
     compare_mbm_and_sm,
@@ -35,7 +43,7 @@ from diffdrive_mpc.bench.studies.reproduce.virtual_track import (
 from diffdrive_mpc.bench.study import Draw, Report, Study, check_parts
 from diffdrive_mpc.bench.table import Table
 
-Task = Callable[[], SsmResult | MbmSmResult]
+Task = Callable[[], SsmResult | MbmSmResult | DriveModelsResult]
 
 
 @dataclass(frozen=True)
@@ -50,29 +58,37 @@ class ReproduceResults:
         By name of the model.
     virtual_track
         The printed tests and their lines.
+    drive_models
+        One for each repetition and each log.
     """
 
     mbm_sm: tuple[MbmSmResult, ...] = ()
     ssm: tuple[SsmResult, ...] = ()
     cost: Mapping[str, Cost] | None = None
     virtual_track: VirtualTrackResult | None = None
+    drive_models: tuple[DriveModelsResult, ...] = ()
 
 
 class ReproduceStudy(Study[list[Task], ReproduceResults]):
-    """The parts of `settings` that are named in `only`."""
+    """The parts of `settings` that are named in `only`; with `data`, the folder of the real logs, those too."""
 
     name = "reproduce"
     title = "The papers repeated"
 
-    def __init__(self, settings: ReproduceSettings, only: Sequence[str] = PARTS) -> None:
+    def __init__(self, settings: ReproduceSettings, only: Sequence[str] = PARTS, data: Path | None = None) -> None:
         self.settings = settings
         self._only = only
+        self._data = data
 
     def plan(self) -> list[Task]:
         """What is repeated, the longest first: a long one at the end would keep one core waiting."""
         check_parts(self._only, PARTS)
         s, only = self.settings, self._only
         tasks: list[Task] = [partial(compare_orders, s.ssm, k) for k in s.repetitions if "ssm" in only]
+        if "drive_models" in only:
+            if self._data:
+                tasks += [partial(compare_on_log, name, self._data) for name in s.drive_models.logs]
+            tasks += [partial(compare_on_twin, s.drive_models, k) for k in s.repetitions[: s.drive_models.repetitions]]
         return tasks + [partial(compare_mbm_and_sm, s.mbm_sm, k) for k in s.repetitions if "mbm_sm" in only]
 
     def run(self, plan: list[Task], jobs: int, bar: ProgressBar) -> ReproduceResults:
@@ -80,10 +96,12 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         timed = "cost" in self._only
         bar.begin("running", len(plan) + 2 * self.settings.cost.runs * timed)
         done = run_tasks(plan, jobs, bar.advance)
+        driven = sorted((one for one in done if isinstance(one, DriveModelsResult)), key=lambda one: -one.repetition)
         tracked, published = "virtual_track" in self._only, load_published()
         return ReproduceResults(
             ssm=tuple(result for result in done if isinstance(result, SsmResult)),
             mbm_sm=tuple(result for result in done if isinstance(result, MbmSmResult)),
+            drive_models=tuple(driven),
             cost=measure_cost(self.settings.cost, bar.advance) if timed else None,
             virtual_track=check_virtual_track(published.virtual_track, published.rules.certain) if tracked else None,
         )
@@ -123,6 +141,8 @@ def report_tables(results: ReproduceResults, findings: Table) -> list[Table]:
         tables.append(cost_table(results.cost, published))
     if results.virtual_track is not None:
         tables.append(virtual_track_table(results.virtual_track))
+    if results.drive_models:
+        tables += drive_model_tables(results.drive_models, published)
     return tables
 
 
@@ -152,6 +172,8 @@ def find(results: ReproduceResults) -> list[Finding]:
         findings += cost_findings(results.cost, published)
     if results.virtual_track is not None:
         findings += virtual_track_findings(results.virtual_track, published)
+    if results.drive_models:
+        findings += drive_model_findings(results.drive_models, published)
     return findings
 
 

@@ -1,0 +1,36 @@
+"""Bounds and starts of the search for a drive model, read from `settings.yaml`."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.robot import Positive
+
+
+class Range(StrictModel):
+    """Where a number is looked for."""
+
+    low: float
+    high: float
+    size: Positive = Field(description="a usual change of it")
+
+
+class FitSettings(StrictModel):
+    """The search."""
+
+    most_dead_time: Positive = Field(description="[s]")
+    most_steps: Annotated[int, Field(ge=1)] = Field(description="of one least-squares search [-]")
+    still: tuple[Positive, Positive] = Field(description="speed below which a robot stands [m/s], [rad/s]")
+    bounds: dict[str, Range]
+    starts: tuple[dict[str, float], ...]
+
+
+@cache
+def fit_settings() -> FitSettings:
+    """Read the file; raises ConfigError on a mistake in it."""
+    return load_checked(FitSettings, Path(__file__).with_name("settings.yaml"))
