@@ -101,5 +101,7 @@ def test_the_command_writes_its_report(tmp_path: Path):
 def test_an_unknown_part_is_one_line_and_nothing_is_made(tmp_path: Path):
     result = runner.invoke(app, ["reproduce", "--out", str(tmp_path / "out"), "--only", "ssm,costs"])
     assert result.exit_code == 2
-    assert result.stderr == "error: --only: unknown part 'costs'; known: mbm_sm, ssm, cost, virtual_track\n"
+    assert (
+        result.stderr == "error: --only: unknown part 'costs'; known: mbm_sm, ssm, cost, virtual_track, drive_models\n"
+    )
     assert not (tmp_path / "out").exists()

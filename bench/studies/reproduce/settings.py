@@ -61,6 +61,21 @@ class DriveStudy(StrictModel):
     logs: tuple[str, ...] = Field(description="of bench/studies/real_logs/protocol.yaml")
 
 
+class TrackStudy(StrictModel):
+    """P3's tests driven, and drives in which one thing stays."""
+
+    surfaces: Annotated[tuple[str, ...], Field(min_length=1)]
+    tests: Annotated[tuple[tuple[Positive, Positive], ...], Field(min_length=3)] = Field(
+        description="v [m/s], yaw rate [rad/s]"
+    )
+    duration: Positive = Field(description="of a drive [s]")
+    settling: Positive = Field(description="of it that does not count [s]")
+    v: Positive = Field(description="that stays [m/s]")
+    yaw_rate: Positive = Field(description="that stays [rad/s]")
+    yaw_rates: Annotated[tuple[Positive, ...], Field(min_length=3)] = Field(description="[rad/s]")
+    speeds: Annotated[tuple[Positive, ...], Field(min_length=3)] = Field(description="[m/s]")
+
+
 class ReproduceSettings(StrictModel):
     """All parts; a repetition has drives and noise of its own."""
 
@@ -69,6 +84,7 @@ class ReproduceSettings(StrictModel):
     ssm: SsmStudy
     cost: CostStudy
     drive_models: DriveStudy
+    driven_track: TrackStudy
 
 
 def load_study(*, quick: bool = False) -> ReproduceSettings:

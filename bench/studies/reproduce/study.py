@@ -18,6 +18,12 @@ from diffdrive_mpc.bench.studies.reproduce.drive_models import (
     drive_model_findings,
     drive_model_tables,
 )
+from diffdrive_mpc.bench.studies.reproduce.driven_track import (
+    DrivenTrack,
+    drive_tests,
+    driven_track_findings,
+    driven_track_tables,
+)
 from diffdrive_mpc.bench.studies.reproduce.mbm_and_sm import (
     MbmSmResult,
     compare_mbm_and_sm,
@@ -43,7 +49,7 @@ from diffdrive_mpc.bench.studies.reproduce.virtual_track import (
 from diffdrive_mpc.bench.study import Draw, Report, Study, check_parts
 from diffdrive_mpc.bench.table import Table
 
-Task = Callable[[], SsmResult | MbmSmResult | DriveModelsResult]
+Task = Callable[[], SsmResult | MbmSmResult | DriveModelsResult | DrivenTrack]
 
 
 @dataclass(frozen=True)
@@ -60,6 +66,8 @@ class ReproduceResults:
         The printed tests and their lines.
     drive_models
         One for each repetition and each log.
+    driven_track
+        One for each floor.
     """
 
     mbm_sm: tuple[MbmSmResult, ...] = ()
@@ -67,6 +75,7 @@ class ReproduceResults:
     cost: Mapping[str, Cost] | None = None
     virtual_track: VirtualTrackResult | None = None
     drive_models: tuple[DriveModelsResult, ...] = ()
+    driven_track: tuple[DrivenTrack, ...] = ()
 
 
 class ReproduceStudy(Study[list[Task], ReproduceResults]):
@@ -89,6 +98,8 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
             if self._data:
                 tasks += [partial(compare_on_log, name, self._data) for name in s.drive_models.logs]
             tasks += [partial(compare_on_twin, s.drive_models, k) for k in s.repetitions[: s.drive_models.repetitions]]
+        if "virtual_track" in only:
+            tasks += [partial(drive_tests, s.driven_track, surface) for surface in s.driven_track.surfaces]
         return tasks + [partial(compare_mbm_and_sm, s.mbm_sm, k) for k in s.repetitions if "mbm_sm" in only]
 
     def run(self, plan: list[Task], jobs: int, bar: ProgressBar) -> ReproduceResults:
@@ -102,6 +113,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
             ssm=tuple(result for result in done if isinstance(result, SsmResult)),
             mbm_sm=tuple(result for result in done if isinstance(result, MbmSmResult)),
             drive_models=tuple(driven),
+            driven_track=tuple(result for result in done if isinstance(result, DrivenTrack)),
             cost=measure_cost(self.settings.cost, bar.advance) if timed else None,
             virtual_track=check_virtual_track(published.virtual_track, published.rules.certain) if tracked else None,
         )
@@ -141,6 +153,8 @@ def report_tables(results: ReproduceResults, findings: Table) -> list[Table]:
         tables.append(cost_table(results.cost, published))
     if results.virtual_track is not None:
         tables.append(virtual_track_table(results.virtual_track))
+    if results.driven_track:
+        tables += driven_track_tables(results.driven_track, published)
     if results.drive_models:
         tables += drive_model_tables(results.drive_models, published)
     return tables
@@ -172,6 +186,8 @@ def find(results: ReproduceResults) -> list[Finding]:
         findings += cost_findings(results.cost, published)
     if results.virtual_track is not None:
         findings += virtual_track_findings(results.virtual_track, published)
+    if results.driven_track:
+        findings += driven_track_findings(results.driven_track, published)
     if results.drive_models:
         findings += drive_model_findings(results.drive_models, published)
     return findings
