@@ -70,6 +70,11 @@ class Limits(Group):
         round(_ROBOT.limits.wheel_speed * _ROBOT.wheel_radius, 3),
         description="soft: speed of the left and right wheels at the rim, from the predicted twist [m/s]",
     )
+    least_turn_radius: Positive | None = Field(
+        None,
+        description="soft: |omega| times this is no more than |v|, for a robot that must not turn on the spot; without "
+        "it any turn will do [m]",
+    )
     corridor: Positive = Field(0.5, description="soft: predicted distance from the path to either side [m]")
 
 

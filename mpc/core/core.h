@@ -21,10 +21,11 @@ typedef struct {
     int history;             /* H, ticks that the estimator looks back */
     int lag_v, lag_omega;    /* whole samples by which the feed-forward looks ahead */
     int residuals;           /* rows of the user's residuals at a sample */
-    int soft;                /* K, kinds of soft limit: five shipped ones, then the user's */
+    int soft;                /* K, kinds of soft limit: five shipped ones, those of the turn, then the user's */
     int terms;               /* functions of the user */
     int parameters;          /* P, stage parameters of all of them */
     int nonlinear;           /* whether the velocity model is a function */
+    int turns;               /* kinds of soft limit that keep the least turn radius: 2, or 0 without one */
     int slips;               /* S, slips that are estimated: 8, or with those that curve the twist 13 */
 } ddmpc_sizes;
 
@@ -93,6 +94,7 @@ typedef struct {
     const real *soft_upper;     /* [K] */
     const real *soft_lower;     /* [K] */
     real half_track;            /* [m] */
+    real least_turn_radius;     /* [m]; 0: none */
 
     /* solution */
     real slack;                 /* by how much the active set may exceed a limit */

@@ -24,6 +24,7 @@
 #define TERMS(c) DDMPC_TERMS
 #define PARAMETERS(c) DDMPC_PARAMETERS
 #define NONLINEAR(c) DDMPC_NONLINEAR
+#define TURNS(c) DDMPC_TURNS
 #define DDMPC_MOST_SLIPS DDMPC_SLIPS
 #define SLIPS(c) DDMPC_SLIPS
 #else
@@ -44,6 +45,7 @@
 #define TERMS(c) ((c)->sizes.terms)
 #define PARAMETERS(c) ((c)->sizes.parameters)
 #define NONLINEAR(c) ((c)->sizes.nonlinear)
+#define TURNS(c) ((c)->sizes.turns)
 #define SLIPS(c) ((c)->sizes.slips)
 #endif
 
@@ -84,7 +86,7 @@ enum { PADDING = 8 };
 #define SAMPLES(c) (STEPS(c) + 1 + LONGEST_LAG(c))
 /* Commands that are remembered. */
 #define COMMANDS(c) (WINDOW(c) + HISTORY(c) + 2)
-enum { HARD = 4, SHIPPED_SOFT = 5, TERM_INPUTS = 7 };
+enum { HARD = 4, SHIPPED_SOFT = 5, TURN_ROWS = 2, TERM_INPUTS = 7 };
 #define KINDS(c) (HARD + SOFT(c))
 /* Limits that may press at once: as many as there are commands, and some soft ones that give way. */
 #define MOST_ACTIVE(c) (INPUTS(c) + 32)

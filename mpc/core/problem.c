@@ -595,10 +595,23 @@ static void bound_commands(ddmpc_controller *c)
         }
 }
 
+/* Where the reference drives at sample k: 1 forwards, -1 backwards; where it stands, as it does next, or did last. */
+static real direction_at(const ddmpc_controller *c, int k)
+{
+    const real *v = c->reference_twist;
+    int at = k;
+    while (at < STEPS(c) && ddmpc_fabs(v[2 * at]) <= c->constants->standing)
+        at++;
+    while (at > 0 && ddmpc_fabs(v[2 * at]) <= c->constants->standing)
+        at--;
+    return v[2 * at] < R(0.0) ? R(-1.0) : R(1.0);
+}
+
 /* One kind of soft limit at sample k + 1, or now (k = -1): its value and gradient. */
 typedef struct {
     ddmpc_function function;
     int rows, first;
+    int turn;               /* whether it keeps the least turn radius: from above only */
     const ddmpc_term *term; /* of the user; none for the shipped ones */
 } soft_group;
 
@@ -606,8 +619,13 @@ static void soft_at(const ddmpc_controller *c, const soft_group *group, int k)
 {
     const ddmpc_problem *p = &c->problem;
     real shipped[DDMPC_MOST_SLIPS + 1];
-    memcpy(shipped, p->slip, (size_t)SLIPS(c) * sizeof(real));
-    shipped[SLIPS(c)] = c->constants->half_track;
+    if (group->turn) {
+        shipped[0] = c->constants->least_turn_radius;
+        shipped[1] = direction_at(c, k + 1);
+    } else {
+        memcpy(shipped, p->slip, (size_t)SLIPS(c) * sizeof(real));
+        shipped[SLIPS(c)] = c->constants->half_track;
+    }
     call_term(c, group->function, k, group->rows, k < 0 ? p->last : p->guess + 2 * k,
               group->term ? parameters_at(c, k + 1, group->term) : shipped, p->term);
 }
@@ -631,6 +649,11 @@ static void limit_softly(ddmpc_controller *c, const soft_group *group, const rea
         soft_at(c, group, -1);
     for (int r = 0; r < rows; r++) {
         const int kind = group->first + r;
+        if (group->turn) {
+            p->upper[(HARD + kind) * N] = ddmpc_max(R(0.0), p->term[r]);
+            p->lower[(HARD + kind) * N] = -(real)INFINITY;
+            continue;
+        }
         const int wheel = !group->term && (r == 2 || r == 3);
         const real up = wheel ? ddmpc_min(c->constants->soft_upper[kind], c->rim_reach) : c->constants->soft_upper[kind];
         const real down = wheel ? -up : c->constants->soft_lower[kind];
@@ -661,9 +684,14 @@ static void limit_softly(ddmpc_controller *c, const soft_group *group, const rea
 static void bound_softly(ddmpc_controller *c)
 {
     real moves[2 * DDMPC_MOST_STEPS], headings[DDMPC_MOST_STEPS + 1];
-    soft_group group = {WITH_SLIP(c, soft), SHIPPED_SOFT, 0, 0};
+    soft_group group = {WITH_SLIP(c, soft), SHIPPED_SOFT, 0, 0, 0};
     linear_moves(c, c->problem.by_plan, moves, headings);
     limit_softly(c, &group, moves, headings);
+    if (TURNS(c)) {
+        group = (soft_group){ddmpc_f_turn, TURN_ROWS, SHIPPED_SOFT, 1, 0};
+        limit_softly(c, &group, moves, headings);
+        group.turn = 0;
+    }
     for (int t = 0; t < TERMS(c); t++) {
         const ddmpc_term *term = c->functions.terms + t;
         if (!term->soft)

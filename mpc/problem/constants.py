@@ -69,6 +69,11 @@ class Problem:
         return int(np.ceil(self.config.estimator.history / self.model.dt)) + 1
 
     @property
+    def _turns(self) -> int:
+        """Kinds of soft limit that keep the least turn radius: to the left and to the right, if there is one."""
+        return 0 if self.config.limits.least_turn_radius is None else 2
+
+    @property
     def curved(self) -> bool:
         """Whether the configuration speaks of slip that curves the body's twist."""
         s = self.config.estimator
@@ -90,10 +95,11 @@ class Problem:
             "lag_v": lag_v,
             "lag_omega": lag_omega,
             "residuals": sum(term.rows for term in terms if not term.soft),
-            "soft": len(SHIPPED_SOFT) + sum(term.rows for term in terms if term.soft),
+            "soft": len(SHIPPED_SOFT) + self._turns + sum(term.rows for term in terms if term.soft),
             "terms": len(terms),
             "parameters": sum(term.parameters for term in terms),
             "nonlinear": int(self.prediction is None),
+            "turns": self._turns,
             "slips": len(SLIPS if self.curved else FLAT_SLIPS),
         }
 
@@ -224,6 +230,7 @@ class Problem:
     def _limits(self) -> Constants:
         limits, dt = self.config.limits, self.model.dt
         shipped = [limits.predicted_v, limits.predicted_omega, limits.wheel_speed, limits.wheel_speed, limits.corridor]
+        shipped += [0.0] * self._turns  # the core knows them
         soft = [term for term in self.terms if term.soft]
         return {
             "largest_command": [limits.v, limits.omega],
@@ -232,6 +239,7 @@ class Problem:
             "soft_upper": np.concatenate([shipped, *(term.bounds[1] for term in soft)]),
             "soft_lower": np.concatenate([np.negative(shipped), *(term.bounds[0] for term in soft)]),
             "half_track": 0.5 * self.config.wheels.track,
+            "least_turn_radius": limits.least_turn_radius or 0.0,
         }
 
     def _solution(self) -> Constants:

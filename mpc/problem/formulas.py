@@ -204,6 +204,17 @@ def softly_limited(pose: ca.SX, twist: ca.SX, reference: ca.SX, parameters: ca.S
     return ca.vertcat(twist, wheels[0] + turning, wheels[0] - turning, across_path(pose, reference))
 
 
+def turned_tighter(twist: ca.SX, parameters: ca.SX) -> ca.SX:
+    """By how much a twist turns more tightly than allowed to the left and to the right (2) [m/s]: none above zero.
+
+    |omega| radius <= |v|, in the direction of travel: `parameters` (2) are the least radius [m] and 1 or -1 where the
+    reference drives forwards or backwards. Source of the constraint: Ordonez et al., 2017.
+    """
+    radius, direction = ca.vertsplit(parameters)
+    turning, driving = radius * twist[1], direction * twist[0]
+    return ca.vertcat(turning - driving, -turning - driving)
+
+
 def arc_piece(tau: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Pose (3), twist (2) and arc length (1) of a reference of exact arcs, `tau` [s] after its phase began.
 
@@ -248,6 +259,7 @@ def formulas() -> tuple[ca.Function, ...]:
         *_with_slip("", len(FLAT_SLIPS)),
         *_with_slip("_curved", len(SLIPS)),
         _term("ddmpc_f_errors", tracking_errors, 0),
+        _term("ddmpc_f_turn", turned_tighter, 2),
         _plain("ddmpc_f_arc_piece", arc_piece, *sampled),
         _plain("ddmpc_f_spline_piece", spline_piece, *sampled),
     )

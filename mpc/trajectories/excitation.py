@@ -22,8 +22,8 @@ def slip_excitation(
 ) -> list[Segment]:
     """Twists, each held, that tell most of nine slip terms, the robot beginning in the middle of a square.
 
-    All three rows of slip have the terms v, w and v w (see `models.slip_laws.polynomial_twist`), so what a drive tells of
-    them is the matrix M of their products, summed over time. The next twist is the one that lets det M grow most (a
+    All three rows of slip have the terms v, w and v w (see `models.slip_laws.polynomial_twist`), so what a drive tells
+    of them is the matrix M of their products, summed over time. The next twist is the one that lets det M grow most (a
     greedy D-optimal design), among those that stay inside and from whose end one can go on.
 
     Parameters
