@@ -100,6 +100,9 @@ class Compensation(Group):
     side_slip: bool = Field(True, description="estimate side-slip and turning point [-]")
 
 
+Coefficient = Annotated[float, Field(ge=-2, le=2)]
+
+
 class Estimator(Group):
     """Noise that the Kalman filter assumes (standard deviations), and what it rejects."""
 
@@ -134,23 +137,23 @@ class Estimator(Group):
     )
     load_shift_uncertainty: NotNegative = Field(0.02, description="the same, what is not known of it [s^2]")
     load_shift_drift: NotNegative = Field(0.003, description="random walk of that [s^2 per sqrt(s)]")
-    crab: float = Field(0.0, description="lateral speed, to the left, over forward speed, at the start [-]")
+    crab: Coefficient = Field(0.0, description="lateral speed, to the left, over forward speed, at the start [-]")
     crab_uncertainty: NotNegative = Field(0.0, description="the same, what is not known of it [-]")
     crab_drift: NotNegative = Field(0.0, description="random walk of that [1 per sqrt(s)]")
-    veer: float = Field(0.0, description="yaw for each metre that the wheels drive, at the start [rad/m]")
+    veer: Coefficient = Field(0.0, description="yaw for each metre that the wheels drive, at the start [rad/m]")
     veer_uncertainty: NotNegative = Field(0.0, description="the same, what is not known of it [rad/m]")
     veer_drift: NotNegative = Field(0.0, description="random walk of that [rad/m per sqrt(s)]")
-    forward_coupling: float = Field(
+    forward_coupling: Coefficient = Field(
         0.0, description="forward speed over product of the wheels' speed and yaw rate, at the start [s/rad]"
     )
     forward_coupling_uncertainty: NotNegative = Field(0.0, description="the same, what is not known of it [s/rad]")
     forward_coupling_drift: NotNegative = Field(0.0, description="random walk of that [s/rad per sqrt(s)]")
-    yaw_coupling: float = Field(
+    yaw_coupling: Coefficient = Field(
         0.0, description="yaw rate over product of the wheels' speed and yaw rate, at the start [s/m]"
     )
     yaw_coupling_uncertainty: NotNegative = Field(0.0, description="the same, what is not known of it [s/m]")
     yaw_coupling_drift: NotNegative = Field(0.0, description="random walk of that [s/m per sqrt(s)]")
-    track_growth: float = Field(
+    track_growth: Coefficient = Field(
         0.0, description="by what share the track widens for each rad/s of yaw rate, at the start [s/rad]"
     )
     track_growth_uncertainty: NotNegative = Field(0.0, description="the same, what is not known of it [s/rad]")

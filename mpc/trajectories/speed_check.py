@@ -54,8 +54,8 @@ def check_speeds(reference: Reference, limits: Limits, dt: float, gain: FloatArr
             v, omega = twist[worst]
             raise ValueError(
                 f"reference '{reference.name}': at {times[worst]:.2f} s it turns on a radius of {v / omega:.3g} m, "
-                f"tighter than limits.least_turn_radius = {radius:g}; give a wider path (--scale-to-robot does), or unset "
-                "the limit"
+                f"tighter than limits.least_turn_radius = {radius:g}; give a wider path (--scale-to-robot does), or "
+                "unset the limit"
             )
 
 
