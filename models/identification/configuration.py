@@ -87,6 +87,19 @@ class Configuration:
         """The settings with a group, by its name."""
         return {name: getattr(self, name) for name in ("limits", "wheels", "estimator", "reentry", "failure")}
 
+    @property
+    def bounds(self) -> tuple[Setting, ...]:
+        """Of `limits` those of speeds and slopes."""
+        return tuple(
+            setting for setting in self.limits if f"limits.{setting.name}" not in identification_settings().lengths
+        )
+
+    @property
+    def room(self) -> tuple[Setting, ...]:
+        """Lengths that are more than usual, of all groups: no limit of the robot, but what it needs."""
+        lengths = identification_settings().lengths
+        return tuple(s for group, settings in self.groups.items() for s in settings if f"{group}.{s.name}" in lengths)
+
     def mapping(self) -> dict[str, Any]:
         """Keys and values as `load_config` takes them; the model is the file beside the configuration."""
         content: dict[str, Any] = {setting.name: setting.value for setting in self.general}

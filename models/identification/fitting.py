@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from time import perf_counter
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.effects import IdentifiedBase, identify_with_effects
 from diffdrive_mpc.models.identification.effects.comparison import loses
-from diffdrive_mpc.models.identification.log_data import LogData, OptionError
+from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.logs.geometry import WheelGeometry, wheel_geometry
@@ -83,8 +84,6 @@ def fit(
     geometry = wheel_geometry(data.train)
     base: IdentifiedBase | None = None
     started = perf_counter()
-    if effects and data.yaw != "gyro":
-        raise OptionError("effects", ": they are told apart by a gyro beside the encoders; map one, or leave it out")
     radius = geometry.radius if geometry else None
     found = structure.identify(data.train, Conditions(data.validation, data.yaw, order, radius))
     if effects:
@@ -108,11 +107,16 @@ def _with_effects(
     """The model with effects, or the plain one with a warning where it predicts blocks held out at least as well."""
     track = geometry.track if geometry else None
     limits = plain.identified.limits
-    base = identify_with_effects(data.train, encoder_track=track, limits=limits, on_trial=on_trial)
-    words = loses(base, plain.identified, data.train)
-    if words is None:
-        return Found(base.identified), base
-    warned = replace(plain.identified, warnings=(*plain.identified.warnings, words))
+    try:
+        base = identify_with_effects(data.train, yaw=data.yaw, encoder_track=track, limits=limits, on_trial=on_trial)
+        _ = base.identified.model  # refuses what cannot be a robot
+        words = loses(base, plain.identified, data.train)
+    except ValueError as error:
+        words = f"effects were not looked for: {error}"
+    else:
+        if words is None:
+            return Found(base.identified), base
+    warned = replace(plain.identified, warnings=(*plain.identified.warnings, Doubt("effects left out", words)))
     return Found(warned, plain.orders), None
 
 
@@ -120,7 +124,7 @@ def _simulated(identified: IdentifiedModel, base: IdentifiedBase | None, records
     """Speed of the encoders and omega as the model means it, from one free run over each record."""
     if base is None:
         return simulate_records(identified.system, records, identified.yaw)
-    return [readings[:, [0, 2]] for readings in base.readings(records)]
+    return [readings[:, [0, -1]] for readings in base.readings(records)]
 
 
 def _scored(

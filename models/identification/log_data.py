@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check
+from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
 from diffdrive_mpc.models.logs.diagnosis import compare_logs
@@ -65,7 +66,7 @@ class LogData:
     held_out: str
     yaw: YawSource
     findings: tuple[Finding, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[Doubt, ...]
 
 
 def read_data(
@@ -137,7 +138,7 @@ def read_data(
         train = [record for first, _ in halves for record in first]
         validation = [record for _, last in halves for record in last]
         held_out = f"the last {100 * (1 - fit_share):.0f} % of the rows of each log"
-    warnings: list[str] = []
+    warnings: list[Doubt] = []
     spare = [
         Finding(
             "subset", "note", use, f"{most_rows} of {rows} rows are used, the parts in which the commands change most"
@@ -209,7 +210,7 @@ def most_informative(records: Sequence[Record], most: int) -> list[Record]:
     return [records[i].part(first, min(first + span, len(records[i].command))) for i, first in sorted(taken)]
 
 
-def _usable(records: Sequence[Record], needed: Sequence[str], use: str, warnings: list[str]) -> tuple[Record, ...]:
+def _usable(records: Sequence[Record], needed: Sequence[str], use: str, warnings: list[Doubt]) -> tuple[Record, ...]:
     """Records with enough readings of every signal; `warnings` gets a line for each that is left out."""
     least = identification_settings().fewest_readings
     kept: list[Record] = []
@@ -220,7 +221,7 @@ def _usable(records: Sequence[Record], needed: Sequence[str], use: str, warnings
             kept.append(record)
             continue
         lacking = f"{record.name}: {_readings(record, missing)} readings of {missing}, fewer than {least}"
-        warnings.append(f"{lacking}; the stretch is not used {use}")
+        warnings.append(Doubt("stretch left out", f"{lacking}; the stretch is not used {use}"))
     if not kept:
         raise ConfigError(f"nothing {use}: {lacking or 'no rows are left'}; log that signal, or for longer")
     return tuple(kept)

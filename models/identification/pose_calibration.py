@@ -13,6 +13,7 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 from scipy.optimize import least_squares
 
+from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
@@ -218,7 +219,7 @@ class PoseCalibration:
     parameters: ParameterEstimate
     rmse: FloatArray
     windows: int
-    warnings: tuple[str, ...]
+    warnings: tuple[Doubt, ...]
 
 
 def calibrate_wheels(records: Sequence[Record], law: SlipLaw, pose_lag: float = 0.0) -> PoseCalibration:
@@ -317,7 +318,7 @@ def _solve(errors: Callable[[FloatArray], FloatArray], start: FloatArray, names:
         parameters, found = result.x, errors(result.x)
     rows = result.jac.reshape(*found.shape, len(start))
     estimate = ParameterEstimate(names, parameters, sandwich([rows], [weight * found]).covariance)
-    warnings = badly_known(estimate.part(_sizes(names)))
+    warnings = badly_known(estimate.part(_sizes(names)), "pose calibration")
     return PoseCalibration(estimate, np.sqrt(np.mean(found**2, axis=0)), len(found), tuple(warnings))
 
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive_mpc.models.base_effects import PoseMount
+from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.effects import IdentifiedBase
 from diffdrive_mpc.models.identification.fitting import Fitted
 from diffdrive_mpc.models.identification.log_data import LogData
@@ -160,7 +161,7 @@ class PoseResults:
     parameters: ParameterEstimate
     laws: tuple[tuple[str, PoseCalibration], ...]
     drift: tuple[PoseDrift, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[Doubt, ...]
 
     @property
     def mount(self) -> tuple[str, ...]:
@@ -191,15 +192,15 @@ def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
     train, validation = _with_pose(data.train), _with_pose(data.validation)
     if not train and not validation:
         return NO_POSES
-    warnings: list[str] = []
+    warnings: list[Doubt] = []
     laws = _slip_laws(train, fitted.geometry, warnings)
-    if fitted.base:
+    if fitted.base and data.yaw == "gyro":
         found = fitted.base.pose or NO_POSES.parameters
         return PoseResults(found, laws, _drift(*_of_base(data, fitted.base), warnings), tuple(warnings))
     gyro = _gyro(train, warnings) if data.yaw == "gyro" else None
     calibrations = [("wheels", laws[0][1])] if laws else []
     calibrations += [("gyro", gyro)] if gyro else []
-    warnings += [f"poses: {text}" for _, calibration in calibrations for text in calibration.warnings]
+    warnings += [doubt.of("poses") for _, calibration in calibrations for doubt in calibration.warnings]
     parts = [calibration.parameters for _, calibration in calibrations]
     if parts and laws and fitted.geometry is None:
         parts[0] = _as_gains(parts[0])
@@ -209,7 +210,7 @@ def from_poses(data: LogData, fitted: Fitted) -> PoseResults:
 
 
 def _slip_laws(
-    train: Sequence[Record], geometry: WheelGeometry | None, warnings: list[str]
+    train: Sequence[Record], geometry: WheelGeometry | None, warnings: list[Doubt]
 ) -> tuple[tuple[str, PoseCalibration], ...]:
     """The law with a constant track first; the others where the log has wheels of its own."""
     if not train:
@@ -222,15 +223,15 @@ def _slip_laws(
     try:
         return tuple((name, calibrate_wheels(records, law)) for name, law in candidates.items())
     except ValueError as error:
-        warnings.append(f"wheels are not calibrated from poses: {error}")
+        warnings.append(Doubt("pose calibration", f"wheels are not calibrated from poses: {error}"))
         return ()
 
 
-def _gyro(train: Sequence[Record], warnings: list[str]) -> PoseCalibration | None:
+def _gyro(train: Sequence[Record], warnings: list[Doubt]) -> PoseCalibration | None:
     try:
         return calibrate_gyro(train) if train else None
     except ValueError as error:
-        warnings.append(f"the gyro is not calibrated from poses: {error}")
+        warnings.append(Doubt("pose calibration", f"the gyro is not calibrated from poses: {error}"))
         return None
 
 
@@ -268,7 +269,7 @@ def _of_base(data: LogData, base: IdentifiedBase) -> tuple[Predictions, PosePoin
     return centred, PosePoint(lag=base.pose.value("pose.delay"))
 
 
-def _drift(predictions: Predictions, point: PosePoint, warnings: list[str]) -> tuple[PoseDrift, ...]:
+def _drift(predictions: Predictions, point: PosePoint, warnings: list[Doubt]) -> tuple[PoseDrift, ...]:
     records, twists = [record for record, _ in predictions], [twist for _, twist in predictions]
     drift: list[PoseDrift] = []
     for horizon in identification_settings().horizons:
@@ -282,7 +283,7 @@ def _drift(predictions: Predictions, point: PosePoint, warnings: list[str]) -> t
                 horizons=[horizon],
             )
         except ValueError as error:
-            warnings.append(f"no pose error at {horizon:g} s: {error}")
+            warnings.append(Doubt("pose calibration", f"no pose error at {horizon:g} s: {error}"))
     return tuple(drift)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from diffdrive_mpc.models.doubt import Doubt, lines
 from diffdrive_mpc.models.identification.fitting import Fitted
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.identification.poses import PoseResults
@@ -26,7 +27,7 @@ from diffdrive_mpc.models.identification.tables import (
     slip_table,
 )
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.logs.record import counted
+from diffdrive_mpc.models.logs.record import Finding, counted
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.table import Table
 from diffdrive_mpc.models.velocity_model import CHANNELS
@@ -59,24 +60,41 @@ class IdentificationReport:
     def __str__(self) -> str:
         """Scores, pose errors, parameters and warnings."""
         tables = [*self.scores, parameter_table("Parameters", self.fitted.identified.parameters)]
-        lines = [f"warning: {warning}" for warning in self.warnings]
-        return "\n\n".join([self.name, *map(str, tables), *(["\n".join(lines)] if lines else [])])
+        said = "\n".join(f"warning: {warning}" for warning in self.warnings)
+        return "\n\n".join([self.name, *map(str, tables), *([said] if said else [])])
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Everything that a user should know before trusting the model: of the log, the estimate and its scores."""
-        found = counted([finding for finding in self.data.findings if finding.severity != "note"])
-        found += [*self.data.warnings, *self.fitted.identified.warnings, *self.poses.warnings]
+    def doubts(self) -> tuple[Doubt, ...]:
+        """What not to trust in the estimate and its scores."""
+        found = [*self.data.warnings, *self.fitted.identified.warnings, *self.poses.warnings]
         if self.data.yaw == "encoders":
-            found.append(
-                "omega: the log has no gyro, so this is the yaw rate of the wheels; a skid-steered body turns less"
-            )
+            words = "omega: the log has no gyro, so this is the yaw rate of the wheels; a skid-steered body turns less"
+            found.append(Doubt("no gyro", words))
         if self.fitted.geometry is None:
-            found.append(
+            words = (
                 "wheels: the log has no speeds of theirs: in config.yaml set limits.wheel_speed, wheels.track and "
                 "wheels.encoder_track"
             )
-        return tuple(dict.fromkeys([*found, *score_warnings(self.fitted), *mount_warnings(self.poses)]))
+            found.append(Doubt("no wheels", words))
+        return tuple(dict.fromkeys([*found, *score_doubts(self.fitted), *mount_doubts(self.poses)]))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Everything that a user should know before trusting the model, a line each: of the logs and the `doubts`."""
+        return tuple(dict.fromkeys([*counted(self._findings), *lines(self.doubts)]))
+
+    @property
+    def _findings(self) -> list[Finding]:
+        return [finding for finding in self.data.findings if finding.severity != "note"]
+
+    def _counted(self) -> str:
+        """How many warnings there are, and how many of them matter for driving; empty without any."""
+        verdicts = [*(finding.verdict for finding in self._findings), *(doubt.verdict for doubt in self.doubts)]
+        matter = sum(verdict is not None and verdict.matters for verdict in verdicts)
+        if not verdicts:
+            return ""
+        count = "1 warning" if len(verdicts) == 1 else f"{len(verdicts)} warnings"
+        return f"{count}, {matter or 'none'} of which matter{'s' if matter == 1 else ''} for driving"
 
     def in_short(self) -> list[str]:
         """What was found, whether to trust it, and what to do next: a line each."""
@@ -93,7 +111,7 @@ class IdentificationReport:
         errors = [finding for finding in self.data.findings if finding.severity == "error"]
         each = ", ".join(f"{channel} {value:.0f} %" for channel, value in zip(CHANNELS, fit, strict=True))
         said = f"of what moves in the data held out it explains (FIT) {each}"
-        count = len(self.warnings)
+        count = self._counted()
         if errors or not worst >= 0:
             trust, step = (
                 f"No: {errors[0].words if errors else said}",
@@ -102,12 +120,10 @@ class IdentificationReport:
         elif worst < limits.low_fit:
             trust, step = f"With care: {said}", "read the warnings, and drive gently with it"
         else:
-            trust = f"Yes, at the speeds and on the floor of the log: {said}" + (
-                f"; {count} warnings" if count > 1 else "; 1 warning" if count else ""
-            )
+            trust = f"Yes, at the speeds and on the floor of the log: {said}" + (f"; {count}" if count else "")
             step = (
-                "diffdrive-mpc simulate --config config.yaml --plant model:model.yaml --scale-to-robot, then the robot"
-                + ("; read the warnings" if count else "")
+                "diffdrive-mpc simulate --config config.yaml --plant model:model.yaml --scale-to-robot, then the "
+                "robot, as the end of the report says"
             )
         return [f"Found: {'; '.join([*lags, *clipped])}.", f"To be trusted? {trust}.", f"Next: {step}."]
 
@@ -178,40 +194,42 @@ class IdentificationReport:
         )
 
 
-def score_warnings(fitted: Fitted) -> list[str]:
+def score_doubts(fitted: Fitted) -> list[Doubt]:
     """What FIT and residuals on the records held out say against the model."""
     limits = identification_settings().warn
     found = []
     for row, channel in enumerate(CHANNELS):
         train, validation = float(fitted.train.fit_percent[row]), float(fitted.validation.fit_percent[row])
         if validation < limits.low_fit:
-            found.append(
-                f"{channel}: validation FIT {validation:.1f} %, below {limits.low_fit:g} %: little is explained"
-            )
+            words = f"validation FIT {validation:.1f} %, below {limits.low_fit:g} %: little is explained"
+            found.append(Doubt("low FIT", words).of(channel))
         if train - validation > limits.fit_drop:
-            found.append(
-                f"{channel}: FIT falls from {train:.1f} to {validation:.1f} % on data held out: they differ, or the "
-                "model has too many parameters"
+            words = (
+                f"FIT falls from {train:.1f} to {validation:.1f} % on data held out: they differ, or the model has too "
+                "many parameters"
             )
+            found.append(Doubt("FIT falls", words).of(channel))
         unexplained = fitted.validation.residuals.unexplained[row]
         j = int(np.argmax(unexplained))
         if unexplained[j] > limits.unexplained:
-            found.append(
-                f"{channel}: residuals follow past commands of {CHANNELS[j]} ({unexplained[j]:.1f} times the 95 % "
-                "bound): the model misses part of the dynamics"
+            words = (
+                f"residuals follow past commands of {CHANNELS[j]} ({unexplained[j]:.1f} times the 95 % bound): the "
+                "model misses part of the dynamics"
             )
+            found.append(Doubt("missed dynamics", words).of(channel))
     return found
 
 
-def mount_warnings(poses: PoseResults) -> list[str]:
-    """A sentence if poses are those of a point that the robot does not turn about."""
+def mount_doubts(poses: PoseResults) -> list[Doubt]:
+    """A doubt if poses are those of a point that the robot does not turn about."""
     place = {name.rpartition("_")[2].rpartition(".")[2]: poses.parameters.value(name) for name in poses.mount}
     if not place or np.hypot(place["ahead"], place["left"]) < identification_settings().warn.lever_arm:
         return []
-    return [
+    words = (
         f"poses: their point sits {place['ahead']:.3f} m ahead and {place['left']:.3f} m to the left of the centre of "
         "rotation: give the controller poses of that centre (models.base_effects.PoseMount)"
-    ]
+    )
+    return [Doubt("pose point", words)]
 
 
 def _bullets(lines: Sequence[str]) -> list[str]:

@@ -115,8 +115,11 @@ def slip_table(poses: PoseResults) -> Table:
 
 def finding_table(findings: Sequence[Finding]) -> Table:
     """What was found in the logs."""
-    rows = tuple((finding.severity, finding.kind, finding.place, finding.words) for finding in findings)
-    return Table("Findings in the logs", ("severity", "kind", "where", "what"), rows, text_columns=4)
+    rows = tuple(
+        (finding.severity, finding.kind, finding.place, finding.words, str(finding.verdict or ""))
+        for finding in findings
+    )
+    return Table("Findings in the logs", ("severity", "kind", "where", "what", "for driving"), rows, text_columns=5)
 
 
 def _valued(estimate: ParameterEstimate) -> list[str]:

@@ -61,7 +61,7 @@ class RowSignal:
 
     def signal(self, rows: Rows) -> Signal:
         """The readings in these rows, which must be in order of time."""
-        rows = rows[(self.fresh & np.isfinite(self.time) & np.isfinite(self.value).all(axis=1))[rows]]
+        rows = rows[self.fresh[rows] & np.isfinite(self.time[rows]) & np.isfinite(self.value[rows]).all(axis=1)]
         rows = rows[increasing(self.time[rows])]
         time, value = self.time[rows], self.value[rows]
         if self.counts:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.growing import Growing
 from diffdrive_mpc.models.logs.record import BoolArray, Finding
 
 _SEPARATORS = ",;\t"
@@ -111,7 +112,7 @@ def read_header(path: Path) -> list[str]:
 def read_table(path: Path, names: Collection[str]) -> CsvTable:
     """Read columns of a CSV file; its separator is a comma, a semicolon or a tab.
 
-    Memory holds one block of text at a time, and eight bytes for each cell of the columns named.
+    Memory holds one block of text at a time, eight bytes for each cell of the columns named, and as much again for two.
 
     Raises
     ------
@@ -119,9 +120,7 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
         If the file cannot be read, is empty, names a column twice, or a line has too few or too many cells. Only the
         last line may be cut off: it is left out, with a finding.
     """
-    blocks: list[dict[str, FloatArray]] = []
-    empties: list[dict[str, BoolArray]] = []
-    lines: list[NDArray[np.int64]] = []
+    lines: Growing[np.int64] = Growing(np.int64)
     words: dict[str, float] = {}
     findings: list[Finding] = []
     with _opened(path) as file:
@@ -130,6 +129,8 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
         if twice is not None:
             raise ConfigError(f"{path}: column '{twice}' is there twice; rename one")
         wanted = [name for name in header if name in names]
+        values: dict[str, Growing[np.float64]] = {name: Growing(np.float64) for name in wanted}
+        missing: dict[str, Growing[np.bool_]] = {}
         line = 2
         try:
             for text, last in _blocks(file):
@@ -137,22 +138,21 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
                 if parsed is None:
                     parsed = _careful(path, text, separator, header, wanted, line, words, findings if last else None)
                 found, empty, numbers = parsed
-                blocks.append(found)
-                empties.append(empty)
-                lines.append(line + numbers)
+                for name in wanted:
+                    values[name].extend(found[name])
+                    if name in empty or name in missing:
+                        missing.setdefault(name, Growing(np.bool_, len(lines))).extend(
+                            empty.get(name, np.zeros(len(numbers), dtype=bool))
+                        )
+                lines.extend(line + numbers)
                 line += text.count("\n")
         except (OSError, UnicodeDecodeError, csv.Error) as error:
             raise ConfigError(f"{path}: cannot be read as CSV ({getattr(error, 'strerror', None) or error})") from error
-    if not sum(len(part) for part in lines):
+    if not len(lines):
         raise ConfigError(f"{path}: no rows; a log has a header line and a row of numbers per sample")
-    values, missing = {}, {}
-    for name in wanted:
-        values[name] = np.concatenate([block.pop(name) for block in blocks])
-        if any(name in empty for empty in empties):
-            parts = zip(lines, empties, strict=True)
-            missing[name] = np.concatenate([empty.get(name, np.zeros(len(part), dtype=bool)) for part, empty in parts])
-    line_numbers = np.concatenate(lines)
-    return CsvTable(path, header, np.arange(len(line_numbers)), line_numbers, values, missing, words, tuple(findings))
+    cells = {name: column.array() for name, column in values.items()}
+    empty_cells = {name: column.array() for name, column in missing.items()}
+    return CsvTable(path, header, np.arange(len(lines)), lines.array(), cells, empty_cells, words, tuple(findings))
 
 
 def _opened(path: Path) -> BinaryIO:
@@ -188,18 +188,38 @@ _Parsed = tuple[dict[str, FloatArray], dict[str, BoolArray], NDArray[np.int64]]
 
 
 def _quick(text: str, separator: str, header: list[str], wanted: list[str]) -> _Parsed | None:
-    """A block of plain numbers; None where it holds anything else: quotes, words, empty cells, shorter lines."""
+    """A block of numbers and empty cells; None where it holds anything else: quotes, words, shorter lines."""
     count = text.count("\n") + (not text.endswith("\n"))
     if '"' in text or "\n\n" in text or text.count(separator) != count * (len(header) - 1) or not wanted:
         return None
+    filled = _filled(text, separator)
+    # What is not a number in such a block must be an empty cell.
+    if filled is not text and "nan" in text.lower():
+        return None
     columns = [header.index(name) for name in wanted]
     try:
-        table = np.loadtxt(io.StringIO(text), delimiter=separator, usecols=columns, comments=None, ndmin=2)
+        table = np.loadtxt(io.StringIO(filled), delimiter=separator, usecols=columns, comments=None, ndmin=2)
     except ValueError:
         return None
     if len(table) != count:
         return None
-    return {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(wanted)}, {}, np.arange(count)
+    empty = {}
+    if filled is not text:
+        empty = {name: np.isnan(table[:, i]) for i, name in enumerate(wanted) if np.isnan(table[:, i]).any()}
+    return {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(wanted)}, empty, np.arange(count)
+
+
+def _filled(text: str, separator: str) -> str:
+    """The text with "nan" in its empty cells; itself where it has none."""
+    twice, first, last = 2 * separator, f"\n{separator}", f"{separator}\n"
+    if not (twice in text or first in text or last in text or text[0] == separator or text[-1] == separator):
+        return text
+    # Twice, as the cells of one replacement share a separator with the next.
+    for _ in range(2):
+        text = text.replace(twice, f"{separator}nan{separator}")
+    text = text.replace(last, f"{separator}nan\n").replace(first, f"\nnan{separator}")
+    text = f"nan{text}" if text[0] == separator else text
+    return f"{text}nan" if text[-1] == separator else text
 
 
 def _careful(

@@ -34,26 +34,41 @@ def chosen_rows(table: CsvTable, columns: Columns, settings: CheckSettings) -> t
         sample = table.cells(columns.time.column)[:_PART]
         steps = np.diff(sample[np.isfinite(sample)])
         period = FACTORS[columns.time.unit] * float(np.median(steps)) if len(steps) else 0.0
-    stride = round(settings.needed_step / period) if 0 < period < settings.shortest_step else 1
-    # A clock of less than a sample time of any robot is a wrong unit or a burst, and told as such.
-    if stride > 1 and period >= settings.sample_times[0]:
-        words = (
-            f"one row in {stride} is used, {stride * period:.3g} s apart: a base does not move in less, and "
-            "no controller "
-            "is run faster"
-        )
-        findings.append(Finding("decimated", "note", table.path.name, words))
+    stride = needed_stride(period, settings)
+    if stride > 1:
+        findings.append(decimated(table.path.name, "row", stride, period))
         table = table.part(np.arange(0, len(table.row), stride))
     if len(table.row) <= settings.most_rows:
         return table, findings
     names = [part.column for _, part in columns.command if isinstance(part, Column)]
     taken = most_driven([table.cells(name) for name in names], settings.most_rows)
+    findings.append(subset(table.path.name, "rows", len(taken), len(table.row)))
+    return table.part(taken), findings
+
+
+def needed_stride(period: float, settings: CheckSettings) -> int:
+    """One in how many readings `period` [s] apart a base is quick enough to need."""
+    # A clock of less than a sample time of any robot is a wrong unit or a burst, and told as such.
+    quick = settings.sample_times[0] <= period < settings.shortest_step
+    return round(settings.needed_step / period) if quick else 1
+
+
+def decimated(place: str, what: str, stride: int, period: float) -> Finding:
+    """The note that one `what` in `stride`, which are `period` [s] apart, is used."""
     words = (
-        f"{len(taken)} of {len(table.row)} rows are used, the parts in which the command changes most; cut the log by "
+        f"one {what} in {stride} is used, {stride * period:.3g} s apart: a base does not move in less, and no "
+        "controller is run faster"
+    )
+    return Finding("decimated", "note", place, words)
+
+
+def subset(place: str, what: str, taken: int, count: int) -> Finding:
+    """The note that `taken` of `count` rows or commands are used."""
+    words = (
+        f"{taken} of {count} {what} are used, the parts in which the command changes most; cut the log by "
         "'times' or 'where' in the mapping to choose others"
     )
-    findings.append(Finding("subset", "note", table.path.name, words))
-    return table.part(taken), findings
+    return Finding("subset", "note", place, words)
 
 
 def most_driven(commands: list[FloatArray], most: int, part: int = _PART) -> NDArray[np.intp]:
@@ -61,10 +76,13 @@ def most_driven(commands: list[FloatArray], most: int, part: int = _PART) -> NDA
     count = -(-len(commands[0]) // part)
     score = np.zeros(count)
     for command in commands:
-        change = np.abs(np.diff(np.nan_to_num(command), prepend=np.nan_to_num(command[:1])))
         scale = float(np.nanstd(command))
         if scale > 0:
-            score += np.add.reduceat(change, np.arange(0, len(command), part)) / scale
+            # Part by part, each from the last row of the one before: copies of all rows would be half of the memory.
+            score += [
+                np.abs(np.diff(np.nan_to_num(command[max(0, i * part - 1) : (i + 1) * part]))).sum() / scale
+                for i in range(count)
+            ]
     best = np.sort(np.argsort(-score, kind="stable")[: max(1, most // part)])
     rows = np.concatenate([np.arange(i * part, min((i + 1) * part, len(commands[0]))) for i in best])
     return np.asarray(rows)

@@ -14,6 +14,7 @@ from diffdrive_mpc.models.logs.clock_checks import check_timing, gap_finding
 from diffdrive_mpc.models.logs.csv_log import read_csv
 from diffdrive_mpc.models.logs.diagnosis import diagnose
 from diffdrive_mpc.models.logs.diagnosis.readings import check_period, without_spikes
+from diffdrive_mpc.models.logs.diagnosis.streams import streams_of
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.logs.record import Finding, Log, Record
 from diffdrive_mpc.models.logs.record_checks import check_commands, check_sensors
@@ -63,8 +64,9 @@ def read_log(path: str | Path, mapping: str | Path | None = None, sample_time: f
     records, findings = _records(raw, dt, longest_step, loaded.times if loaded else (), settings)
     findings = [*raw.findings, *check_timing(raw, period, settings), *findings]
     records, stuck = check_sensors(records, settings)
-    findings += [*stuck, *check_commands(raw.name, records, settings), *diagnose(raw.name, records, settings)]
-    return Log(raw.name, tuple(records), tuple(findings), loaded.sources() if loaded else {})
+    streams = streams_of(records, settings)
+    findings += [*stuck, *check_commands(raw.name, records, settings), *diagnose(raw.name, streams, settings)]
+    return Log(raw.name, tuple(records), tuple(findings), streams, loaded.sources() if loaded else {})
 
 
 def _records(

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.doubt import VERDICTS, Verdict
 from diffdrive_mpc.models.interface import FloatArray
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.models.logs.diagnosis.streams import Streams
 
 BoolArray = NDArray[np.bool_]
 Severity = Literal["note", "warning", "error"]
@@ -132,7 +136,8 @@ class Finding:
     Attributes
     ----------
     kind
-        What it is, in a word or two, the same for all findings of its kind: "gap", "wrong sign".
+        What it is, in a word or two, the same for all findings of its kind: "gap", "wrong sign"; a key of
+        `models.doubt.VERDICTS` where it is more than a note.
     severity
         "note": it is so; "warning": the model may suffer; "error": a model from this log would be wrong.
     place
@@ -148,6 +153,11 @@ class Finding:
     place: str
     words: str
     span: tuple[float, float] | None = None
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Whether it matters for driving; None for a note."""
+        return None if self.severity == "note" else VERDICTS[self.kind]
 
     def __str__(self) -> str:
         """One line."""
@@ -166,6 +176,8 @@ class Log:
         The stretches that can be used, all with the same sample time, in the order of the log.
     findings
         What is wrong or worth knowing, in the order found.
+    streams
+        What the records hold, side by side, as the diagnosis looks at it.
     sources
         Columns or topics by stream: "command", "encoders", "gyro", "pose".
     """
@@ -173,6 +185,7 @@ class Log:
     name: str
     records: tuple[Record, ...]
     findings: tuple[Finding, ...]
+    streams: Streams
     sources: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -193,14 +206,15 @@ def refuse(errors: Sequence[Finding]) -> None:
 
 
 def counted(findings: Sequence[Finding], most: int = 2) -> list[str]:
-    """One line per finding; of those of one kind only the first `most`, and how many more there are."""
+    """One line per finding, verdict included; of one kind only the first `most`, and how many more there are."""
     lines, seen = [], Counter(finding.kind for finding in findings)
     told: Counter[str] = Counter()
     for finding in findings:
         told[finding.kind] += 1
         if told[finding.kind] <= most:
             left = seen[finding.kind] - most if told[finding.kind] == most else 0
-            lines.append(f"{finding}" + (f" (and {left} more like it)" if left > 0 else ""))
+            more = f" (and {left} more like it)" if left > 0 else ""
+            lines.append(f"{finding}{more}" + (f" ({finding.verdict})" if finding.verdict else ""))
     return lines
 
 

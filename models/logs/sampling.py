@@ -59,6 +59,15 @@ class RawStretch:
     measured: Mapping[str, Signal]
     wheel_commands: Signal | None = None
 
+    def between(self, first: float, last: float) -> RawStretch:
+        """The part from `first` to `last` [s], both included."""
+        return RawStretch(
+            self.clock[(self.clock >= first) & (self.clock <= last)],
+            self.command.between(first, last),
+            {name: signal.between(first, last) for name, signal in self.measured.items()},
+            None if self.wheel_commands is None else self.wheel_commands.between(first, last),
+        )
+
 
 @dataclass(frozen=True)
 class RawLog:

@@ -17,6 +17,7 @@ from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.statistics import (
     Sandwich,
     output_spread,
+    reading_noise,
     residual_scale,
     sandwich,
     spike_weights,
@@ -31,6 +32,8 @@ _EVALUATIONS = 25
 _CERTAIN = 2.0
 # Size of a past, in standard deviations of its prior, up to which it is taken for what the prior means.
 _TIED = 3.0
+# A first reading counts as at most so many.
+_MOST_FIRST = 10.0
 # Only the level and the gain have to move before the best level shows.
 _TRIAL = 6
 
@@ -112,19 +115,20 @@ def fit_output_error(
         raise ValueError("no data: give at least one record in which the robot moves")
     pieces, experiments = experiments, joined(experiments)
     spread = output_spread(experiments)
+    noise = reading_noise([np.where(one.counts, one.outputs, np.nan) for one in experiments])
     scale = spread if scale is None else scale
     with threadpool_limits(1):  # the matrices are small: threads only get in each other's way
         fits = []
         ties = np.ones(len(experiments))
         for layout, start in candidates:
-            weights = _weights(experiments, scale)
+            weights = _weights(experiments, scale, noise)
             fits.append((*_solve(layout, start, experiments, weights, ties, trial), weights))
         layout, parameters, cost, weights = min(fits, key=lambda fit: fit[2])
         for _ in range(_ROUNDS):
             residuals = _residuals(layout, parameters, experiments, weights, ties)
             trust = spike_weights(residuals) if robust else [np.ones_like(rows) for rows in residuals]
             scale = residual_scale(residuals, trust, spread)
-            weights = _weights(experiments, scale, trust)
+            weights = _weights(experiments, scale, noise, trust)
             ties = _ties(layout, parameters, experiments, weights, ties)
             before = _cost(layout, parameters, experiments, weights, ties)
             layout, parameters, cost = _solve(layout, parameters, experiments, weights, ties, _EVALUATIONS)
@@ -223,10 +227,17 @@ def _residuals(
 
 
 def _weights(
-    experiments: Sequence[Experiment], scale: FloatArray, trust: list[FloatArray] | None = None
+    experiments: Sequence[Experiment], scale: FloatArray, noise: FloatArray, trust: list[FloatArray] | None = None
 ) -> list[FloatArray]:
-    """Square roots of the weights, over the scale."""
+    """Square roots of the weights, over the scale.
+
+    A first reading tells of the past alone, of which no model is wrong yet: it counts by its noise. Else a model that
+    is wrong of a fast answer would begin ahead of it.
+    """
     weights = [experiment.counts / scale for experiment in experiments]
+    more = np.clip(scale / np.maximum(noise, np.finfo(float).tiny), 1.0, _MOST_FIRST)
+    for weight, experiment in zip(weights, experiments, strict=True):
+        weight[experiment.counts.argmax(axis=0), np.arange(len(more))] *= more
     if trust is None:
         return weights
     return [weight * np.sqrt(part) for weight, part in zip(weights, trust, strict=True)]

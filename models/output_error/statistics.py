@@ -38,19 +38,33 @@ def spike_weights(residuals: Sequence[FloatArray]) -> list[FloatArray]:
     A spike is the difference from the median of five readings around; its scale is the median of all that differ. (The
     quantised readings of a robot that stands do not, and say nothing about noise.)
     """
+    spikes = _from_neighbours(residuals)
+    scale = np.maximum(_size(spikes), _LEAST_SHARE * np.sqrt(np.nanmean(np.concatenate(residuals) ** 2, axis=0)))
+    scale += np.finfo(float).tiny
+    return [_SPIKE / np.maximum(np.nan_to_num(np.abs(spike / scale)), _SPIKE) for spike in spikes]
+
+
+def reading_noise(readings: Sequence[FloatArray]) -> FloatArray:
+    """(p,) noise of readings (K, p), NaN where they do not count: how far they are from those around them."""
+    return _size(_from_neighbours(readings))
+
+
+def _from_neighbours(rows: Sequence[FloatArray]) -> list[FloatArray]:
+    """For each experiment (K, p) the difference from the median of five around."""
     from scipy import ndimage  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
 
-    spikes = [np.full_like(rows, np.nan) for rows in residuals]
-    for spike, rows in zip(spikes, residuals, strict=True):
-        for column in range(rows.shape[1]):
-            known = np.isfinite(rows[:, column])
-            reading = rows[known, column]
-            spike[known, column] = reading - ndimage.median_filter(reading, _NEIGHBOURS, mode="nearest")
-    whole = np.concatenate(residuals)
+    away = [np.full_like(part, np.nan) for part in rows]
+    for difference, part in zip(away, rows, strict=True):
+        for column in range(part.shape[1]):
+            known = np.isfinite(part[:, column])
+            reading = part[known, column]
+            difference[known, column] = reading - ndimage.median_filter(reading, _NEIGHBOURS, mode="nearest")
+    return away
+
+
+def _size(spikes: Sequence[FloatArray]) -> FloatArray:
     size = np.abs(np.concatenate(spikes))
-    scale = np.array([_median(column[column > 0]) for column in size.T]) / _MEDIAN
-    scale = np.maximum(scale, _LEAST_SHARE * np.sqrt(np.nanmean(whole**2, axis=0)) + np.finfo(float).tiny)
-    return [_SPIKE / np.maximum(np.nan_to_num(np.abs(spike / scale)), _SPIKE) for spike in spikes]
+    return np.array([_median(column[column > 0]) for column in size.T]) / _MEDIAN
 
 
 def residual_scale(residuals: Sequence[FloatArray], weights: Sequence[FloatArray], spread: FloatArray) -> FloatArray:

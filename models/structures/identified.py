@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from diffdrive_mpc.models.doubt import Doubt, lines
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import YawSource
 from diffdrive_mpc.models.output_error.linear_system import LinearSystem
@@ -63,7 +64,7 @@ class IdentifiedModel:
     yaw: YawSource
     method: str
     fits: tuple[OutputErrorFit, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[Doubt, ...]
 
     @property
     def structure(self) -> str:
@@ -145,7 +146,7 @@ def model_file(
     more: dict[str, Any] = {
         "fit_percent": _percent(train_fit_percent),
         "uncertainty": uncertainty(identified.parameters),
-        "warnings": list(identified.warnings),
+        "warnings": list(lines(identified.warnings)),
     }
     if validation_fit_percent is not None:
         more["validation_fit_percent"] = _percent(validation_fit_percent)

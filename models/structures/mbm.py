@@ -181,7 +181,7 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, robust: bool
         fits=(fit, yaw.fit),
         warnings=(
             *doubts.at_bounds(fit, "motors"),
-            *(f"motors: {sentence}" for sentence in doubts.badly_known(parameters.part(_doubtful(parameters)))),
+            *(doubt.of("motors") for doubt in doubts.badly_known(parameters.part(_doubtful(parameters)))),
             *doubts.hardly_identifiable(fit, "motors"),
         ),
     )

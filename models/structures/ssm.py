@@ -249,7 +249,7 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
         fits=(fit,),
         warnings=(
             *doubts.at_bounds(fit, label),
-            *(f"{label}: {sentence}" for sentence in doubts.badly_known(main)),
+            *(doubt.of(label) for doubt in doubts.badly_known(main)),
             *doubts.merged_poles(parameters.part(real_pole_names(named_poles)), label),
         ),
     )

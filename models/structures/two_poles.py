@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import StrictModel
+from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import Experiment, joined
@@ -114,7 +115,7 @@ class IdentifiedChannel:
     parameters: ParameterEstimate
     poles: ParameterEstimate | None
     fit: OutputErrorFit
-    warnings: tuple[str, ...]
+    warnings: tuple[Doubt, ...]
 
 
 def identify_channel(
@@ -165,11 +166,15 @@ def identify_channel(
         named, lambda row: np.concatenate([two_poles(row[:3]), row[3:]])
     )
     poles = _real_poles(parameters)
+    bounds = doubts.at_bounds(fit, label)
+    told = {doubt.kind for doubt in bounds}
     warnings = [
-        *doubts.at_bounds(fit, label),
+        *bounds,
+        # Of a second lag that is too short to be seen, natural frequency and damping say the same once more.
         *(
-            f"{label}: {sentence}"
-            for sentence in doubts.badly_known(parameters.part([n for n in named if n not in ("dead_time", "offset")]))
+            doubt.of(label)
+            for doubt in doubts.badly_known(parameters.part([n for n in named if n not in ("dead_time", "offset")]))
+            if doubt.kind not in told
         ),
         *(doubts.merged_poles(poles, label) if poles else []),
         *doubts.hardly_identifiable(fit, label),

@@ -16,7 +16,7 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.bench.studies.ros.compare import COMPARED, compare, comparison_table, timing_table
 from diffdrive_mpc.bench.studies.ros.two_processes import DriveFailedError, drive_over_dds, own_domain, running
-from diffdrive_mpc.models.logs.bags import COMMANDS, opened, read_topic
+from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
 from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import simulate
 

@@ -14,10 +14,13 @@ from diffdrive_mpc.models.identification.effects import identify_with_effects
 from diffdrive_mpc.models.identification.effects.comparison import loses
 from diffdrive_mpc.models.identification.effects.free_run import free_run, sensed, smoothed, two_lags
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
+from diffdrive_mpc.models.identification.fitting import fit
+from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import Experiment
 from diffdrive_mpc.models.output_error.held_out import blocks
 from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.sm import identify_sm
 
 TRUE = BaseEffects.model_validate(
@@ -221,14 +224,58 @@ def test_records_without_a_pose_tell_nothing_of_its_sensor():
     assert pose_sensor([record_of(BaseEffects(), 5, 60.0)], POINT) is None
 
 
-def test_without_a_track_single_wheels_are_left_alone_and_that_is_said():
+def test_without_a_track_steps_of_wheels_are_not_tried_and_that_is_said():
     found = identify_with_effects([bare(record_of(BaseEffects(), 5, 60.0))])
-    assert not any("wheels" in trial.effect for trial in found.trials)
-    assert any("track of the encoders is not known" in warning for warning in found.identified.warnings)
+    assert not any("steps" in trial.effect for trial in found.trials)
+    assert any("track of the encoders is not known" in doubt.words for doubt in found.identified.warnings)
 
 
-def test_a_record_without_gyro_is_refused_in_one_line():
-    record = record_of(BaseEffects(), 5, 60.0)
+def without_gyro(record):
+    return replace(record, yaw_rate=None, fresh_yaw_rate=None)
+
+
+def test_a_record_without_gyro_is_refused_in_one_line_where_a_gyro_was_said():
     with pytest.raises(ValueError, match="no yaw_rate") as error:
-        sensed([Record(record.name, 0.0, DT, record.command, twist=record.twist)])
+        sensed([without_gyro(record_of(BaseEffects(), 5, 60.0))])
     assert "\n" not in str(error.value)
+
+
+FAST_WHEELS = BaseEffects.model_validate({"wheel_command": {"track": 0.54, "top_speed": 0.7}})
+
+
+@pytest.mark.parametrize(
+    ("effects", "clip", "gyro", "track"),
+    [(BaseEffects(), 1.0, True, False), (BaseEffects(), 1.0, False, True), (FAST_WHEELS, np.inf, False, True)],
+    ids=["clips, gyro", "clips, track", "top speed, track"],
+)
+def test_with_effects_no_row_held_out_is_predicted_worse(effects, clip, gyro, track):
+    """The same on logs of real robots, in all combinations: test_base_effects_real.py."""
+    record = record_of(effects, 9, 120.0, clip=clip)
+    record = record if gyro else without_gyro(record)
+    record = record if track else bare(record)
+    yaw = "gyro" if gyro else "encoders"
+    data = LogData((record.part(0, 1440),), (record.part(1440, 2400),), ("made up",), "", yaw, (), ())
+    plain, found = (fit(data, STRUCTURES["sm"], effects=on).validation.fit_percent for on in (False, True))
+    assert (found > plain - 1.0).all()
+    assert (found > 94.0).all()  # what the robot does is found
+
+
+def test_a_top_speed_tells_the_track_that_a_log_does_not():
+    found = identify_with_effects([bare(record_of(FAST_WHEELS, 9, 120.0))]).identified.parameters
+    for name, true in (("wheels.track", 0.54), ("wheels.top_speed", 0.7)):
+        assert abs(found.value(name) - true) < 4 * found.deviation(name), name
+        assert found.deviation(name) < 0.05 * true
+
+
+def test_where_effects_cannot_be_looked_for_the_plain_model_says_so():
+    """Thirty readings are enough for an SM, not to hold parts of them out."""
+    record = record_of(BaseEffects(), 9, 120.0)
+    short = record.part(0, 150)
+    counts = np.arange(150) % 5 == 0
+    short = replace(short, fresh_twist=counts, fresh_yaw_rate=counts)
+    data = LogData((short,), (record.part(1440, 2400),), ("made up",), "", "gyro", (), ())
+    found = fit(data, STRUCTURES["sm"], effects=True)
+    assert found.base is None
+    assert any(
+        "effects were not looked for: the records are too short" in doubt.words for doubt in found.identified.warnings
+    )

@@ -1,6 +1,7 @@
 """Base effects on the log of a real robot, where DIFFDRIVE_MPC_DATA says it lies."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,10 @@ from diffdrive_mpc.models.identification.effects.fitting import fit_effects, wei
 from diffdrive_mpc.models.identification.effects.free_run import base_track, sensed
 from diffdrive_mpc.models.identification.effects.selection import EFFECTS, LINEAR
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
+from diffdrive_mpc.models.identification.fitting import fit
+from diffdrive_mpc.models.identification.log_data import read_data
 from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.structures.registry import STRUCTURES
 
 # The data are not part of this project, so a checkout without them has no tests of them. CI always has them.
 if "DIFFDRIVE_MPC_DATA" in os.environ:
@@ -41,3 +45,25 @@ if "DIFFDRIVE_MPC_DATA" in os.environ:
         linear, effects, held_out = husky
         power = [np.nansum(np.concatenate(held_out.errors(fit.point)) ** 2, axis=0) for fit in (linear, effects)]
         assert (power[1][1:] < 0.5 * power[0][1:]).all(), power
+
+    LOGS = {
+        "husky_tile": "norlab_husky_tile",
+        "warthog_asphalt": "norlab_warthog_terrains",
+        "warthog_gravel": "norlab_warthog_terrains",
+    }
+
+    # Twenty minutes: DIFFDRIVE_MPC_ALL=1 pytest tests/models/test_base_effects_real.py
+    @pytest.mark.skipif("DIFFDRIVE_MPC_ALL" not in os.environ, reason="twenty minutes: DIFFDRIVE_MPC_ALL asks for it")
+    @pytest.mark.parametrize("track", [True, False], ids=["track", "no track"])
+    @pytest.mark.parametrize("gyro", [True, False], ids=["gyro", "no gyro"])
+    @pytest.mark.parametrize("log", LOGS)
+    def test_with_effects_no_row_held_out_is_predicted_worse(log, gyro, track):
+        path = Path(os.environ["DIFFDRIVE_MPC_DATA"]) / LOGS[log] / f"{log}.csv"
+        data = read_data([path], [], mapping=log, fit_share=0.6, wheels=False, on_findings=lambda _: None)
+        gone = {} if track else {"wheels": None, "wheel_speeds": None}
+        gone |= {} if gyro else {"yaw_rate": None, "fresh_yaw_rate": None}
+        halves = [tuple(replace(record, **gone) for record in half) for half in (data.train, data.validation)]
+        data = replace(data, train=halves[0], validation=halves[1], yaw="gyro" if gyro else "encoders")
+        plain, found = (fit(data, STRUCTURES["sm"], effects=on) for on in (False, True))
+        fits = [one.validation.fit_percent for one in (plain, found)]
+        assert (fits[1] > fits[0] - 1.0).all(), fits

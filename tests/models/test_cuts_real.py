@@ -90,9 +90,8 @@ if "DIFFDRIVE_MPC_DATA" in os.environ:
         assert (as_shipped(log) > plain_fit(*halves(log)) - 0.5).all()
 
     @pytest.mark.parametrize("cut", CUTS)
-    @pytest.mark.parametrize("log", ["husky_tile", "warthog_gravel"])
+    @pytest.mark.parametrize("log", LOGS)
     def test_nor_is_it_where_nothing_is_known_before_a_stretch(log, cut):
-        """Not so on asphalt, where omega loses 2 to 5 points to the plain fit: a turn there is far from linear."""
         train, held_out = halves(log)
         train = stretches(train, cut, past=False)
         found = validate(identify_sm(train, limits=False).system, held_out).fit_percent

@@ -12,7 +12,9 @@ from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.logs import bags, read_log
+from diffdrive_mpc.models.logs.check_settings import check_settings
+from diffdrive_mpc.models.logs.long_logs import most_driven
 
 COLUMNS = drive(seconds=6.0)
 TOPICS = "topics:\n  command: /cmd_vel\n  odometry: /odom\n  imu: /imu\n  pose: /pose\n"
@@ -308,3 +310,29 @@ def test_a_message_of_ones_own_is_read_by_its_definition(tmp_path):
     text += "  definitions: {mine/msg/Speeds: Speeds.msg}\n"
     (record,) = read_log(tmp_path / "bag", write_mapping(tmp_path / "map.yaml", text)).records
     assert np.array_equal(record.twist[:, 1], COLUMNS["omega_wheels"][: len(record.twist)])
+
+
+def test_a_gyro_quicker_than_any_base_is_thinned_out_while_it_is_read(tmp_path):
+    columns = drive(seconds=20.0)
+    topics = bag_topics(columns)
+    fine = np.arange(0.0, 20.0, 0.0025)
+    gyro = np.interp(fine, columns["t"], columns["gyro"])[:, None]
+    topics["/imu"] = ("sensor_msgs/msg/Imu", fine + 1.007, fine + 1.0, gyro)
+    log = read_log(write_bag(tmp_path / "bag", topics))
+    (note,) = (finding for finding in log.findings if finding.kind == "decimated")
+    assert "one message in 4 is used, 0.01 s apart" in note.words
+    (record,) = log.records
+    assert np.allclose(record.yaw_rate, columns["gyro"][: len(record.yaw_rate)], atol=1e-9)
+
+
+def test_of_a_bag_with_too_many_commands_the_parts_that_change_most_are_used(tmp_path, monkeypatch):
+    columns = drive(seconds=60.0)
+    columns["v_ref"] = np.where(columns["t"] < 30.0, columns["v_ref"], 0.3)
+    columns["omega_ref"] = np.where(columns["t"] < 30.0, columns["omega_ref"], 0.0)
+    short = check_settings().model_copy(update={"most_rows": 1500})
+    monkeypatch.setattr(bags, "check_settings", lambda: short)
+    monkeypatch.setattr(bags, "most_driven", lambda commands, most: most_driven(commands, most, part=500))
+    log = read_log(write_bag(tmp_path / "bag", bag_topics(columns)))
+    assert log.records[-1].end < 31.0
+    assert sum(len(record.command) for record in log.records) == 1500
+    assert any("1500 of 3000 commands are used" in finding.words for finding in log.findings)

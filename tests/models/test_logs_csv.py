@@ -230,3 +230,21 @@ def test_a_file_is_read_the_same_in_small_blocks(tmp_path, monkeypatch):
     blocks = read_table(path, list(COLUMNS))
     assert np.array_equal(whole.lines, blocks.lines)
     assert all(np.array_equal(whole.values[name], blocks.values[name]) for name in COLUMNS)
+
+
+@pytest.mark.parametrize("place", ["first", "middle", "last"])
+def test_empty_cells_read_the_same_in_a_block_as_cell_by_cell(tmp_path, monkeypatch, place):
+    """A sensor slower than the rows leaves most of its cells empty, wherever its columns stand."""
+    names = {"first": ["gyro", "v", "t"], "middle": ["t", "gyro", "v", "v_ref"], "last": ["t", "gyro", "v"]}[place]
+    silent = np.arange(len(COLUMNS["t"])) % 5 > 0
+    path = tmp_path / "log.csv"
+    rows = [",".join("" if name in ("gyro", "v") and off else repr(float(COLUMNS[name][k])) for name in names)
+            for k, off in enumerate(silent)]  # fmt: skip
+    path.write_text("\n".join([",".join(names), *rows]) + "\n")
+    quick = read_table(path, names)
+    monkeypatch.setattr(csv_table, "_quick", lambda *_: None)
+    careful = read_table(path, names)
+    assert np.array_equal(quick.empty["gyro"], silent)
+    for name in names:
+        assert np.array_equal(quick.values[name], careful.values[name], equal_nan=True)
+        assert np.array_equal(quick.numbers(name)[1], careful.numbers(name)[1])

@@ -184,7 +184,7 @@ def _fit_sm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
         experiments = [_experiment(log, log.command[:, row], log.output[:, row]) for log in used]
         fits[channel] = identify(channel, experiments, None)
     return {
-        "warnings": [warning for fit in fits.values() for warning in fit.warnings],
+        "warnings": [str(warning) for fit in fits.values() for warning in fit.warnings],
         "dead_time": {channel: round(fit.parameters.value("dead_time"), 5) for channel, fit in fits.items()},
         "channels": {channel: _rounded(fit.parameters) for channel, fit in fits.items()},
     }
@@ -210,7 +210,7 @@ def _fit_mbm(logs: PaperExperiments, identify: Identify) -> dict[str, Any]:
     settled = np.concatenate([_settled(log) for log in logs.omega])
     gain = np.mean([motor.value("gain") for motor in motors])
     return {
-        "warnings": [warning for one in found for warning in one.warnings],
+        "warnings": [str(warning) for one in found for warning in one.warnings],
         "dead_time": {channel: round(shared, 5) for channel in CHANNELS},
         "motors": {name: _rounded(motor) for name, motor in zip(names, motors, strict=True)},
         "wheel_radius": robot.wheel_radius,

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diffdrive_mpc.models.base_effects import BaseEffects
+from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification import Identification
-from diffdrive_mpc.models.identification.from_logs import identify_data
+from diffdrive_mpc.models.identification.fitting import fit
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures.registry import STRUCTURES
@@ -91,7 +92,7 @@ def trial_drives(
 def _of_held_out(data: LogData) -> VelocityModel | None:
     swapped = replace(data, train=data.validation, validation=data.train)
     try:
-        return identify_data(swapped, STRUCTURES["sm"], "held-out part").model
+        return fit(swapped, STRUCTURES["sm"]).identified.model
     except ValueError:
         return None
 
@@ -134,9 +135,9 @@ def trial_table(drives: Sequence[TrialDrive]) -> Table:
     )
 
 
-def trial_warnings(drives: Sequence[TrialDrive]) -> list[str]:
-    """A line for each drive that failed."""
-    return [
+def trial_doubts(drives: Sequence[TrialDrive]) -> list[Doubt]:
+    """A doubt for each drive that failed."""
+    found = [
         f"the configuration does not drive '{drive.path}' on {drive.plant}: "
         + (
             f"{100 * drive.lateral_share:.0f} % of its turning circle beside the path"
@@ -146,3 +147,4 @@ def trial_warnings(drives: Sequence[TrialDrive]) -> list[str]:
         for drive in drives
         if not drive.metrics.completed or drive.lateral_share > _FAR
     ]
+    return [Doubt("failed drive", words) for words in found]

@@ -21,6 +21,7 @@ from diffdrive_mpc.bench.studies.reproduce.drives import (
 from diffdrive_mpc.bench.studies.reproduce.published import Finding, Published, each
 from diffdrive_mpc.bench.studies.reproduce.settings import MbmSmStudy
 from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.doubt import lines
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import wheel_experiments
@@ -100,7 +101,7 @@ def compare_mbm_and_sm(study: MbmSmStudy, repetition: int) -> MbmSmResult:
         },
         paths=paths,
         parameters={MBM: own_tracks.content, SM: sm.content},
-        warnings={MBM: own_tracks.warnings, SM: sm.warnings},
+        warnings={MBM: lines(own_tracks.warnings), SM: lines(sm.warnings)},
     )
 
 

@@ -19,6 +19,7 @@ from diffdrive_mpc.bench.studies.reproduce.drives import (
 from diffdrive_mpc.bench.studies.reproduce.published import Finding, Published, each
 from diffdrive_mpc.bench.studies.reproduce.settings import SsmStudy
 from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.doubt import lines
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.logs.record import Record
@@ -126,7 +127,9 @@ def _predicted(identified: IdentifiedModel, drives: Sequence[Record]) -> dict[st
 
 def _order(number: int, row: OrderRow, train: Sequence[Record], test: Sequence[Record]) -> OrderResult:
     found: IdentifiedModel = row.identified
-    return OrderResult(number, _velocity(found.system, train), _velocity(found.system, test), row.bic, found.warnings)
+    return OrderResult(
+        number, _velocity(found.system, train), _velocity(found.system, test), row.bic, lines(found.warnings)
+    )
 
 
 def _free_drive(system: LinearSystem, drive: Record) -> FreeDrive:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.models.logs.bags import COMMANDS, ODOMETRY, POSES, Reading, TopicRows, opened, read_topic
+from diffdrive_mpc.models.logs.bag_topics import COMMANDS, ODOMETRY, POSES, Reading, TopicRows, opened, read_topic
 from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.base_effects import BaseEffects
+from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.effects.fitting import EffectFit, covariance
 from diffdrive_mpc.models.identification.effects.free_run import Point, base_track, free_run, sensed
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
@@ -18,7 +19,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import wheel_geometry
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
-from diffdrive_mpc.models.output_error.experiment import joined, parted
+from diffdrive_mpc.models.output_error.experiment import YawSource, joined, parted
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
@@ -30,6 +31,9 @@ METHOD = (
     "real poles and a dead time for each channel, effects of the base around them; each effect tried in turn and kept "
     "only if it predicts held-out blocks of the records better; outliers held back"
 )
+_BY_GYRO = " and omega of the gyro"
+_NO_TRACK = "the track of the encoders is not known: steps of the wheels were not tried"
+_NO_GYRO = "without a gyro, twist of the tyres, veer and the encoders' lag were not tried"
 # What may well be zero, so that a deviation beside it says nothing.
 _MAY_BE_ZERO = ("dead_time", "encoders.delay", "gyro.offset", "veer")
 _IN_THE_FILE = {"lag": "natural_frequency", "spread": "damping"}
@@ -63,7 +67,7 @@ class IdentifiedBase:
     points: tuple[Point, ...] = ()
 
     def readings(self, records: Sequence[Record]) -> list[FloatArray]:
-        """For each record (K, 3) v and omega of the encoders, omega of the gyro, from one free run over it."""
+        """For each record (K, p) v and omega of the encoders and, with a gyro, its omega, from one free run over it."""
         return self._runs(self.point, records)
 
     def body_twists(self, records: Sequence[Record]) -> list[FloatArray]:
@@ -73,30 +77,31 @@ class IdentifiedBase:
         travel = self.pose.value("pose.travel") if self.pose else 1.0
         twists = []
         for seen in self._runs(prompt, records):
-            twists.append(np.column_stack([travel * seen[:, 0], seen[:, 2]]))
+            twists.append(np.column_stack([travel * seen[:, 0], seen[:, -1]]))
         return twists
 
     def fit_percent(self, records: Sequence[Record]) -> FloatArray:
-        """(3,) pooled FIT [%] of v and omega of the encoders, omega of the gyro; raises ValueError as `sensed`."""
-        experiments, simulated = sensed(records), self.readings(records)
+        """(p,) pooled FIT [%] of v and omega of the encoders, omega of the gyro; raises ValueError as `sensed`."""
+        experiments, simulated = sensed(records, self.identified.yaw), self.readings(records)
         return np.array(
             [
                 pooled_fit_percent(
                     [s.outputs[s.counts[:, row], row] for s in experiments],
                     [y[s.counts[:, row], row] for y, s in zip(simulated, experiments, strict=True)],
                 )
-                for row in range(3)
+                for row in range(experiments[0].outputs.shape[1])
             ]
         )
 
     def _runs(self, point: Point, records: Sequence[Record]) -> list[FloatArray]:
-        experiments = sensed(records)
+        experiments = sensed(records, self.identified.yaw)
         return parted([free_run(point, run) for run in joined(experiments)], experiments)
 
 
 def identify_with_effects(
     records: Sequence[Record],
     *,
+    yaw: YawSource = "gyro",
     encoder_track: float | None = None,
     limits: Mapping[str, float] | None = None,
     on_trial: Callable[[str], None] | None = None,
@@ -111,9 +116,12 @@ def identify_with_effects(
     records
         Records with encoders and gyro. Poses, where some have them, add the pose mount and how far the robot travels
         for what the encoders count.
+    yaw
+        Whether omega is the gyro's or the encoders'. Without a gyro only effects that the encoders see are tried, and
+        poses tell nothing more.
     encoder_track
         Track by which the encoders' yaw rate was computed [m]; by default from the records' wheel speeds. Where neither
-        tells it, effects of single wheels are not tried, and a warning says so.
+        tells it, it is found with their top speed; steps of the wheels are not tried, and a warning says so.
     limits
         Of channels whose command the plain model found to be clipped: tried as an effect.
     on_trial
@@ -126,11 +134,12 @@ def identify_with_effects(
     """
     geometry = wheel_geometry(records)
     track = encoder_track or (geometry.track if geometry else None)
-    selection = select_effects(joined(sensed(records)), track, on_trial, limits)
+    selection = select_effects(joined(sensed(records, yaw)), track, on_trial, limits)
     fit = selection.fit
-    pose = pose_sensor(records, fit.point)
+    pose = pose_sensor(records, fit.point) if yaw == "gyro" else None
     effects = _effects(fit.point, pose)
-    warnings = [] if track else ["the track of the encoders is not known: effects of single wheels were not tried"]
+    unseen = [Doubt("unknown track", _NO_TRACK)] if track is None else []
+    unseen += [Doubt("unseen effects", _NO_GYRO)] if yaw != "gyro" else []
     parameters = _parameters(selection)
     identified = IdentifiedModel(
         schema=SmFile,
@@ -138,10 +147,10 @@ def identify_with_effects(
         parameters=parameters,
         offset=np.array([0.0, fit.point["gyro.offset"]]),
         limits={c: float(rounded(fit.point[f"limit.{c}"])) for c in CHANNELS if f"limit.{c}" in fit.point},
-        yaw="gyro",
-        method=METHOD,
+        yaw=yaw,
+        method=METHOD if yaw == "gyro" else METHOD.replace(_BY_GYRO, ""),
         fits=(),
-        warnings=(*warnings, *_doubts(fit, parameters)),
+        warnings=(*unseen, *_doubts(fit, parameters)),
     )
     return IdentifiedBase(identified, selection.effects, selection.trials, fit.point, pose, selection.points)
 
@@ -216,17 +225,20 @@ def _physical(name: str, value: float) -> float:
     return float(np.cosh(value)) if kind == "spread" else value
 
 
-def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[str]:
+def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[Doubt]:
     sized = [name for name in parameters.names if not any(part in name for part in _MAY_BE_ZERO)]
-    sentences = doubts.badly_known(parameters.part(sized))
+    found = doubts.badly_known(parameters.part(sized))
     for name, (low, high, _) in effect_settings().parameters.items():
         # Nothing of something is a finding; anything else at a bound is none.
         if name in fit.point and fit.point[name] in (low, high) and fit.point[name] != 0.0:
             if name == "encoders.delay" and fit.point[name] < 0.0:
-                sentences.append(
-                    f"the encoders seem to lead the gyro by {-low:g} s or more, which they cannot: the "
-                    "mapping takes off too much delay of the encoders, or the gyro has one"
+                late = f", beside a lag of {fit.point['encoders.lag']:.2g} s" if "encoders.lag" in fit.point else ""
+                words = (
+                    f"encoders.delay = {fit.point[name]:.4g} lies at a bound of the search{late}: encoders cannot lead "
+                    "the gyro, so the mapping takes off too much delay of theirs, or the gyro has one"
                 )
+                found.append(Doubt("time shift", words))
                 continue
-            sentences.append(f"{name} = {fit.point[name]:.4g} lies at a bound of the search: the data do not tell it")
-    return sentences
+            words = f"{name} = {fit.point[name]:.4g} lies at a bound of the search: the data do not tell it"
+            found.append(Doubt("effect", words))
+    return found

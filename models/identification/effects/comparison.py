@@ -25,8 +25,8 @@ def loses(base: IdentifiedBase, plain: IdentifiedModel, records: Sequence[Record
     ValueError
         If the records are too short to hold blocks out.
     """
-    experiments, settings = joined(twist_experiments(records)), effect_settings()
-    seen = joined(sensed(records))
+    experiments, settings = joined(twist_experiments(records, plain.yaw)), effect_settings()
+    seen = joined(sensed(records, plain.yaw))
     powers: list[FloatArray] = []
     spread = []
     for row in range(2):
@@ -35,7 +35,7 @@ def loses(base: IdentifiedBase, plain: IdentifiedModel, records: Sequence[Record
         spread.append(np.std(np.concatenate([one.outputs[one.counts] for one in channel])))
     with_effects = []
     for (_, block), point in zip(blocks(seen), base.points, strict=True):
-        errors = [np.where(s.counts, free_run(point, s) - s.outputs, np.nan)[:, [0, 2]] for s in cut(seen, block)]
+        errors = [np.where(s.counts, free_run(point, s) - s.outputs, np.nan)[:, [0, -1]] for s in cut(seen, block)]
         with_effects.append(np.nanmean(np.concatenate(errors) ** 2, axis=0))
     rms = np.sqrt([np.mean(powers, axis=1), np.mean(with_effects, axis=0)])
     fits = 100.0 * (1.0 - rms / np.array(spread))

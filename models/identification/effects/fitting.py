@@ -23,11 +23,11 @@ class Weighted:
     Attributes
     ----------
     experiments
-        Commands (K, 2) and readings (K, 3).
+        Commands (K, 2) and readings (K, p): v and omega of the encoders, and omega of the gyro where there is one.
     weights
-        For each experiment (K, 3): one over the scale of the sensor's residuals, less for outliers, 0 without reading.
+        For each experiment (K, p): one over the scale of the sensor's residuals, less for outliers, 0 without reading.
     scale
-        (3,) that scale.
+        (p,) that scale.
     """
 
     experiments: Sequence[Experiment]
@@ -40,14 +40,14 @@ class Weighted:
         return Weighted(cut(self.experiments, pieces), weights, self.scale)
 
     def errors(self, point: Point, *, smooth: bool = False) -> list[FloatArray]:
-        """For each experiment (K, 3) weighted errors of a free run, NaN where there is no reading."""
+        """For each experiment (K, p) weighted errors of a free run, NaN where there is no reading."""
         return [
             np.where(s.counts, w * (free_run(point, s, smooth=smooth) - s.outputs), np.nan)
             for s, w in zip(self.experiments, self.weights, strict=True)
         ]
 
     def slopes(self, point: Point, free: Sequence[str]) -> list[FloatArray]:
-        """For each experiment (K, 3, q) derivatives of the weighted errors, steps smoothed; one-sided differences."""
+        """For each experiment (K, p, q) derivatives of the weighted errors, steps smoothed; one-sided differences."""
         settings = effect_settings()
         here = [free_run(point, experiment, smooth=True) for experiment in self.experiments]
         columns: list[list[FloatArray]] = [[] for _ in self.experiments]

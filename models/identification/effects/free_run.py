@@ -10,19 +10,21 @@ from scipy import signal
 from diffdrive_mpc.models.base_effects import PARTS, TwistSlew, WheelCommand, YawRelaxation
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.experiment import Experiment, twist_experiments
+from diffdrive_mpc.models.output_error.experiment import Experiment, YawSource, twist_experiments
 
 SENSORS = ("v", "omega of the encoders", "omega of the gyro")
 
 
-def sensed(records: Sequence[Record]) -> list[Experiment]:
-    """Commands (v_ref, omega_ref) against v and omega of the encoders and omega of the gyro.
+def sensed(records: Sequence[Record], yaw: YawSource = "gyro") -> list[Experiment]:
+    """Commands (v_ref, omega_ref) against v and omega of the encoders and, unless `yaw` says so, omega of the gyro.
 
     Raises
     ------
     ValueError
-        If a record lacks encoders or gyro, has too few readings, or is not finite.
+        If a record lacks a sensor, has too few readings, or is not finite.
     """
+    if yaw == "encoders":
+        return twist_experiments(records, yaw)
     by_encoders, by_gyro = twist_experiments(records, "encoders"), twist_experiments(records, "gyro")
     return [
         Experiment(
@@ -42,7 +44,7 @@ Point = Mapping[str, float]
 
 
 def free_run(point: Point, experiment: Experiment, *, smooth: bool = False) -> FloatArray:
-    """(K, 3) v and omega of the encoders, omega of the gyro, from the commands and the first readings.
+    """(K, p) v and omega of the encoders, omega of the gyro, from the commands and the first readings.
 
     The same chain as `models.base_effects.respond`, from encoders' units, and the sensors behind it. The robot is taken
     for settled at its first readings.
@@ -52,7 +54,7 @@ def free_run(point: Point, experiment: Experiment, *, smooth: bool = False) -> F
     point
         The parameters.
     experiment
-        The commands (K, 2) and readings (K, 3).
+        The commands (K, 2) and readings (K, p); p is 3, or 2 without a gyro.
     smooth
         Whether the steps of the wheel command are smoothed to their mean, which has slopes.
     """
@@ -76,7 +78,8 @@ def free_run(point: Point, experiment: Experiment, *, smooth: bool = False) -> F
         seen = _lagging(seen, point["encoders.lag"], step)
     at = PARTS * np.arange(experiment.samples) - point["encoders.delay"] / step
     fine = np.arange(len(seen))
-    return np.column_stack([np.interp(at, fine, seen[:, 0]), np.interp(at, fine, seen[:, 1]), gyro[::PARTS]])
+    by_encoders = [np.interp(at, fine, column) for column in seen.T]
+    return np.column_stack([*by_encoders, gyro[::PARTS]][: experiment.outputs.shape[1]])
 
 
 def two_lags(drive: FloatArray, start: float, lag: float, spread: float, step: float) -> FloatArray:

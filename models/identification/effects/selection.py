@@ -9,11 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive_mpc.models.identification.effects.fitting import EffectFit, Weighted, fit_effects, weighted
-from diffdrive_mpc.models.identification.effects.free_run import Point
+from diffdrive_mpc.models.identification.effects.free_run import SENSORS, Point, base_track
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import Experiment
 from diffdrive_mpc.models.output_error.held_out import blocks
+from diffdrive_mpc.models.velocity_model import CHANNELS
 
 LINEAR = (
     "gain.v",
@@ -26,22 +27,30 @@ LINEAR = (
     "encoders.yaw_ratio",
     "gyro.offset",
 )
+BY_ENCODERS = LINEAR[:6]
+"""What is left of `LINEAR` without a gyro."""
 _CLIPPED = "clipped commands"
 EFFECTS: Mapping[str, tuple[str, ...]] = {
     _CLIPPED: ("limit.v", "limit.omega"),
+    "different poles of v": ("spread.v",),
+    "different poles of omega": ("spread.omega",),
     "twist slew": ("slew.v", "slew.omega"),
     "lag of the encoders": ("encoders.lag",),
     "top speed of the wheels": ("wheels.top_speed",),
     "steps and coasting of the wheels": ("wheels.resolution", "wheels.coasting"),
     "yaw relaxation": ("relaxation",),
     "veer": ("veer",),
-    "different poles": ("spread.v", "spread.omega"),
 }
 """Parameters of each effect, in the order in which they are tried."""
-_OF_SINGLE_WHEELS = ("top speed of the wheels", "steps and coasting of the wheels")
+_NEEDS_TRACK = ("steps and coasting of the wheels",)
+_TRACK = "encoders.track"
+_BY_GYRO = ("lag of the encoders", "yaw relaxation", "veer")
+_WITHOUT_GYRO = {"encoders.delay": 0.0, "encoders.yaw_ratio": 1.0, "gyro.offset": 0.0}
 _ROUNDS = 2
 _AT_BOUND = 3e-3
 """Of the range of a parameter."""
+_FASTEST = 2e-3
+"""Time constant [s]."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +98,7 @@ def gain(old: Tried, new: Tried, data: Weighted) -> Worth:
 
 
 def _powers(model: Tried, data: Weighted) -> FloatArray:
-    """(blocks, 3) sum of the squared weighted errors of each sensor in each block, by the model found without it."""
+    """(blocks, p) sum of the squared weighted errors of each sensor in each block, by the model found without it."""
     parts = [data.part(block) for _, block in blocks(data.experiments)]
     return np.array(
         [
@@ -163,10 +172,11 @@ def select_effects(
     Parameters
     ----------
     experiments
-        Commands and readings; see `sensed`.
+        Commands and readings, with or without a gyro; see `sensed`. Without one, nothing that lies between wheels and
+        body is tried, and omega is that of the encoders.
     encoder_track
-        Track by which the encoders' yaw rate was computed [m]; None where it is not known: then nothing that happens
-        to single wheels is tried.
+        Track by which the encoders' yaw rate was computed [m]; None where it is not known: then a top speed of the
+        wheels is looked for together with it, and steps of the wheels are not.
     on_trial
         Called with the name of what is tried next.
     limits
@@ -178,20 +188,24 @@ def select_effects(
         If a reading never changes, or the records are too short to hold blocks out.
     """
     settings = effect_settings()
-    start = {name: settings.parameters[name][2] for name in LINEAR}
+    gyro = experiments[0].outputs.shape[1] == len(SENSORS)
+    free = LINEAR if gyro else BY_ENCODERS
+    start = {name: settings.parameters[name][2] for name in LINEAR} | ({} if gyro else _WITHOUT_GYRO)
     if encoder_track is not None:
-        start["encoders.track"] = encoder_track
+        start[_TRACK] = encoder_track
     clipped = {f"limit.{channel}": level for channel, level in (limits or {}).items()}
     data = weighted(experiments)
     for _ in range(_ROUNDS):
-        fit = fit_effects(start, LINEAR, data)
+        fit = fit_effects(start, free, data)
         start, data = dict(fit.point), weighted(experiments, fit.point)
     model = tried(fit, data)
     effects: list[str] = []
     trials: list[Trial] = []
     for effect in EFFECTS:
         known = {name: value for name, value in clipped.items() if name in EFFECTS[effect]}
-        if (effect in _OF_SINGLE_WHEELS and encoder_track is None) or (effect == _CLIPPED and not known):
+        if (effect in _NEEDS_TRACK and encoder_track is None) or (effect == _CLIPPED and not known):
+            continue
+        if effect in _BY_GYRO and not gyro:
             continue
         if on_trial is not None:
             on_trial(effect)
@@ -221,9 +235,11 @@ def _with(fit: EffectFit, effect: str, data: Weighted, known: Point) -> EffectFi
     settings = effect_settings()
     guess = {name: settings.parameters[name][2] for name in EFFECTS[effect] if name in settings.parameters}
     guess = dict(known) or guess
-    free = (*fit.free, *guess)
+    if "wheels.top_speed" in guess and _TRACK not in fit.point:
+        return _with_track(fit, data)
     if "wheels.top_speed" in guess:
         guess["wheels.top_speed"] = _little_less_than_fastest(data.experiments)
+    free = (*fit.free, *guess)
     start = {**fit.point, **guess}
     if "wheels.resolution" not in EFFECTS[effect]:
         return fit_effects(start, free, data)
@@ -239,8 +255,28 @@ def _with(fit: EffectFit, effect: str, data: Weighted, known: Point) -> EffectFi
     return fit_effects(best.point, free, data, near=True)
 
 
+def _with_track(fit: EffectFit, data: Weighted) -> EffectFit:
+    """The best fit with a top speed of the wheels whose track is not known: the shape of what is cut off tells it."""
+    settings = effect_settings()
+    commands = np.concatenate([np.abs(experiment.inputs) for experiment in data.experiments])
+    widest = 2.0 * commands[:, 0].max() / commands[:, 1].max()
+    low, high, _ = settings.parameters[_TRACK]
+
+    def begun(part: float) -> EffectFit:
+        half = 0.5 * part * widest
+        fastest = float((commands[:, 0] + half * commands[:, 1]).max())
+        unit = base_track({**fit.point, _TRACK: 1.0})
+        guess = {"wheels.top_speed": 0.9 * fastest, _TRACK: float(np.clip(2.0 * half / unit, low, high))}
+        return fit_effects({**fit.point, **guess}, (*fit.free, *guess), data, settings.trial)
+
+    best = min(map(begun, settings.wheel_bases), key=_cost)
+    return fit_effects(best.point, best.free, data, near=True)
+
+
 def _without(fit: EffectFit, effect: str, data: Weighted) -> EffectFit:
     gone = EFFECTS[effect]
+    if "wheels.top_speed" in gone and _TRACK in fit.free:
+        gone = (*gone, _TRACK)
     point: Point = {name: value for name, value in fit.point.items() if name not in gone}
     return fit_effects(point, [name for name in fit.free if name not in gone], data)
 
@@ -251,14 +287,24 @@ def _little_less_than_fastest(experiments: Sequence[Experiment]) -> float:
 
 
 def _settled(fit: EffectFit, data: Weighted) -> EffectFit:
-    """Fitted to the end; what went to a bound of the search stays there and is no longer free."""
+    """Fitted to the end; what went to a bound of the search stays there and is no longer free.
+
+    So does a pole too fast to be seen, at a time constant that a model may have.
+    """
     point = dict(fit.point)
+    unseen = []
+    for channel in CHANNELS:
+        slow, fast = (point[f"lag.{channel}"] * np.exp(sign * point.get(f"spread.{channel}", 0.0)) for sign in (1, -1))
+        if fast < _FASTEST < slow:
+            point |= {f"lag.{channel}": np.sqrt(slow * _FASTEST), f"spread.{channel}": 0.5 * np.log(slow / _FASTEST)}
+            unseen.append(f"spread.{channel}")
     for name in fit.free:
         low, high, _ = effect_settings().parameters[name]
         for bound in (low, high):
             if abs(point[name] - bound) < _AT_BOUND * (high - low):
                 point[name] = bound
-    free = [name for name in fit.free if point[name] not in effect_settings().parameters[name][:2]]
+    bounds = effect_settings().parameters
+    free = [name for name in fit.free if name not in unseen and point[name] not in bounds[name][:2]]
     return fit_effects(point, free, data, near=True)
 
 

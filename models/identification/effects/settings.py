@@ -25,6 +25,7 @@ class EffectSettings(StrictModel):
     parameters: dict[str, tuple[float, float, float]] = Field(description="lowest, highest, first guess")
     resolutions: tuple[Positive, ...] = Field(description="steps of the rim speed that are tried [m/s]")
     finer: tuple[Positive, ...] = Field(description="multiples of the best one that are tried")
+    wheel_bases: tuple[Positive, ...] = Field(description="tracks to start from where it is not known [-]")
     tracks: tuple[Positive, ...] = Field(description="parts of the track to start from [-]")
     worth: Positive = Field(description="least fall of the logarithm of the held-out error power")
     certain: Positive = Field(description="standard errors between blocks by which an effect has to be worth it")

@@ -6,6 +6,7 @@ Every rule looks at streams as the rules before it have mended them, so that one
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from diffdrive_mpc.models.logs.diagnosis.agreement import check_parts, compare, 
 from diffdrive_mpc.models.logs.diagnosis.clipping import check_clipping
 from diffdrive_mpc.models.logs.diagnosis.scales import check_axes, check_presence, check_signs, check_units
 from diffdrive_mpc.models.logs.diagnosis.shifts import check_shifts
-from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, answer, streams_of
+from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, answer
 from diffdrive_mpc.models.logs.diagnosis.wheels import check_wheels
 from diffdrive_mpc.models.logs.record import Finding, Log, Record
 from diffdrive_mpc.models.logs.record_checks import UNITS, check_excitation, command_changes
@@ -23,19 +24,19 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 __all__ = ["compare_logs", "diagnose", "summary"]
 
 
-def diagnose(log: str, records: Sequence[Record], settings: CheckSettings) -> list[Finding]:
+def diagnose(log: str, streams: Streams, settings: CheckSettings) -> list[Finding]:
     """Findings about how commands and sensors of one log fit together.
 
     Parameters
     ----------
     log
         Its name.
-    records
-        Its stretches.
+    streams
+        Its streams; they stay as they are.
     settings
         The thresholds.
     """
-    streams = streams_of(records, settings)
+    streams = replace(streams)  # rules put others in their place
     findings = check_presence(log, streams)
     if not _long_enough(streams, settings):
         return findings
@@ -60,7 +61,7 @@ def compare_logs(logs: Sequence[Log]) -> list[Finding]:
     settings = check_settings()
     findings = check_excitation(", ".join(log.name for log in logs), [r for log in logs for r in log.records], settings)
     sound = [log for log in logs if not log.errors]
-    known = [relations(streams_of(log.records, settings), settings) for log in sound] if len(sound) > 1 else []
+    known = [relations(log.streams, settings) for log in sound] if len(sound) > 1 else []
     for log, other in zip(sound[1:], known[1:], strict=True):
         findings += compare(sound[0].name, log.name, known[0], other, settings)
     return findings
@@ -71,7 +72,7 @@ def summary(log: Log) -> list[str]:
     settings = check_settings()
     records = log.records
     dt = records[0].dt
-    streams = streams_of(records, settings)
+    streams = log.streams
     rates = {"command": 1 / dt}
     for name, mask in (("encoders", "fresh_twist"), ("gyro", "fresh_yaw_rate"), ("pose", "fresh_pose")):
         fresh = [getattr(record, mask) for record in records if getattr(record, mask) is not None]

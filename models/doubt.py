@@ -1,0 +1,131 @@
+"""What not to trust in a log or a model, and whether that matters for driving: one answer for each kind."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a kind of doubt matters for driving with the model.
+
+    Attributes
+    ----------
+    matters
+        Yes or no.
+    why
+        In few words.
+    """
+
+    matters: bool
+    why: str
+
+    def __str__(self) -> str:
+        """In words."""
+        return f"{'matters' if self.matters else 'does not matter'} for driving: {self.why}"
+
+
+def _yes(why: str) -> Verdict:
+    return Verdict(True, why)
+
+
+def _no(why: str) -> Verdict:
+    return Verdict(False, why)
+
+
+_ROBOT = _yes("the model would be of no robot")
+_SCALE = _yes("a speed would be wrong by a factor")
+_SIGN = _yes("the robot would be steered the wrong way")
+_LATE = _yes("the dead time would be wrong by as much")
+_LEFT_OUT = _no("the rest of the log is used")
+_UNKNOWN = _yes("what was not driven is not known")
+
+VERDICTS: Mapping[str, Verdict] = {
+    # Of logs: kinds of `models.logs.Finding`.
+    "NaN rows": _LEFT_OUT,
+    "time stands still": _LEFT_OUT,
+    "time backwards": _LEFT_OUT,
+    "two clocks": _LEFT_OUT,
+    "spikes": _LEFT_OUT,
+    "stuck sensor": _LEFT_OUT,
+    "stretch left out": _LEFT_OUT,
+    "jitter": _LATE,
+    "clock drift": _LATE,
+    "time shift": _LATE,
+    "shuffled stamps": _ROBOT,
+    "bursty stamps": _ROBOT,
+    "different logs": _ROBOT,
+    "running counts": _SCALE,
+    "wrong unit": _SCALE,
+    "scale change": _SCALE,
+    "dead wheel": _SCALE,
+    "uneven wheels": _SCALE,
+    "reversed wheel": _SIGN,
+    "swapped sides": _SIGN,
+    "mirrored pose": _SIGN,
+    "wrong sign": _SIGN,
+    "no response": _ROBOT,
+    "weak response": _yes("little of what the robot does is known"),
+    "constant input": _UNKNOWN,
+    "little excitation": _UNKNOWN,
+    "saturation": _yes("beyond its limit the robot may do less than it is told"),
+    # Of estimates.
+    "second lag": _no("one lag is enough"),
+    "equal lags": _no("together they predict the same"),
+    "lag": _yes("how late the robot answers is not known"),
+    "gain": _yes("the robot may drive faster or slower than the model says"),
+    "track": _yes("the robot may turn faster or slower than the model says"),
+    "limit": _yes("keep away from that limit"),
+    "dead time": _yes("the robot may answer later than the model says"),
+    "no dead time": _no("dead time and lag are right together"),
+    "told together": _no("together they predict the same"),
+    "pose calibration": _no("the controller does not use it"),
+    "effect": _yes("drive gently until another log tells it"),
+    "unseen effects": _no("the model of what the encoders see is complete"),
+    "unknown track": _no("the model around it is complete"),
+    "effects left out": _no("the plain model is as good"),
+    # Of scores, and of what a log does not have.
+    "low FIT": _yes("the controller would trust a poor prediction"),
+    "FIT falls": _yes("on another drive it may be worse still"),
+    "missed dynamics": _no("FIT counts what is missed, and feedback corrects it"),
+    "no gyro": _yes("the controller would turn the robot too little"),
+    "no wheels": _yes("limits of the wheels are those of another robot"),
+    "pose point": _yes("the controller would take the distance for side-slip"),
+    "failed drive": _yes("mend it before the robot drives that path"),
+}
+"""By kind of `Doubt`, and of every finding that is more than a note."""
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Something that a model is not to be trusted for.
+
+    Attributes
+    ----------
+    kind
+        A key of `VERDICTS`.
+    words
+        What, in a sentence without a full stop.
+    """
+
+    kind: str
+    words: str
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether it matters for driving."""
+        return VERDICTS[self.kind]
+
+    def of(self, label: str) -> Doubt:
+        """The same about one part of a model."""
+        return Doubt(self.kind, f"{label}: {self.words}")
+
+    def __str__(self) -> str:
+        """One line, verdict included."""
+        return f"{self.words} ({self.verdict})"
+
+
+def lines(doubts: Iterable[Doubt]) -> tuple[str, ...]:
+    """As they stand in files and on the screen."""
+    return tuple(map(str, doubts))

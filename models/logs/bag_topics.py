@@ -1,0 +1,220 @@
+"""One topic of a bag of ROS 2 or ROS 1 as rows of numbers. Nothing in a bag is ever run."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import reduce
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.mapping import Topic
+from diffdrive_mpc.models.logs.record import BoolArray
+
+if TYPE_CHECKING:
+    from rosbags.rosbag1 import Reader as Reader1
+    from rosbags.rosbag2 import Reader as Reader2
+
+    Reader = Reader1 | Reader2
+
+Reading = tuple[float, ...]
+
+
+def _twist(message: Any) -> Reading:  # noqa: ANN401 - the types are made by rosbags
+    return float(message.linear.x), float(message.angular.z)
+
+
+def _pose(message: Any) -> Reading:  # noqa: ANN401
+    position, q = message.position, message.orientation
+    # Yaw of a unit quaternion, z-y-x Euler angles.
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
+    return float(position.x), float(position.y), yaw
+
+
+COMMANDS: dict[str, Callable[[Any], Reading]] = {
+    "geometry_msgs/msg/Twist": _twist,
+    "geometry_msgs/msg/TwistStamped": lambda message: _twist(message.twist),
+}
+"""v [m/s], omega [rad/s] by message type."""
+
+ODOMETRY: dict[str, Callable[[Any], Reading]] = {
+    "nav_msgs/msg/Odometry": lambda message: _twist(message.twist.twist),
+}
+"""v [m/s], omega [rad/s]; an odometry's pose is its own sum and says nothing more."""
+
+IMU: dict[str, Callable[[Any], Reading]] = {
+    "sensor_msgs/msg/Imu": lambda message: (float(message.angular_velocity.z),),
+}
+"""Yaw rate [rad/s]."""
+
+POSES: dict[str, Callable[[Any], Reading]] = {
+    "geometry_msgs/msg/PoseStamped": lambda message: _pose(message.pose),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda message: _pose(message.pose.pose),
+    "nav_msgs/msg/Odometry": lambda message: _pose(message.pose.pose),
+}
+"""x [m], y [m], theta [rad]."""
+
+
+def stamp(message: Any) -> int:  # noqa: ANN401
+    """Time in a message's header [ns]; 0 where it has none or nobody set it."""
+    header = getattr(message, "header", None)
+    return 0 if header is None else int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
+
+
+Decoders = Mapping[str, Callable[[Any], Reading]]
+
+
+@dataclass(frozen=True)
+class TopicRows:
+    """The n messages of one topic, in the order of their receipt.
+
+    Attributes
+    ----------
+    topic
+        Name.
+    received, stamped
+        (n,) times of receipt and of the messages' headers [ns]; 0 where a header has none.
+    value
+        (n, width), not checked for finiteness.
+    stride
+        One in how many messages was read.
+    """
+
+    topic: str
+    received: FloatArray
+    stamped: FloatArray
+    value: FloatArray
+    stride: int = 1
+
+    @property
+    def has_stamps(self) -> BoolArray:
+        """Whether every message carries a stamp."""
+        return np.asarray((self.stamped > 0).all())
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Reader]:
+    """Open a rosbag2, its folder or one .mcap or .db3 file, or a .bag of ROS 1.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, here or while the context reads on.
+    """
+    # Only those who read bags need the library.
+    from rosbags.rosbag1 import Reader as Reader1  # noqa: PLC0415
+    from rosbags.rosbag2 import Reader as Reader2  # noqa: PLC0415
+
+    try:
+        with (Reader1 if of_ros1(path) else Reader2)(path) as reader:
+            yield reader
+    except ConfigError:
+        raise
+    except Exception as error:  # a damaged file fails in as many ways as there are bytes
+        reason = " ".join(str(error).split()) or type(error).__name__
+        kind, rescue = ("ROS 1", "rosbag reindex") if of_ros1(path) else ("ROS 2", "ros2 bag reindex")
+        raise ConfigError(
+            f"{path}: cannot be read as a {kind} bag ({reason}); is it complete? `{rescue}` may save it"
+        ) from error
+
+
+def of_ros1(path: Path) -> bool:
+    """Whether the path is that of a bag of ROS 1: one file that says so in its first bytes, or by its ending."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(7) == b"#ROSBAG" or path.suffix == ".bag"
+
+
+def read_topic(
+    reader: Reader,
+    path: Path,
+    topic: Topic,
+    decoders: Decoders,
+    definitions: Mapping[str, str] = MappingProxyType({}),
+    stride: int = 1,
+) -> TopicRows:
+    """Read one in `stride` messages of one topic, one after another; of a message no more is kept than its numbers.
+
+    Message types are the library's own and those of `definitions`, files that the user names, by type; never the
+    definitions inside the bag, from which it would generate code.
+
+    Raises
+    ------
+    ConfigError
+        If the bag has no such topic, the topic has another type, or it holds no message.
+    ValueError
+        If messages have been lost.
+    """
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+
+    name = topic.topic
+    connections: list[Any] = [connection for connection in reader.connections if connection.topic == name]
+    if not connections:
+        there = ", ".join(sorted({f"{known.topic} ({known.msgtype})" for known in reader.connections})) or "none"
+        raise ConfigError(f"{path}: no topic '{name}'; name it under 'topics' in the mapping; the bag has {there}")
+    kinds = sorted({connection.msgtype for connection in connections})
+    if topic.fields is not None:
+        decoders = dict.fromkeys(kinds, _reader_of(path, topic))
+    if len(kinds) > 1 or kinds[0] not in decoders:
+        raise ConfigError(
+            f"{path}: topic '{name}' is of type {', '.join(kinds)}; expected {' or '.join(decoders)}; of "
+            "another type name "
+            "'fields', where its numbers stand, and a file for it under 'definitions'"
+        )
+    ros1 = of_ros1(path)
+    store, decode = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY), decoders[kinds[0]]
+    _register(path, store, kinds[0], definitions)
+    # Bytes of numbers in a row: a list of Python's own takes ten times as much memory.
+    times, values = array("q"), array("d")
+    seen = 0
+    for _, timestamp, data in reader.messages(connections=connections):
+        seen += 1
+        if (seen - 1) % stride:
+            continue
+        message = (store.deserialize_ros1 if ros1 else store.deserialize_cdr)(data, kinds[0])
+        times.extend((timestamp, stamp(message)))
+        values.extend(decode(message))
+    promised = sum(connection.msgcount for connection in connections)
+    if seen < promised:  # the library skips what it cannot make out in a damaged file
+        raise ValueError(f"topic '{name}' holds {seen} of {promised} messages")
+    if not seen:
+        raise ConfigError(f"{path}: topic '{name}' holds no message")
+    received, stamped = (np.array(times[first::2]) for first in (0, 1))
+    return TopicRows(name, received, stamped, np.array(values).reshape(len(received), -1), stride)
+
+
+def _register(path: Path, store: Any, kind: str, definitions: Mapping[str, str]) -> None:  # noqa: ANN401
+    """Teach the library the types that the user defines; raises ConfigError where one of `kind` is still unknown."""
+    from rosbags.typesys import get_types_from_msg  # noqa: PLC0415
+
+    for name, file in definitions.items():
+        try:
+            store.register(get_types_from_msg(Path(file).read_text(encoding="utf-8"), name))
+        except Exception as error:  # the library's own, and those of reading
+            raise ConfigError(f"{file}: cannot be read as the definition of {name} ({error})") from error
+    if kind not in store.fielddefs:
+        raise ConfigError(f"{path}: messages of type {kind} are unknown; give their .msg file under 'definitions'")
+
+
+def _reader_of(path: Path, topic: Topic) -> Callable[[Any], Reading]:
+    """Takes the numbers out of a message where the mapping says that they stand."""
+    fields = [field.split(".") for field in topic.fields or ()]
+
+    def decode(message: Any) -> Reading:  # noqa: ANN401
+        try:
+            return tuple(float(reduce(getattr, field, message)) for field in fields)
+        except (AttributeError, TypeError, ValueError) as error:
+            raise ConfigError(
+                f"{path}: topic '{topic.topic}': no number under 'fields' {topic.fields}: {error}"
+            ) from error
+
+    return decode
