@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
+import yaml
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc.trajectories.segments import Segment
 
 SPEEDS = (1 / 3, 2 / 3, 1.0)
 """Shares of the largest speed; Ordonez et al., 2017 drive at 0.2, 0.4 and 0.6 m/s."""
 YAW_RATES = (-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Shares of the largest yaw rate; theirs go left and right in turn, from straight ahead to a radius of 0.56 m."""
+
+# A reversal costs time and tells nothing: by so much more must it be worth.
+_REVERSAL = 1.1
 
 
 def slip_excitation(
@@ -80,8 +87,25 @@ def slip_excitation(
     return found
 
 
-# A reversal costs time and tells nothing: by so much more must it be worth.
-_REVERSAL = 1.5
+def told_apart(segments: Sequence[Segment]) -> float:
+    """Largest correlation between the terms v, omega and v omega over a drive, without its sign: 1 hides one."""
+    terms = np.array([[one.v, one.omega, one.v * one.omega] for one in segments])
+    weights = np.array([one.duration for one in segments])
+    products = (terms * weights[:, None]).T @ terms
+    size = np.sqrt(np.maximum(np.diag(products), 1e-12))
+    return float(np.abs(products / np.outer(size, size) - np.eye(3)).max())
+
+
+def write_excitation(path: str | Path, segments: Sequence[Segment]) -> None:
+    """Write a trajectory file that `load_trajectory` reads; raises ConfigError if it cannot be written."""
+    drive = {
+        "name": "slip excitation",
+        "start": [0.0, 0.0, math.pi / 4],
+        "timing": "smooth",
+        "segments": [{key: round(value, 4) for key, value in one.model_dump().items()} for one in segments],
+    }
+    with whole_file(path) as draft:
+        draft.write_text(yaml.safe_dump(drive, sort_keys=False, default_flow_style=None), encoding="utf-8")
 
 
 def _end(pose: FloatArray, twist: FloatArray, hold: float, reach: float) -> FloatArray | None:
