@@ -4,8 +4,8 @@
  * stands, so names and layouts cross the border by themselves; a bracket behind a pointer is the shape of what it points
  * to, and is checked against the sizes:
  *
- *     n states, N steps, W window, H history, P parameters, K kinds of soft limit, S slips,
- *     width = 2 N padded to a multiple of 8
+ *     n states, N steps, W window, H history, P parameters, K kinds of soft limit, S slips, Q parameters of a nonlinear
+ *     model, width = 2 N padded to a multiple of 8
  */
 #ifndef DDMPC_CORE_H
 #define DDMPC_CORE_H
@@ -27,6 +27,8 @@ typedef struct {
     int nonlinear;           /* whether the velocity model is a function */
     int turns;               /* kinds of soft limit that keep the least turn radius: 2, or 0 without one */
     int slips;               /* S, slips that are estimated: 8, or with those that curve the twist 13 */
+    int model_parameters;    /* Q, numbers that it is given */
+    int work;                /* reals of memory that it needs */
 } ddmpc_sizes;
 
 /* CasADi's signature: arguments in, results out. */
@@ -50,6 +52,7 @@ typedef struct {
     const real *C;             /* [2][n] */
     const real *mean_output;   /* [2][n] C (1 + A) / 2 */
     const real *settled;       /* [n][2] state after a unit command for ever */
+    const real *model_parameters; /* [Q] of a nonlinear model */
 
     /* estimator */
     const real *noise;         /* [n][n] process noise of one sample */
@@ -115,7 +118,9 @@ typedef struct {
 
 /* Functions beside the shipped ones. */
 typedef struct {
-    ddmpc_function step, output; /* nonlinear model: (x, window) to (x+, Jacobian); x to (twist, Jacobian) */
+    /* Nonlinear model: (x, window, its parameters) to (x+, its Jacobian by x, and by the window), in memory of `work`
+       reals; x to (twist, Jacobian). A Jacobian that is not wanted is NULL. */
+    ddmpc_function step, output;
     const ddmpc_term *terms;
 } ddmpc_functions;
 
@@ -284,6 +289,10 @@ typedef struct {
     ddmpc_time duration;
     ddmpc_time motion[3];
 } ddmpc_trajectory;
+
+/* Nonlinear models that the core brings: a network on past commands, see network.h. */
+int ddmpc_network_step(const real **arguments, real **results, long long *iw, real *w, int memory);
+int ddmpc_network_output(const real **arguments, real **results, long long *iw, real *w, int memory);
 
 typedef struct ddmpc_controller ddmpc_controller;
 
