@@ -8,7 +8,10 @@ import numpy as np
 
 from diffdrive_mpc.bench.progress import output_console
 from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import MODEL_NAMES, load_model
+from diffdrive_mpc.models.networks.network_model import NetworkModel
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.sim.plants.calibration import validate_calibration
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware
@@ -32,8 +35,10 @@ def print_model(name: str) -> None:
     output_console().print(model_text(load_model(name)), markup=False, highlight=False, soft_wrap=True)
 
 
-def model_text(model: VelocityModel) -> str:
-    """Matrices, poles, gains and provenance as lines of text."""
+def model_text(model: VelocityModel | NonlinearModel) -> str:
+    """Matrices or architecture, poles, gains and provenance as lines of text."""
+    if isinstance(model, NonlinearModel):
+        return _function_text(model)
     poles = sorted(model.poles, key=lambda pole: (-pole.real, pole.imag))
     lines = [
         f"{model.name} ({model.structure.upper()}, {model.order} states)",
@@ -42,10 +47,35 @@ def model_text(model: VelocityModel) -> str:
         f"poles [rad/s]      {', '.join(_pole(pole) for pole in poles)}",
     ]
     for label, matrix in (("dc gain", model.dc_gain), ("A", model.A), ("B", model.B), ("C", model.C)):
-        rows = np.array2string(matrix, precision=5, suppress_small=True, max_line_width=100).splitlines()
-        lines += [f"{label if i == 0 else '':<18} {row}" for i, row in enumerate(rows)]
-    lines += [f"{key:<18} {_text(value)}" for key, value in model.provenance.items() if value]
+        lines += _matrix_lines(label, matrix)
+    lines += _provenance_lines(model.provenance)
     return "\n".join(lines)
+
+
+def _function_text(model: NonlinearModel) -> str:
+    lines = [
+        f"{model.name} ({model.structure.upper()}, {model.order} states)",
+        f"sample time [s]    {model.dt:.4g}",
+        f"past commands      {model.memory}",
+        f"lag at rest [s]    v {model.lag[0]:.4g}, omega {model.lag[1]:.4g}",
+        *_matrix_lines("dc gain at rest", model.dc_gain),
+    ]
+    if isinstance(model, NetworkModel):
+        kind = model.network.architecture
+        words = (
+            f"{kind.window} commands, {kind.layers} x LSTM of {kind.units}, dense {kind.dense} with {kind.activation}"
+        )
+        lines.append(f"network            {words}: {kind.parameters} parameters")
+    return "\n".join([*lines, *_provenance_lines(model.provenance)])
+
+
+def _matrix_lines(label: str, matrix: FloatArray) -> list[str]:
+    rows = np.array2string(matrix, precision=5, suppress_small=True, max_line_width=100).splitlines()
+    return [f"{label if i == 0 else '':<18} {row}" for i, row in enumerate(rows)]
+
+
+def _provenance_lines(provenance: Mapping[str, object]) -> list[str]:
+    return [f"{key:<18} {_text(value)}" for key, value in provenance.items() if value]
 
 
 def calibration_table(firmware: Firmware) -> Table:

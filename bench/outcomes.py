@@ -17,6 +17,7 @@ from diffdrive_mpc.bench.case import DIMENSIONS, Case
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.runner import OnDone, run_tasks
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.load import NETWORK
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.mpc import Trajectory
 from diffdrive_mpc.sim import Metrics, Run
@@ -263,7 +264,7 @@ def by_driver(outcomes: Sequence[S]) -> dict[str, list[S]]:
 
 def model_name(name: str) -> str:
     """Name of a model as the papers write it, or that of the user's file."""
-    return name.upper() if name in STRUCTURES else name
+    return name.upper() if name in (*STRUCTURES, NETWORK) else name
 
 
 def metrics_row(outcome: Scored, *, timed: bool = True) -> dict[str, object]:

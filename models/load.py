@@ -4,30 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.named_file import named_file, shipped_names
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 
+NETWORK = "lstm"
+"""The structure of networks on past commands."""
 PARAMETERS = Path(__file__).parent / "parameters"
-MODEL_NAMES = (*(name for name in STRUCTURES if (PARAMETERS / f"{name}.yaml").is_file()), "kinematic")
-"""Shipped models: one of each structure that ships one, and the one to hold them against."""
+MODEL_NAMES = (*(name for name in STRUCTURES if (PARAMETERS / f"{name}.yaml").is_file()), NETWORK, "kinematic")
+"""Shipped models: one of each structure that ships one, the network, and the one to hold them against."""
 ROBOTS = PARAMETERS / "robots"
 ROBOT_NAMES = shipped_names(ROBOTS)
 """Real robots that were identified from public logs."""
 
 
-def load_model(name: str | Path) -> VelocityModel:
-    """Load a velocity model.
+def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
+    """Load a velocity model: a linear one, or a network on past commands.
 
     Parameters
     ----------
     name
-        "mbm", "sm", "ssm", "kinematic", a robot of `ROBOT_NAMES`, or the path of a parameter file.
+        "mbm", "sm", "ssm", "lstm", "kinematic", a robot of `ROBOT_NAMES`, or the path of a parameter file.
 
     Raises
     ------
@@ -37,15 +39,33 @@ def load_model(name: str | Path) -> VelocityModel:
         If the numbers cannot be a robot's: unstable, not finite, wrong units.
     """
     path = model_path(name)
+    data = read_yaml(path)
     try:
-        return build_model(read_model_file(path))
+        if _structure(data) == NETWORK:
+            # Imported late: CasADi's graphs are not for everybody who loads a few matrices.
+            from diffdrive_mpc.models.networks.network_file import load_network  # noqa: PLC0415
+
+            return load_network(path, data)
+        return build_model(_checked(path, data))
     except ModelError as error:
         raise ModelError(f"{path.name}: {error}") from error
 
 
+def load_linear_model(name: str | Path) -> VelocityModel:
+    """Load a velocity model of matrices; raises ModelError where it is a function, else as `load_model`."""
+    model = load_model(name)
+    if not isinstance(model, VelocityModel):
+        raise ModelError(
+            f"model '{name}' is a function of past commands, here matrices are needed; name a linear model"
+        )
+    return model
+
+
 def load_base_effects(name: str | Path) -> BaseEffects:
-    """Load what a model file says about the base around its linear model; raises ConfigError as `load_model`."""
-    return read_model_file(model_path(name)).base_effects
+    """Load what a model file says about the base around its model; raises ConfigError as `load_model`."""
+    path = model_path(name)
+    data = read_yaml(path)
+    return BaseEffects() if _structure(data) == NETWORK else _checked(path, data).base_effects
 
 
 def model_path(name: str | Path) -> Path:
@@ -56,10 +76,18 @@ def model_path(name: str | Path) -> Path:
 
 
 def read_model_file(path: str | Path) -> ModelFile:
-    """Read and check a model parameter file without building the model."""
-    data: Any = read_yaml(path)
-    name = data.get("structure") if isinstance(data, Mapping) else None
+    """Read and check the parameter file of a linear model without building the model."""
+    return _checked(path, read_yaml(path))
+
+
+def _structure(data: object) -> object:
+    return data.get("structure") if isinstance(data, Mapping) else None
+
+
+def _checked(path: str | Path, data: object) -> ModelFile:
+    name = _structure(data)
     structure = STRUCTURES.get(name) if isinstance(name, str) else None
     if structure is None:
-        raise ConfigError(f"{path}: structure: expected one of {', '.join(STRUCTURES)}, found {name!r}")
+        known = ", ".join((*STRUCTURES, NETWORK))
+        raise ConfigError(f"{path}: structure: expected one of {known}, found {name!r}")
     return check(structure.file, data, str(path))

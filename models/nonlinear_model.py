@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NoReturn, Self
 
 import casadi as ca
 import numpy as np
@@ -37,6 +39,8 @@ class NonlinearModel:
         Number of past commands that still act on the future, at least 1.
     known_lag
         (2,) mean delay of each channel [s], if it is known better than from samples; see `lag`.
+    provenance
+        Where its numbers come from; empty for a user's functions.
     delay
         (2,) zero: no channel's dead time is taken off beforehand.
 
@@ -52,6 +56,7 @@ class NonlinearModel:
     dt: float
     memory: int = 1
     known_lag: ArrayLike | None = None
+    provenance: Mapping[str, object] = field(default_factory=dict)
     delay: NDArray[np.int64] = field(default_factory=lambda: np.zeros(2, dtype=np.int64), init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -98,6 +103,11 @@ class NonlinearModel:
                 raise ModelError(f"{where} has {function.numel_in(name)} numbers in {name}, expected {length}")
         if function.n_out() != 1 or function.size_out(0) != (rows, 1):
             raise ModelError(f"{where} gives {function.numel_out(0)} numbers, expected one column of {rows}")
+
+    @property
+    def structure(self) -> str:
+        """Name of its kind for tables."""
+        return "function"
 
     @property
     def order(self) -> int:
@@ -156,6 +166,28 @@ class NonlinearModel:
         late = np.einsum("nwj,w->nj", B, ages)
         moment = C @ np.linalg.solve(np.eye(self.order) - A, self.settled + late)
         return np.asarray(self.dt * (np.diag(moment) / np.diag(self.dc_gain) - 0.5))
+
+    def with_extra_dead_time(self, extra: ArrayLike) -> Self:
+        """The model itself for no dead time; raises ModelError for more, which its window would have to hold."""
+        if np.any(np.asarray(extra, dtype=float)):
+            raise ModelError(
+                f"model '{self.name}': extra dead time {np.asarray(extra).tolist()} s: its dead time lies in its "
+                "window; train or write it with that, or set extra_dead_time to 0"
+            )
+        return self
+
+    def discretise(self, dt: float) -> NoReturn:
+        """Not to be had: it is a function of samples `dt` apart; `linearised` is what it is near rest.
+
+        Raises
+        ------
+        ModelError
+            Always.
+        """
+        raise ModelError(
+            f"model '{self.name}': it is a function for samples of {self.dt} s, not matrices to sample with {dt} s; "
+            "use step, or a linear model"
+        )
 
     def simulate(
         self, commands: ArrayLike, state: ArrayLike | None = None, past: ArrayLike | None = None

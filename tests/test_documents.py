@@ -86,7 +86,7 @@ def test_a_page_shows_the_committed_report(shown):
     [
         (
             ["simulate", "--model", "smm"],
-            "error: unknown model 'smm': give one of mbm, sm, ssm, kinematic or the path of a model",
+            "error: unknown model 'smm': give one of mbm, sm, ssm, lstm, kinematic or the path of a model",
         ),
         (["simulate", "--set", "weights.acros=1"], "unknown key 'weights.acros'; did you mean 'weights.across'?"),
         (["simulate", "--set", "horizon=0"], "horizon: Input should be greater than or equal to 1 (found 0)"),

@@ -13,7 +13,7 @@ config_app = typer.Typer(no_args_is_help=True, help="Show, check and explain con
 @config_app.command(epilog="Example: diffdrive-mpc config show ssm > my_robot.yaml")
 def show(
     source: Annotated[
-        str, typer.Argument(metavar="MODEL|FILE", help="mbm, sm, ssm, kinematic, or a configuration file.")
+        str, typer.Argument(metavar="MODEL|FILE", help="mbm, sm, ssm, lstm, kinematic, or a configuration file.")
     ],
 ) -> None:
     """Print every value of a configuration as a commented YAML file."""

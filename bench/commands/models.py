@@ -20,7 +20,7 @@ def list_models() -> None:
 
 @models_app.command(epilog="Example: diffdrive-mpc models show ssm")
 def show(
-    name: Annotated[str, typer.Argument(metavar="NAME|FILE", help="mbm, sm, ssm, kinematic, or a model file.")],
+    name: Annotated[str, typer.Argument(metavar="NAME|FILE", help="mbm, sm, ssm, lstm, kinematic, or a model file.")],
 ) -> None:
     """Show one model: matrices, poles, gains, dead times, and where the numbers come from."""
     from diffdrive_mpc.bench.model_report import print_model  # noqa: PLC0415
@@ -54,6 +54,25 @@ def fit(
     output_console().print(table.rich())
     for warning in warnings:
         typer.echo(f"warning: {warning}", err=True)
+
+
+@models_app.command(epilog="Example: diffdrive-mpc models train --out my_models")
+def train(
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for lstm.yaml and lstm.npz; by default the shipped ones.", show_default=False),
+    ] = None,
+) -> None:
+    """Train the network again, on a five-minute drive of the simulated robot; needs the extra `learn`."""
+    from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
+    from diffdrive_mpc.bench.studies.identification.network_fitting import fit_network  # noqa: PLC0415
+    from diffdrive_mpc.models.load import PARAMETERS  # noqa: PLC0415
+
+    folder = out or PARAMETERS
+    folder.mkdir(parents=True, exist_ok=True)
+    with ProgressBar("drives and training (about a minute)") as bar:
+        table = fit_network(folder, on_progress=bar.at)
+    output_console().print(table.rich())
 
 
 @models_app.command(epilog="Example: diffdrive-mpc models calibrate --out my_firmware.yaml")

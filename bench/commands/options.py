@@ -49,7 +49,7 @@ Sweep = Annotated[
 Model = Annotated[
     str | None,
     typer.Option(
-        help="Velocity model: mbm, sm, ssm, kinematic, or the path of a file.", show_default="ssm, or --config's"
+        help="Velocity model: mbm, sm, ssm, lstm, kinematic, or the path of a file.", show_default="ssm, or --config's"
     ),
 ]
 Scaled = Annotated[

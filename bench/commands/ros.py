@@ -19,7 +19,7 @@ def node(
     context: typer.Context,
     *,
     config: Annotated[
-        str, typer.Option(help="mbm, sm, ssm, kinematic, or the configuration file that was simulated with.")
+        str, typer.Option(help="mbm, sm, ssm, lstm, kinematic, or the configuration file that was simulated with.")
     ] = "ssm",
     trajectory: Annotated[
         str, typer.Option(help="a shipped name such as circle, or the path of a file; empty: references come by topic.")

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.output_error.experiment import Experiment
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.structures.two_poles import TwoPoles, identify_channel, side_by_side
@@ -61,7 +61,7 @@ def know_plant(plant: str, surface: str, trajectories: tuple[str, ...]) -> Known
         If a name is unknown, or no trajectory moves both channels.
     """
     if plant.startswith(_MODEL_PREFIX):
-        return _exact(load_model(plant.removeprefix(_MODEL_PREFIX)), surface)
+        return _exact(load_linear_model(plant.removeprefix(_MODEL_PREFIX)), surface)
     logs = [_drive(plant, surface, trajectory) for trajectory in trajectories]
     # The truth has no outliers, and no reference is beyond a limit of the robot.
     fits = [

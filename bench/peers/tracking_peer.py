@@ -17,7 +17,7 @@ from diffdrive_mpc.bench.peers.command_limits import nearest_command
 from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, Motion
 from diffdrive_mpc.models.checked_yaml import StrictModel, check, read_yaml
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
-from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
 from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.schema import Limits
@@ -190,7 +190,7 @@ def make_tracking_peer(name: str, gains: Gains | None = None, config: Controller
     kind = law_kind(name)
     config = config or load_config(MODEL)
     gains = gains or load_gains(name)
-    model = load_model(MODEL)
+    model = load_linear_model(MODEL)
     robot = Delayed(config.sample_time, model.lag - model.dead_time, config.limits)
     return TrackingPeer(kind(gains, robot), gains.lead, side_slip=name.endswith("+slip"), config=config)
 

@@ -310,7 +310,7 @@ class ControllerConfig(Group):
     """Everything that one controller needs beside the reference."""
 
     model: str = Field(
-        "ssm", min_length=1, description="velocity model: mbm, sm, ssm, kinematic or the path of a model file [-]"
+        "ssm", min_length=1, description="velocity model: mbm, sm, ssm, lstm, kinematic or the path of a model file [-]"
     )
     sample_time: SampleTime = Field(_ROBOT.sample_time, description="time between two ticks [s]")
     horizon: Annotated[int, Field(ge=1, le=200)] = Field(30, description="steps that the controller looks ahead [-]")

@@ -4,7 +4,8 @@
  * stands, so names and layouts cross the border by themselves; a bracket behind a pointer is the shape of what it points
  * to, and is checked against the sizes:
  *
- *     n states, N steps, W window, H history, P parameters, K kinds of soft limit, width = 2 N padded to a multiple of 8
+ *     n states, N steps, W window, H history, P parameters, K kinds of soft limit, width = 2 N padded to a multiple of 8,
+ *     Q parameters of a nonlinear model
  */
 #ifndef DDMPC_CORE_H
 #define DDMPC_CORE_H
@@ -24,6 +25,8 @@ typedef struct {
     int terms;               /* functions of the user */
     int parameters;          /* P, stage parameters of all of them */
     int nonlinear;           /* whether the velocity model is a function */
+    int model_parameters;    /* Q, numbers that it is given */
+    int work;                /* reals of memory that it needs */
 } ddmpc_sizes;
 
 /* CasADi's signature: arguments in, results out. */
@@ -47,6 +50,7 @@ typedef struct {
     const real *C;             /* [2][n] */
     const real *mean_output;   /* [2][n] C (1 + A) / 2 */
     const real *settled;       /* [n][2] state after a unit command for ever */
+    const real *model_parameters; /* [Q] of a nonlinear model */
 
     /* estimator */
     const real *noise;         /* [n][n] process noise of one sample */
@@ -110,7 +114,9 @@ typedef struct {
 
 /* Functions beside the shipped ones. */
 typedef struct {
-    ddmpc_function step, output; /* nonlinear model: (x, window) to (x+, Jacobian); x to (twist, Jacobian) */
+    /* Nonlinear model: (x, window, its parameters) to (x+, its Jacobian by x, and by the window), in memory of `work`
+       reals; x to (twist, Jacobian). A Jacobian that is not wanted is NULL. */
+    ddmpc_function step, output;
     const ddmpc_term *terms;
 } ddmpc_functions;
 
@@ -278,6 +284,10 @@ typedef struct {
     ddmpc_time duration;
     ddmpc_time motion[3];
 } ddmpc_trajectory;
+
+/* Nonlinear models that the core brings: a network on past commands, see network.h. */
+int ddmpc_network_step(const real **arguments, real **results, long long *iw, real *w, int memory);
+int ddmpc_network_output(const real **arguments, real **results, long long *iw, real *w, int memory);
 
 typedef struct ddmpc_controller ddmpc_controller;
 

@@ -170,7 +170,7 @@ static void moving(const ddmpc_controller *c, ddmpc_belief *belief)
                         sent(c, HISTORY(c) + DELAY(c, channel) + 1)[channel];
     }
     for (int ticks_ago = HISTORY(c); ticks_ago >= 0; ticks_ago--) {
-        ddmpc_velocity_step(c, state, sent(c, ticks_ago), next, 0, c->problem.step_jacobian);
+        ddmpc_velocity_step(c, state, sent(c, ticks_ago), next, 0, 0);
         memcpy(state, next, (size_t)n * sizeof(real));
     }
     memset(belief->mean, 0, (size_t)Z * sizeof(real));

@@ -182,7 +182,7 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
     real by_state[DDMPC_MOST_STATES * DDMPC_MOST_STATES];
     const real *A = NONLINEAR(c) ? by_state : k->A;
     moved_pose moved;
-    ddmpc_velocity_step(c, z, newest, state, NONLINEAR(c) ? by_state : 0, c->problem.step_jacobian);
+    ddmpc_velocity_step(c, z, newest, state, NONLINEAR(c) ? by_state : 0, 0);
     const real acceleration = mean_output(c, z, state, A, y, rows, twist);
     move(c, z, y, rows, acceleration, (real)k->sample_time, &moved);
     propagate(c, &moved, A, before->covariance, after->covariance);

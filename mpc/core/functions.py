@@ -9,6 +9,7 @@ import casadi as ca
 
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc.core.built_in import built_in
 from diffdrive_mpc.mpc.core.generate import GeneratedC, generate
 from diffdrive_mpc.mpc.core.library import load_core, load_functions
 from diffdrive_mpc.mpc.problem.terms import Term, parameter_places
@@ -27,7 +28,7 @@ def term_name(index: int) -> str:
 
 
 def generated_functions(model: VelocityModel | NonlinearModel, terms: Sequence[Term]) -> GeneratedC | None:
-    """C of a nonlinear model's step and output, if it is one, and of the terms; None if there is nothing to write.
+    """C of the user's nonlinear model, if it is one, and of the terms; None if there is nothing to write.
 
     Raises
     ------
@@ -35,7 +36,7 @@ def generated_functions(model: VelocityModel | NonlinearModel, terms: Sequence[T
         If a function cannot be written as C.
     """
     functions: list[ca.Function] = []
-    if isinstance(model, NonlinearModel):
+    if isinstance(model, NonlinearModel) and built_in(model) is None:
         functions += [user_step(model.step, STEP), user_output(model.output, OUTPUT, model.order)]
     functions += [user_term(term.function, term_name(index)) for index, term in enumerate(terms)]
     return generate(functions, "ddmpc_user", "the user's functions") if functions else None
@@ -50,18 +51,23 @@ def compile_functions(
     ------
     ConfigError
         If a function cannot be written as C.
+    ModelError
+        If the model is a network that the core does not have.
     NotCompiledError
         If there is something to compile, and no compiler.
     """
-    generated = generated_functions(model, terms)
-    if generated is None:
-        return None, []
-    (ffi, _), library = load_core(), load_functions(generated)
+    ffi, core = load_core()
+    generated, own = generated_functions(model, terms), built_in(model)
+    library = load_functions(generated) if generated else None
 
     def address(name: str) -> Any:  # noqa: ANN401 - cffi has no types
         return ffi.addressof(library, name)
 
-    step_and_output = (address(STEP), address(OUTPUT)) if isinstance(model, NonlinearModel) else None
+    step_and_output = None
+    if own is not None:
+        step_and_output = ffi.addressof(core, own.step), ffi.addressof(core, own.output)
+    elif isinstance(model, NonlinearModel):
+        step_and_output = address(STEP), address(OUTPUT)
     places = parameter_places(terms)
     return step_and_output, [
         (address(term_name(index)), term.rows, term.soft, places[term.name].start) for index, term in enumerate(terms)

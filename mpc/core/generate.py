@@ -7,13 +7,14 @@ function of math.h is wrapped, so that one text serves both precisions and no do
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.problem.formulas import formulas
+from diffdrive_mpc.mpc.problem.network_formulas import network_formulas
 
 _SIGNATURE = "int {name}(const real **arg, real **res, long long *iw, real *w, int mem)"
 
@@ -26,6 +27,8 @@ _OWN = {
     "sign": "static inline real ddmpc_sign(real x) { return x < 0 ? -1 : x > 0 ? 1 : x; }",
 }
 _OWN_NAMES = {"sq": "ddmpc_square", "sign": "ddmpc_sign"}
+# Where many are worked out side by side, real.h has one without calls, for any number of lanes.
+_INLINE_NAMES = {"tanh": "ddmpc_tanh"}
 _CONSTANTS = {"inf": "(real)INFINITY", "nan": "(real)NAN"}
 
 _BODY = re.compile(r"^/\* (?P<name>\w+):[^\n]*\*/\nstatic int casadi_f\d+\([^)]*\) \{\n(?P<body>.*?)^\}", re.M | re.S)
@@ -64,6 +67,20 @@ _HEADER = """\
 """
 
 
+_INLINE_HEADER = """\
+/* Generated from {origin}; do not edit.
+ *
+ * Functions for inner loops, in the form of ddmpc_formulas.h; their loops are worked out many lanes at a time. */
+#ifndef {guard}
+#define {guard}
+
+#include "real.h"
+
+{definitions}
+#endif
+"""
+
+
 @dataclass(frozen=True)
 class GeneratedC:
     """Text of a C file and of its header.
@@ -89,6 +106,11 @@ def generate_formulas() -> GeneratedC:
     return generate(formulas(), "ddmpc_formulas", "mpc/problem/formulas.py")
 
 
+def generate_network_formulas() -> GeneratedC:
+    """C of the formulas of a network's units, `models/networks/equations.py`."""
+    return generate_inline(network_formulas(), "ddmpc_network_formulas", "models/networks/equations.py")
+
+
 def generate(functions: Sequence[ca.Function], stem: str, origin: str) -> GeneratedC:
     """C of SX functions, under the names that they have.
 
@@ -106,22 +128,8 @@ def generate(functions: Sequence[ca.Function], stem: str, origin: str) -> Genera
     models.checked_yaml.ConfigError
         If a function needs what C99 or a controller without memory does not have.
     """
-    generator = ca.CodeGenerator(f"{stem}.c", {"with_header": False, "main": False, "mex": False, "with_mem": False})
-    for function in functions:
-        generator.add(_as_computed(function))
-    text = generator.dump()
-    for found in _WORK.finditer(text):
-        if (found["iw"], found["w"]) != ("0", "0"):
-            raise ConfigError(
-                f"{found['name']}: its C needs memory of its own; write it without calls of other functions"
-            )
-    bodies = {found["name"]: _plain(found["name"], found["body"]) for found in _BODY.finditer(text)}
-    for function in functions:
-        if function.name() not in bodies:
-            version = ca.CasadiMeta.version()
-            raise ConfigError(f"{function.name()}: the C of CasADi {version} is not understood; install 3.8")
-    own = [line for name, line in _OWN.items() if any(_OWN_NAMES[name] in body for body in bodies.values())]
-    parts = [_SOURCE_HEAD.format(origin=origin, stem=stem), *(f"{line}\n" for line in own)]
+    bodies = _bodies(functions, {})
+    parts = [_SOURCE_HEAD.format(origin=origin, stem=stem), *_own(bodies)]
     names = tuple(function.name() for function in functions)
     for name in names:
         signature = _SIGNATURE.format(name=name)
@@ -131,6 +139,49 @@ def generate(functions: Sequence[ca.Function], stem: str, origin: str) -> Genera
     return GeneratedC(stem, "\n".join(parts), header, names)
 
 
+def generate_inline(functions: Sequence[ca.Function], stem: str, origin: str) -> GeneratedC:
+    """C of SX functions for the inner loops of hand-written C: a header alone, with their definitions; as `generate`.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        As `generate`.
+    """
+    bodies = _bodies(functions, _INLINE_NAMES)
+    written = (
+        f"{_shapes_of(function)}\nstatic inline int {name}(const real **arg, real **res)\n{{\n{bodies[name]}}}\n"
+        for function in functions
+        for name in [function.name()]
+    )
+    definitions = "\n".join([*_own(bodies), *written])
+    header = _INLINE_HEADER.format(origin=origin, guard=f"{stem.upper()}_H", definitions=definitions)
+    return GeneratedC(stem, "", header, tuple(function.name() for function in functions))
+
+
+def _bodies(functions: Sequence[ca.Function], names: Mapping[str, str]) -> dict[str, str]:
+    """CasADi's statements of each function by name, functions of math.h by `names` where they are in it."""
+    generator = ca.CodeGenerator("text.c", {"with_header": False, "main": False, "mex": False, "with_mem": False})
+    for function in functions:
+        generator.add(_as_computed(function))
+    text = generator.dump()
+    for found in _WORK.finditer(text):
+        if (found["iw"], found["w"]) != ("0", "0"):
+            raise ConfigError(
+                f"{found['name']}: its C needs memory of its own; write it without calls of other functions"
+            )
+    bodies = {found["name"]: _plain(found["name"], found["body"], names) for found in _BODY.finditer(text)}
+    for function in functions:
+        if function.name() not in bodies:
+            version = ca.CasadiMeta.version()
+            raise ConfigError(f"{function.name()}: the C of CasADi {version} is not understood; install 3.8")
+    return bodies
+
+
+def _own(bodies: Mapping[str, str]) -> list[str]:
+    """Definitions of what the statements call and C99 does not have."""
+    return [f"{line}\n" for name, line in _OWN.items() if any(_OWN_NAMES[name] in body for body in bodies.values())]
+
+
 def _as_computed(function: ca.Function) -> ca.Function:
     """`function` with dense results, and nothing computed twice."""
     symbols = function.sx_in()
@@ -138,7 +189,7 @@ def _as_computed(function: ca.Function) -> ca.Function:
     return ca.Function(function.name(), symbols, results, function.name_in(), function.name_out())
 
 
-def _plain(name: str, body: str) -> str:
+def _plain(name: str, body: str, names: Mapping[str, str]) -> str:
     """CasADi's statements with each number and each function of math.h in the precision of `real`."""
 
     def written(token: re.Match[str]) -> str:
@@ -151,6 +202,8 @@ def _plain(name: str, body: str) -> str:
             return "real"
         if not called and word in _CONSTANTS:
             return _CONSTANTS[word]
+        if called and word in names:
+            return names[word]
         if called and word in _OWN_NAMES:
             return _OWN_NAMES[word]
         if called and _MATH.fullmatch(word):
@@ -163,9 +216,13 @@ def _plain(name: str, body: str) -> str:
 
 
 def _declaration(function: ca.Function) -> str:
+    return f"{_shapes_of(function)}\n{_SIGNATURE.format(name=function.name())};\n"
+
+
+def _shapes_of(function: ca.Function) -> str:
     arguments = ", ".join(_shapes(function.name_in(k), function.size_in(k)) for k in range(function.n_in()))
     results = ", ".join(_shapes(function.name_out(k), function.size_out(k)) for k in range(function.n_out()))
-    return f"/* ({arguments}) to ({results}) */\n{_SIGNATURE.format(name=function.name())};\n"
+    return f"/* ({arguments}) to ({results}) */"
 
 
 def _shapes(name: str, shape: tuple[int, int]) -> str:

@@ -24,6 +24,7 @@
 #define TERMS(c) DDMPC_TERMS
 #define PARAMETERS(c) DDMPC_PARAMETERS
 #define NONLINEAR(c) DDMPC_NONLINEAR
+#define WORK(c) DDMPC_WORK
 #else
 /* The most that is held: for local memory, and for bounds on what is given. */
 #define DDMPC_MOST_STEPS 200
@@ -41,6 +42,7 @@
 #define TERMS(c) ((c)->sizes.terms)
 #define PARAMETERS(c) ((c)->sizes.parameters)
 #define NONLINEAR(c) ((c)->sizes.nonlinear)
+#define WORK(c) ((c)->sizes.work)
 #endif
 
 /* The filter's state: n velocity states, then these; places are counted from n. */
@@ -187,9 +189,10 @@ typedef struct {
     real *mean_rows;    /* [N][2][width] */
     real *heading_rows; /* [N+1][width] */
     real *sensitivity;  /* [2][n][width] */
-    real *step_jacobian; /* [n][n+2(W+1)] column by column */
+    real *by_window;     /* [n][2(W+1)] Jacobian of a step, column by column */
     real *held;          /* [2(W+1)] a command for ever */
-    real *settling;      /* [n+2][n+3] what a Newton step solves */
+    real *work;          /* memory of the model's step */
+    real *settling;      /* [n+2][n+5] what a Newton step solves */
     real *poses;        /* [N+1][3] along the guess */
     real *arc;          /* [8][N] displacement of each arc; its gradient by the model's twist and heading: of x, of y */
     real *cosine, *sine; /* [N] of the path's heading at the samples 1 to N */
@@ -255,13 +258,18 @@ int ddmpc_pose_passes(ddmpc_controller *c, const ddmpc_checked_pose *pose, const
 void ddmpc_accept_pose(ddmpc_controller *c, const ddmpc_checked_pose *pose);
 
 /* velocity.c: the velocity model over one sample. */
-/* x+ under the command window that ends with the commands at `newest` (2), and their predecessors before it in memory;
-   the Jacobian's part by x (n, n), row by row, where asked for. */
+/* x+ under the command window that ends with the commands at `newest` (2), and their predecessors before it in memory.
+   Its Jacobian where asked for: by x (n, n), row by row; and of a nonlinear model by the window, column by column. */
 void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *newest, real *after, real *by_state,
-                         real *scratch);
-/* The command under which a nonlinear model settles at the output `wanted`, and the state in which it does; both are
-   guesses at first. Returns 0 if there is none near them. */
-int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], real *state, real command[2]);
+                         real *by_window);
+/* Where a nonlinear model settles: at this output, in this state, under this command, and what these two owe to the output;
+   all zero at first, or where there was none. */
+typedef struct {
+    real output[2], state[DDMPC_MOST_STATES], command[2], by_output[2 * (DDMPC_MOST_STATES + 2)];
+    int found;
+} ddmpc_settled;
+/* Where it settles at the output `wanted`, near where it did. Returns 0 if there is none near it. */
+int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *at);
 /* (v, omega) of the model and its gradient (2, n), row by row. */
 void ddmpc_velocity_output(const ddmpc_controller *c, const real *x, real y[2], real *gradient);
 

@@ -65,9 +65,10 @@ static void lay_problem(ddmpc_controller *c, memory *m)
         p->mean_rows = reals(m, N * 2 * width);
         p->heading_rows = reals(m, (N + 1) * width);
         p->sensitivity = reals(m, 2 * n * width);
-        p->step_jacobian = reals(m, n * (n + 2 * (WINDOW(c) + 1)));
+        p->by_window = reals(m, n * 2 * (WINDOW(c) + 1));
         p->held = reals(m, 2 * (WINDOW(c) + 1));
-        p->settling = reals(m, (n + 2) * (n + 3));
+        p->settling = reals(m, (n + 2) * (n + 5));
+        p->work = reals(m, WORK(c));
     }
     p->poses = reals(m, 3 * (N + 1));
     p->arc = reals(m, 8 * N);
@@ -126,7 +127,7 @@ static int fits(const ddmpc_sizes *s)
            s->window >= 1 && s->window <= DDMPC_MOST_WINDOW && s->delay_v >= 0 && s->delay_v < s->window &&
            s->delay_omega >= 0 && s->delay_omega < s->window && s->history >= 2 && s->lag_v >= 0 && s->lag_omega >= 0 &&
            s->soft >= SHIPPED_SOFT && s->soft + HARD <= DDMPC_MOST_KINDS && s->residuals >= 0 && s->terms >= 0 &&
-           s->parameters >= 0;
+           s->parameters >= 0 && s->model_parameters >= 0 && s->work >= 0;
 }
 
 static memory counted(const ddmpc_sizes *sizes)

@@ -82,7 +82,7 @@ void ddmpc_monitor_predict(ddmpc_controller *c, const real *newest)
     if (!c->constants->monitor)
         return;
     ddmpc_velocity_output(c, m->state, before, 0);
-    ddmpc_velocity_step(c, m->state, newest, state, 0, c->problem.step_jacobian);
+    ddmpc_velocity_step(c, m->state, newest, state, 0, 0);
     memcpy(m->state, state, (size_t)STATES(c) * sizeof(real));
     ddmpc_velocity_output(c, state, after, 0);
     m->now.sum[MODEL_DISTANCE] += half * (before[0] + after[0]);

@@ -31,21 +31,18 @@ static const real *heading_row(const ddmpc_controller *c, int k)
     return c->constants->heading_row + 2 * (STEPS(c) - k);
 }
 
-/* The command that a nonlinear model needs for a twist of the body, where it has one; its gain at rest gave `found`.
-   State and command are those of the sample before, near which this one is sought. */
-static void settle(const ddmpc_controller *c, const real wanted[2], real *state, real command[2], real found[2])
+/* The command that a nonlinear model needs for a twist of the body, where it has one; its gain at rest gave `command`.
+   `last` is where it settles at the sample before, near which this one is sought; most often it is the same. */
+static void settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *last, real command[2])
 {
     static const real no_gain[4] = {R(1.0), R(0.0), R(0.0), R(1.0)};
     real y[2];
     const real *arguments[3] = {wanted, c->problem.slip, no_gain};
     real *results[1] = {y};
     ddmpc_f_feed_forward(arguments, results, 0, 0, 0);
-    if (ddmpc_velocity_settle(c, y, state, command)) {
-        memcpy(found, command, 2 * sizeof(real));
-    } else {
-        memset(state, 0, (size_t)STATES(c) * sizeof(real));
-        memset(command, 0, 2 * sizeof(real));
-    }
+    const int same = last->found && y[0] == last->output[0] && y[1] == last->output[1];
+    if (same || ddmpc_velocity_settle(c, y, last))
+        memcpy(command, last->command, sizeof last->command);
 }
 
 /* What to aim at, and the commands that would keep the reference's twist, one lag ahead. */
@@ -63,7 +60,8 @@ static void look_ahead(ddmpc_controller *c)
         real *results[1] = {p->aim + 4 * i};
         ddmpc_f_aim(arguments, results, 0, 0, 0);
     }
-    real state[DDMPC_MOST_STATES] = {R(0.0)}, command[2] = {R(0.0), R(0.0)};
+    ddmpc_settled last;
+    last.found = 0;
     for (int i = 0; i < STEPS(c); i++) {
         real wanted[2];
         for (int channel = 0; channel < 2; channel++) {
@@ -74,7 +72,7 @@ static void look_ahead(ddmpc_controller *c)
         real *results[1] = {p->feed_forward + 2 * i};
         ddmpc_f_feed_forward(arguments, results, 0, 0, 0);
         if (NONLINEAR(c))
-            settle(c, wanted, state, command, p->feed_forward + 2 * i);
+            settle(c, wanted, &last, p->feed_forward + 2 * i);
     }
 }
 
@@ -215,7 +213,7 @@ static void run_model(ddmpc_controller *c, const real *plan, real *outputs, int 
         }
         if (k == N)
             break;
-        ddmpc_velocity_step(c, state, line + 2 * (W + k), next, by_state, p->step_jacobian);
+        ddmpc_velocity_step(c, state, line + 2 * (W + k), next, rows ? by_state : 0, rows ? p->by_window : 0);
         memcpy(state, next, (size_t)n * sizeof(real));
         if (!rows)
             continue;
@@ -227,7 +225,7 @@ static void run_model(ddmpc_controller *c, const real *plan, real *outputs, int 
             /* The window's commands from the first of the plan on. */
             for (int w = k < W ? W - k : 0; w <= W; w++)
                 for (int channel = 0; channel < 2; channel++)
-                    after[i * width + 2 * (k - W + w) + channel] += p->step_jacobian[i + n * (n + 2 * w + channel)];
+                    after[i * width + 2 * (k - W + w) + channel] += p->by_window[i + n * (2 * w + channel)];
         }
         real *swapped = now;
         now = after;

@@ -44,4 +44,21 @@ static inline real ddmpc_wrap(real angle)
     return angle - R(2.0) * DDMPC_PI * ddmpc_floor((angle + DDMPC_PI) / (R(2.0) * DDMPC_PI));
 }
 
+/* tanh without branches or calls, so that a loop of it runs many lanes at a time: Pade's fraction of x / 8, whose angle
+   is doubled three times as a fraction. Exact to a few units in the last place in both precisions. */
+static inline real ddmpc_tanh(real x)
+{
+    const real most = R(20.0);
+    const real near = x > most ? most : x < -most ? -most : x;
+    const real y = R(0.125) * near, s = y * y, per = R(1.0) / R(135135.0);
+    real top = y * (R(1.0) + s * (R(17325.0) + s * (R(378.0) + s)) * per);
+    real bottom = R(1.0) + s * (R(62370.0) + s * (R(3150.0) + s * R(28.0))) * per;
+    for (int i = 0; i < 3; i++) {
+        const real twice = R(2.0) * top * bottom;
+        bottom = top * top + bottom * bottom;
+        top = twice;
+    }
+    return top / bottom;
+}
+
 #endif

@@ -13,7 +13,13 @@ CORE = Path(__file__).parent
 _HEADER = "core.h"
 _PACKAGE = CORE.parents[1]
 # What the generated part comes from.
-_FORMULAS = ("models/pose.py", "mpc/problem/formulas.py", "mpc/core/generate.py")
+_FORMULAS = (
+    "models/pose.py",
+    "models/networks/equations.py",
+    "mpc/problem/formulas.py",
+    "mpc/problem/network_formulas.py",
+    "mpc/core/generate.py",
+)
 # Python has the sizes at run time, and numbers in double precision: an export says otherwise here.
 SIZES = "ddmpc_sizes.h"
 """The header that says so."""
@@ -28,10 +34,11 @@ _CONSTANT = re.compile(r"\s*#\s*define\s+\w+\s+\d+\s*")
 def core_texts() -> dict[str, str]:
     """Every C file and header of the core by name, those of the formulas generated."""
     # Imported late: generating needs CasADi at work, a library that is found does not.
-    from diffdrive_mpc.mpc.core.generate import generate_formulas  # noqa: PLC0415
+    from diffdrive_mpc.mpc.core.generate import generate_formulas, generate_network_formulas  # noqa: PLC0415
 
-    formulas = generate_formulas()
-    return {**written_texts(), f"{formulas.stem}.c": formulas.source, f"{formulas.stem}.h": formulas.header}
+    formulas, network = generate_formulas(), generate_network_formulas()
+    generated = {f"{formulas.stem}.c": formulas.source, f"{formulas.stem}.h": formulas.header}
+    return {**written_texts(), **generated, f"{network.stem}.h": network.header}
 
 
 def written_texts() -> dict[str, str]:

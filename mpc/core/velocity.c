@@ -3,12 +3,8 @@
 
 #include "internal.h"
 
-/* Residual below which a model counts as settled [m/s, rad/s]. */
-#ifdef DDMPC_FLOAT
-#define SETTLED R(1e-5)
-#else
-#define SETTLED R(1e-11)
-#endif
+/* Newton's steps converge quadratically: after one that is smaller than this there is nothing left to find. */
+#define SMALL_STEP R(1e-4)
 
 static void linear_step(const ddmpc_controller *c, const real *x, const real *newest, real *after)
 {
@@ -31,7 +27,7 @@ static void linear_step(const ddmpc_controller *c, const real *x, const real *ne
 }
 
 void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *newest, real *after, real *by_state,
-                         real *scratch)
+                         real *by_window)
 {
     const int n = STATES(c);
     if (!NONLINEAR(c)) {
@@ -40,52 +36,50 @@ void ddmpc_velocity_step(const ddmpc_controller *c, const real *x, const real *n
             memcpy(by_state, c->constants->A, (size_t)(n * n) * sizeof(real));
         return;
     }
-    const real *arguments[2] = {x, newest - 2 * WINDOW(c)};
-    real *results[2] = {after, scratch};
-    c->functions.step(arguments, results, 0, 0, 0);
+    real columns[DDMPC_MOST_STATES * DDMPC_MOST_STATES];
+    const real *arguments[3] = {x, newest - 2 * WINDOW(c), c->constants->model_parameters};
+    real *results[3] = {after, by_state ? columns : 0, by_window};
+    c->functions.step(arguments, results, 0, c->problem.work, 0);
     if (by_state)
         for (int i = 0; i < n; i++)
             for (int j = 0; j < n; j++)
-                by_state[i * n + j] = scratch[i + n * j];
+                by_state[i * n + j] = columns[i + n * j];
 }
 
-/* What a Newton step towards a settled (state, command) solves, row by row, with the residual as its last column: the
-   state stays as it is, and the output is as wanted. Returns the largest residual. */
-static real settling_equations(const ddmpc_controller *c, const real wanted[2], const real *state,
+/* What a Newton step towards a settled (state, command) solves, row by row: the state stays as it is, and the output is as
+   wanted. Its last columns are the residual, and what both owe to the output that is wanted. */
+static void settling_equations(const ddmpc_controller *c, const real wanted[2], const real *state,
                                const real command[2])
 {
-    const int n = STATES(c), columns = n + 3;
-    real *held = c->problem.held, *J = c->problem.step_jacobian, *rows = c->problem.settling;
-    real after[DDMPC_MOST_STATES], y[2], by_state[2 * DDMPC_MOST_STATES], largest = R(0.0);
+    const int n = STATES(c), columns = n + 5;
+    real *held = c->problem.held, *by_window = c->problem.by_window, *rows = c->problem.settling;
+    real after[DDMPC_MOST_STATES], y[2], by_output[2 * DDMPC_MOST_STATES];
+    real by_state[DDMPC_MOST_STATES * DDMPC_MOST_STATES];
     for (int i = 0; i < 2 * (WINDOW(c) + 1); i++)
         held[i] = command[i % 2];
-    const real *arguments[2] = {state, held};
-    real *results[2] = {after, J};
-    c->functions.step(arguments, results, 0, 0, 0);
-    ddmpc_velocity_output(c, state, y, by_state);
+    ddmpc_velocity_step(c, state, held + 2 * WINDOW(c), after, by_state, by_window);
+    ddmpc_velocity_output(c, state, y, by_output);
     memset(rows, 0, (size_t)((n + 2) * columns) * sizeof(real));
     for (int i = 0; i < n; i++) {
         real *row = rows + i * columns;
         for (int j = 0; j < n; j++)
-            row[j] = J[i + n * j] - (i == j ? R(1.0) : R(0.0));
+            row[j] = by_state[i * n + j] - (i == j ? R(1.0) : R(0.0));
         for (int j = 0; j < 2 * (WINDOW(c) + 1); j++)
-            row[n + j % 2] += J[i + n * (n + j)];
+            row[n + j % 2] += by_window[i + n * j];
         row[n + 2] = state[i] - after[i];
-        largest = ddmpc_max(largest, ddmpc_fabs(row[n + 2]));
     }
     for (int i = 0; i < 2; i++) {
         real *row = rows + (n + i) * columns;
-        memcpy(row, by_state + i * n, (size_t)n * sizeof(real));
+        memcpy(row, by_output + i * n, (size_t)n * sizeof(real));
         row[n + 2] = wanted[i] - y[i];
-        largest = ddmpc_max(largest, ddmpc_fabs(row[n + 2]));
+        row[n + 3 + i] = R(1.0);
     }
-    return largest;
 }
 
-/* Gaussian elimination with pivots by rows; the solution lands in the last column. Returns 0 if there is none. */
-static int eliminate(real *rows, int count)
+/* Gaussian elimination with pivots by rows; solutions land in the columns behind the first `count`. Returns 0 if there is
+   none. */
+static int eliminate(real *rows, int count, int columns)
 {
-    const int columns = count + 1;
     for (int p = 0; p < count; p++) {
         int best = p;
         for (int i = p + 1; i < count; i++)
@@ -106,29 +100,41 @@ static int eliminate(real *rows, int count)
         }
     }
     for (int i = 0; i < count; i++)
-        rows[i * columns + count] /= rows[i * columns + i];
+        for (int j = count; j < columns; j++)
+            rows[i * columns + j] /= rows[i * columns + i];
     return 1;
 }
 
-int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], real *state, real command[2])
+int ddmpc_velocity_settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settled *at)
 {
-    const int n = STATES(c);
+    const int n = STATES(c), columns = n + 5;
     const real *rows = c->problem.settling, *most = c->constants->largest_twist;
-    for (int iteration = 0; iteration < 8; iteration++) {
-        if (settling_equations(c, wanted, state, command) <= SETTLED)
-            return 1;
-        if (!eliminate(c->problem.settling, n + 2))
+    real *unknowns[2] = {at->state, at->command};
+    if (!at->found)
+        memset(at, 0, sizeof *at);
+    for (int i = 0; i < n + 2; i++)
+        for (int j = 0; j < 2; j++)
+            unknowns[i >= n][i >= n ? i - n : i] += at->by_output[2 * i + j] * (wanted[j] - at->output[j]);
+    memcpy(at->output, wanted, sizeof at->output);
+    at->found = 0;
+    for (int iteration = 0; iteration < 8 && !at->found; iteration++) {
+        settling_equations(c, wanted, at->state, at->command);
+        if (!eliminate(c->problem.settling, n + 2, columns))
             return 0;
-        for (int i = 0; i < n; i++)
-            state[i] += rows[i * (n + 3) + n + 2];
-        for (int i = 0; i < 2; i++) {
-            command[i] += rows[(n + i) * (n + 3) + n + 2];
-            /* Not the other way round: NaN must fail. */
-            if (!(ddmpc_fabs(command[i]) <= most[i]))
-                return 0;
+        real largest = R(0.0);
+        for (int i = 0; i < n + 2; i++) {
+            const real *solved = rows + i * columns + n + 2;
+            unknowns[i >= n][i >= n ? i - n : i] += solved[0];
+            largest = ddmpc_max(largest, ddmpc_fabs(solved[0]));
+            memcpy(at->by_output + 2 * i, solved + 1, 2 * sizeof(real));
         }
+        for (int i = 0; i < 2; i++)
+            /* Not the other way round: NaN must fail. */
+            if (!(ddmpc_fabs(at->command[i]) <= most[i]))
+                return 0;
+        at->found = largest <= SMALL_STEP;
     }
-    return 0;
+    return at->found;
 }
 
 void ddmpc_velocity_output(const ddmpc_controller *c, const real *x, real y[2], real *gradient)

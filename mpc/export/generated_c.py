@@ -40,8 +40,10 @@ def constants_text(problem: Problem, functions: str | None) -> str:
     sizes = [(name, str(value)) for name, value in problem.sizes.items()]
     places = parameter_places(problem.terms)
     terms = ",\n".join(_term(index, term, places[term.name].start) for index, term in enumerate(problem.terms))
-    nonlinear = problem.prediction is None
-    members = [("step", STEP if nonlinear else "0"), ("output", OUTPUT if nonlinear else "0")]
+    step, output = (STEP, OUTPUT) if problem.prediction is None else ("0", "0")
+    if problem.built_in is not None:
+        step, output = problem.built_in.step, problem.built_in.output
+    members = [("step", step), ("output", output)]
     defaults = np.array([value for term in problem.terms for value in term.defaults])
     return "\n\n".join(
         [

@@ -6,6 +6,7 @@ They go into memory for use from Python, or as text into an exported library: in
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.config.thresholds import AHEAD, BEHIND, STANDING, TURNING
+from diffdrive_mpc.mpc.core.built_in import BuiltIn, built_in
 from diffdrive_mpc.mpc.estimation.slip import SLIPS, Slip
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem.prediction import Prediction, build_prediction
@@ -62,6 +64,11 @@ class Problem:
         prediction = build_prediction(model, horizon) if isinstance(model, DiscreteModel) else None
         object.__setattr__(self, "prediction", prediction)
 
+    @cached_property
+    def built_in(self) -> BuiltIn | None:
+        """What the core has for the model, if that is one of its own."""
+        return built_in(self.model)
+
     @property
     def history(self) -> int:
         """Ticks that the estimator looks back."""
@@ -87,6 +94,8 @@ class Problem:
             "terms": len(terms),
             "parameters": sum(term.parameters for term in terms),
             "nonlinear": int(self.prediction is None),
+            "model_parameters": len(self.built_in.parameters) if self.built_in else 0,
+            "work": self.built_in.work if self.built_in else 0,
         }
 
     def constants(self) -> Constants:
@@ -104,7 +113,12 @@ class Problem:
         if isinstance(model, NonlinearModel):
             n = model.order
             empty = {"A": (n, n), "B0": (n, 2), "B1": (n, 2), "C": (2, n), "mean_output": (2, n)}
-            return {**{name: np.zeros(shape) for name, shape in empty.items()}, "settled": model.settled}
+            numbers = self.built_in.parameters if self.built_in else np.zeros(0)
+            return {
+                **{name: np.zeros(shape) for name, shape in empty.items()},
+                "settled": model.settled,
+                "model_parameters": numbers,
+            }
         return {
             "A": model.A,
             "B0": model.B0,
@@ -112,6 +126,7 @@ class Problem:
             "C": model.C,
             "mean_output": 0.5 * model.C @ (np.eye(model.order) + model.A),
             "settled": np.column_stack([model.settled_state(unit) for unit in np.eye(2)]),
+            "model_parameters": np.zeros(0),
         }
 
     def _estimation(self) -> Constants:

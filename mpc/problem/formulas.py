@@ -208,7 +208,7 @@ def term(name: str, inputs: Mapping[str, ca.SX], value: ca.SX) -> ca.Function:
 def differentiated(name: str, inputs: Mapping[str, ca.SX], output: str, value: ca.SX, by: Sequence[str]) -> ca.Function:
     """The function `name` of `inputs` with two outputs: `value`, called `output`, and its gradient by `by`."""
     gradient = ca.jacobian(value, ca.vertcat(*(inputs[varied] for varied in by)))
-    return _function(name, inputs, {output: value, "gradient": gradient})
+    return named_function(name, inputs, {output: value, "gradient": gradient})
 
 
 _Formula = Callable[..., Any]
@@ -226,7 +226,7 @@ def _varied(name: str, formula: _Formula, output: str, by: Sequence[str]) -> ca.
 def _plain(name: str, formula: _Formula, *outputs: str) -> ca.Function:
     inputs = _symbols(formula)
     values = formula(**inputs)
-    return _function(name, inputs, dict(zip(outputs, values if len(outputs) > 1 else [values], strict=True)))
+    return named_function(name, inputs, dict(zip(outputs, values if len(outputs) > 1 else [values], strict=True)))
 
 
 def _term(name: str, formula: _Formula, parameters: int) -> ca.Function:
@@ -234,5 +234,6 @@ def _term(name: str, formula: _Formula, parameters: int) -> ca.Function:
     return term(name, inputs, formula(**{given: inputs[given] for given in signature(formula).parameters}))
 
 
-def _function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX]) -> ca.Function:
+def named_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX]) -> ca.Function:
+    """The function `name` with these inputs and outputs."""
     return ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs))

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.mpc.problem.formulas import TERM_INPUTS, differentiated, term, term_symbols
+from diffdrive_mpc.mpc.problem.formulas import TERM_INPUTS, differentiated, named_function, term, term_symbols
 
 _C_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 
@@ -72,7 +72,7 @@ def user_step(function: ca.Function, name: str) -> ca.Function:
     Returns
     -------
     casadi.Function
-        Of the same to `x_next` (n) and `gradient` (n x (n + 2 W)).
+        Of the same to `x_next` (n), `by_x` (n x n) and `by_window` (n x 2 W).
 
     Raises
     ------
@@ -89,7 +89,9 @@ def user_step(function: ca.Function, name: str) -> ca.Function:
         raise ConfigError(f"{place}: the state after a step has {function.numel_out(0)} entries, x has {given['x']}")
     symbols = {given_name: ca.SX.sym(given_name, length) for given_name, length in given.items()}
     inputs = {"x": symbols["x"], "window": symbols["window"]}
-    return differentiated(name, inputs, "x_next", _value(function, list(symbols.values()), place), ("x", "window"))
+    after = _value(function, list(symbols.values()), place)
+    gradients = {f"by_{given_name}": ca.jacobian(after, symbol) for given_name, symbol in inputs.items()}
+    return named_function(name, inputs, {"x_next": after, **gradients})
 
 
 def user_output(function: ca.Function, name: str, states: int) -> ca.Function:

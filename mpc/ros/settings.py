@@ -23,7 +23,7 @@ class NodeSettings(StrictModel, strict=True):
         "ssm",
         min_length=1,
         description="configuration whose values are the defaults of all parameters of the controller: mbm, sm, ssm, "
-        "kinematic or the path of the YAML file that was simulated with; read once, at start-up [-]",
+        "lstm, kinematic or the path of the YAML file that was simulated with; read once, at start-up [-]",
     )
     trajectory: str = Field(
         "circle",

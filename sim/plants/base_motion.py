@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from diffdrive_mpc.models.base_effects import PARTS, BaseEffects
+from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 
 
 class Motion(NamedTuple):
@@ -24,37 +26,104 @@ class Motion(NamedTuple):
     """(2,) of the body, mean over the step"""
 
 
+class _Dynamics(Protocol):
+    """A sampled velocity model on its way."""
+
+    @property
+    def output(self) -> FloatArray:
+        """(2,) v [m/s], omega [rad/s] now."""
+        ...
+
+    def reset(self) -> None:
+        """At rest, no command on its way."""
+        ...
+
+    def advance(self, command: FloatArray) -> None:
+        """One sample under `command` (2,)."""
+        ...
+
+
+class _Linear:
+    def __init__(self, model: DiscreteModel) -> None:
+        self._model = model
+        self.reset()
+
+    @property
+    def output(self) -> FloatArray:
+        return np.asarray(self._model.C @ self._state)
+
+    def reset(self) -> None:
+        self._state, self._past = np.zeros(self._model.order), np.zeros((self._model.memory, 2))
+
+    def advance(self, command: FloatArray) -> None:
+        (recent,), (older,) = self._model.effective_inputs(command[None], self._past)
+        self._state = self._model.A @ self._state + self._model.B0 @ recent + self._model.B1 @ older
+        self._past = np.vstack([self._past[1:], command])
+
+
+class _Function:
+    def __init__(self, model: NonlinearModel) -> None:
+        self._model = model
+        self.reset()
+
+    @property
+    def output(self) -> FloatArray:
+        return np.asarray(self._model.output(self._state)).ravel()
+
+    def reset(self) -> None:
+        self._state, self._past = np.zeros(self._model.order), np.zeros((self._model.memory, 2))
+
+    def advance(self, command: FloatArray) -> None:
+        window = np.vstack([self._past, command])
+        self._state = np.asarray(self._model.step(self._state, window.ravel())).ravel()
+        self._past = window[1:]
+
+
 class BaseMotion:
     """The chain of `models.base_effects.respond` in steps: slew, wheel commands, dynamics, twist of the tyres, veer.
 
     Parameters
     ----------
     model
-        The linear dynamics.
+        The dynamics; a function is for `sample_time` alone, and no effects stand around it.
     effects
         What the base does around them; without any, a step is a whole sample, if that is short.
     sample_time
         For which a command is held [s].
+
+    Raises
+    ------
+    ModelError
+        If a function is for another sample time, or effects stand around it.
     """
 
-    def __init__(self, model: VelocityModel, effects: BaseEffects, sample_time: float) -> None:
+    def __init__(self, model: VelocityModel | NonlinearModel, effects: BaseEffects, sample_time: float) -> None:
         self._effects = effects
         plain = effects.model_copy(update={"pose_mount": None}) == BaseEffects()
-        # Over a step the twist counts as the mean of its ends: so it is no longer than that of the papers' robot.
-        self.steps = max(1 if plain else PARTS, math.ceil(sample_time / load_robot().sample_time - 1e-9))
-        self.step_time = sample_time / self.steps
-        self._model = model.discretise(self.step_time)
+        self._dynamics: _Dynamics
+        if isinstance(model, NonlinearModel):
+            if not (plain and math.isclose(sample_time, model.dt, rel_tol=1e-9)):
+                raise ModelError(
+                    f"model '{model.name}': it is for samples of {model.dt} s without effects of a base; as a plant of "
+                    f"{sample_time} s take another model, or a sample_time of {model.dt} s"
+                )
+            self.steps, self.step_time = 1, sample_time
+            self._dynamics = _Function(model)
+        else:
+            # Over a step the twist counts as the mean of its ends: so it is no longer than that of the papers' robot.
+            self.steps = max(1 if plain else PARTS, math.ceil(sample_time / load_robot().sample_time - 1e-9))
+            self.step_time = sample_time / self.steps
+            self._dynamics = _Linear(model.discretise(self.step_time))
         self.reset()
 
     @property
     def body(self) -> FloatArray:
         """(2,) v [m/s], omega [rad/s] of the body now."""
-        return self._body(self._model.C @ self._state)
+        return self._body(self._dynamics.output)
 
     def reset(self) -> None:
         """At rest, tyres without twist."""
-        self._state = np.zeros(self._model.order)
-        self._past = np.zeros((self._model.memory, 2))
+        self._dynamics.reset()
         self._reached = np.zeros(2)
         self._strain = 0.0
 
@@ -65,11 +134,9 @@ class BaseMotion:
             asked = self._reached = effects.twist_slew.step(self._reached, command, self.step_time)
         if effects.wheel_command is not None:
             asked = effects.wheel_command.apply(asked)
-        before = self._model.C @ self._state
-        (recent,), (older,) = self._model.effective_inputs(asked[None], self._past)
-        self._state = self._model.A @ self._state + self._model.B0 @ recent + self._model.B1 @ older
-        self._past = np.vstack([self._past[1:], asked])
-        wheels = self._model.C @ self._state
+        before = self._dynamics.output
+        self._dynamics.advance(asked)
+        wheels = self._dynamics.output
         mean = 0.5 * (before + wheels)
         if effects.yaw_relaxation is not None:
             self._strain, mean[1] = effects.yaw_relaxation.advance(self._strain, float(mean[1]), self.step_time)

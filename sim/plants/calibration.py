@@ -19,7 +19,7 @@ from pydantic import Field
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.output_error.validation import fit_percent
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.whole_file import whole_file
@@ -191,7 +191,7 @@ def _drive(firmware: Firmware, seed: int, smooth: bool) -> Drive:
 
 @cache
 def _target() -> DiscreteModel:
-    return load_model(load_calibration_parameters().target).discretise(load_robot().sample_time)
+    return load_linear_model(load_calibration_parameters().target).discretise(load_robot().sample_time)
 
 
 def _error(firmware: Firmware) -> float:

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.interface import FloatArray, Measurement
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import Robot, load_robot
 from diffdrive_mpc.models.velocity_model import VelocityModel
@@ -48,7 +49,7 @@ class ModelPlant:
 
     def __init__(
         self,
-        model: VelocityModel,
+        model: VelocityModel | NonlinearModel,
         slip: Slip,
         sensors: SensorSet,
         seed: int = 0,

@@ -214,3 +214,12 @@ def test_functions_of_the_user(tmp_path):
         assert np.abs(differences(steps)).max() <= difference
         assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)
         assert sum(theirs.soft_limits > 0 for _, theirs in steps) > 10
+
+
+def test_the_network_comes_along(tmp_path):
+    """Its weights as tables, its functions with the core; in either precision."""
+    for precision, difference in (("double", DOUBLE), ("float", 2e-3)):
+        program = export(tmp_path / precision, "circle", precision, {}, "-O2", model="lstm")
+        steps = drive_both(program, "circle", {}, 60, model="lstm")
+        assert np.abs(differences(steps)).max() <= difference
+        assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)

@@ -9,6 +9,7 @@ import pytest
 from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_mapping
 from typer.testing import CliRunner
 
+from diffdrive_mpc import identify
 from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.load import model_path, read_model_file
@@ -17,6 +18,7 @@ from diffdrive_mpc.mpc.trajectories.load import load_segments
 
 runner = CliRunner()
 ROOT = Path(__file__).parents[2]
+NO_POSE = MAPPING.replace("  pose: {x: x, y: y, theta: theta}\n", "")
 REPORT_KEYS = ["model", "train_fit_percent", "validation_fit_percent", "pose_error", "parameters", "warnings"]
 
 
@@ -37,13 +39,34 @@ def logs(tmp_path_factory):
     return folder
 
 
+def identify_mine(logs, out):
+    """Identify from two of the drives and try it on the third; the folder, and what was printed."""
+    words = ["identify", logs / "square", logs / "s", "--validate", logs / "cane", "--name", "mine"]
+    return out, run(*words, "--out", out)
+
+
 @pytest.fixture(scope="module")
 def mine(logs):
-    """The folder identified from two of them and tried on the third, and what was printed."""
-    out = logs / "mine"
-    return out, run(
-        "identify", logs / "square", logs / "s", "--validate", logs / "cane", "--out", out, "--name", "mine"
-    )
+    return identify_mine(logs, logs / "mine")
+
+
+def identify_order_3(out):
+    """An SSM of order 3 of the small drive, all orders compared; the folder, and what was printed."""
+    log, mapping = write_csv(out.parent / "drive.csv", drive(seconds=20.0)), write_mapping(out.parent / "map.yaml")
+    return out, run("identify", log, "--mapping", mapping, "--structure", "ssm", "--order", "3", "--out", out)
+
+
+@pytest.fixture(scope="module")
+def third_order(tmp_path_factory):
+    return identify_order_3(tmp_path_factory.mktemp("orders") / "out")
+
+
+def identified(tmp_path, columns, mapping=MAPPING):
+    """The files of an identification, without driving with it: the folder, and the report as data."""
+    log = write_csv(tmp_path / "drive.csv", columns)
+    found = identify(log, mapping=write_mapping(tmp_path / "map.yaml", mapping))
+    found.write(tmp_path / "out")
+    return tmp_path / "out", json.loads((tmp_path / "out" / "report.json").read_text())
 
 
 def test_the_model_is_the_plant_s(mine):
@@ -147,35 +170,36 @@ def test_the_configuration_drives_the_plant(mine, logs):
     assert found["position_rmse_m"] < 1.2 * shipped["position_rmse_m"]
 
 
-@pytest.mark.parametrize("options", [["--structure", "sm"], ["--structure", "ssm", "--order", "2"]], ids=["sm", "ssm"])
-def test_the_same_logs_give_the_same_files(tmp_path, options):
-    write_mapping(tmp_path / "map.yaml")
-    log = write_csv(tmp_path / "drive.csv", drive(seconds=10.0))
-    texts = []
-    for name in ("one", "two"):
-        run("identify", log, "--mapping", tmp_path / "map.yaml", "--out", tmp_path / name, *options)
-        files = sorted(path for path in (tmp_path / name).rglob("*") if path.is_file())
-        texts.append({path.relative_to(tmp_path / name): without_times(path) for path in files})
-    assert len(texts[0]) >= 8
-    assert texts[0] == texts[1]
+def files_of(folder):
+    """Content of every file, without the line that says how long it took."""
+    return {path.relative_to(folder): without_times(path) for path in folder.rglob("*") if path.is_file()}
+
+
+def test_the_same_logs_give_the_same_files(logs, mine):
+    again, _ = identify_mine(logs, logs / "again")
+    assert len(files_of(again)) >= 8
+    assert files_of(again) == files_of(mine[0])
+
+
+def test_the_same_logs_give_the_same_files_of_an_ssm(third_order, tmp_path):
+    again, _ = identify_order_3(tmp_path / "out")
+    assert len(files_of(again)) >= 8
+    assert files_of(again) == files_of(third_order[0])
 
 
 def without_times(path: Path) -> bytes:
     return b"\n".join(line for line in path.read_bytes().split(b"\n") if not line.startswith(b"* Estimation took"))
 
 
-def test_orders_are_compared_and_one_can_be_asked_for(tmp_path):
+def test_orders_are_compared_and_one_can_be_asked_for(third_order):
     """The drive's robot has one lag on each channel: order 2 holds it, order 1 cannot."""
-    write_mapping(tmp_path / "map.yaml")
-    log = write_csv(tmp_path / "drive.csv", drive(seconds=20.0))
-    words = ["identify", log, "--mapping", tmp_path / "map.yaml", "--structure", "ssm", "--out", tmp_path / "out"]
-    screen = run(*words, "--order", "3")
-    assert load_model(tmp_path / "out" / "model.yaml").order == 3
+    out, screen = third_order
+    assert load_model(out / "model.yaml").order == 3
     assert "order 3: as asked for" in screen
-    assert (tmp_path / "out" / "figures" / "orders.png").is_file()
-    rows = [line for line in (tmp_path / "out" / "report.md").read_text().splitlines() if line.startswith("| 1 |")]
+    assert (out / "figures" / "orders.png").is_file()
+    rows = [line for line in (out / "report.md").read_text().splitlines() if line.startswith("| 1 |")]
     (first,) = (row.split("|")[6] for row in rows if len(row.split("|")) > 9)
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    report = json.loads((out / "report.json").read_text())
     assert report["validation_fit_percent"]["v"] > float(first) + 3.0
 
 
@@ -189,13 +213,12 @@ def test_motors_are_identified_with_both_tracks(logs):
 
 def test_a_bag_gives_the_model_of_the_csv_of_the_same_drive(tmp_path):
     columns = drive(seconds=20.0)
-    mapping = write_mapping(tmp_path / "map.yaml", MAPPING.replace("  pose: {x: x, y: y, theta: theta}\n", ""))
-    run("identify", write_csv(tmp_path / "drive.csv", columns), "--mapping", mapping, "--out", tmp_path / "csv")
+    _, of_csv = identified(tmp_path, columns, NO_POSE)
     run("identify", write_bag(tmp_path / "bag", bag_topics(columns), "mcap"), "--out", tmp_path / "mcap")
-    reports = [json.loads((tmp_path / name / "report.json").read_text()) for name in ("csv", "mcap")]
-    assert reports[0]["parameters"] == reports[1]["parameters"]
-    assert reports[1]["validation_fit_percent"]["v"] > 95.0
-    assert any("limits.wheel_speed" in warning for warning in reports[1]["warnings"])
+    of_bag = json.loads((tmp_path / "mcap" / "report.json").read_text())
+    assert of_csv["parameters"] == of_bag["parameters"]
+    assert of_bag["validation_fit_percent"]["v"] > 95.0
+    assert any("limits.wheel_speed" in warning for warning in of_bag["warnings"])
 
 
 def test_a_base_that_clips_its_command_says_so_in_model_and_configuration(tmp_path):
@@ -206,13 +229,11 @@ def test_a_base_that_clips_its_command_says_so_in_model_and_configuration(tmp_pa
     for k in range(1, len(asked)):
         turned[k] = turned[k - 1] + (1 - np.exp(-0.02 / 0.1)) * (np.clip(asked[k - 1], -0.9, 0.9) - turned[k - 1])
     columns["gyro"] = turned + np.random.default_rng(0).normal(0, 0.005, len(asked))
-    log = write_csv(tmp_path / "drive.csv", columns)
-    mapping = write_mapping(tmp_path / "map.yaml", MAPPING.replace("  pose: {x: x, y: y, theta: theta}\n", ""))
-    run("identify", log, "--mapping", mapping, "--out", tmp_path / "out")
-    limits = read_model_file(tmp_path / "out" / "model.yaml").limits
+    out, _ = identified(tmp_path, columns, NO_POSE)
+    limits = read_model_file(out / "model.yaml").limits
     assert limits.v is None
     assert limits.omega == pytest.approx(0.9, rel=0.02)
-    config = load_config(tmp_path / "out" / "config.yaml")
+    config = load_config(out / "config.yaml")
     assert config.limits.omega == pytest.approx(limits.omega, rel=1e-3)
     assert config.limits.v == pytest.approx(np.abs(columns["v_ref"][:900]).max(), rel=1e-3)
 
@@ -233,9 +254,7 @@ def test_a_model_that_explains_little_is_said_to_in_the_warnings(tmp_path):
     """Noise as large as the motion itself."""
     columns = drive(seconds=20.0)
     columns["gyro"] = columns["gyro"] + np.random.default_rng(1).normal(0, 0.7, 1000)
-    mapping = write_mapping(tmp_path / "map.yaml")
-    run("identify", write_csv(tmp_path / "drive.csv", columns), "--mapping", mapping, "--out", tmp_path / "out")
-    warnings = json.loads((tmp_path / "out" / "report.json").read_text())["warnings"]
+    warnings = identified(tmp_path, columns)[1]["warnings"]
     assert any(warning.startswith("omega: validation FIT") for warning in warnings)
     assert not any(warning.startswith("v: validation FIT") for warning in warnings)
 
@@ -257,7 +276,7 @@ def test_what_the_base_does_around_the_model_goes_into_both_files(tmp_path):
     columns |= {"v": twist[:, 0] + noise[0], "omega_wheels": 1.5 * twist[:, 1] + noise[1]}
     columns["gyro"] = twist[:, 1] + noise[2]
     log = write_csv(tmp_path / "drive.csv", columns)
-    mapping = write_mapping(tmp_path / "map.yaml", MAPPING.replace("  pose: {x: x, y: y, theta: theta}\n", ""))
+    mapping = write_mapping(tmp_path / "map.yaml", NO_POSE)
     run("identify", log, "--mapping", mapping, "--effects", "--out", tmp_path / "out")
     slew = read_model_file(tmp_path / "out" / "model.yaml").base_effects.twist_slew
     assert (slew.v, slew.omega) == pytest.approx(tuple(slopes), rel=0.05)
@@ -273,9 +292,7 @@ def test_a_pose_point_beside_the_centre_of_rotation_is_said(tmp_path):
     theta = columns["theta"].copy()
     columns["x"] = columns["x"] + 0.2 * np.cos(theta) - 0.05 * np.sin(theta)
     columns["y"] = columns["y"] + 0.2 * np.sin(theta) + 0.05 * np.cos(theta)
-    log = write_csv(tmp_path / "drive.csv", columns)
-    run("identify", log, "--mapping", write_mapping(tmp_path / "map.yaml"), "--out", tmp_path / "out")
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    _, report = identified(tmp_path, columns)
     (line,) = (warning for warning in report["warnings"] if "centre of rotation" in warning)
     ahead, left = (float(number) for number in re.findall(r"(-?\d\.\d+) m", line))
     assert (ahead, left) == pytest.approx((0.2, 0.05), abs=0.005)

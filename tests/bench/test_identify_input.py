@@ -141,45 +141,43 @@ def test_a_folder_that_is_a_file_is_refused_before_the_logs_are_read(folder, tmp
     assert (tmp_path / "taken").read_text() == "mine"
 
 
-def test_rows_without_numbers_are_left_out_and_said(folder, tmp_path):
+@pytest.fixture(scope="module")
+def forgiven(folder, tmp_path_factory):
+    """A log with cells that are no numbers, by the old name of the option; the folder, and what was printed."""
+    out = tmp_path_factory.mktemp("forgiven") / "out"
     columns = COLUMNS | {"v": np.where(np.arange(600) % 50 == 7, np.nan, COLUMNS["v"])}
-    log = write_csv(tmp_path / "nan.csv", columns)
-    result = runner.invoke(
-        app, ["identify", str(log), "--mapping", str(folder / "map.yaml"), "--out", str(tmp_path / "out")]
-    )
+    log = write_csv(out.parent / "nan.csv", columns)
+    words = ["identify", str(log), "--mapping", str(folder / "map.yaml"), "--out", str(out), "--model", "sm"]
+    result = runner.invoke(app, words)
     assert result.exit_code == 0, result.stderr
+    return out, result
+
+
+def test_rows_without_numbers_are_left_out_and_said(forgiven):
+    out, result = forgiven
     line = (
         "nan.csv, line 9, 59, 109, 159, 209 and 7 more places: column 'v' is not finite in 12 rows; they are left out"
     )
     assert f"warning: {line}" in result.stdout
-    assert line in (tmp_path / "out" / "report.md").read_text()
-    assert line in (tmp_path / "out" / "report.json").read_text()
+    assert line in (out / "report.md").read_text()
+    assert line in (out / "report.json").read_text()
 
 
-def test_the_old_name_of_the_structure_works_and_warns_in_one_line(folder, tmp_path):
-    words = [
-        "identify",
-        str(folder / "good.csv"),
-        "--mapping",
-        str(folder / "map.yaml"),
-        "--out",
-        str(tmp_path / "out"),
-    ]
-    result = runner.invoke(app, [*words, "--model", "sm"])
-    assert result.exit_code == 0, result.stderr
-    assert (
-        result.stderr == "warning: --model is now --structure, and goes with the next release; write --structure sm\n"
-    )
-    assert runner.invoke(app, [*words, "--structure", "sm"]).stderr == ""
+def test_the_old_name_of_the_structure_works_and_warns_in_one_line(forgiven):
+    line = "warning: --model is now --structure, and goes with the next release; write --structure sm\n"
+    assert forgiven[1].stderr == line
 
 
 def test_without_out_the_results_go_to_a_folder_of_that_name(folder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    result = runner.invoke(app, ["identify", str(folder / "good.csv"), "--mapping", str(folder / "map.yaml")])
-    assert result.exit_code == 0, result.stderr
+    words = ["identify", str(folder / "good.csv"), "--mapping", str(folder / "map.yaml"), "--structure", "sm"]
+    result = runner.invoke(app, words)
+    assert result.exit_code == 0
+    assert result.stderr == ""
     assert sorted(path.name for path in (tmp_path / "identified").iterdir()) == [
         "config.yaml",
         "figures",
+        "first_circle.yaml",
         "model.yaml",
         "report.json",
         "report.md",

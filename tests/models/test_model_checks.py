@@ -79,7 +79,7 @@ def test_wrong_shape(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"structure": "lstm"}, "structure"),
+        ({"structure": "gru"}, "structure"),
         ({"dead_tme": {"v": 0.1}}, "did you mean 'dead_time'"),
         ({"name": None}, "name"),
         ({"A": [[1.0], [1.0, 2.0]]}, "rows of equal length"),

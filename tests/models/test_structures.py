@@ -83,7 +83,7 @@ def test_only_what_is_registered_is_known(log, tmp_path):
         identify(log, tmp_path / "map.yaml", "lags")
     content = {"name": "x", "structure": "lags", "provenance": {"origin": "identified", "source": "x"}}
     (tmp_path / "lags.yaml").write_text(yaml.safe_dump(content))
-    with pytest.raises(ConfigError, match="structure: expected one of mbm, sm, ssm, found 'lags'"):
+    with pytest.raises(ConfigError, match="structure: expected one of mbm, sm, ssm, lstm, found 'lags'"):
         load_model(tmp_path / "lags.yaml")
 
 

@@ -54,7 +54,7 @@ def test_mistakes_are_one_line_with_place_and_remedy(overrides, message):
 
 
 def test_unknown_source():
-    with pytest.raises(ConfigError, match="unknown configuration 'smm': give one of kinematic, mbm, sm, ssm or"):
+    with pytest.raises(ConfigError, match="unknown configuration 'smm': give one of kinematic, lstm, mbm, sm, ssm or"):
         load_config("smm")
 
 

@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from network_parts import random_model
 from nonlinear_program import EXACT, NO_SLIP, NonlinearProgram, converged, nonlinear_outputs, record
 from scipy.integrate import solve_ivp
 
@@ -53,7 +54,11 @@ def windowed(taps=6):
     return NonlinearModel("window", step, ca.Function("output", [x], [x], ["x"], ["y"]), DT, memory=taps)
 
 
-MODELS = {"states": saturating(), "window": windowed()}
+MODELS = {
+    "states": saturating(),
+    "window": windowed(),
+    "network": random_model(seed=1, scale=0.3, units=8, dense=8, window=6),
+}
 
 
 class ExactRobot:

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import yaml
 
-from diffdrive_mpc.models import load_model
+from diffdrive_mpc.models import ModelError, load_model
 from diffdrive_mpc.models.base_effects import BaseEffects, PoseMount, respond
 from diffdrive_mpc.models.load import PARAMETERS, load_base_effects
 from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.sim.plants.base_motion import BaseMotion
 from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
 from diffdrive_mpc.sim.plants.open_loop import random_commands
@@ -79,3 +80,12 @@ def test_same_seed_same_run_with_effects(path):
     first, second = (driven(make_plant(f"model:{path}", sensors="slam", seed=5), commands) for _ in range(2))
     np.testing.assert_array_equal(first[0], second[0])
     np.testing.assert_array_equal(first[1], second[1])
+
+
+def test_a_network_is_a_plant_that_obeys_it_sample_by_sample():
+    model, random = load_model("lstm"), np.random.default_rng(0)
+    motion, commands = BaseMotion(model, BaseEffects(), model.dt), random.uniform(-1, 1, (50, 2))
+    before = np.vstack([np.zeros(2), *(motion.advance(command).wheels for command in commands)])
+    assert before[:-1] == pytest.approx(model.simulate(commands), abs=1e-12)
+    with pytest.raises(ModelError, match="as a plant of 0.04 s"):
+        BaseMotion(model, BaseEffects(), 0.04)

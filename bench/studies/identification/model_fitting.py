@@ -21,7 +21,7 @@ from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.load import PARAMETERS, load_model
+from diffdrive_mpc.models.load import PARAMETERS, load_linear_model
 from diffdrive_mpc.models.logs.geometry import identify_track, side_difference
 from diffdrive_mpc.models.output_error.experiment import Experiment
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
@@ -136,7 +136,7 @@ def _write(path: Path, data: dict[str, Any], used: tuple[list[Drive], list[Drive
         "date": day,
     }
     path.write_text(_yaml(name, data), encoding="utf-8")
-    model = load_model(path)
+    model = load_linear_model(path)
     data["fit_percent"] = {
         channel: round(_model_fit(model, logs, row), 2)
         for row, (channel, logs) in enumerate(zip(CHANNELS, used, strict=True))
@@ -151,7 +151,7 @@ def validation_table(folder: Path = PARAMETERS) -> Table:
     for smooth in (True, False):
         drives = [drive_open_loop(make_plant("mujoco", seed=seed), random_commands(seed, smooth)) for seed in seeds]
         for name in ("mbm", "sm", "ssm"):
-            model = load_model("ssm" if name == "ssm" else folder / f"{name}.yaml")
+            model = load_linear_model("ssm" if name == "ssm" else folder / f"{name}.yaml")
             fits = [_model_fit(model, drives, row) for row in (0, 1)]
             extra = best_extra_dead_time(model, drives)
             kind = "smoothed" if smooth else "in steps"

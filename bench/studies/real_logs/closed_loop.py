@@ -13,10 +13,12 @@ from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.identification.configuration import MODEL_FILE
 from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE
 from diffdrive_mpc.models.identification.from_logs import FILES as IDENTIFIED
-from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.robot import TwistBounds
+from diffdrive_mpc.mpc import Controller, load_config
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import Limits
+from diffdrive_mpc.mpc.trajectories.scaled import scaled_to_robot
 from diffdrive_mpc.sim import make_plant, simulate
 
 SURFACE = "surface.yaml"
@@ -79,9 +81,9 @@ class Tracking:
 def drive(folder: Path, seeds: Sequence[int], on_run: Callable[[], None] | None = None) -> list[Tracking]:
     """Drive the four trajectories on the robot whose files are in `folder`, with what is known of its base and without.
 
-    Without means the linear part of the same model and the default slew limits: the controller asks for slopes that the
-    base does not follow. Weights are the shipped ones. The trajectories are faster than the log and the stand-in ticks
-    at a rate of its own, so what the configuration says of the log's reach and rate does not hold here.
+    Without means the linear part of the same model and the default slew limits: path and controller ask for slopes that
+    the base does not follow. Weights are the shipped ones. Each drives the trajectories as its own configuration scales
+    them to the robot, at the configuration's sample time.
 
     Parameters
     ----------
@@ -98,15 +100,22 @@ def drive(folder: Path, seeds: Sequence[int], on_run: Callable[[], None] | None 
         If a file has a mistake.
     """
     usual = Limits()
-    known = replace_values(load_config(folder / CONFIG_FILE), _unrestricted(usual))
+    known, model = load_config(folder / CONFIG_FILE), load_model(folder / MODEL_FILE)
     ignorant = replace_values(known, {"limits.v_slew": usual.v_slew, "limits.omega_slew": usual.omega_slew})
     rows = []
     for name, config in (("knows the base's slew", known), ("linear part only", ignorant)):
         for trajectory in TRAJECTORIES:
+            reference = scaled_to_robot(trajectory, config, model)
             found = []
             for seed in seeds:
-                plant = make_plant(f"model:{folder / MODEL_FILE}", surface=folder / SURFACE, seed=seed)
-                found.append(simulate(Controller(config), plant, load_trajectory(trajectory)).metrics)
+                plant = make_plant(
+                    f"model:{folder / MODEL_FILE}",
+                    surface=folder / SURFACE,
+                    seed=seed,
+                    sample_time=config.sample_time,
+                    limits=TwistBounds(v=config.limits.v, omega=config.limits.omega),
+                )
+                found.append(simulate(Controller(config), plant, reference).metrics)
                 if on_run is not None:
                     on_run()
             rows.append(
@@ -122,12 +131,6 @@ def drive(folder: Path, seeds: Sequence[int], on_run: Callable[[], None] | None 
                 )
             )
     return rows
-
-
-def _unrestricted(usual: Limits) -> dict[str, object]:
-    """The values that the log does not bind on a simulated stand-in, which obeys at any speed."""
-    reach = ("v", "omega", "predicted_v", "predicted_omega", "wheel_speed")
-    return {"sample_time": load_robot().sample_time} | {f"limits.{name}": getattr(usual, name) for name in reach}
 
 
 def tracking_table(rows: Sequence[Tracking]) -> Table:

@@ -15,7 +15,7 @@ from diffdrive_mpc.bench.studies.reproduce.settings import CostStudy
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.bench.timing import quiet_core
 from diffdrive_mpc.models.discrete_model import DiscreteModel
-from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.sim.plants.open_loop import random_commands
@@ -62,7 +62,7 @@ def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -
     """
     dt = load_robot().sample_time
     commands = random_commands(_SEED, duration=study.steps * dt)
-    continuous = {name: load_model(name) for name in STRUCTURES}
+    continuous = {name: load_linear_model(name) for name in STRUCTURES}
     models = {name: model.discretise(dt) for name, model in continuous.items()}
     whole = {name: random_commands(_SEED, duration=steps * dt) for name, steps in study.simulation_steps.items()}
 

@@ -21,7 +21,7 @@ from diffdrive_mpc.bench.studies.reproduce.settings import SsmStudy
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.doubt import lines
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.linear_system import LinearSystem
 from diffdrive_mpc.models.output_error.validation import validate
@@ -121,7 +121,7 @@ def compare_orders(study: SsmStudy, repetition: int) -> SsmResult:
 
 
 def _predicted(identified: IdentifiedModel, drives: Sequence[Record]) -> dict[str, tuple[FreeDrive, ...]]:
-    systems = {IDENTIFIED: identified.system, PRINTED: _as_printed(load_model("ssm"))}
+    systems = {IDENTIFIED: identified.system, PRINTED: _as_printed(load_linear_model("ssm"))}
     return {name: tuple(_free_drive(system, drive) for drive in drives) for name, system in systems.items()}
 
 

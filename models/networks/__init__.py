@@ -1,0 +1,1 @@
+"""Velocity models that are networks on past commands: architecture, file, evaluation, training."""

@@ -1,0 +1,109 @@
+"""Parameter files of networks: YAML that says what they are and where they come from, and weights beside it."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import zipfile
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from pydantic import Field
+
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check
+from diffdrive_mpc.models.networks.network import Architecture, Network
+from diffdrive_mpc.models.networks.network_model import NetworkModel, network_model
+from diffdrive_mpc.models.structures.model_file import ChannelFit, CommandLimits, Provenance
+
+STRUCTURE = "lstm"
+"""By which files and options call a network."""
+_HEAD = "# A network on past commands; its weights lie in the file that it names. Times [s].\n"
+_FIRST_DAY = (1980, 1, 1, 0, 0, 0)
+
+
+class NetworkFile(StrictModel):
+    """What the parameter file of a network says."""
+
+    name: str
+    structure: Literal["lstm"]
+    provenance: Provenance
+    fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of the stated experiments")
+    validation_fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of records held out")
+    limits: CommandLimits | None = Field(default=None, description="levels at which the robot clips a command")
+    warnings: list[str] = Field(default_factory=list, description="what the identification did not trust")
+    sample_time: Annotated[float, Field(gt=0)] = Field(description="of commands and outputs [s]")
+    architecture: Architecture
+    weights: str = Field(description="name of the file with the weights, beside this one")
+    sha256: str = Field(description="of that file")
+
+
+def load_network(path: Path, data: Any) -> NetworkModel:  # noqa: ANN401 - what a YAML file may hold
+    """The model of the network's parameter file at `path`, whose content is `data`.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the file has a mistake, or the weights are missing, damaged or of another network.
+    models.velocity_model.ModelError
+        If it cannot be a robot's.
+    """
+    content = check(NetworkFile, data, str(path))
+    place = path.parent / content.weights
+    try:
+        packed = place.read_bytes()
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: weights: {place} cannot be read ({error.strerror or error}); keep both files together"
+        ) from error
+    if hashlib.sha256(packed).hexdigest() != content.sha256:
+        raise ConfigError(f"{path}: sha256: {place} is not the file that was written with it; train the network again")
+    try:
+        with np.load(io.BytesIO(packed), allow_pickle=False) as arrays:
+            network = Network(content.architecture, {name: arrays[name] for name in arrays.files})
+    except (ValueError, zipfile.BadZipFile) as error:
+        raise ConfigError(f"{path}: {error}") from error
+    provenance = content.provenance.model_dump() | {"warnings": content.warnings}
+    return network_model(content.name, network, content.sample_time, provenance)
+
+
+def write_network(path: Path, network: Network, **content: Any) -> None:  # noqa: ANN401 - fields of NetworkFile
+    """Write `path` with the fields of `NetworkFile` in `content`, and the weights beside it; the same bytes each time.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+    """
+    packed = _packed(network)
+    weights = path.with_suffix(".npz")
+    whole = NetworkFile.model_validate(
+        {
+            "structure": STRUCTURE,
+            "architecture": network.architecture,
+            "weights": weights.name,
+            "sha256": hashlib.sha256(packed).hexdigest(),
+            **content,
+        }
+    )
+    data = whole.model_dump(exclude_none=True, exclude_defaults=True) | {
+        "architecture": network.architecture.model_dump()
+    }
+    first = ("name", "structure", "provenance", "fit_percent", "validation_fit_percent", "limits", "warnings")
+    ordered = {key: data[key] for key in first if key in data}
+    ordered |= {key: value for key, value in data.items() if key not in first}
+    weights.write_bytes(packed)
+    text = yaml.safe_dump(ordered, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+    path.write_text(_HEAD + text, encoding="utf-8")
+
+
+def _packed(network: Network) -> bytes:
+    """The weights as an npz archive, in single precision, as they were trained; without the day that it was written."""
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, value in network.weights.items():
+            one = io.BytesIO()
+            np.save(one, value.astype(np.float32), allow_pickle=False)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy", _FIRST_DAY), one.getvalue())
+    return whole.getvalue()

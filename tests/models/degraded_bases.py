@@ -1,0 +1,171 @@
+"""Sound logs, made worse elsewhere: a small simulated robot, and slices of the logs of a Husky and two Warthogs."""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive_mpc.models.pose import integrate_pose
+
+RADIUS, TRACK = 0.15, 0.5
+WHEELS = f"wheels: {{radius: {RADIUS}, track: {TRACK}}}\n"
+SIMULATED = (
+    WHEELS
+    + """
+columns:
+  time: t
+  command: {v: v_ref, omega: omega_ref}
+  encoders: {left: left, right: right}
+  gyro: {yaw_rate: gyro}
+  pose: {x: x, y: y, theta: theta}
+"""
+)
+SIDES_ONLY = """
+columns:
+  time: t
+  command: {v: v_ref, omega: omega_ref}
+  encoders: {v: v, omega: omega_wheels}
+  gyro: {yaw_rate: gyro}
+"""
+HUSKY = """
+wheels: {radius: 0.161827, track: 0.480865}
+columns:
+  time: t
+  segment: segment
+  command: {left: cmd_left, right: cmd_right}
+  encoders: {left: wheel_left, right: wheel_right, held: true, delay: 0.2}
+  gyro: {yaw_rate: gyro_z}
+  pose: {x: x, y: y, theta: yaw, held: true, delay: 0.2}
+"""
+WARTHOG = """
+wheels: {radius: 0.3, track: 1.08}
+columns:
+  sample_time: 0.05
+  segment: calib_step
+  command: {left: cmd_left, right: cmd_right}
+  encoders: {left: wheel_left, right: wheel_right, held: true}
+  gyro: {yaw_rate: gyro_z}
+"""
+GRAVEL = WARTHOG.replace("{yaw_rate: gyro_z}", "{yaw_rate: {column: gyro_z, sign: -1}}")
+
+Columns = dict[str, np.ndarray]
+
+
+def robot(
+    seconds=120.0, dt=0.02, seed=0, gain=(1.0, 1.0), lag=0.1, dead_time=0.06, skid=0.6, clip=np.inf, drive=(1, 1)
+):
+    """Columns of a two-wheeled robot under random steps of a second: two equal lags, a dead time, skid, noise."""
+    rng = np.random.default_rng(seed)
+    count, hold = round(seconds / dt), round(1.0 / dt)
+    levels = rng.uniform([-0.9, -1.6], [0.9, 1.6], (-(-count // hold), 2)) * drive
+    levels[rng.random(len(levels)) < 0.15] = 0.0
+    command = np.repeat(levels, hold, axis=0)[:count]
+    late = round(dead_time / dt)
+    taken = np.vstack([np.zeros((late, 2)), command])[:count] * gain
+    taken[:, 1] = np.clip(taken[:, 1], -clip, clip)
+    first, wheels, pose, keep = np.zeros(2), np.zeros((count, 2)), np.zeros((count, 3)), np.exp(-2 * dt / lag)
+    for k in range(1, count):
+        first = keep * first + (1 - keep) * taken[k - 1]
+        wheels[k] = keep * wheels[k - 1] + (1 - keep) * first
+        v, omega = 0.5 * (wheels[k] + wheels[k - 1])
+        pose[k] = integrate_pose(pose[k - 1], v, skid * omega, dt)
+    side = 0.5 * TRACK * wheels[:, 1]
+    noise = rng.normal(0, 1.0, (count, 6))
+    return {
+        "t": dt * np.arange(count),
+        "v_ref": command[:, 0],
+        "omega_ref": command[:, 1],
+        "left": (wheels[:, 0] - side) / RADIUS + 0.05 * noise[:, 0],
+        "right": (wheels[:, 0] + side) / RADIUS + 0.05 * noise[:, 1],
+        "gyro": skid * wheels[:, 1] + 0.01 + 0.01 * noise[:, 2],
+        "x": pose[:, 0] + 0.002 * noise[:, 3],
+        "y": pose[:, 1] + 0.002 * noise[:, 4],
+        "theta": (pose[:, 2] + 0.003 * noise[:, 5] + np.pi) % (2 * np.pi) - np.pi,
+    }
+
+
+def real(path, rows):
+    """Columns of a slice of a real log."""
+    with path.open(encoding="utf-8") as file:
+        header = file.readline().strip().split(",")
+    table = np.loadtxt(path, delimiter=",", skiprows=1 + rows.start, max_rows=rows.stop - rows.start)
+    return dict(zip(header, table.T, strict=True))
+
+
+@dataclass(frozen=True)
+class Base:
+    """A sound log: its columns, its mapping, and its names of the streams.
+
+    Attributes
+    ----------
+    commands, wheels, gyro, heading
+        Names of columns.
+    dt
+        Time between two rows [s].
+    """
+
+    columns: Callable[[], Columns]
+    mapping: str
+    commands: tuple[str, ...]
+    wheels: tuple[str, str]
+    gyro: str
+    heading: str
+    dt: float
+
+    def stream(self, name):
+        """Columns of "command", "encoders", "gyro" or "pose"."""
+        return {
+            "command": self.commands,
+            "encoders": self.wheels,
+            "gyro": (self.gyro,),
+            "pose": ("x", "y", self.heading),
+        }[name]
+
+
+BASES = {"simulated": Base(robot, SIMULATED, ("v_ref", "omega_ref"), ("left", "right"), "gyro", "theta", 0.02)}
+if "DIFFDRIVE_MPC_DATA" in os.environ:
+    _DATA = Path(os.environ["DIFFDRIVE_MPC_DATA"])
+    _NAMES = (("cmd_left", "cmd_right"), ("wheel_left", "wheel_right"), "gyro_z", "yaw", 0.05)
+    _TERRAINS = _DATA / "norlab_warthog_terrains"
+    BASES |= {
+        "husky": Base(lambda: real(_DATA / "norlab_husky_tile" / "husky_tile.csv", range(1000, 5000)), HUSKY, *_NAMES),
+        "asphalt": Base(lambda: real(_TERRAINS / "warthog_asphalt.csv", range(4800)), WARTHOG, *_NAMES),
+        "gravel": Base(lambda: real(_TERRAINS / "warthog_gravel.csv", range(4800)), GRAVEL, *_NAMES),
+    }
+
+
+def from_commands(make):
+    """The robot's answer to other commands (n, 2) of its time."""
+    columns = robot()
+    command = make(columns["t"])
+    wheels, first, keep = np.zeros_like(command), np.zeros(2), np.exp(-2 * 0.02 / 0.1)
+    pose, rng = np.zeros((len(command), 3)), np.random.default_rng(9)
+    for k in range(1, len(command)):
+        first = keep * first + (1 - keep) * command[max(k - 4, 0)]
+        wheels[k] = keep * wheels[k - 1] + (1 - keep) * first
+        pose[k] = integrate_pose(pose[k - 1], wheels[k, 0], 0.6 * wheels[k, 1], 0.02)
+    side = 0.5 * TRACK * wheels[:, 1]
+    noise = rng.normal(0, 1.0, (len(command), 6))
+    return columns | {
+        "v_ref": command[:, 0],
+        "omega_ref": command[:, 1],
+        "left": (wheels[:, 0] - side) / RADIUS + 0.05 * noise[:, 0],
+        "right": (wheels[:, 0] + side) / RADIUS + 0.05 * noise[:, 1],
+        "gyro": 0.6 * wheels[:, 1] + 0.01 * noise[:, 2],
+        "x": pose[:, 0] + 0.002 * noise[:, 3],
+        "y": pose[:, 1] + 0.002 * noise[:, 4],
+        "theta": pose[:, 2] + 0.003 * noise[:, 5],
+    }
+
+
+def in_step():
+    v = robot()["v_ref"]
+    return from_commands(lambda _: np.column_stack([v, 1.5 * v]))
+
+
+def smooth_and_clipped():
+    return from_commands(
+        lambda t: np.column_stack([np.clip(1.2 * np.sin(0.9 * t), -0.6, 0.6), 1.2 * np.sin(0.55 * t + 1.0)])
+    )
