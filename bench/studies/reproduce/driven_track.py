@@ -137,8 +137,8 @@ def driven_track_tables(results: Sequence[DrivenTrack], published: Published) ->
                 "over (v yaw rate)^2 [mm s^4/m^2] (correlation)",
             ),
             tuple(lines),
-            note="Line through the eight tests, then slopes of drives in which one thing stays, with standard deviations; the "
-            "last over all drives.",
+            note="Line through the eight tests, then slopes of drives in which one thing stays, with deviations; "
+            "the last over all drives.",
         ),
     ]
 
@@ -169,7 +169,7 @@ def driven_track_findings(results: Sequence[DrivenTrack], published: Published) 
             tuple(abs(one.slopes[speed].p1) < certain * one.slopes[speed].p1_deviation for one in results),
         ),
         Finding(
-            f"turning on the spot, the virtual track does not fall with the yaw rate, by {certain:g} standard deviations "
+            f"turning on the spot, the virtual track does not fall with the yaw rate, by {certain:g} deviations "
             f"({floors})",
             "ours",
             "-",
