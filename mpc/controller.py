@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
@@ -244,6 +245,11 @@ class Controller:
             for key, value in (values or {}).items()
         }
         config = replace_values(self._pending.config if self._pending else self._config, changes)
+        if (config.limits.least_turn_radius is None) != (self._config.limits.least_turn_radius is None):
+            raise ConfigError(
+                "limits.least_turn_radius: it can be changed while driving, but neither set nor unset; say it in the "
+                "configuration"
+            )
         predicted = self._pending.predicted if self._pending else self._predicted
         problem = self._problem(config, predicted)
         constants = self._tick.prepare(problem.constants())

@@ -111,6 +111,37 @@ def calibrate(
         raise ValueError(f"firmware.yaml: another value of {', '.join(better)} fits better: run make calibrate")
 
 
+@models_app.command(epilog="Example: diffdrive-mpc models compare drive.csv --mapping mine.yaml")
+def compare(
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="CSV files or bags, all of one robot.")],
+    mapping: Annotated[str | None, typer.Option(help="Shipped mapping or mapping file.", show_default=False)] = None,
+    kinds: Annotated[str, typer.Option(metavar="LIST", help="Kinds to compare, with commas between.")] = "all",
+    parts: Annotated[int, typer.Option(min=2, help="Parts of the log that are held out in turn.")] = 3,
+) -> None:
+    """Identify every kind of model from a log, cross-validated, and say which one it supports."""
+    from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
+    from diffdrive_mpc.bench.table import rich_table  # noqa: PLC0415
+    from diffdrive_mpc.models.identification.log_data import read_data  # noqa: PLC0415
+    from diffdrive_mpc.models.identification.model_comparison import compare_models  # noqa: PLC0415
+    from diffdrive_mpc.models.identification.settings import identification_settings  # noqa: PLC0415
+
+    settings = identification_settings()
+    with ProgressBar("comparison (minutes)") as bar:
+        data = read_data(
+            logs,
+            [],
+            mapping=mapping,
+            fit_share=settings.fit_share,
+            wheels=False,
+            on_findings=lambda _: None,
+            most_rows=settings.most_rows["effects"],
+        )
+        chosen = () if kinds == "all" else tuple(name.strip() for name in kinds.split(","))
+        found = compare_models(data, chosen, parts, on_progress=lambda text: bar.begin(text, 1))
+    output_console().print(rich_table(found.table()))
+    typer.echo(found.sentence())
+
+
 @models_app.command(epilog="Example: diffdrive-mpc models truths --quick")
 def truths(
     quick: Annotated[bool, typer.Option("--quick", help="Five models instead of all of the study.")] = False,

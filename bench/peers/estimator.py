@@ -113,7 +113,7 @@ class DelayPredictor:
             What lies between the model's twist and the body's.
         """
         outputs = (self._outputs @ np.concatenate([state, self._past.ravel()])).reshape(-1, 2)
-        slips = slip.values
+        slips = slip.flat
         twists = np.array(self._twist(outputs.T, slips)[0]).T
         acceleration = np.diff(twists[:, 0]) / self._sample_time
         theta = pose[2] + np.concatenate([[0.0], np.cumsum(0.5 * (twists[:-1, 1] + twists[1:, 1]) * self._durations)])

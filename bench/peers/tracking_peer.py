@@ -163,7 +163,7 @@ class TrackingPeer:
             thinking = time.perf_counter()
             twist = self._law.decide(sight)
             took = time.perf_counter() - thinking
-            wish = np.array(self._feed_forward(twist, slip.values, self._inverse_gain)).ravel()
+            wish = np.array(self._feed_forward(twist, slip.flat, self._inverse_gain)).ravel()
         command = nearest_command(wish, self._config.limits, self._config.sample_time, self._last)
         self._estimator.sent(command)
         self._predictor.sent(command)
@@ -174,7 +174,7 @@ class TrackingPeer:
         sample = reference.sample(since_start + np.array([self._lead, *self._lag]))
         feed_forward = sample.twist[[1, 2], [0, 1]]
         # Turning on the spot, there is no direction of travel.
-        crab = float(self._aim(np.zeros(3), feed_forward, slip.values)[3])
+        crab = float(self._aim(np.zeros(3), feed_forward, slip.flat)[3])
         crab = crab if abs(feed_forward[0]) > STANDING else 0.0
         travel = motion.pose - np.array([0.0, 0.0, crab])
         pose = sample.pose[0].copy()

@@ -21,6 +21,7 @@ from diffdrive_mpc.models.output_error.doubts import badly_known
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.statistics import residual_scale, sandwich, spike_weights
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
+from diffdrive_mpc.models.slip_laws import POLYNOMIAL, polynomial_twist, virtual_track_yaw_rate
 
 _FEWEST_WINDOWS = 20
 _ROUNDS = 6
@@ -83,8 +84,7 @@ class ConstantTrack:
 class VirtualTrack:
     """The track grows with the yaw rate, i = p1 |yaw rate| + p0, and side-slip as in `ConstantTrack`.
 
-    Source: Botta et al., Appl. Sci. 2021, 11(4), 1594. yaw rate = difference / i is quadratic in the yaw rate; its
-    solution that stays finite for p1 = 0 is used. Coefficients: wheel_radius [m], p0 [m], p1 [m s], side_slip [s].
+    Source: `models/slip_laws.py`. Coefficients: wheel_radius [m], p0 [m], p1 [m s], side_slip [s].
 
     Attributes
     ----------
@@ -107,19 +107,15 @@ class VirtualTrack:
         radius, p0, p1, side_slip = coefficients
         v = 0.5 * radius * (wheels[..., 0] + wheels[..., 1])
         difference = radius * (wheels[..., 1] - wheels[..., 0])
-        # Below the root's range the law has no solution; its edge keeps the search finite.
-        root = np.sqrt(np.maximum(p0**2 + 4 * p1 * np.abs(difference), 0.0))
-        omega = 2 * difference / (p0 + root)
+        omega = virtual_track_yaw_rate(difference, p0, p1)
         return np.stack([v, -side_slip * v * omega, omega], axis=-1)
 
 
 @dataclass(frozen=True)
 class SlipPolynomial:
-    """v, lateral speed and yaw rate each with terms in v_c, w_c and v_c w_c added to the wheels' (v_c, w_c).
+    """v, lateral speed and yaw rate each with terms in v_c, w_c and v_c w_c: `models.slip_laws.polynomial_twist`.
 
-    Source: Ordonez et al. 2017: v = v_c + a11 v_c + a12 w_c + a13 v_c w_c, lateral = a21 v_c + a22 w_c + a23 v_c w_c,
-    omega = w_c + a31 v_c + a32 w_c + a33 v_c w_c. Here lateral is to the left and w_c counter-clockwise. A pose point
-    away from the rotation centre adds to a12 and a22, so the polynomial is that of the pose point.
+    A pose point away from the rotation centre adds to a12 and a22, so the polynomial is that of the pose point.
 
     Attributes
     ----------
@@ -129,7 +125,7 @@ class SlipPolynomial:
 
     wheel_radius: float
     track: float
-    names: tuple[str, ...] = tuple(f"a{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3))
+    names: tuple[str, ...] = POLYNOMIAL
     holds_lever_arm: bool = True
 
     @property
@@ -141,8 +137,7 @@ class SlipPolynomial:
         """(..., 3); see `SlipLaw`."""
         v = 0.5 * self.wheel_radius * (wheels[..., 0] + wheels[..., 1])
         omega = self.wheel_radius * (wheels[..., 1] - wheels[..., 0]) / self.track
-        terms = np.stack([v, omega, v * omega], axis=-1)
-        return np.asarray(np.stack([v, np.zeros_like(v), omega], axis=-1) + terms @ coefficients.reshape(3, 3).T)
+        return polynomial_twist(coefficients, np.stack([v, omega], axis=-1))
 
 
 class PoseWindows(NamedTuple):

@@ -30,6 +30,7 @@ class IdentificationSettings(StrictModel):
         description="of a log that are fitted, and that are scored, without and with effects"
     )
     part_time: Positive = Field(description="that is taken or left together [s]")
+    block_time: Positive = Field(description="that is drawn together for the uncertainty of a comparison [s]")
     fewest_readings: int = Field(gt=0, description="[-]")
     pose_window: Positive = Field(description="[s]")
     horizons: tuple[Positive, ...] = Field(description="horizons of the open-loop pose error [s]")

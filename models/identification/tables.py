@@ -71,13 +71,13 @@ def order_table(choice: OrderChoice) -> Table:
     """Orders compared, as in Table 1 of Guffanti, Pavon, Sensors 2025, 25(18), 5821."""
     rows = []
     for order, row in enumerate(choice.rows, start=1):
-        held_out = row.validation_fit_percent if row.validation_fit_percent is not None else np.full(2, np.nan)
-        cells = [number(float(x), 2) for x in (*row.train_fit_percent, *held_out)]
+        fits = (row.train_fit_percent, row.block_fit_percent, row.validation_fit_percent)
+        cells = [number(float(x), 2) for fit in fits for x in (np.full(2, np.nan) if fit is None else fit)]
         chosen = "chosen" if order == choice.order else ""
         rows.append((f"{order}", chosen, str(row.parameters), *cells, f"{row.aic:.0f}", f"{row.bic:.0f}"))
     columns = (
-        *("order", "", "parameters", "FIT training v [%]", "omega [%]", "FIT validation v [%]", "omega [%]"),
-        *("AIC", "BIC"),
+        *("order", "", "parameters", "FIT training v [%]", "omega [%]", "FIT blocks v [%]", "omega [%]"),
+        *("FIT validation v [%]", "omega [%]", "AIC", "BIC"),
     )
     note = f"Order {choice.order}: {choice.reason}. Criteria over the lowest of all orders."
     return Table("Orders compared", columns, tuple(rows), text_columns=2, note=note)

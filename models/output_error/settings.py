@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import Annotated
 
 from pydantic import Field
 
@@ -25,9 +26,8 @@ class SaturationSettings(StrictModel):
 class ScatterSettings(StrictModel):
     """When parts of a log are said to differ."""
 
-    blocks: int = Field(ge=3, description="of equal length")
-    student: Positive = Field(description="97.5 % quantile of Student's over that of the normal distribution [-]")
-    chance: Positive = Field(description="variance between blocks over the stated one, up to which it is chance [-]")
+    blocks: tuple[Annotated[int, Field(ge=3)], ...] = Field(description="numbers of blocks of equal length")
+    certain: Positive = Field(lt=1, description="quantile of a variance between blocks, up to which it is chance [-]")
 
 
 class HeldOutSettings(StrictModel):

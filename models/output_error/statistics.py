@@ -122,7 +122,7 @@ def sandwich(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> S
     bread = np.linalg.pinv(shaped, rcond=1e-14, hermitian=True) / np.outer(spread, spread)
     used = sum(int(np.isfinite(error).sum()) for error in errors)
     white = bread @ long_run_covariance(scores) @ bread * used / max(used - count, 1)
-    covariance = _widened(white, bread @ block_covariance(scores) @ bread)
+    covariance = _widened(white, scores, bread)
     return Sandwich(covariance, effective_samples(errors), float(np.linalg.cond(shaped)))
 
 
@@ -143,23 +143,31 @@ def long_run_covariance(scores: Sequence[FloatArray], window: int | None = None)
     return total
 
 
-def block_covariance(scores: Sequence[FloatArray]) -> FloatArray:
-    """(q, q) covariance of the scores' (K, q) sum, from their scatter between blocks of equal length in time.
+def block_covariance(scores: Sequence[FloatArray], count: int) -> FloatArray:
+    """(q, q) covariance of the scores' (K, q) sum, from their scatter between `count` blocks of equal length in time.
 
     What a model cannot explain may last longer than any window: a gain that differs from one command to the next, a
     floor that changes. Source: Liang, Zeger, Biometrika 1986, 73(1), 13-22 (scores summed by cluster).
     """
-    count = estimator_settings().scatter.blocks
     sums = np.array([block.sum(axis=0) for block in np.array_split(np.concatenate(scores), count)])
     return np.asarray(count / (count - 1) * sums.T @ sums)
 
 
-def _widened(covariance: FloatArray, scatter: FloatArray) -> FloatArray:
-    """`covariance` with the variances of `scatter` where these are larger than chance would make them."""
+def _widened(covariance: FloatArray, scores: Sequence[FloatArray], bread: FloatArray) -> FloatArray:
+    """`covariance` with the variances that blocks of several lengths give, where chance would not make them so large.
+
+    What drifts slowly shows between few long blocks, what changes often between many short ones. Chance is the
+    chi-square distribution of as many blocks; Student's makes up for how few they are.
+    """
+    from scipy import stats  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+
     variance = np.maximum(np.diag(covariance), np.finfo(float).tiny)
-    ratio = np.diag(scatter) / variance
-    settings = estimator_settings().scatter
-    wider = np.where(ratio > settings.chance, settings.student * np.sqrt(ratio), 1.0)
+    wider, settings = np.ones(len(variance)), estimator_settings().scatter
+    for count in settings.blocks:
+        ratio = np.diag(bread @ block_covariance(scores, count) @ bread) / variance
+        student = stats.t.ppf(0.975, count - 1) / stats.norm.ppf(0.975)
+        shown = ratio > stats.chi2.ppf(settings.certain, count - 1) / (count - 1)
+        wider = np.where(shown, np.maximum(wider, student * np.sqrt(ratio)), wider)
     return np.asarray(covariance * np.outer(wider, wider))
 
 

@@ -1,4 +1,7 @@
-"""Which order of a structure: each one compared on the data it was identified from and on data it was not."""
+"""Which order of a structure: each one compared on blocks of the data that it was made without.
+
+Records held out for the score have no part in the choice: a score that chose would flatter.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,9 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.experiment import YawSource
+from diffdrive_mpc.models.output_error.experiment import Experiment, YawSource, joined, twist_experiments
+from diffdrive_mpc.models.output_error.held_out import hold_out
+from diffdrive_mpc.models.output_error.statistics import output_spread
 from diffdrive_mpc.models.output_error.validation import validate
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.velocity_model import ModelError
@@ -29,8 +34,9 @@ class OrderRow:
         The model.
     parameters
         How many numbers were free.
-    train_fit_percent, validation_fit_percent
-        (2,) of v and omega [%]; the second None without validation records.
+    train_fit_percent, block_fit_percent, validation_fit_percent
+        (2,) of v and omega [%]: of the records identified from; of blocks of them, each by a model made without it,
+        None where that was not asked for or they are too short; of records held out, None without any.
     aic, bic
         Akaike's and Schwarz's information criteria over the lowest of all orders, counted in effective samples.
     """
@@ -38,6 +44,7 @@ class OrderRow:
     identified: IdentifiedModel
     parameters: int
     train_fit_percent: FloatArray
+    block_fit_percent: FloatArray | None
     validation_fit_percent: FloatArray | None
     aic: float
     bic: float
@@ -58,22 +65,32 @@ class OrderChoice:
 
 
 def compare_orders(
-    models: Sequence[IdentifiedModel], train: Sequence[Record], validation: Sequence[Record], yaw: YawSource
+    models: Sequence[IdentifiedModel],
+    train: Sequence[Record],
+    validation: Sequence[Record],
+    yaw: YawSource,
+    *,
+    asked: int | None = None,
+    robust: bool = True,
 ) -> OrderChoice:
     """Choose among models of order 1, 2 and so on.
 
-    With validation records: the lowest order whose mean FIT there comes within a quarter of a percentage point of the
-    best. Without: the lowest Schwarz criterion. Order 1 is a floor for the comparison and never chosen; nor is an order
-    whose model cannot be a robot's.
+    The lowest order whose mean FIT on blocks of the records, each predicted by a model made without it, comes within a
+    quarter of a percentage point of the best; of records too short for that, the lowest Schwarz criterion. Order 1 is a
+    floor for the comparison and never chosen; nor is an order whose model cannot be a robot's.
 
     Parameters
     ----------
     models
         One of each order, identified from `train`.
     train, validation
-        Records identified from, and records held out.
+        Records identified from, and records held out, which are scored and do not choose.
     yaw
         Which sensor's omega the models predict.
+    asked
+        The order, where nothing is to be chosen.
+    robust
+        Whether single outliers are held back.
 
     Raises
     ------
@@ -81,29 +98,48 @@ def compare_orders(
         If no order gives a usable model.
     """
     criteria = _criteria(models)
+    held_out = [None] * len(models) if asked else _block_fits(models, joined(twist_experiments(train, yaw)), robust)
     rows = tuple(
         OrderRow(
             identified,
             len(identified.fits[0].parameters),
             validate(identified.system, train, yaw).fit_percent,
+            blocks,
             validate(identified.system, validation, yaw).fit_percent if validation else None,
             *criterion,
         )
-        for identified, criterion in zip(models, criteria, strict=True)
+        for identified, blocks, criterion in zip(models, held_out, criteria, strict=True)
     )
+    if asked:
+        return OrderChoice(rows, asked, "as asked for")
     usable = [order for order, row in enumerate(rows, start=1) if order > _FLOOR and _is_robot(row.identified)]
     if not usable:
         name = models[0].structure.upper()
         raise ValueError(f"no order of {name} gives a model that could be a robot's: identify SM, or use a longer log")
-    if validation:
-        score = {order: float(np.mean(_held_out(rows[order - 1]))) for order in usable}
+    score = {order: float(np.mean(fit)) for order in usable if (fit := rows[order - 1].block_fit_percent) is not None}
+    if score:
         best = max(score.values())
-        order = min(order for order in usable if score[order] > best - _WORTH)
-        return OrderChoice(
-            rows, order, f"lowest order within {_WORTH} points of the best mean validation FIT, {best:.2f} %"
-        )
+        order = min(order for order in score if score[order] > best - _WORTH)
+        reason = f"lowest order within {_WORTH} points of the best mean FIT on blocks held out in turn, {best:.2f} %"
+        return OrderChoice(rows, order, reason)
     order = min(usable, key=lambda order: rows[order - 1].bic)
-    return OrderChoice(rows, order, "lowest Schwarz criterion; no records were held out")
+    return OrderChoice(rows, order, "lowest Schwarz criterion; the records are too short to hold blocks out")
+
+
+def _block_fits(
+    models: Sequence[IdentifiedModel], experiments: Sequence[Experiment], robust: bool
+) -> list[FloatArray | None]:
+    """For each model (2,) FIT [%] on blocks held out in turn; None where the records are too short."""
+    spread = output_spread(experiments)
+    fits: list[FloatArray | None] = []
+    for model in models:
+        try:
+            powers = hold_out(model.fits[0], experiments, robust).powers
+        except ValueError:
+            fits.append(None)
+        else:
+            fits.append(100.0 * (1.0 - np.sqrt(powers.mean(axis=0)) / spread))
+    return fits
 
 
 def _criteria(models: Sequence[IdentifiedModel]) -> list[tuple[float, float]]:
@@ -118,11 +154,6 @@ def _criteria(models: Sequence[IdentifiedModel]) -> list[tuple[float, float]]:
         criteria.append((misfit + 2 * count, misfit + np.log(samples.sum()) * count))
     lowest = np.min(criteria, axis=0)
     return [(float(aic - lowest[0]), float(bic - lowest[1])) for aic, bic in criteria]
-
-
-def _held_out(row: OrderRow) -> FloatArray:
-    assert row.validation_fit_percent is not None
-    return row.validation_fit_percent
 
 
 def _is_robot(identified: IdentifiedModel) -> bool:

@@ -87,6 +87,7 @@ def choose_order(
     yaw: YawSource = "gyro",
     limits: bool = True,
     robust: bool = True,
+    asked: int | None = None,
 ) -> OrderChoice:
     """Identify every order up to `largest` and choose one, as `compare_orders` does.
 
@@ -95,11 +96,13 @@ def choose_order(
     train
         Records to identify from.
     validation
-        Records held out.
+        Records held out, which have no part in the choice.
     largest
         2 to 5.
     yaw, limits, robust
         As for `identify_ssm`.
+    asked
+        The order, where nothing is to be chosen.
 
     Raises
     ------
@@ -107,7 +110,7 @@ def choose_order(
         As `identify_ssm_orders`; or if no order gives a usable model.
     """
     models = identify_ssm_orders(train, largest, yaw=yaw, limits=limits, robust=robust)
-    return compare_orders(models, train, validation, yaw)
+    return compare_orders(models, train, validation, yaw, asked=asked, robust=robust)
 
 
 def identify_ssm_orders(
@@ -259,9 +262,7 @@ def _identify(records: Sequence[Record], conditions: Conditions) -> Found:
     order = conditions.order
     # Order 1 is only a floor to compare with, so at least order 2 is tried beside it.
     largest = max(order or LARGEST_ORDER, 2)
-    choice = choose_order(records, conditions.validation, largest=largest, yaw=conditions.yaw)
-    if order is not None:
-        choice = replace(choice, order=order, reason="as asked for")
+    choice = choose_order(records, conditions.validation, largest=largest, yaw=conditions.yaw, asked=order)
     return Found(choice.identified, choice)
 
 

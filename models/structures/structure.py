@@ -20,7 +20,7 @@ class Conditions:
     Attributes
     ----------
     validation
-        Records held out, by which an order may be chosen.
+        Records held out, for tables; nothing is chosen by them.
     yaw
         Which sensor's omega the model predicts.
     order

@@ -70,6 +70,11 @@ class Limits(Group):
         round(_ROBOT.limits.wheel_speed * _ROBOT.wheel_radius, 3),
         description="soft: speed of the left and right wheels at the rim, from the predicted twist [m/s]",
     )
+    least_turn_radius: Positive | None = Field(
+        None,
+        description="soft: |omega| times this is no more than |v|, for a robot that must not turn on the spot; without "
+        "it any turn will do [m]",
+    )
     corridor: Positive = Field(0.5, description="soft: predicted distance from the path to either side [m]")
 
 
@@ -93,6 +98,9 @@ class Compensation(Group):
     v_offset: bool = Field(True, description="estimate forward speed that the model does not explain [-]")
     yaw_gain: bool = Field(True, description="estimate how much the robot turns for what is commanded [-]")
     side_slip: bool = Field(True, description="estimate side-slip and turning point [-]")
+
+
+Coefficient = Annotated[float, Field(ge=-2, le=2)]
 
 
 class Estimator(Group):
@@ -129,6 +137,27 @@ class Estimator(Group):
     )
     load_shift_uncertainty: NotNegative = Field(0.02, description="the same, what is not known of it [s^2]")
     load_shift_drift: NotNegative = Field(0.003, description="random walk of that [s^2 per sqrt(s)]")
+    crab: Coefficient = Field(0.0, description="lateral speed, to the left, over forward speed, at the start [-]")
+    crab_uncertainty: NotNegative = Field(0.0, description="the same, what is not known of it [-]")
+    crab_drift: NotNegative = Field(0.0, description="random walk of that [1 per sqrt(s)]")
+    veer: Coefficient = Field(0.0, description="yaw for each metre that the wheels drive, at the start [rad/m]")
+    veer_uncertainty: NotNegative = Field(0.0, description="the same, what is not known of it [rad/m]")
+    veer_drift: NotNegative = Field(0.0, description="random walk of that [rad/m per sqrt(s)]")
+    forward_coupling: Coefficient = Field(
+        0.0, description="forward speed over product of the wheels' speed and yaw rate, at the start [s/rad]"
+    )
+    forward_coupling_uncertainty: NotNegative = Field(0.0, description="the same, what is not known of it [s/rad]")
+    forward_coupling_drift: NotNegative = Field(0.0, description="random walk of that [s/rad per sqrt(s)]")
+    yaw_coupling: Coefficient = Field(
+        0.0, description="yaw rate over product of the wheels' speed and yaw rate, at the start [s/m]"
+    )
+    yaw_coupling_uncertainty: NotNegative = Field(0.0, description="the same, what is not known of it [s/m]")
+    yaw_coupling_drift: NotNegative = Field(0.0, description="random walk of that [s/m per sqrt(s)]")
+    track_growth: Coefficient = Field(
+        0.0, description="by what share the track widens for each rad/s of yaw rate, at the start [s/rad]"
+    )
+    track_growth_uncertainty: NotNegative = Field(0.0, description="the same, what is not known of it [s/rad]")
+    track_growth_drift: NotNegative = Field(0.0, description="random walk of that [s/rad per sqrt(s)]")
     gyro_bias_uncertainty: Positive = Field(0.003, description="bias of the gyro, at the start [rad/s]")
     gyro_bias_drift: Positive = Field(0.007, description="random walk of that bias [rad/s per sqrt(s)]")
     least_yaw_rate: Positive = Field(0.1, description="turning more slowly, the gains of omega stay frozen [rad/s]")

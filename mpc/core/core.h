@@ -4,8 +4,8 @@
  * stands, so names and layouts cross the border by themselves; a bracket behind a pointer is the shape of what it points
  * to, and is checked against the sizes:
  *
- *     n states, N steps, W window, H history, P parameters, K kinds of soft limit, width = 2 N padded to a multiple of 8,
- *     Q parameters of a nonlinear model
+ *     n states, N steps, W window, H history, P parameters, K kinds of soft limit, S slips, Q parameters of a nonlinear
+ *     model, width = 2 N padded to a multiple of 8
  */
 #ifndef DDMPC_CORE_H
 #define DDMPC_CORE_H
@@ -21,10 +21,12 @@ typedef struct {
     int history;             /* H, ticks that the estimator looks back */
     int lag_v, lag_omega;    /* whole samples by which the feed-forward looks ahead */
     int residuals;           /* rows of the user's residuals at a sample */
-    int soft;                /* K, kinds of soft limit: five shipped ones, then the user's */
+    int soft;                /* K, kinds of soft limit: five shipped ones, those of the turn, then the user's */
     int terms;               /* functions of the user */
     int parameters;          /* P, stage parameters of all of them */
     int nonlinear;           /* whether the velocity model is a function */
+    int turns;               /* kinds of soft limit that keep the least turn radius: 2, or 0 without one */
+    int slips;               /* S, slips that are estimated: 8, or with those that curve the twist 13 */
     int model_parameters;    /* Q, numbers that it is given */
     int work;                /* reals of memory that it needs */
 } ddmpc_sizes;
@@ -55,10 +57,11 @@ typedef struct {
     /* estimator */
     const real *noise;         /* [n][n] process noise of one sample */
     real pose_noise[3];
-    real prior[9], uncertainty[9], drift[9]; /* of slip and gyro bias: start, its deviation, variance per sample */
+    real prior[14], uncertainty[14], drift[14]; /* of 13 slips and gyro bias: start, its deviation, variance per sample */
+    real least_slip[13], most_slip[13];         /* they are never believed beyond */
     real wheel_yaw_ratio;            /* yaw rate by encoders over that of the model */
     real surprise, patience;         /* limit [-], and how long it may last [samples] */
-    real least_yaw_rate, least_speed, least_gain, most_gain;
+    real least_yaw_rate, least_speed;
     real stamp_history;              /* oldest stamp that is taken [s] */
     real pose_variance[3];           /* where a pose states no covariance */
     real twist_variance[3];          /* wheel speed, wheel yaw rate, yaw rate */
@@ -94,6 +97,7 @@ typedef struct {
     const real *soft_upper;     /* [K] */
     const real *soft_lower;     /* [K] */
     real half_track;            /* [m] */
+    real least_turn_radius;     /* [m]; 0: none */
 
     /* solution */
     real slack;                 /* by how much the active set may exceed a limit */
@@ -222,13 +226,14 @@ typedef struct {
     real primal_residual, dual_residual;
 } ddmpc_report;
 
-enum { DDMPC_NOTES = 8, DDMPC_SENSORS = 4, DDMPC_SLIPS = 9 };
+enum { DDMPC_NOTES = 8, DDMPC_SENSORS = 4 };
 
 /* The newest estimate; the filter's state is the states, slip (v_offset, omega_gain, longitudinal_gain, yaw_gain,
-   side_slip, turn_ahead, turn_left, load_shift), gyro bias and pose. */
+   side_slip, turn_ahead, turn_left, load_shift; where it is curved crab, veer, forward_coupling, yaw_coupling,
+   track_growth), gyro bias and pose. */
 typedef struct {
-    real *mean;            /* [n+12] */
-    real *deviation;       /* [n+12] */
+    real *mean;            /* [n+S+4] */
+    real *deviation;       /* [n+S+4] */
     real *twist;           /* [2] of the body, slip included [m/s, rad/s] */
     real *twist_deviation; /* [2] */
     real *innovations;     /* [4] newest squared innovation over its variance; NaN: none yet */

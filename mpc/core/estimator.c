@@ -177,15 +177,18 @@ static void moving(const ddmpc_controller *c, ddmpc_belief *belief)
     memset(belief->covariance, 0, (size_t)(Z * Z) * sizeof(real));
     memset(belief->surprised, 0, sizeof belief->surprised);
     memcpy(belief->mean, state, (size_t)n * sizeof(real));
-    memcpy(belief->mean + n, constants->prior, sizeof constants->prior);
+    memcpy(belief->mean + n, constants->prior, (size_t)SLIPS(c) * sizeof(real));
+    belief->mean[n + GYRO_BIAS(c)] = constants->prior[CURVED_SLIPS];
     ddmpc_velocity_output(c, state, output, 0);
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++)
             for (int channel = 0; channel < 2; channel++)
                 belief->covariance[i * Z + j] += constants->settled[2 * i + channel] * output[channel] *
                                                  output[channel] * constants->settled[2 * j + channel];
-    for (int i = 0; i < DDMPC_SLIPS; i++)
-        belief->covariance[(n + i) * (Z + 1)] = constants->uncertainty[i] * constants->uncertainty[i];
+    for (int i = 0; i <= SLIPS(c); i++) {
+        const real uncertainty = constants->uncertainty[i == GYRO_BIAS(c) ? CURVED_SLIPS : i];
+        belief->covariance[(n + i) * (Z + 1)] = uncertainty * uncertainty;
+    }
 }
 
 /* A history of one node, which is at `pose` with the motion that its prior holds. */

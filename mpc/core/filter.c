@@ -25,18 +25,18 @@ void ddmpc_copy_belief(const ddmpc_controller *c, ddmpc_belief *to, const ddmpc_
 static void twist_now(const ddmpc_controller *c, const real *mean, real twist[2], real (*gradient)[MOST_BELIEF])
 {
     const int n = STATES(c);
-    real y[2], rows[2 * DDMPC_MOST_STATES], J[2 * (2 + SLIP)];
+    real y[2], rows[2 * DDMPC_MOST_STATES], J[2 * (2 + DDMPC_MOST_SLIPS)];
     ddmpc_velocity_output(c, mean, y, rows);
     const real *arguments[2] = {y, mean + n};
     real *results[2] = {twist, J};
-    ddmpc_f_twist(arguments, results, 0, 0, 0);
+    WITH_SLIP(c, twist)(arguments, results, 0, 0, 0);
     if (!gradient)
         return;
     memset(gradient, 0, 2 * sizeof *gradient);
     for (int i = 0; i < 2; i++) {
         for (int j = 0; j < n; j++)
             gradient[i][j] = J[i] * rows[j] + J[i + 2] * rows[n + j];
-        for (int j = 0; j < SLIP; j++)
+        for (int j = 0; j < SLIPS(c); j++)
             gradient[i][n + j] = J[i + 2 * (2 + j)];
     }
 }
@@ -78,20 +78,20 @@ typedef struct {
 static void move(const ddmpc_controller *c, const real *z, const real y[2], const real *rows, real acceleration, real dt,
                  moved_pose *moved)
 {
-    const int n = STATES(c);
-    const real *at = z + n + POSE;
-    real displacement[3], J[3 * (3 + SLIP)];
+    const int n = STATES(c), S = SLIPS(c), pose = n + POSE(c);
+    const real *at = z + pose;
+    real displacement[3], J[3 * (3 + DDMPC_MOST_SLIPS)];
     const real *arguments[5] = {y, z + n, at + 2, &acceleration, &dt};
     real *results[2] = {displacement, J};
-    ddmpc_f_move(arguments, results, 0, 0, 0);
+    WITH_SLIP(c, move)(arguments, results, 0, 0, 0);
     memset(moved->by, 0, sizeof moved->by);
     for (int i = 0; i < 3; i++) {
         for (int j = 0; j < n; j++)
             moved->by[i][j] = J[i] * rows[j] + J[i + 3] * rows[n + j];
-        for (int j = 0; j < SLIP; j++)
+        for (int j = 0; j < S; j++)
             moved->by[i][n + j] = J[i + 3 * (2 + j)];
-        moved->by[i][n + POSE + 2] = J[i + 3 * (2 + SLIP)];
-        moved->by[i][n + POSE + i] += R(1.0);
+        moved->by[i][pose + 2] = J[i + 3 * (2 + S)];
+        moved->by[i][pose + i] += R(1.0);
         moved->pose[i] = at[i] + displacement[i];
     }
 }
@@ -113,7 +113,7 @@ void ddmpc_filter_pose_at(const ddmpc_controller *c, const ddmpc_belief *belief,
 /* F P F' for F = (A 0 0; 0 1 0; G), of which only the blocks that change are computed. */
 static void propagate(const ddmpc_controller *c, const moved_pose *moved, const real *A, const real *before, real *out)
 {
-    const int n = STATES(c), Z = BELIEF(c), pose = n + POSE;
+    const int n = STATES(c), Z = BELIEF(c), pose = n + POSE(c);
     real top[DDMPC_MOST_STATES][MOST_BELIEF], bottom[3][MOST_BELIEF];
     for (int i = 0; i < n; i++) {
         memset(top[i], 0, (size_t)Z * sizeof(real));
@@ -157,7 +157,7 @@ static real mean_output(const ddmpc_controller *c, const real *z, const real *af
     const real *arguments[2][2] = {{y, z + n}, {next, z + n}};
     real *results[2][2] = {{begin, 0}, {end, 0}};
     for (int i = 0; i < 2; i++)
-        ddmpc_f_twist(arguments[i], results[i], 0, 0, 0);
+        WITH_SLIP(c, twist)(arguments[i], results[i], 0, 0, 0);
     for (int i = 0; i < 2; i++) {
         y[i] = R(0.5) * (y[i] + next[i]);
         twist[i] = R(0.5) * (begin[i] + end[i]);
@@ -176,7 +176,7 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
                           ddmpc_belief *after)
 {
     const ddmpc_constants *k = c->constants;
-    const int n = STATES(c), Z = BELIEF(c);
+    const int n = STATES(c), Z = BELIEF(c), S = SLIPS(c), pose = n + POSE(c);
     const real *z = before->mean;
     real state[DDMPC_MOST_STATES], y[2], rows[2 * DDMPC_MOST_STATES], twist[2];
     real by_state[DDMPC_MOST_STATES * DDMPC_MOST_STATES];
@@ -191,19 +191,21 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
         for (int j = 0; j < n; j++)
             after->covariance[i * Z + j] += k->noise[i * n + j];
     for (int i = 0; i < 3; i++)
-        after->covariance[(n + POSE + i) * (Z + 1)] += k->pose_noise[i];
+        after->covariance[(pose + i) * (Z + 1)] += k->pose_noise[i];
     /* A gain shows only while its channel moves: without news its uncertainty must not grow. */
     const int turning = ddmpc_fabs(twist[1]) >= k->least_yaw_rate;
     const int driving = ddmpc_fabs(twist[0]) >= k->least_speed;
     const int cornering = turning && driving;
-    const int moving[DDMPC_SLIPS] = {1, turning, driving, turning, cornering, turning, turning, cornering, 1};
-    for (int i = 0; i < DDMPC_SLIPS; i++)
+    const int moving[CURVED_SLIPS] = {1,       turning,   driving, turning, cornering, turning,  turning,
+                                      cornering, driving, driving, cornering, cornering, turning};
+    for (int i = 0; i < S; i++)
         if (moving[i])
             after->covariance[(n + i) * (Z + 1)] += k->drift[i];
+    after->covariance[(n + S) * (Z + 1)] += k->drift[CURVED_SLIPS];
 
-    memcpy(after->mean + n, z + n, DDMPC_SLIPS * sizeof(real));
+    memcpy(after->mean + n, z + n, (size_t)(S + 1) * sizeof(real));
     memcpy(after->mean, state, (size_t)n * sizeof(real));
-    memcpy(after->mean + n + POSE, moved.pose, sizeof moved.pose);
+    memcpy(after->mean + pose, moved.pose, sizeof moved.pose);
     for (int i = 0; i < DDMPC_SENSORS; i++)
         after->surprised[i] = before->surprised[i] + (before->surprised[i] > 0);
 }
@@ -227,25 +229,28 @@ static void freeze(const ddmpc_controller *c, const real *z, int pushed, real *g
     real twist[2];
     if (pushed) {
         /* The robot does not do as told, for a reason that is none of slip: velocity and pose take it all. */
-        memset(gain + n * columns, 0, (size_t)(DDMPC_SLIPS * columns) * sizeof(real));
+        memset(gain + n * columns, 0, (size_t)((SLIPS(c) + 1) * columns) * sizeof(real));
         return;
     }
     ddmpc_filter_twist(c, z, twist);
     if (ddmpc_fabs(twist[1]) < c->constants->least_yaw_rate) {
         memset(gain + (n + OMEGA_GAIN) * columns, 0, (size_t)columns * sizeof(real));
         memset(gain + (n + YAW_GAIN) * columns, 0, (size_t)columns * sizeof(real));
+        if (CURVED(c))
+            memset(gain + (n + YAW_COUPLING) * columns, 0, (size_t)(2 * columns) * sizeof(real));
     }
 }
 
 static void bound(const ddmpc_controller *c, real *z)
 {
-    const int n = STATES(c);
-    for (int i = n + OMEGA_GAIN; i < n + SIDE_SLIP; i++) {
+    const real *least = c->constants->least_slip, *most = c->constants->most_slip;
+    real *slip = z + STATES(c);
+    for (int i = 0; i < SLIPS(c); i++) {
         /* Not by min and max: NaN must stay NaN. */
-        if (z[i] < c->constants->least_gain)
-            z[i] = c->constants->least_gain;
-        if (z[i] > c->constants->most_gain)
-            z[i] = c->constants->most_gain;
+        if (slip[i] < least[i])
+            slip[i] = least[i];
+        if (slip[i] > most[i])
+            slip[i] = most[i];
     }
 }
 
@@ -272,16 +277,16 @@ static void correct_scalar(const ddmpc_controller *c, ddmpc_belief *belief, cons
 /* What the wheels and the gyro should read, and its gradient by the filter's state. */
 static real expected_reading(const ddmpc_controller *c, const real *z, int sensor, real *h)
 {
-    const int n = STATES(c);
-    real y[2], rows[2 * DDMPC_MOST_STATES], reading[3], J[3 * (3 + SLIP)];
+    const int n = STATES(c), S = SLIPS(c);
+    real y[2], rows[2 * DDMPC_MOST_STATES], reading[3], J[3 * (3 + DDMPC_MOST_SLIPS)];
     ddmpc_velocity_output(c, z, y, rows);
-    const real *arguments[4] = {y, z + n, z + n + GYRO_BIAS, &c->constants->wheel_yaw_ratio};
+    const real *arguments[4] = {y, z + n, z + n + GYRO_BIAS(c), &c->constants->wheel_yaw_ratio};
     real *results[2] = {reading, J};
-    ddmpc_f_sensors(arguments, results, 0, 0, 0);
+    WITH_SLIP(c, sensors)(arguments, results, 0, 0, 0);
     memset(h, 0, (size_t)BELIEF(c) * sizeof(real));
     for (int j = 0; j < n; j++)
         h[j] = J[sensor] * rows[j] + J[sensor + 3] * rows[n + j];
-    for (int j = 0; j < DDMPC_SLIPS; j++)
+    for (int j = 0; j <= S; j++)
         h[n + j] = J[sensor + 3 * (2 + j)];
     return reading[sensor];
 }
@@ -352,7 +357,7 @@ static void expect(const ddmpc_controller *c, const ddmpc_belief *belief, const 
 /* Stretch the deviations of position and heading, correlations staying as they are. */
 static void doubt(const ddmpc_controller *c, ddmpc_belief *belief, const real by[2])
 {
-    const int Z = BELIEF(c), at = STATES(c) + POSE;
+    const int Z = BELIEF(c), at = STATES(c) + POSE(c);
     if (!(by[0] > R(1.0) || by[1] > R(1.0)))
         return;
     for (int i = 0; i < 3; i++)
@@ -382,7 +387,7 @@ real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, 
     const int pushed = judge(c, belief, POSE_SENSOR, normalised);
     if (pushed) {
         for (int i = 0; i < 3; i++)
-            belief->covariance[(n + POSE + i) * (Z + 1)] += innovation[i] * innovation[i];
+            belief->covariance[(n + POSE(c) + i) * (Z + 1)] += innovation[i] * innovation[i];
         expect(c, belief, &moved, pose, &f);
     }
     for (int i = 0; i < Z; i++)
@@ -403,7 +408,7 @@ real ddmpc_filter_correct_pose(const ddmpc_controller *c, ddmpc_belief *belief, 
 
 void ddmpc_filter_place(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_pose *pose)
 {
-    const int Z = BELIEF(c), at = STATES(c) + POSE;
+    const int Z = BELIEF(c), at = STATES(c) + POSE(c);
     for (int i = 0; i < 3; i++) {
         for (int j = 0; j < at; j++)
             belief->covariance[(at + i) * Z + j] = belief->covariance[j * Z + at + i] = R(0.0);

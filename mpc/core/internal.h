@@ -24,6 +24,9 @@
 #define TERMS(c) DDMPC_TERMS
 #define PARAMETERS(c) DDMPC_PARAMETERS
 #define NONLINEAR(c) DDMPC_NONLINEAR
+#define TURNS(c) DDMPC_TURNS
+#define DDMPC_MOST_SLIPS DDMPC_SLIPS
+#define SLIPS(c) DDMPC_SLIPS
 #define WORK(c) DDMPC_WORK
 #else
 /* The most that is held: for local memory, and for bounds on what is given. */
@@ -31,6 +34,7 @@
 #define DDMPC_MOST_STATES 64
 #define DDMPC_MOST_WINDOW 512
 #define DDMPC_MOST_KINDS 64
+#define DDMPC_MOST_SLIPS 13
 #define STEPS(c) ((c)->sizes.steps)
 #define STATES(c) ((c)->sizes.states)
 #define DELAY(c, channel) ((channel) ? (c)->sizes.delay_omega : (c)->sizes.delay_v)
@@ -42,10 +46,12 @@
 #define TERMS(c) ((c)->sizes.terms)
 #define PARAMETERS(c) ((c)->sizes.parameters)
 #define NONLINEAR(c) ((c)->sizes.nonlinear)
+#define TURNS(c) ((c)->sizes.turns)
+#define SLIPS(c) ((c)->sizes.slips)
 #define WORK(c) ((c)->sizes.work)
 #endif
 
-/* The filter's state: n velocity states, then these; places are counted from n. */
+/* The filter's state: n velocity states, slip, the gyro's bias and the pose; slips are counted from n. */
 enum {
     V_OFFSET,
     OMEGA_GAIN,
@@ -55,24 +61,34 @@ enum {
     TURN_AHEAD,
     TURN_LEFT,
     LOAD_SHIFT,
-    GYRO_BIAS,
-    POSE,
-    BEYOND = POSE + 3,
-    SLIP = GYRO_BIAS
+    FLAT_SLIPS,
+    CRAB = FLAT_SLIPS,
+    VEER,
+    FORWARD_COUPLING,
+    YAW_COUPLING,
+    TRACK_GROWTH,
+    CURVED_SLIPS
 };
-#define BELIEF(c) (STATES(c) + BEYOND)
-#define MOST_BELIEF (DDMPC_MOST_STATES + BEYOND)
+/* Whether the body's twist is curved in what the model says; then rows are linearised at each sample. */
+#define CURVED(c) (SLIPS(c) > FLAT_SLIPS)
+#define ROWS(c) (NONLINEAR(c) || CURVED(c))
+/* A formula for the slip that this controller has. */
+#define WITH_SLIP(c, name) (CURVED(c) ? ddmpc_f_##name##_curved : ddmpc_f_##name)
+#define GYRO_BIAS(c) SLIPS(c)
+#define POSE(c) (SLIPS(c) + 1)
+#define BELIEF(c) (STATES(c) + SLIPS(c) + 4)
+#define MOST_BELIEF (DDMPC_MOST_STATES + DDMPC_MOST_SLIPS + 4)
 #define INPUTS(c) (2 * STEPS(c))
 /* Rows of commands are padded with zeros, to whole lanes on every machine. */
 enum { PADDING = 8 };
 #define WIDTH(c) ((INPUTS(c) + PADDING - 1) / PADDING * PADDING)
-/* Rows of residuals in the stack at each sample: along, across, the user's, and of a nonlinear model the heading. */
-#define STACKED(c) (2 + RESIDUALS(c) + NONLINEAR(c))
+/* Rows of residuals in the stack at each sample: along, across, the user's, and with rows of its own the heading. */
+#define STACKED(c) (2 + RESIDUALS(c) + ROWS(c))
 #define LONGEST_LAG(c) (LAG(c, 0) > LAG(c, 1) ? LAG(c, 0) : LAG(c, 1))
 #define SAMPLES(c) (STEPS(c) + 1 + LONGEST_LAG(c))
 /* Commands that are remembered. */
 #define COMMANDS(c) (WINDOW(c) + HISTORY(c) + 2)
-enum { HARD = 4, SHIPPED_SOFT = 5, TERM_INPUTS = 7 };
+enum { HARD = 4, SHIPPED_SOFT = 5, TURN_ROWS = 2, TERM_INPUTS = 7 };
 #define KINDS(c) (HARD + SOFT(c))
 /* Limits that may press at once: as many as there are commands, and some soft ones that give way. */
 #define MOST_ACTIVE(c) (INPUTS(c) + 32)
@@ -155,7 +171,7 @@ typedef struct {
     int newest, moves, newest_pose, poses;
     ddmpc_hearing wheels, gyro;
     real state[DDMPC_MOST_STATES];  /* of the model that nobody corrects */
-    real slip[SLIP];                /* as it was a while ago */
+    real slip[DDMPC_MOST_SLIPS];                /* as it was a while ago */
     ddmpc_checked_pose last;        /* if one was `seen` */
     ddmpc_motion last_motion;       /* up to it */
     ddmpc_motion frozen;            /* up to the first pose that is like it; `same` came since */
@@ -176,7 +192,7 @@ typedef struct {
 
 /* The tick's problem, linearised along the guess. */
 typedef struct {
-    real pose[3], slip[SLIP], last[2];
+    real pose[3], slip[DDMPC_MOST_SLIPS], last[2];
     real gains[2], turn_gain; /* of the body's v and omega by the model's; of its v by the model's omega */
     real *free_twist;   /* [N+1][2] of the body, if the plan were zero */
     real *ahead;        /* [N] turning point of each arc along the guess [m] */
@@ -184,10 +200,11 @@ typedef struct {
     real *feed_forward; /* [N][2] */
     real *free_output;  /* [N+1][2] of the model, if the plan were zero */
     real *by_plan;      /* [2][N+1] what a plan adds to that */
-    /* Of a nonlinear model: rows of twist, mean twist and heading at each sample, and its states and Jacobians. */
+    /* Of a nonlinear model or curved slip: rows of twist, mean twist and heading at each sample, and its states and Jacobians. */
     real *twist_rows;   /* [N+1][2][width] */
     real *mean_rows;    /* [N][2][width] */
     real *heading_rows; /* [N+1][width] */
+    real *said;         /* [N+1][2] of a linear model with curved slip, if the plan were zero */
     real *sensitivity;  /* [2][n][width] */
     real *by_window;     /* [n][2(W+1)] Jacobian of a step, column by column */
     real *held;          /* [2(W+1)] a command for ever */

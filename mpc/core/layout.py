@@ -32,6 +32,7 @@ def pointer_shapes(struct: str, sizes: Mapping[str, int]) -> dict[str, tuple[int
         "K": sizes["soft"],
         "H": sizes["history"],
         "P": sizes["parameters"],
+        "S": sizes["slips"],
         "Q": sizes["model_parameters"],
         "width": padded(2 * N),
     }

@@ -60,10 +60,13 @@ static void lay_problem(ddmpc_controller *c, memory *m)
     p->feed_forward = reals(m, 2 * N);
     p->free_output = reals(m, 2 * (N + 1));
     p->by_plan = reals(m, 2 * (N + 1));
-    if (NONLINEAR(c)) {
+    if (ROWS(c)) {
         p->twist_rows = reals(m, (N + 1) * 2 * width);
         p->mean_rows = reals(m, N * 2 * width);
         p->heading_rows = reals(m, (N + 1) * width);
+        p->said = reals(m, 2 * (N + 1));
+    }
+    if (NONLINEAR(c)) {
         p->sensitivity = reals(m, 2 * n * width);
         p->by_window = reals(m, n * 2 * (WINDOW(c) + 1));
         p->held = reals(m, 2 * (WINDOW(c) + 1));
@@ -126,8 +129,9 @@ static int fits(const ddmpc_sizes *s)
     return s->steps >= 1 && s->steps <= DDMPC_MOST_STEPS && s->states >= 1 && s->states <= DDMPC_MOST_STATES &&
            s->window >= 1 && s->window <= DDMPC_MOST_WINDOW && s->delay_v >= 0 && s->delay_v < s->window &&
            s->delay_omega >= 0 && s->delay_omega < s->window && s->history >= 2 && s->lag_v >= 0 && s->lag_omega >= 0 &&
-           s->soft >= SHIPPED_SOFT && s->soft + HARD <= DDMPC_MOST_KINDS && s->residuals >= 0 && s->terms >= 0 &&
-           s->parameters >= 0 && s->model_parameters >= 0 && s->work >= 0;
+           (s->turns == 0 || s->turns == TURN_ROWS) && (s->slips == FLAT_SLIPS || s->slips == CURVED_SLIPS) &&
+           s->soft >= SHIPPED_SOFT + s->turns && s->soft + HARD <= DDMPC_MOST_KINDS && s->residuals >= 0 &&
+           s->terms >= 0 && s->parameters >= 0 && s->model_parameters >= 0 && s->work >= 0;
 }
 
 static memory counted(const ddmpc_sizes *sizes)

@@ -27,7 +27,7 @@ static const ddmpc_time WINDOW_LENGTH[WINDOWS] = {0.5, 1.5, 3.0};
 #define NOISIEST R(400.0)
 /* Shares of a turn by which slip may change within a window, and by which it is taken for slip at all. */
 #define SLIPPING R(0.3)
-#define SLIPS R(0.1)
+#define SLIDING R(0.1)
 /* Drift of poses beyond that of dead reckoning: over the contradiction allowed, and in addition by distance and turn. */
 #define DRIFTING R(1.4)
 #define CREEPING R(0.02)
@@ -135,7 +135,7 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
         return;
     const real *newest = ddmpc_estimator_slip(c);
     const real share = m->moves > 0 ? ddmpc_min(dt / (real)SLIP_MEMORY, R(1.0)) : R(1.0);
-    for (int i = 0; i < SLIP; i++)
+    for (int i = 0; i < SLIPS(c); i++)
         m->slip[i] += share * (newest[i] - m->slip[i]);
     const real *slip = m->slip, speed = R(0.5) * (before[0] + m->wheels.value[0]);
     const real wheel_turn = R(0.5) * dt * (before[1] + m->wheels.value[1]);
@@ -143,8 +143,12 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
     /* The gyro turns it, or without one the wheels. */
     const int silent = t - m->gyro.heard > SILENCE || (m->accused & BY_GYRO);
     const real turn = silent ? quotient(m->body_by_wheels) * wheel_turn : gyro_turn;
-    const real forward = slip[LONGITUDINAL_GAIN] * speed * dt + slip[TURN_LEFT] * turn;
-    const real left = -(slip[TURN_AHEAD] + slip[SIDE_SLIP] * speed) * turn;
+    real forward = slip[LONGITUDINAL_GAIN] * speed * dt + slip[TURN_LEFT] * turn;
+    real left = -(slip[TURN_AHEAD] + slip[SIDE_SLIP] * speed) * turn;
+    if (CURVED(c)) {
+        forward += slip[FORWARD_COUPLING] * speed * wheel_turn;
+        left += slip[CRAB] * speed * dt;
+    }
     real *sum = m->now.sum;
     const real heading = sum[HEADING] + R(0.5) * turn;
     sum[FORWARD] += forward * ddmpc_cos(heading) - left * ddmpc_sin(heading);
@@ -421,7 +425,7 @@ static int judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddmp
         }
         found |= here;
         if (window == SHORT) {
-            const real turned = k->monitor_heading + noise[1] + SLIPS * ddmpc_fabs(by->wheel_turn);
+            const real turned = k->monitor_heading + noise[1] + SLIDING * ddmpc_fabs(by->wheel_turn);
             const int spinning = R(2.0) * ddmpc_fabs(by->pose) < ddmpc_fabs(by->wheels) &&
                                  differ(by->pose, by->wheels, k->monitor_position + NOISE * noise[0]);
             if (all && (spinning || differ(by->gyro_turn, by->wheel_turn, turned)))

@@ -2,31 +2,38 @@
  * U = (v_ref[0], omega_ref[0], v_ref[1], ...).
  *
  * Of a linear model twists and headings answer to commands as a linear time-invariant system does, so their matrices are
- * Toeplitz, and one row stands for all; a nonlinear one is linearised along the guess, and has a row for each sample.
+ * Toeplitz, and one row stands for all; a nonlinear one is linearised along the guess, and has a row for each sample. So
+ * is curved slip: then outputs and rows are those of the body's twist itself, and no gain lies beyond them.
  * Step k answers to the commands before it only, and what is zero is left out. Only algebra stands here: motion, errors
  * and limits with their gradients are generated from mpc/problem/formulas.py, or are the user's. */
 #include <string.h>
 
 #include "internal.h"
 
+/* The model's own row, where it is linear. */
+static const real *model_row(const ddmpc_controller *c, int k, int channel)
+{
+    return c->constants->twist_row + channel * 2 * WIDTH(c) + 2 * (STEPS(c) - k);
+}
+
 /* Rows by the commands: twist of the model at the sample k, its mean over the arc k, heading at the sample k. */
 static const real *twist_row(const ddmpc_controller *c, int k, int channel)
 {
-    if (NONLINEAR(c))
+    if (ROWS(c))
         return c->problem.twist_rows + (2 * k + channel) * WIDTH(c);
-    return c->constants->twist_row + channel * 2 * WIDTH(c) + 2 * (STEPS(c) - k);
+    return model_row(c, k, channel);
 }
 
 static const real *mean_row(const ddmpc_controller *c, int k, int channel)
 {
-    if (NONLINEAR(c))
+    if (ROWS(c))
         return c->problem.mean_rows + (2 * k + channel) * WIDTH(c);
     return c->constants->mean_row + channel * 2 * WIDTH(c) + 2 * (STEPS(c) - k - 1);
 }
 
 static const real *heading_row(const ddmpc_controller *c, int k)
 {
-    if (NONLINEAR(c))
+    if (ROWS(c))
         return c->problem.heading_rows + k * WIDTH(c);
     return c->constants->heading_row + 2 * (STEPS(c) - k);
 }
@@ -39,7 +46,7 @@ static void settle(const ddmpc_controller *c, const real wanted[2], ddmpc_settle
     real y[2];
     const real *arguments[3] = {wanted, c->problem.slip, no_gain};
     real *results[1] = {y};
-    ddmpc_f_feed_forward(arguments, results, 0, 0, 0);
+    WITH_SLIP(c, feed_forward)(arguments, results, 0, 0, 0);
     const int same = last->found && y[0] == last->output[0] && y[1] == last->output[1];
     if (same || ddmpc_velocity_settle(c, y, last))
         memcpy(command, last->command, sizeof last->command);
@@ -58,7 +65,7 @@ static void look_ahead(ddmpc_controller *c)
         const real turned[3] = {pose[0], pose[1], pose[2] + turns};
         const real *arguments[3] = {turned, c->reference_twist + 2 * i, p->slip};
         real *results[1] = {p->aim + 4 * i};
-        ddmpc_f_aim(arguments, results, 0, 0, 0);
+        WITH_SLIP(c, aim)(arguments, results, 0, 0, 0);
     }
     ddmpc_settled last;
     last.found = 0;
@@ -70,17 +77,24 @@ static void look_ahead(ddmpc_controller *c)
         }
         const real *arguments[3] = {wanted, p->slip, k->inverse_gain};
         real *results[1] = {p->feed_forward + 2 * i};
-        ddmpc_f_feed_forward(arguments, results, 0, 0, 0);
+        WITH_SLIP(c, feed_forward)(arguments, results, 0, 0, 0);
         if (NONLINEAR(c))
             settle(c, wanted, &last, p->feed_forward + 2 * i);
     }
 }
 
-/* Twist of the body for the model's free output, and what a plan adds per unit of the model's: slip is affine. */
+/* Twist of the body for the model's free output, and what a plan adds per unit of the model's: slip is affine. Where it
+   is not, the outputs are the body's already. */
 static void free_twists(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
-    real J[2 * (2 + SLIP)];
+    real J[2 * (2 + FLAT_SLIPS)];
+    if (CURVED(c)) {
+        memcpy(p->free_twist, p->free_output, (size_t)(2 * (STEPS(c) + 1)) * sizeof(real));
+        p->gains[0] = p->gains[1] = R(1.0);
+        p->turn_gain = R(0.0);
+        return;
+    }
     for (int k = 0; k <= STEPS(c); k++) {
         const real *arguments[2] = {p->free_output + 2 * k, p->slip};
         real *results[2] = {p->free_twist + 2 * k, J};
@@ -108,7 +122,7 @@ static void find_turning_points(ddmpc_controller *c)
         const real acceleration = gain / (real)c->constants->sample_time;
         const real *arguments[2] = {p->slip, &acceleration};
         real *results[1] = {p->ahead + k};
-        ddmpc_f_turning_point(arguments, results, 0, 0, 0);
+        WITH_SLIP(c, turning_point)(arguments, results, 0, 0, 0);
     }
 }
 
@@ -118,12 +132,13 @@ void ddmpc_problem_begin(ddmpc_controller *c)
     const int n = STATES(c), past = 2 * WINDOW(c);
     const real *z = c->result.estimate.mean, *commands = ddmpc_commands(c);
     ddmpc_problem *p = &c->problem;
-    memcpy(p->pose, z + n + POSE, sizeof p->pose);
-    memcpy(p->slip, z + n, sizeof p->slip);
+    memcpy(p->pose, z + n + POSE(c), sizeof p->pose);
+    memcpy(p->slip, z + n, (size_t)SLIPS(c) * sizeof(real));
     memcpy(p->last, c->last, sizeof p->last);
     look_ahead(c);
     if (NONLINEAR(c))
         return;
+    real *said = CURVED(c) ? p->said : p->free_output;
     for (int i = 0; i < 2 * (STEPS(c) + 1); i++) {
         const real *from_state = k->from_state + i * n, *from_past = k->from_past + i * past;
         real free = R(0.0);
@@ -131,9 +146,10 @@ void ddmpc_problem_begin(ddmpc_controller *c)
             free += from_state[j] * z[j];
         for (int j = 0; j < past; j++)
             free += from_past[j] * commands[j];
-        p->free_output[i] = free;
+        said[i] = free;
     }
-    free_twists(c);
+    if (!CURVED(c))
+        free_twists(c);
 }
 
 static real box(const ddmpc_controller *c, int step, int channel)
@@ -184,7 +200,7 @@ static void add_rows(const ddmpc_controller *c, const real *plan, real *by_plan)
 
 static void add_plan(const ddmpc_controller *c, const real *plan, real *by_plan)
 {
-    if (NONLINEAR(c))
+    if (ROWS(c))
         add_rows(c, plan, by_plan);
     else
         convolve(c->constants->response, plan, STEPS(c), by_plan);
@@ -233,13 +249,60 @@ static void run_model(ddmpc_controller *c, const real *plan, real *outputs, int 
     }
 }
 
-/* Linearise a nonlinear model along the guess: rows, and what its output would be without a plan. */
-static void linearise_model(ddmpc_controller *c)
+/* The same of a linear model. */
+static void run_linear_model(ddmpc_controller *c, const real *plan, real *outputs, int rows)
+{
+    ddmpc_problem *p = &c->problem;
+    const int N = STEPS(c), width = WIDTH(c);
+    real added[2 * (DDMPC_MOST_STEPS + 1)];
+    convolve(c->constants->response, plan, N, added);
+    for (int i = 0; i < 2 * (N + 1); i++)
+        outputs[i] = p->said[i] + added[(i % 2) * (N + 1) + i / 2];
+    for (int k = 0; rows && k <= N; k++)
+        for (int channel = 0; channel < 2; channel++) {
+            real *row = p->twist_rows + (2 * k + channel) * width;
+            memset(row, 0, (size_t)width * sizeof(real));
+            memcpy(row, model_row(c, k, channel), (size_t)(2 * k) * sizeof(real));
+        }
+}
+
+/* From what the model says to the body's twist. */
+static void curve(ddmpc_controller *c, real *outputs, int rows)
+{
+    ddmpc_problem *p = &c->problem;
+    const int width = WIDTH(c);
+    for (int k = 0; k <= STEPS(c); k++) {
+        real twist[2], J[2 * (2 + DDMPC_MOST_SLIPS)];
+        const real *arguments[2] = {outputs + 2 * k, p->slip};
+        real *results[2] = {twist, rows ? J : 0};
+        WITH_SLIP(c, twist)(arguments, results, 0, 0, 0);
+        memcpy(outputs + 2 * k, twist, sizeof twist);
+        real *v = p->twist_rows + 2 * k * width, *omega = v + width;
+        for (int j = 0; rows && j < 2 * k; j++) {
+            const real says[2] = {v[j], omega[j]};
+            v[j] = J[0] * says[0] + J[2] * says[1];
+            omega[j] = J[1] * says[0] + J[3] * says[1];
+        }
+    }
+}
+
+static void run(ddmpc_controller *c, const real *plan, real *outputs, int rows)
+{
+    if (NONLINEAR(c))
+        run_model(c, plan, outputs, rows);
+    else
+        run_linear_model(c, plan, outputs, rows);
+    if (CURVED(c))
+        curve(c, outputs, rows);
+}
+
+/* Linearise along the guess: rows, and what the output would be without a plan. */
+static void linearise(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
     const int N = STEPS(c), width = WIDTH(c);
     const real dt = (real)c->constants->sample_time;
-    run_model(c, p->guess, p->free_output, 1);
+    run(c, p->guess, p->free_output, 1);
     add_rows(c, p->guess, p->by_plan);
     for (int i = 0; i < 2 * (N + 1); i++)
         p->free_output[i] -= p->by_plan[(i % 2) * (N + 1) + i / 2];
@@ -269,9 +332,9 @@ static void roll_out(const ddmpc_controller *c, const real *by_plan, real *arcs,
         const real mean_v = R(0.5) * (speed + next);
         const real mean_omega = R(0.5) * (free[1] + free[3] + omega_gain * (omega[0] + omega[1]));
         real move[2], J[2 * 3];
-        const real *arguments[6] = {at + 2, &mean_v, &mean_omega, p->slip + SIDE_SLIP, p->ahead + k, &dt};
+        const real *arguments[6] = {at + 2, &mean_v, &mean_omega, p->slip, p->ahead + k, &dt};
         real *results[2] = {move, arcs ? J : 0};
-        ddmpc_f_arc(arguments, results, 0, 0, 0);
+        WITH_SLIP(c, arc)(arguments, results, 0, 0, 0);
         speed = next;
         poses[3 * k + 3] = at[0] + move[0];
         poses[3 * k + 4] = at[1] + move[1];
@@ -290,9 +353,9 @@ void ddmpc_problem_poses(ddmpc_controller *c, const real *plan, real *poses)
     ddmpc_problem *p = &c->problem;
     const int N = STEPS(c);
     add_plan(c, plan, p->by_plan);
-    if (NONLINEAR(c)) {
+    if (ROWS(c)) {
         real outputs[2 * (DDMPC_MOST_STEPS + 1)];
-        run_model(c, plan, outputs, 0);
+        run(c, plan, outputs, 0);
         /* Not linearised: what the plan really adds. */
         for (int i = 0; i < 2 * (N + 1); i++)
             p->by_plan[(i % 2) * (N + 1) + i / 2] = outputs[i] - p->free_output[i];
@@ -456,7 +519,7 @@ static void fill_rows(ddmpc_controller *c)
                  p->gradient);
         if (RESIDUALS(c))
             fill_residuals(c, k);
-        if (NONLINEAR(c)) {
+        if (ROWS(c)) {
             real *row = stack + (STACKED(c) - 1) * width;
             const real root = omega_gain * ddmpc_sqrt(constants->heading[k]);
             for (int j = 0; j < width; j++)
@@ -494,7 +557,7 @@ static void fill_hessian(ddmpc_controller *c)
     square_stack(p->stack, STEPS(c), STACKED(c), WIDTH(c), inputs, p->H);
     for (int i = 0; i < inputs; i++) {
         real *row = p->H + i * inputs;
-        for (int j = 0; !NONLINEAR(c) && j <= i; j++)
+        for (int j = 0; !ROWS(c) && j <= i; j++)
             row[j] += scale * k->heading_hessian[i * inputs + j];
         const real increment = k->increment_weight[i % 2];
         row[i] += k->command_weight[i % 2] + (i < inputs - 2 ? R(2.0) : R(1.0)) * increment;
@@ -530,19 +593,37 @@ static void bound_commands(ddmpc_controller *c)
         }
 }
 
+/* Where the reference drives at sample k: 1 forwards, -1 backwards; where it stands, as it does next, or did last. */
+static real direction_at(const ddmpc_controller *c, int k)
+{
+    const real *v = c->reference_twist;
+    int at = k;
+    while (at < STEPS(c) && ddmpc_fabs(v[2 * at]) <= c->constants->standing)
+        at++;
+    while (at > 0 && ddmpc_fabs(v[2 * at]) <= c->constants->standing)
+        at--;
+    return v[2 * at] < R(0.0) ? R(-1.0) : R(1.0);
+}
+
 /* One kind of soft limit at sample k + 1, or now (k = -1): its value and gradient. */
 typedef struct {
     ddmpc_function function;
     int rows, first;
+    int turn;               /* whether it keeps the least turn radius: from above only */
     const ddmpc_term *term; /* of the user; none for the shipped ones */
 } soft_group;
 
 static void soft_at(const ddmpc_controller *c, const soft_group *group, int k)
 {
     const ddmpc_problem *p = &c->problem;
-    real shipped[SLIP + 1];
-    memcpy(shipped, p->slip, sizeof p->slip);
-    shipped[SLIP] = c->constants->half_track;
+    real shipped[DDMPC_MOST_SLIPS + 1];
+    if (group->turn) {
+        shipped[0] = c->constants->least_turn_radius;
+        shipped[1] = direction_at(c, k + 1);
+    } else {
+        memcpy(shipped, p->slip, (size_t)SLIPS(c) * sizeof(real));
+        shipped[SLIPS(c)] = c->constants->half_track;
+    }
     call_term(c, group->function, k, group->rows, k < 0 ? p->last : p->guess + 2 * k,
               group->term ? parameters_at(c, k + 1, group->term) : shipped, p->term);
 }
@@ -566,6 +647,11 @@ static void limit_softly(ddmpc_controller *c, const soft_group *group, const rea
         soft_at(c, group, -1);
     for (int r = 0; r < rows; r++) {
         const int kind = group->first + r;
+        if (group->turn) {
+            p->upper[(HARD + kind) * N] = ddmpc_max(R(0.0), p->term[r]);
+            p->lower[(HARD + kind) * N] = -(real)INFINITY;
+            continue;
+        }
         const int wheel = !group->term && (r == 2 || r == 3);
         const real up = wheel ? ddmpc_min(c->constants->soft_upper[kind], c->rim_reach) : c->constants->soft_upper[kind];
         const real down = wheel ? -up : c->constants->soft_lower[kind];
@@ -596,9 +682,14 @@ static void limit_softly(ddmpc_controller *c, const soft_group *group, const rea
 static void bound_softly(ddmpc_controller *c)
 {
     real moves[2 * DDMPC_MOST_STEPS], headings[DDMPC_MOST_STEPS + 1];
-    soft_group group = {ddmpc_f_soft, SHIPPED_SOFT, 0, 0};
+    soft_group group = {WITH_SLIP(c, soft), SHIPPED_SOFT, 0, 0, 0};
     linear_moves(c, c->problem.by_plan, moves, headings);
     limit_softly(c, &group, moves, headings);
+    if (TURNS(c)) {
+        group = (soft_group){ddmpc_f_turn, TURN_ROWS, SHIPPED_SOFT, 1, 0};
+        limit_softly(c, &group, moves, headings);
+        group.turn = 0;
+    }
     for (int t = 0; t < TERMS(c); t++) {
         const ddmpc_term *term = c->functions.terms + t;
         if (!term->soft)
@@ -614,8 +705,8 @@ static void bound_softly(ddmpc_controller *c)
 void ddmpc_problem_condense(ddmpc_controller *c)
 {
     ddmpc_problem *p = &c->problem;
-    if (NONLINEAR(c))
-        linearise_model(c);
+    if (ROWS(c))
+        linearise(c);
     else
         add_plan(c, p->guess, p->by_plan);
     find_turning_points(c);

@@ -174,7 +174,7 @@ static void take_estimate(ddmpc_controller *c)
 
 static const real *pose_of(const ddmpc_controller *c)
 {
-    return c->result.estimate.mean + STATES(c) + POSE;
+    return c->result.estimate.mean + STATES(c) + POSE(c);
 }
 
 static real distance_to(const ddmpc_controller *c, const real pose[3])
@@ -221,7 +221,7 @@ ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const 
     const int backwards = v < R(0.0), driving = ddmpc_fabs(v) > k->standing;
     const real ahead = backwards ? -stray.along : stray.along;
     /* What is not known of the pose is no reason to leave the path for. */
-    const real *deviation = c->result.estimate.deviation + STATES(c) + POSE;
+    const real *deviation = c->result.estimate.deviation + STATES(c) + POSE(c);
     const real band = ddmpc_max(k->band, UNSURE * ddmpc_hypot(deviation[0], deviation[1]));
     stray.outside = ddmpc_fabs(stray.across) > band || ddmpc_fabs(stray.heading) > k->heading_band ||
                     !(-k->behind <= ahead && ahead <= k->ahead);
@@ -310,13 +310,13 @@ static int track(ddmpc_controller *c)
 /* Speeds of the right and left wheels at the rim for a twist of the body. */
 static void rims(const ddmpc_controller *c, const real *twist, real rim[2])
 {
-    real parameters[SLIP + 1], value[SHIPPED_SOFT];
+    real parameters[DDMPC_MOST_SLIPS + 1], value[SHIPPED_SOFT];
     const real nowhere[4] = {R(0.0), R(0.0), R(0.0), R(0.0)};
     const real *arguments[5] = {nowhere, twist, 0, nowhere, parameters};
     real *results[2] = {value, 0};
-    memcpy(parameters, c->result.estimate.mean + STATES(c), SLIP * sizeof(real));
-    parameters[SLIP] = c->constants->half_track;
-    ddmpc_f_soft(arguments, results, 0, 0, 0);
+    memcpy(parameters, c->result.estimate.mean + STATES(c), (size_t)SLIPS(c) * sizeof(real));
+    parameters[SLIPS(c)] = c->constants->half_track;
+    WITH_SLIP(c, soft)(arguments, results, 0, 0, 0);
     rim[0] = value[2];
     rim[1] = value[3];
 }

@@ -136,9 +136,11 @@ class Tick:
 
 
 class ResultLayout:
-    """Where the arrays of a result lie in one block of memory, so that one copy takes them all."""
+    """Where the arrays of a result lie in one block of memory, so that one copy takes them all; `slip` in the mean."""
 
     def __init__(self, tick: Tick) -> None:
+        n = tick._sizes["states"]
+        self.slip = slice(n, n + tick._sizes["slips"])
         result, ffi = tick.result, tick.ffi
         shapes = {
             name: (getattr(owner, name), shape)

@@ -12,9 +12,6 @@ from diffdrive_mpc.mpc.estimation.slip import SLIPS, Slip
 
 SENSORS = ("wheel_speed", "wheel_yaw_rate", "yaw_rate", "pose")
 """Names of the sensors, in the order in which the filter counts them."""
-_SLIPS = len(SLIPS)
-# Slip, gyro bias and pose.
-_AFTER_STATES = _SLIPS + 1 + 3
 
 
 class Estimate:
@@ -40,12 +37,12 @@ class Estimate:
 
     @property
     def mean(self) -> FloatArray:
-        """(n + 12,) mean of the filter's state: states, slip, gyro bias and pose."""
+        """(n + 12 or 17,) mean of the filter's state: states, slip, gyro bias and pose."""
         return self._layout.take(self._block, "mean")
 
     @property
     def deviation(self) -> FloatArray:
-        """(n + 12,) standard deviations of the same."""
+        """(n + 12 or 17,) standard deviations of the same."""
         return self._layout.take(self._block, "deviation")
 
     @property
@@ -71,12 +68,14 @@ class Estimate:
     @property
     def slip(self) -> Slip:
         """What lies between the model's twist and that of the body."""
-        return Slip(*self.mean[-_AFTER_STATES:][:_SLIPS].tolist())
+        return Slip(*self.mean[self._layout.slip].tolist())
 
     @property
     def slip_deviation(self) -> Slip:
         """Its standard deviations."""
-        return Slip(*self.deviation[-_AFTER_STATES:][:_SLIPS].tolist())
+        return Slip(
+            **dict.fromkeys(SLIPS, 0.0) | dict(zip(SLIPS, self.deviation[self._layout.slip].tolist(), strict=False))
+        )
 
     @property
     def gyro_bias(self) -> float:
@@ -91,7 +90,7 @@ class Estimate:
     @property
     def state(self) -> FloatArray:
         """(n,) states of the velocity model."""
-        return self.mean[:-_AFTER_STATES]
+        return self.mean[: self._layout.slip.start]
 
     @property
     def innovations(self) -> Mapping[str, float]:

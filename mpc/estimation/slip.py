@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray
 
@@ -17,6 +18,10 @@ class Slip:
     point that lies turn_ahead - load_shift times the forward acceleration ahead of its origin and turn_left beside it.
     That point moves with longitudinal_gain times the wheels' forward speed, and outward in a turn with
     side_slip v omega.
+
+    The last five curve the twist: with them it is no longer affine in what the model says, and the controller
+    linearises it at each sample. Together with the others they span the nine terms of Ordonez et al., 2017 (P4), and
+    the virtual track of Botta et al., Appl. Sci. 2021, 11(4), 1594 (P3); `of_polynomial` and `polynomial` translate.
 
     Attributes
     ----------
@@ -34,6 +39,14 @@ class Slip:
         Where the robot turns about, from the origin of its frame [m]: the load's centre need not be in the middle.
     load_shift
         How far back that point moves for a forward acceleration, which loads the rear axle [s^2].
+    crab
+        Lateral speed of the body, to the left, over its forward speed [-]; P4's a21.
+    veer
+        Yaw for each metre that the wheels drive forward [rad/m]; P4's a31.
+    forward_coupling, yaw_coupling
+        Forward speed [s/rad] and yaw rate [s/m] for the product of the wheels' speed and yaw rate; P4's a13, a33.
+    track_growth
+        By what share of itself the track widens for each rad/s of the body's yaw rate [s/rad]; P3's p1 / p0.
     """
 
     v_offset: float = 0.0
@@ -44,11 +57,52 @@ class Slip:
     turn_ahead: float = 0.0
     turn_left: float = 0.0
     load_shift: float = 0.0
+    crab: float = 0.0
+    veer: float = 0.0
+    forward_coupling: float = 0.0
+    yaw_coupling: float = 0.0
+    track_growth: float = 0.0
 
     @property
-    def values(self) -> list[float]:
-        """All of it (8), in the order of `SLIPS`."""
-        return [getattr(self, name) for name in SLIPS]
+    def flat(self) -> list[float]:
+        """(8,) without what curves the twist, in the order of `SLIPS`."""
+        return [getattr(self, name) for name in FLAT_SLIPS]
+
+    @classmethod
+    def of_polynomial(cls, coefficients: ArrayLike) -> Slip:
+        """The slip of a floor with these nine coefficients (9,) of `models.slip_laws.polynomial_twist`."""
+        (a11, a12, a13), (a21, a22, a23), (a31, a32, a33) = np.reshape(np.asarray(coefficients, dtype=float), (3, 3))
+        forward, turning = 1 + a11, 1 + a32
+        # a23 v_c w_c is written in the affine twist, v = forward v_c + a12 w_c and omega = turning w_c.
+        return cls(
+            longitudinal_gain=forward,
+            yaw_gain=turning,
+            side_slip=-a23 / (forward * turning),
+            turn_ahead=-a22 / turning,
+            turn_left=a12 / turning,
+            crab=a21 / forward,
+            veer=a31,
+            forward_coupling=a13,
+            yaw_coupling=a33,
+        )
+
+    @property
+    def polynomial(self) -> FloatArray:
+        """(9,) coefficients of `models.slip_laws.polynomial_twist` that this slip amounts to, row by row.
+
+        What it has beyond them is left out: offset, load shift and a track that grows. Lateral terms in w_c^2, products
+        of side-slip and a12, do not exist there.
+        """
+        turning = self.omega_gain * self.yaw_gain
+        return np.array(
+            [
+                *(self.longitudinal_gain - 1, self.turn_left * turning, self.forward_coupling),
+                self.crab * self.longitudinal_gain,
+                self.crab * self.turn_left * turning - self.turn_ahead * turning,
+                -self.side_slip * self.longitudinal_gain * turning,
+                *(self.veer, turning - 1, self.yaw_coupling),
+            ]
+        )
 
     @property
     def gains(self) -> FloatArray:
@@ -63,3 +117,7 @@ class Slip:
 
 SLIPS: tuple[str, ...] = tuple(one.name for one in fields(Slip))
 """Names of what slip consists of, in the order of the filter's state."""
+CURVED_SLIPS = SLIPS[8:]
+"""Those that curve the twist: the filter has them only where the configuration speaks of one."""
+FLAT_SLIPS = SLIPS[:8]
+"""The others."""

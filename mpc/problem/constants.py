@@ -5,7 +5,7 @@ They go into memory for use from Python, or as text into an exported library: in
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, field
+from dataclasses import astuple, dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,7 +16,7 @@ from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.config.thresholds import AHEAD, BEHIND, STANDING, TURNING
 from diffdrive_mpc.mpc.core.built_in import BuiltIn, built_in
-from diffdrive_mpc.mpc.estimation.slip import SLIPS, Slip
+from diffdrive_mpc.mpc.estimation.slip import CURVED_SLIPS, FLAT_SLIPS, SLIPS, Slip
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem.prediction import Prediction, build_prediction
 from diffdrive_mpc.mpc.problem.terms import Term
@@ -30,6 +30,7 @@ PADDING = 8
 """Rows of commands are padded with zeros to a multiple of this many columns; PADDING of mpc/core/internal.h."""
 SLACK = 0.1
 """By this share of the solver's tolerance a limit may be exceeded and still count as kept [-]."""
+_POSSIBLE = 5.0  # standard deviations at the start, beyond which curved slip is never believed [-]
 HARD_KINDS = 4
 """Kinds of hard limit: v_ref, omega_ref, and their increments."""
 
@@ -75,6 +76,17 @@ class Problem:
         return int(np.ceil(self.config.estimator.history / self.model.dt)) + 1
 
     @property
+    def _turns(self) -> int:
+        """Kinds of soft limit that keep the least turn radius: to the left and to the right, if there is one."""
+        return 0 if self.config.limits.least_turn_radius is None else 2
+
+    @property
+    def curved(self) -> bool:
+        """Whether the configuration speaks of slip that curves the body's twist."""
+        s = self.config.estimator
+        return any(getattr(s, name) or getattr(s, f"{name}_uncertainty") for name in CURVED_SLIPS)
+
+    @property
     def sizes(self) -> dict[str, int]:
         """Fields of `ddmpc_sizes`."""
         model, terms = self.model, self.terms
@@ -90,10 +102,12 @@ class Problem:
             "lag_v": lag_v,
             "lag_omega": lag_omega,
             "residuals": sum(term.rows for term in terms if not term.soft),
-            "soft": len(SHIPPED_SOFT) + sum(term.rows for term in terms if term.soft),
+            "soft": len(SHIPPED_SOFT) + self._turns + sum(term.rows for term in terms if term.soft),
             "terms": len(terms),
             "parameters": sum(term.parameters for term in terms),
             "nonlinear": int(self.prediction is None),
+            "turns": self._turns,
+            "slips": len(SLIPS if self.curved else FLAT_SLIPS),
             "model_parameters": len(self.built_in.parameters) if self.built_in else 0,
             "work": self.built_in.work if self.built_in else 0,
         }
@@ -131,11 +145,17 @@ class Problem:
 
     def _estimation(self) -> Constants:
         model, s, on, wheels = self.model, self.config.estimator, self.config.compensation, self.config.wheels
-        estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, *[on.side_slip] * 4, True])
+        estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, *[on.side_slip] * 4, *[True] * 6])
         slips = (*SLIPS, "gyro_bias")
         uncertainty = estimated * np.array([getattr(s, f"{name}_uncertainty") for name in slips])
         drift = estimated * np.array([getattr(s, f"{name}_drift") for name in slips])
-        prior = Slip(side_slip=s.side_slip, load_shift=s.load_shift) if on.side_slip else Slip()
+        flat = Slip(side_slip=s.side_slip, load_shift=s.load_shift) if on.side_slip else Slip()
+        prior = replace(flat, **{name: getattr(s, name) for name in CURVED_SLIPS})
+        # Gains have bounds of their own; what curves is not believed beyond what was thought possible.
+        far = np.full(len(SLIPS), np.inf)
+        far[-len(CURVED_SLIPS) :] = _POSSIBLE * uncertainty[len(FLAT_SLIPS) : -1]
+        least, most = np.array(astuple(prior)) - far, np.array(astuple(prior)) + far
+        least[1:4], most[1:4] = s.least_gain, s.most_gain
         drive = model.drive
         inputs = np.array([s.v_input_noise, s.omega_input_noise])
         pose_drift = np.square([s.position_drift, s.position_drift, s.heading_drift])
@@ -151,8 +171,8 @@ class Problem:
             "patience": round(s.lasting_surprise / model.dt),
             "least_yaw_rate": s.least_yaw_rate,
             "least_speed": s.least_speed,
-            "least_gain": s.least_gain,
-            "most_gain": s.most_gain,
+            "least_slip": least,
+            "most_slip": most,
             "stamp_history": s.history,
             "pose_variance": np.square([s.position_noise, s.position_noise, s.heading_noise]),
             "twist_variance": np.square([s.wheel_speed_noise, s.wheel_yaw_rate_noise, s.yaw_rate_noise]),
@@ -225,6 +245,7 @@ class Problem:
     def _limits(self) -> Constants:
         limits, dt = self.config.limits, self.model.dt
         shipped = [limits.predicted_v, limits.predicted_omega, limits.wheel_speed, limits.wheel_speed, limits.corridor]
+        shipped += [0.0] * self._turns  # the core knows them
         soft = [term for term in self.terms if term.soft]
         return {
             "largest_command": [limits.v, limits.omega],
@@ -233,6 +254,7 @@ class Problem:
             "soft_upper": np.concatenate([shipped, *(term.bounds[1] for term in soft)]),
             "soft_lower": np.concatenate([np.negative(shipped), *(term.bounds[0] for term in soft)]),
             "half_track": 0.5 * self.config.wheels.track,
+            "least_turn_radius": limits.least_turn_radius or 0.0,
         }
 
     def _solution(self) -> Constants:

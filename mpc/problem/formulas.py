@@ -4,7 +4,7 @@ Symbols, the same everywhere. They are columns.
 
 =============  ====  ============================================================================================
 y              2     v [m/s], omega [rad/s]: what the velocity model says, before slip
-slip           8     see estimation/slip.py
+slip           8     see estimation/slip.py; 13 of a formula that ends in `_curved`
 pose           3     x, y [m], theta [rad] of the body in the frame of the reference
 twist          2     v [m/s], omega [rad/s] of the body, slip included
 command        2     v_ref [m/s], omega_ref [rad/s]
@@ -20,11 +20,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from inspect import signature
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
 
 from diffdrive_mpc.models.pose import arc_displacement
+from diffdrive_mpc.mpc.estimation.slip import FLAT_SLIPS, SLIPS
 
 TERM_INPUTS: Mapping[str, int] = {"pose": 3, "twist": 2, "command": 2, "reference": 4}
 """Inputs of a term and their lengths; a column `parameters` of the term's own length is the last one."""
@@ -35,7 +37,6 @@ VARIED = ("pose", "twist", "command")
 # Arguments of the formulas by name; the others are scalars.
 _SHAPES = {
     "y": (2, 1),
-    "slip": (8, 1),
     "pose": (3, 1),
     "twist": (2, 1),
     "wanted": (2, 1),
@@ -47,6 +48,37 @@ _SHAPES = {
 
 SLOW = 0.1
 """Slower than this a robot cannot make up for a lateral speed by its heading [m/s]."""
+# Rounds in which curved slip is undone; the least value under the root of a track that shrinks.
+_ROUNDS, _LEAST_ROOT = 3, 0.04
+
+
+def _named(slip: ca.SX) -> SimpleNamespace:
+    """Slip by its names; what a shorter column does not hold is zero."""
+    given = ca.vertsplit(slip)
+    return SimpleNamespace(**dict(zip(SLIPS, [*given, *[ca.SX(0)] * (len(SLIPS) - len(given))], strict=True)))
+
+
+def _widening(settled: ca.SX, growth: ca.SX) -> ca.SX:
+    """By what factor the track of a turning robot is wider than at rest: k = 1 + growth |omega|, omega = settled / k.
+
+    The finite solution of P3's virtual track i = p1 |omega| + p0, growth = p1 / p0 (Botta et al., Appl. Sci. 2021,
+    11(4), 1594). A track that shrinks ends where the faster turn would have no solution.
+    """
+    return 0.5 * (1 + ca.sqrt(ca.fmax(1 + 4 * growth * ca.fabs(settled), _LEAST_ROOT)))
+
+
+def _flat_twist(wheels: ca.SX, turn: ca.SX, s: SimpleNamespace) -> ca.SX:
+    """Twist (2) of the body for the speed of the wheels and the model's yaw rate, as far as it is affine in them."""
+    omega = s.omega_gain * s.yaw_gain * turn
+    return ca.SX(ca.vertcat(s.longitudinal_gain * wheels + s.turn_left * omega, omega))
+
+
+def _curved(flat: ca.SX, wheels: ca.SX, turn: ca.SX, s: SimpleNamespace) -> ca.SX:
+    """The same with what curves it: veer and couplings, which are a31, a13 and a33 of P4, and a track that widens."""
+    product = wheels * s.omega_gain * turn
+    v = flat[0] + s.forward_coupling * product
+    omega = flat[1] / _widening(flat[1], s.track_growth) + s.veer * wheels + s.yaw_coupling * product
+    return ca.SX(ca.vertcat(v, omega))
 
 
 def body_twist(y: ca.SX, slip: ca.SX) -> ca.SX:
@@ -55,9 +87,38 @@ def body_twist(y: ca.SX, slip: ca.SX) -> ca.SX:
     The wheels turn as the model says but for an offset and a gain; the body follows them by the gains of its floor, and
     turns about a centre that may lie beside the origin of its frame.
     """
-    v_offset, omega_gain, longitudinal_gain, yaw_gain, _, _, turn_left, _ = ca.vertsplit(slip)
-    omega = omega_gain * yaw_gain * y[1]
-    return ca.vertcat(longitudinal_gain * (y[0] + v_offset) + turn_left * omega, omega)
+    return _twists(y, slip)[1]
+
+
+def _twists(y: ca.SX, slip: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Twist (2) of the body without what curves it, and with it."""
+    s = _named(slip)
+    wheels = y[0] + s.v_offset
+    flat = _flat_twist(wheels, y[1], s)
+    return flat, _curved(flat, wheels, y[1], s)
+
+
+def wheel_twist(twist: ca.SX, slip: ca.SX) -> ca.SX:
+    """Speed of the wheels and yaw rate of the model (2) for the body's `twist`: undoes `body_twist`.
+
+    In rounds where slip is curved: what one leaves of an error is the product of the couplings.
+    """
+    s = _named(slip)
+    gain = s.omega_gain * s.yaw_gain
+    v, turn = (twist[0] - s.turn_left * twist[1]) / s.longitudinal_gain, twist[1] / gain
+    for _ in range(0 if slip.numel() == len(FLAT_SLIPS) else _ROUNDS):
+        widening = _widening(gain * turn, s.track_growth)
+        turn = (twist[1] - s.veer * v) / (gain / widening + s.yaw_coupling * s.omega_gain * v)
+        v = (twist[0] - s.turn_left * gain * turn) / (s.longitudinal_gain + s.forward_coupling * s.omega_gain * turn)
+    return ca.SX(ca.vertcat(v, turn))
+
+
+def _flat_of(twist: ca.SX, slip: ca.SX) -> ca.SX:
+    """The body's `twist` (2) without what curves it."""
+    if slip.numel() == len(FLAT_SLIPS):
+        return twist
+    wheels = wheel_twist(twist, slip)
+    return _flat_twist(wheels[0], wheels[1], _named(slip))
 
 
 def turning_point(slip: ca.SX, acceleration: ca.SX) -> ca.SX:
@@ -65,13 +126,17 @@ def turning_point(slip: ca.SX, acceleration: ca.SX) -> ca.SX:
 
     Under a forward `acceleration` [m/s^2] load shifts to the rear axle, which then holds the floor better.
     """
-    turn_ahead, load_shift = slip[5], slip[7]
-    return turn_ahead - load_shift * acceleration
+    s = _named(slip)
+    return ca.SX(s.turn_ahead - s.load_shift * acceleration)
 
 
-def lateral_speed(v: ca.SX, omega: ca.SX, side_slip: ca.SX, ahead: ca.SX) -> ca.SX:
-    """Speed of the origin to the left [m/s], the turning point lying `ahead` [m] of it; side-slip is outward."""
-    return -(ahead + side_slip * v) * omega
+def lateral_speed(flat: ca.SX, slip: ca.SX, ahead: ca.SX) -> ca.SX:
+    """Speed of the origin to the left [m/s], the turning point lying `ahead` [m] of it; side-slip is outward.
+
+    By the twist before it is curved: so crab, turning point and side-slip are P4's a21, a22 and a23.
+    """
+    s, (v, omega) = _named(slip), ca.vertsplit(flat)
+    return ca.SX(s.crab * v - (ahead + s.side_slip * v) * omega)
 
 
 def displacement(y: ca.SX, slip: ca.SX, theta: ca.SX, acceleration: ca.SX, dt: ca.SX) -> ca.SX:
@@ -79,8 +144,8 @@ def displacement(y: ca.SX, slip: ca.SX, theta: ca.SX, acceleration: ca.SX, dt: c
 
     Source: `models/pose.py`.
     """
-    v, omega = ca.vertsplit(body_twist(y, slip))
-    return arc_displacement(theta, v, omega, dt, lateral_speed(v, omega, slip[4], turning_point(slip, acceleration)))
+    flat, twist = _twists(y, slip)
+    return arc_displacement(theta, twist[0], twist[1], dt, lateral_speed(flat, slip, turning_point(slip, acceleration)))
 
 
 def sensed(y: ca.SX, slip: ca.SX, gyro_bias: ca.SX, wheel_yaw_ratio: ca.SX) -> ca.SX:
@@ -89,9 +154,9 @@ def sensed(y: ca.SX, slip: ca.SX, gyro_bias: ca.SX, wheel_yaw_ratio: ca.SX) -> c
     Wheel speed = y_v + v_offset. The encoders see the wheels, and divide by the geometric track instead of the one of
     the model: wheel yaw rate = wheel_yaw_ratio omega_gain y_omega. The gyro sees the body: omega + gyro_bias.
     """
-    v_offset, omega_gain = slip[0], slip[1]
+    s = _named(slip)
     omega = body_twist(y, slip)[1]
-    return ca.vertcat(y[0] + v_offset, wheel_yaw_ratio * omega_gain * y[1], omega + gyro_bias)
+    return ca.vertcat(y[0] + s.v_offset, wheel_yaw_ratio * s.omega_gain * y[1], omega + gyro_bias)
 
 
 def aim(pose: ca.SX, twist: ca.SX, slip: ca.SX) -> ca.SX:
@@ -99,9 +164,10 @@ def aim(pose: ca.SX, twist: ca.SX, slip: ca.SX) -> ca.SX:
 
     To hold its path in a curve a robot that slips to the side must lead it by the angle of its lateral speed.
     """
-    v, omega = ca.vertsplit(twist)
-    sideways = slip[4] + slip[5] * v / (v**2 + SLOW**2)
-    return ca.vertcat(pose, pose[2] + ca.atan(sideways * omega))
+    s = _named(slip)
+    v, omega = twist[0], _flat_of(twist, slip)[1]
+    sideways = s.side_slip + s.turn_ahead * v / (v**2 + SLOW**2)
+    return ca.vertcat(pose, pose[2] + ca.atan(sideways * omega - s.crab))
 
 
 def feed_forward(wanted: ca.SX, slip: ca.SX, inverse_gain: ca.SX) -> ca.SX:
@@ -109,9 +175,8 @@ def feed_forward(wanted: ca.SX, slip: ca.SX, inverse_gain: ca.SX) -> ca.SX:
 
     The model's steady-state gain and the estimated slip are inverted, `inverse_gain` (2 x 2) being the first of these.
     """
-    v_offset, omega_gain, longitudinal_gain, yaw_gain, _, _, turn_left, _ = ca.vertsplit(slip)
-    forward = wanted[0] - turn_left * wanted[1]
-    return inverse_gain @ ca.vertcat(forward / longitudinal_gain - v_offset, wanted[1] / (omega_gain * yaw_gain))
+    wheels = wheel_twist(wanted, slip)
+    return inverse_gain @ ca.vertcat(wheels[0] - _named(slip).v_offset, wheels[1])
 
 
 def across_path(pose: ca.SX, reference: ca.SX) -> ca.SX:
@@ -130,13 +195,24 @@ def tracking_errors(pose: ca.SX, reference: ca.SX) -> ca.SX:
 def softly_limited(pose: ca.SX, twist: ca.SX, reference: ca.SX, parameters: ca.SX) -> ca.SX:
     """What has soft limits (5): v [m/s], omega [rad/s], right and left wheel speed at the rim [m/s], distance [m].
 
-    The wheels do not slip as the body does: at the rim the gains of slip are undone. `parameters` (9) are slip and half
-    the track of the wheels [m].
+    The wheels do not slip as the body does: at the rim the gains of slip are undone. `parameters` (9 or 14) are slip
+    and half the track of the wheels [m].
     """
-    _, omega_gain, longitudinal_gain, yaw_gain, _, _, turn_left, _, half_track = ca.vertsplit(parameters)
-    forward = (twist[0] - turn_left * twist[1]) / longitudinal_gain
-    turning = half_track * twist[1] / (omega_gain * yaw_gain)
-    return ca.vertcat(twist, forward + turning, forward - turning, across_path(pose, reference))
+    slip, half_track = parameters[:-1], parameters[-1]
+    wheels = wheel_twist(twist, slip)
+    turning = half_track * wheels[1]
+    return ca.vertcat(twist, wheels[0] + turning, wheels[0] - turning, across_path(pose, reference))
+
+
+def turned_tighter(twist: ca.SX, parameters: ca.SX) -> ca.SX:
+    """By how much a twist turns more tightly than allowed to the left and to the right (2) [m/s]: none above zero.
+
+    |omega| radius <= |v|, in the direction of travel: `parameters` (2) are the least radius [m] and 1 or -1 where the
+    reference drives forwards or backwards. Source of the constraint: Ordonez et al., 2017.
+    """
+    radius, direction = ca.vertsplit(parameters)
+    turning, driving = radius * twist[1], direction * twist[0]
+    return ca.vertcat(turning - driving, -turning - driving)
 
 
 def arc_piece(tau: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -166,27 +242,41 @@ def spline_piece(tau: ca.SX, coefficients: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     return value[:3], ca.vertcat(v, rate[2]), value[3]
 
 
-def arc_move(theta: ca.SX, v: ca.SX, omega: ca.SX, side_slip: ca.SX, ahead: ca.SX, dt: ca.SX) -> ca.SX:
+def arc_move(theta: ca.SX, v: ca.SX, omega: ca.SX, slip: ca.SX, ahead: ca.SX, dt: ca.SX) -> ca.SX:
     """Displacement (2) dx, dy [m] over `dt` along the same arc as in `displacement`, for a twist that includes slip."""
-    return arc_displacement(theta, v, omega, dt, lateral_speed(v, omega, side_slip, ahead))[:2]
+    flat = _flat_of(ca.vertcat(v, omega), slip)
+    return arc_displacement(theta, v, omega, dt, lateral_speed(flat, slip, ahead))[:2]
 
 
 @cache
 def formulas() -> tuple[ca.Function, ...]:
-    """The controller's formulas as SX functions, named as they are in C. Those that vary carry their gradient."""
+    """The controller's formulas as SX functions, named as they are in C. Those that vary carry their gradient.
+
+    What depends on slip stands there twice: a controller whose slip is not curved does not pay for what is.
+    """
     sampled = ("pose", "twist", "arc_length")
     return (
-        _varied("ddmpc_f_twist", body_twist, "twist", ("y", "slip")),
-        _varied("ddmpc_f_move", displacement, "displacement", ("y", "slip", "theta")),
-        _varied("ddmpc_f_sensors", sensed, "sensed", ("y", "slip", "gyro_bias")),
-        _varied("ddmpc_f_arc", arc_move, "move", ("v", "omega", "theta")),
-        _plain("ddmpc_f_turning_point", turning_point, "ahead"),
-        _plain("ddmpc_f_aim", aim, "aim"),
-        _plain("ddmpc_f_feed_forward", feed_forward, "command"),
+        *_with_slip("", len(FLAT_SLIPS)),
+        *_with_slip("_curved", len(SLIPS)),
         _term("ddmpc_f_errors", tracking_errors, 0),
-        _term("ddmpc_f_soft", softly_limited, 9),
+        _term("ddmpc_f_turn", turned_tighter, 2),
         _plain("ddmpc_f_arc_piece", arc_piece, *sampled),
         _plain("ddmpc_f_spline_piece", spline_piece, *sampled),
+    )
+
+
+def _with_slip(ending: str, slips: int) -> tuple[ca.Function, ...]:
+    """The formulas that slip acts in, for a column of `slips`."""
+    shapes = {"slip": (slips, 1)}
+    return (
+        _varied(f"ddmpc_f_twist{ending}", body_twist, "twist", ("y", "slip"), shapes),
+        _varied(f"ddmpc_f_move{ending}", displacement, "displacement", ("y", "slip", "theta"), shapes),
+        _varied(f"ddmpc_f_sensors{ending}", sensed, "sensed", ("y", "slip", "gyro_bias"), shapes),
+        _varied(f"ddmpc_f_arc{ending}", arc_move, "move", ("v", "omega", "theta"), shapes),
+        _plain(f"ddmpc_f_turning_point{ending}", turning_point, "ahead", shapes=shapes),
+        _plain(f"ddmpc_f_aim{ending}", aim, "aim", shapes=shapes),
+        _plain(f"ddmpc_f_feed_forward{ending}", feed_forward, "command", shapes=shapes),
+        _term(f"ddmpc_f_soft{ending}", softly_limited, slips + 1),
     )
 
 
@@ -214,17 +304,21 @@ def differentiated(name: str, inputs: Mapping[str, ca.SX], output: str, value: c
 _Formula = Callable[..., Any]
 
 
-def _symbols(formula: _Formula) -> dict[str, ca.SX]:
-    return {name: ca.SX.sym(name, *_SHAPES.get(name, (1, 1))) for name in signature(formula).parameters}
+_Shapes = Mapping[str, tuple[int, int]]
 
 
-def _varied(name: str, formula: _Formula, output: str, by: Sequence[str]) -> ca.Function:
-    inputs = _symbols(formula)
+def _symbols(formula: _Formula, shapes: _Shapes) -> dict[str, ca.SX]:
+    sizes = {**_SHAPES, **shapes}
+    return {name: ca.SX.sym(name, *sizes.get(name, (1, 1))) for name in signature(formula).parameters}
+
+
+def _varied(name: str, formula: _Formula, output: str, by: Sequence[str], shapes: _Shapes) -> ca.Function:
+    inputs = _symbols(formula, shapes)
     return differentiated(name, inputs, output, formula(**inputs), by)
 
 
-def _plain(name: str, formula: _Formula, *outputs: str) -> ca.Function:
-    inputs = _symbols(formula)
+def _plain(name: str, formula: _Formula, *outputs: str, shapes: _Shapes | None = None) -> ca.Function:
+    inputs = _symbols(formula, shapes or {})
     values = formula(**inputs)
     return named_function(name, inputs, dict(zip(outputs, values if len(outputs) > 1 else [values], strict=True)))
 

@@ -32,6 +32,10 @@ _LAST_JUMP = 150.0
 _YAW_JUMP = 0.25
 _AWAY = 5.0
 _ACROSS = 20.0
+# For a robot with a least turn radius: of each multiple of it by which a way is too tight, and in these of a radian on
+# the spot [-].
+_TOO_TIGHT = 100.0
+_ON_THE_SPOT = 100.0
 
 
 def rejoin(
@@ -74,6 +78,11 @@ def rejoin(
     reached = np.hypot(gap[:, 0], gap[:, 1]) <= SAME_PLACE
     cusp = np.abs(np.diff(paths.heading, axis=1)).max(axis=1) > _CUSP
     cost[:, (reached | cusp) & ~options.stops] = np.inf
+    if limits.least_turn_radius:
+        # A robot that may not turn on the spot drives the least tight way, if none is wide enough.
+        turns = np.abs(options.first_turn) + np.abs(options.last_turn)
+        tightest = np.abs(paths.curvature).max(axis=1)
+        cost += _TOO_TIGHT * (np.maximum(0.0, tightest * limits.least_turn_radius - 1.0) + _ON_THE_SPOT * turns)
     pace, best = (int(index) for index in np.unravel_index(np.argmin(cost), cost.shape))
 
     line = MotionLine(course.pose)

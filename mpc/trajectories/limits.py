@@ -25,6 +25,8 @@ class TrajectoryLimits:
     lateral_acceleration
         Largest lateral acceleration |v omega|, which smooth timing keeps to [m/s^2]; by default that of the robot of
         the papers.
+    least_turn_radius
+        Turns are no tighter [m]; 0 allows turning on the spot. Only the way back to a reference looks at it.
     """
 
     v: float
@@ -32,12 +34,13 @@ class TrajectoryLimits:
     v_acceleration: float
     omega_acceleration: float
     lateral_acceleration: float = load_robot().reference_acceleration.lateral
+    least_turn_radius: float = 0.0
 
     def __post_init__(self) -> None:
         """Check that every bound is positive and finite; raises ValueError."""
         for field in fields(self):
             value = getattr(self, field.name)
-            if not (math.isfinite(value) and value > 0):
+            if not (math.isfinite(value) and (value > 0 or (value == 0 and field.name == "least_turn_radius"))):
                 raise ValueError(f"trajectory limit {field.name} = {value}: must be positive and finite")
 
     @classmethod

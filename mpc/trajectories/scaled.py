@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.velocity_model import VelocityModel
@@ -18,6 +21,8 @@ from diffdrive_mpc.mpc.trajectories.settings import load_settings
 
 _AT_ONCE = 1e-3
 """A robot with less lag answers at once [s]."""
+_ROOM = 1.2
+"""Tightest turn of a scaled path over the least one that the robot may drive [-]: holding the path takes the rest."""
 
 
 def scaled_to_robot(
@@ -25,6 +30,7 @@ def scaled_to_robot(
 ) -> ArcTrajectory:
     """A path of segments, its lengths multiplied by the robot's track over that of the robot of the papers.
 
+    A robot with a least turn radius gets a path whose tightest turn is wider than that.
     It is driven as fast as a share of what the robot can reach allows, and stops where the curvature jumps. A robot
     reaches its limits of the command times the model's steady-state gain, as far as its wheels get so fast, and follows
     a share of its limits of the slew. As it answers late, an acceleration takes its lag's worth more command: the same
@@ -42,11 +48,13 @@ def scaled_to_robot(
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no such trajectory, or it is not made of segments.
+        If there is no such trajectory, it is not made of segments, or it turns on the spot where the robot may not.
     """
     segments, settings, limits = load_segments(name_or_path), load_settings(), config.limits
     (v_gain, omega_gain), (v_lag, omega_lag) = np.abs(np.diag(model.dc_gain)).tolist(), model.lag.tolist()
     length = config.wheels.encoder_track / load_robot().track
+    if limits.least_turn_radius is not None:
+        length = max(length, _ROOM * limits.least_turn_radius / _tightest(segments, name_or_path))
     # Shares of commands and wheels that each segment would take, were it as long as in the file.
     taken = [
         max(
@@ -77,3 +85,13 @@ def scaled_to_robot(
         ),
     )
     return lay_segments(scaled, bounds, name=f"{Path(name_or_path).stem} scaled to the robot", where=str(name_or_path))
+
+
+def _tightest(segments: Sequence[Segment], path: str | Path) -> float:
+    """Least radius of a path [m]; raises ConfigError where it turns on the spot."""
+    turning = [one for one in segments if one.omega]
+    if any(one.v == 0.0 for one in turning):
+        raise ConfigError(
+            f"{path}: it turns on the spot, which limits.least_turn_radius forbids; give a path of arcs, as circle"
+        )
+    return min((abs(one.v / one.omega) for one in turning), default=math.inf)

@@ -12,6 +12,8 @@ _SPEED_EXCESS = 1.01
 # A little beyond the limits by the model's gain the reference waits; far beyond it there is no use.
 _COMMAND_EXCESS = 1.25
 _MOST_SAMPLES = 100_000
+# A turn counts as too tight when it is so beyond rounding and what a spline rings [-, m/s].
+_LEAST_TURN_SHARE, _LEAST_TURN = 0.99, 1e-3
 
 
 def check_speeds(reference: Reference, limits: Limits, dt: float, gain: FloatArray | None = None) -> None:
@@ -43,6 +45,17 @@ def check_speeds(reference: Reference, limits: Limits, dt: float, gain: FloatArr
                 f"reference '{reference.name}': {name} = {twist[worst, row]:.3g} at {times[worst]:.2f} s takes a "
                 f"command of {value:.3g} by the model's gain, more than limits.{name} = {limit:g}; slow the reference "
                 "down, raise the limit, or identify the model on this robot"
+            )
+    radius = limits.least_turn_radius
+    if radius is not None:
+        tighter = twist[:, 1] * radius * _LEAST_TURN_SHARE - twist[:, 0]
+        worst = int(np.argmax(tighter))
+        if tighter[worst] > _LEAST_TURN:
+            v, omega = twist[worst]
+            raise ValueError(
+                f"reference '{reference.name}': at {times[worst]:.2f} s it turns on a radius of {v / omega:.3g} m, "
+                f"tighter than limits.least_turn_radius = {radius:g}; give a wider path (--scale-to-robot does), or "
+                "unset the limit"
             )
 
 

@@ -84,7 +84,7 @@ class ModelPlant:
     @property
     def true_twist(self) -> FloatArray:
         """(3,) forward and lateral speed [m/s] and yaw rate [rad/s], body frame."""
-        return self._slipped(self._motion.body)
+        return self._slip.body(self._motion.body)
 
     def reset(self, pose: ArrayLike) -> None:
         """Put the robot at rest at `pose` (3,) at time 0 and restart the noise from the seed."""
@@ -105,21 +105,15 @@ class ModelPlant:
         arcs = []
         for step in range(self._motion.steps):
             motion = self._motion.advance(sent)
-            twist = self._slipped(motion.mean)
+            twist = self._slip.body(motion.mean)
             arcs.append((self.time + step * self._motion.step_time, self._pose, twist))
             self._pose = self._moved(self._pose, twist, self._motion.step_time)
         self._tick += 1
         for look in self._sensors.poses_due(self.time):
             begin, pose, twist = [arc for arc in arcs if arc[0] <= look][-1]
             self._sensors.see_pose(look, self._pose if look == self.time else self._moved(pose, twist, look - begin))
-        by_wheels = np.array([motion.wheels[0], self._slipped(motion.wheels)[2] / self._slip.wheel_yaw_gain])
-        wheel_speeds = self._kinematics.wheel_speeds(by_wheels)
-        self._sensors.see_motion(self.time, wheel_speeds, float(self._slipped(motion.body)[2]))
-
-    def _slipped(self, output: FloatArray) -> FloatArray:
-        """(3,) true twist for the model's output (2,); side-slip points outward, so against the turn."""
-        v, omega = self._slip.longitudinal_gain * output[0], self._slip.yaw_gain * output[1]
-        return np.array([v, -self._slip.side_slip * v * omega, omega])
+        wheel_speeds = self._kinematics.wheel_speeds(self._slip.wheels(motion.wheels))
+        self._sensors.see_motion(self.time, wheel_speeds, float(self._slip.body(motion.body)[2]))
 
     def _moved(self, pose: FloatArray, twist: FloatArray, duration: float) -> FloatArray:
         """(3,) where `pose` (3,) is after `duration` [s] with constant body `twist` (3,)."""

@@ -4,22 +4,72 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.robot import NotNegative, Positive
+from diffdrive_mpc.models.slip_laws import POLYNOMIAL, polynomial_twist, virtual_track_yaw_rate
 
 SURFACES = Path(__file__).parent / "surfaces"
 
 
+class Polynomial(StrictModel):
+    """The nine terms of `models.slip_laws.polynomial_twist`; lateral speed is to the left."""
+
+    a11: float = Field(description="forward speed by v_c [-]")
+    a12: float = Field(description="forward speed by w_c [m]")
+    a13: float = Field(description="forward speed by v_c w_c [s]")
+    a21: float = Field(description="lateral speed by v_c [-]")
+    a22: float = Field(description="lateral speed by w_c [m]")
+    a23: float = Field(description="lateral speed by v_c w_c [s]")
+    a31: float = Field(description="yaw rate by v_c [rad/m]")
+    a32: float = Field(description="yaw rate by w_c [-]")
+    a33: float = Field(description="yaw rate by v_c w_c [s/m]")
+
+    @property
+    def coefficients(self) -> list[float]:
+        """(9,) row by row."""
+        return [getattr(self, name) for name in POLYNOMIAL]
+
+
+class VirtualTrack(StrictModel):
+    """A track that grows with the yaw rate, i = p1 |yaw rate| + p0: `models.slip_laws.virtual_track_yaw_rate`."""
+
+    p0: Positive = Field(description="track of a robot that hardly turns [m]")
+    p1: float = Field(description="its growth with the yaw rate [m s]")
+
+
 class Slip(StrictModel):
-    """How the body moves when a velocity model says (v, omega)."""
+    """How the body moves when a velocity model says (v, omega).
+
+    The gains act first, then one of the papers' laws where there is one: on what the gains leave as (v_c, w_c).
+    """
 
     yaw_gain: Positive = Field(description="true yaw rate over that of the velocity model")
     wheel_yaw_gain: Positive = Field(description="true yaw rate over that of encoders and geometric track")
     longitudinal_gain: Positive = Field(description="true forward speed over that of the encoders")
     side_slip: NotNegative = Field(description="lateral speed, outward, over v * omega [s]")
+    polynomial: Polynomial | None = Field(default=None, description="nine terms of the floor")
+    virtual_track: VirtualTrack | None = Field(default=None, description="track that grows with the yaw rate")
+
+    def body(self, output: FloatArray) -> FloatArray:
+        """(3,) forward and lateral speed [m/s] and yaw rate [rad/s] of the body for the model's output (2,)."""
+        v, omega = self.longitudinal_gain * output[0], self.yaw_gain * output[1]
+        if self.virtual_track is not None:
+            track = self.virtual_track
+            omega = float(virtual_track_yaw_rate(track.p0 * omega, track.p0, track.p1))
+        if self.polynomial is not None:
+            v, lateral, omega = polynomial_twist(self.polynomial.coefficients, [v, omega])
+        else:
+            lateral = 0.0
+        return np.array([v, lateral - self.side_slip * v * omega, omega])
+
+    def wheels(self, output: FloatArray) -> FloatArray:
+        """(2,) v [m/s], omega [rad/s] by encoders and geometric track for the same: they do not see the floor."""
+        return np.array([output[0], self.yaw_gain * output[1] / self.wheel_yaw_gain])
 
 
 class Surface(StrictModel):

@@ -198,7 +198,7 @@ def test_orders_are_compared_and_one_can_be_asked_for(third_order):
     assert "order 3: as asked for" in screen
     assert (out / "figures" / "orders.png").is_file()
     rows = [line for line in (out / "report.md").read_text().splitlines() if line.startswith("| 1 |")]
-    (first,) = (row.split("|")[6] for row in rows if len(row.split("|")) > 9)
+    (first,) = (row.split("|")[8] for row in rows if len(row.split("|")) > 9)
     report = json.loads((out / "report.json").read_text())
     assert report["validation_fit_percent"]["v"] > float(first) + 3.0
 

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from identification_parts import DT, published_ssm, set_points, single, system, two_channels
+from scipy import signal
 
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.output_error.layout import Layout
@@ -16,7 +17,7 @@ from diffdrive_mpc.models.output_error.state_space import (
     from_impulse_response,
     impulse_response,
 )
-from diffdrive_mpc.models.output_error.statistics import spike_weights
+from diffdrive_mpc.models.output_error.statistics import sandwich, spike_weights
 from diffdrive_mpc.models.output_error.validation import simulate_experiment
 from diffdrive_mpc.models.structures.mbm import MotorsParametrisation
 from diffdrive_mpc.models.structures.two_poles import TwoPolesParametrisation
@@ -170,3 +171,23 @@ def test_readings_of_a_robot_that_stands_are_no_spikes():
     residuals[900:, 0] = 0.01 * np.random.default_rng(1).integers(-1, 2, 100)
     (weights,) = spike_weights([residuals])
     assert weights.min() > 0.1
+
+
+def stated_error(seed, drift, count=4000):
+    """Error of a gain over its stated deviation; the true one wanders slowly about 1 by `drift`."""
+    stream = np.random.default_rng(seed)
+    command = np.repeat(stream.uniform(-1, 1, count // 40), 40)
+    keep = np.exp(-10 / count)  # a tenth of the log
+    wander = signal.lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], stream.normal(size=2 * count))[count:]
+    output = command * (1.0 + drift * wander) + 0.1 * stream.normal(size=count)
+    gain = command @ output / (command @ command)
+    error = output - gain * command
+    scale = error.std()
+    found = sandwich([-command[:, None, None] / scale], [error[:, None] / scale])
+    return (gain - 1.0) / np.sqrt(found.covariance[0, 0])
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.1])
+def test_intervals_hold_for_a_gain_that_stays_and_for_one_that_wanders(drift):
+    inside = np.mean([abs(stated_error(seed, drift)) < 1.96 for seed in range(300)])
+    assert 0.92 < inside < 0.98

@@ -1,7 +1,6 @@
 """The formulas: against the controller's own Python, against finite differences, and their C against CasADi."""
 
 import subprocess
-from dataclasses import astuple
 
 import casadi as ca
 import cffi
@@ -14,9 +13,10 @@ from hypothesis.extra.numpy import arrays
 from diffdrive_mpc.models import integrate_pose
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.pose import linearised_arc
+from diffdrive_mpc.models.slip_laws import polynomial_twist, virtual_track_yaw_rate
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.core.generate import generate, generate_formulas
-from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.estimation.slip import CURVED_SLIPS, FLAT_SLIPS, SLIPS, Slip
 from diffdrive_mpc.mpc.problem.formulas import formulas
 from diffdrive_mpc.mpc.problem.user_functions import user_output, user_step, user_term
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
@@ -25,22 +25,21 @@ FORMULAS = {function.name().removeprefix("ddmpc_f_"): function for function in f
 # Numbers that a robot can have; gains keep off zero, and yaw rates dwell where the arc changes its form.
 RANGES = {
     "y": [(-2, 2), (-3, 3)],
-    "slip": [(-0.3, 0.3), (0.3, 2), (0.3, 2), (0.3, 2), (-0.2, 0.2), (-0.2, 0.2), (-0.2, 0.2), (-0.1, 0.1)],
+    "slip": [
+        *((-0.3, 0.3), (0.3, 2), (0.3, 2), (0.3, 2), (-0.2, 0.2), (-0.2, 0.2), (-0.2, 0.2), (-0.1, 0.1)),
+        # Crab, veer, couplings and growth of the track: those of floors.
+        *((-0.05, 0.05), (-0.05, 0.05), (-0.05, 0.05), (-0.05, 0.05), (-0.1, 0.2)),
+    ],
     "pose": [(-5, 5), (-5, 5), (-7, 7)],
     "twist": [(-2, 2), (-3, 3)],
     "command": [(-2, 2), (-3, 3)],
     "wanted": [(-2, 2), (-3, 3)],
     "reference": [(-5, 5), (-5, 5), (-7, 7), (-7, 7)],
-    "parameters": [
-        *((-0.3, 0.3), (0.3, 2), (0.3, 2), (0.3, 2), (-0.2, 0.2), (-0.2, 0.2), (-0.2, 0.2), (-0.1, 0.1)),
-        (0.1, 1),
-    ],
     "theta": [(-7, 7)],
     "dt": [(1e-3, 0.5)],
     "tau": [(0, 2)],
     "gyro_bias": [(-0.1, 0.1)],
     "wheel_yaw_ratio": [(0.3, 3)],
-    "side_slip": [(-0.2, 0.2)],
     "acceleration": [(-5, 5)],
     "ahead": [(-0.5, 0.5)],
     "inverse_gain": [(-2, 2)] * 4,
@@ -56,8 +55,14 @@ def entry(low, high):
     return st.one_of(st.floats(low, high), *near_zero)
 
 
+HALF_TRACK = (0.1, 1)
+
+
 def argument(function, k):
-    ranges = RANGES[function.name_in(k)][: function.numel_in(k)]
+    name, count = function.name_in(k), function.numel_in(k)
+    # Parameters of the soft limits: slip, and half the track.
+    ranges = [*RANGES["slip"][: max(0, count - 1)], HALF_TRACK] if name == "parameters" else RANGES[name][:count]
+    ranges = ranges[:count]
     return st.tuples(*(entry(low, high) for low, high in ranges)).map(lambda column: np.array(column, dtype=float))
 
 
@@ -79,6 +84,11 @@ VARIED = {
     "move": ["y", "slip", "theta"],
     "sensors": ["y", "slip", "gyro_bias"],
     "arc": ["v", "omega", "theta"],
+    "twist_curved": ["y", "slip"],
+    "move_curved": ["y", "slip", "theta"],
+    "sensors_curved": ["y", "slip", "gyro_bias"],
+    "arc_curved": ["v", "omega", "theta"],
+    "soft_curved": ["pose", "twist", "command"],
     "errors": ["pose", "twist", "command"],
     "soft": ["pose", "twist", "command"],
 }
@@ -89,24 +99,19 @@ VARIED = {
 def test_gradients_agree_with_finite_differences(function, data):
     values = list(data.draw(arguments(function)))
     _, gradient = call(function, values)
-    step, columns = 1e-6, []
-    for name in VARIED[function.name().removeprefix("ddmpc_f_")]:
-        place = function.index_in(name)
-        for direction in step * np.eye(values[place].size):
-            ends = [
-                call(function, [*values[:place], values[place] + sign * direction, *values[place + 1 :]])[0]
-                for sign in (1, -1)
-            ]
-            columns.append((ends[0] - ends[1]) / (2 * step))
+    name = function.name().removeprefix("ddmpc_f_")
+    step, places = 1e-6, [function.index_in(varied) for varied in VARIED[name]]
+    sizes = [values[place].size for place in places]
+    # All directions at once: a function that is given more columns answers for each.
+    columns = [np.tile(np.reshape(value, (-1, 1)), (1, 2 * sum(sizes))) for value in values]
+    for begin, place, size in zip(np.cumsum([0, *sizes]), places, sizes, strict=False):
+        columns[place][:, begin : begin + size] += step * np.eye(size)
+        columns[place][:, sum(sizes) + begin : sum(sizes) + begin + size] -= step * np.eye(size)
+    ends = np.array(function.call([ca.DM(column) for column in columns])[0])
+    slopes = (ends[:, : sum(sizes)] - ends[:, sum(sizes) :]) / (2 * step)
     assert np.isfinite(gradient).all()
-    assert gradient == pytest.approx(np.column_stack(columns), abs=2e-7)
-
-
-slips = st.builds(Slip, *(st.floats(low, high) for low, high in RANGES["slip"]))
-
-
-def as_column(slip):
-    return np.array(astuple(slip))
+    # A track that grows with the yaw rate has a kink in its second derivative where that is zero.
+    assert gradient == pytest.approx(slopes, abs=2e-6 if name.endswith("curved") else 2e-7)
 
 
 def carried(pose, place):
@@ -133,18 +138,18 @@ def test_the_move_is_the_arc_of_the_turning_point(values):
 
 @given(arguments(FORMULAS["arc"]))
 def test_the_prediction_s_arc_is_the_same(values):
-    theta, v, omega, side_slip, ahead, dt = (value[0] for value in values)
+    theta, v, omega, slip, ahead, dt = values
     moved, _ = call(FORMULAS["arc"], values)
-    slip = [0, 1, 1, 1, side_slip, ahead, 0, 0]
-    expected, _ = call(FORMULAS["move"], [[v, omega], slip, [theta], [0.0], [dt]])
+    plain = [0, 1, 1, 1, slip[4], ahead[0], 0, 0]
+    expected, _ = call(FORMULAS["move"], [[v[0], omega[0]], plain, theta, [0.0], dt])
     assert moved == pytest.approx(expected[:2], abs=1e-14)
 
 
 @given(arguments(FORMULAS["arc"]))
 def test_about_its_origin_the_arc_is_that_of_the_models(values):
-    theta, v, omega, side_slip, _, dt = (value[0] for value in values)
-    moved, gradient = call(FORMULAS["arc"], [*values[:4], [0.0], values[5]])
-    after, by_pose, by_twist = linearised_arc(np.array([0, 0, theta]), v, omega, dt, side_slip)
+    theta, v, omega, slip, _, dt = values
+    moved, gradient = call(FORMULAS["arc"], [*values[:4], [0.0], dt])
+    after, by_pose, by_twist = linearised_arc(np.array([0, 0, theta[0]]), v[0], omega[0], dt[0], slip[4])
     assert moved == pytest.approx(after[:2], abs=1e-12)
     assert gradient == pytest.approx(np.column_stack([by_twist[:2, :2], by_pose[:2, 2]]), abs=1e-12)
 
@@ -176,6 +181,69 @@ def test_the_rims_are_those_of_what_the_model_says(values):
     limited, _ = call(FORMULAS["soft"], [np.zeros(3), twist, [0, 0], np.zeros(4), [*slip, 0.3]])
     forward, turning = v + slip[0], 0.3 * omega
     assert limited[2:4] == pytest.approx([forward + turning, forward - turning], abs=1e-12)
+
+
+# Slip that curves the twist.
+
+
+def curved(**values):
+    return [getattr(Slip(**values), name) for name in SLIPS]
+
+
+@pytest.mark.parametrize("name", ["twist", "move", "sensors", "arc", "turning_point", "aim", "feed_forward", "soft"])
+@given(data=st.data())
+def test_without_curves_a_curved_formula_is_the_flat_one(name, data):
+    flat = FORMULAS[name]
+    values = list(data.draw(arguments(flat)))
+    expected = call(flat, values)
+    place = flat.index_in("parameters" if name == "soft" else "slip")
+    padded = np.zeros(len(CURVED_SLIPS))
+    values[place] = np.insert(values[place], len(FLAT_SLIPS), padded)
+    found = call(FORMULAS[f"{name}_curved"], values)
+    assert found[0] == pytest.approx(expected[0], abs=1e-12)
+    if name in ("arc", "soft"):
+        assert found[1] == pytest.approx(expected[1], abs=1e-10)
+
+
+@given(arguments(FORMULAS["feed_forward_curved"]))
+def test_the_feed_forward_is_undone_by_curved_slip(values):
+    wanted, slip, _ = values
+    (y,) = call(FORMULAS["feed_forward_curved"], [wanted, slip, [1, 0, 0, 1]])
+    twist, _ = call(FORMULAS["twist_curved"], [y, slip])
+    # Three rounds leave what is beyond the wheel's own speeds; a track that shrinks has an end.
+    if slip[12] >= 0 and np.abs(y).max() < 4:
+        assert twist == pytest.approx(wanted, abs=5e-3)
+
+
+@given(
+    st.lists(st.floats(-0.1, 0.1), min_size=9, max_size=9),
+    st.floats(-1, 1),
+    st.floats(-2, 2),
+    st.floats(-3, 3),
+)
+def test_the_terms_of_p4_are_those_of_its_polynomial(coefficients, v, omega, theta):
+    """What the body does in a short time is the polynomial, but for a lateral term in the square of the yaw rate."""
+    coefficients = np.array(coefficients)
+    slip, dt = Slip.of_polynomial(coefficients), 1e-7
+    assert slip.polynomial == pytest.approx(coefficients, abs=0.012)
+    assert np.delete(slip.polynomial, 4) == pytest.approx(np.delete(coefficients, 4), abs=1e-12)
+    moved, _ = call(
+        FORMULAS["move_curved"], [[v, omega], [getattr(slip, name) for name in SLIPS], [theta], [0.0], [dt]]
+    )
+    c, s = np.cos(theta), np.sin(theta)
+    forward, left = (c * moved[0] + s * moved[1]) / dt, (c * moved[1] - s * moved[0]) / dt
+    expected = polynomial_twist(coefficients, [v, omega])
+    a12, a21, a23 = coefficients[[1, 3, 5]]
+    beyond = a12 / (1 + coefficients[0]) * omega * (a21 + a23 * omega)
+    assert [forward, left - beyond, moved[2] / dt] == pytest.approx(expected, abs=1e-6)
+
+
+@given(st.floats(0.1, 0.8), st.floats(-0.02, 0.2), st.floats(-2, 2))
+def test_a_track_that_grows_is_that_of_p3(p0, p1, omega):
+    (_, found), _ = call(FORMULAS["twist_curved"], [[0.3, omega], curved(track_growth=p1 / p0)])
+    if p0 / abs(p1 or 1e-9) > 5 * abs(omega):
+        assert found == pytest.approx(virtual_track_yaw_rate(p0 * omega, p0, p1), abs=1e-12)
+        assert found * (p0 + p1 * abs(found)) == pytest.approx(p0 * omega, abs=1e-9)
 
 
 @given(arguments(FORMULAS["errors"]))
@@ -223,8 +291,9 @@ def test_a_cubic_piece_s_twist_is_its_motion(coefficients, tau):
 def test_the_arc_is_smooth_through_straight_ahead(omega, v, theta, side_slip):
     """Beside omega = 0 the arc is the Taylor series about it, gradient included."""
     dt = 0.1
-    moved, gradient = call(FORMULAS["arc"], [[theta], [v], [omega], [side_slip], [0.05], [dt]])
-    straight, slope = call(FORMULAS["arc"], [[theta], [v], [0.0], [side_slip], [0.05], [dt]])
+    slip = Slip(side_slip=side_slip).flat
+    moved, gradient = call(FORMULAS["arc"], [[theta], [v], [omega], slip, [0.05], [dt]])
+    straight, slope = call(FORMULAS["arc"], [[theta], [v], [0.0], slip, [0.05], [dt]])
     assert moved == pytest.approx(straight + slope[:, 1] * omega, abs=1e-7)
     assert gradient[:, 1] == pytest.approx(slope[:, 1], abs=1e-3 * dt)
 
@@ -232,7 +301,8 @@ def test_the_arc_is_smooth_through_straight_ahead(omega, v, theta, side_slip):
 @pytest.mark.parametrize("side", [-1, 1])
 def test_the_arc_and_its_gradient_meet_where_its_series_ends(side):
     beside = [
-        call(FORMULAS["arc"], [[0.3], [1.0], [side * 0.4 * (1 + e)], [0.1], [0.05], [1.0]]) for e in (-1e-15, 1e-15)
+        call(FORMULAS["arc"], [[0.3], [1.0], [side * 0.4 * (1 + e)], Slip(side_slip=0.1).flat, [0.05], [1.0]])
+        for e in (-1e-15, 1e-15)
     ]
     for below, above in zip(*beside, strict=True):
         assert below == pytest.approx(above, abs=3e-15)

@@ -7,7 +7,6 @@ column.
 
 from __future__ import annotations
 
-from dataclasses import astuple, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +15,7 @@ from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, Wheels
 from diffdrive_mpc.mpc.estimation.estimate import SENSORS
-from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.estimation.slip import FLAT_SLIPS, Slip
 from oracle.commands import PastCommands
 from oracle.motion import arc, jacobian, sideways, wrapped
 
@@ -43,11 +42,11 @@ class SlipFilter:
         self.slip_places, self.pose_places = np.arange(n, n + 9), np.arange(n + 9, n + 12)
         self.gains = np.array([n + 1, n + 2, n + 3])
         estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, *[on.side_slip] * 4, True])
-        names = [*(field.name for field in fields(Slip)), "gyro_bias"]
+        names = [*FLAT_SLIPS, "gyro_bias"]
         self.uncertainty = estimated * [getattr(s, f"{name}_uncertainty") for name in names]
         self.drift = estimated * [getattr(s, f"{name}_drift") for name in names]
         expected = Slip(side_slip=s.side_slip, load_shift=s.load_shift) if on.side_slip else Slip()
-        self.expected = np.array([*astuple(expected), 0.0])
+        self.expected = np.array([*expected.flat, 0.0])
         self.patience = round(s.lasting_surprise / model.dt)
 
     # What happens to the robot.

@@ -1,0 +1,265 @@
+"""Which kind of model a log supports: each identified without a part of it, and held against that part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.identification.fitting import fit
+from diffdrive_mpc.models.identification.log_data import LogData, divide
+from diffdrive_mpc.models.identification.poses import from_poses
+from diffdrive_mpc.models.identification.settings import identification_settings
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs import Record
+from diffdrive_mpc.models.output_error.experiment import Experiment, twist_experiments
+from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.models.table import Table, number
+
+_DRAWS, _SEED = 2000, 0
+# Open-loop poses are compared after this time, or the longest shorter one that is measured [s].
+_POSE_HORIZON = 5.0
+# Intervals of differences, as quantiles.
+_INTERVAL = (0.025, 0.975)
+
+
+class Kind(NamedTuple):
+    """A kind of model; the simpler ones come first."""
+
+    name: str
+    structure: str
+    effects: bool
+
+
+KINDS = (
+    Kind("sm", "sm", False),
+    Kind("ssm", "ssm", False),
+    Kind("mbm", "mbm", False),
+    Kind("sm+effects", "sm", True),
+)
+"""What is compared, the simplest first. A later one has to predict better by more than chance."""
+NO_MODEL = "no model"
+
+
+@dataclass(frozen=True)
+class Scored:
+    """One kind on the parts held out.
+
+    Attributes
+    ----------
+    kind
+        Its name.
+    states
+        Of the model from the last part's rest; 0 without one.
+    powers
+        (B, 2) mean square error of v [m/s] and omega [rad/s] in each block of time held out.
+    pose_error
+        Root mean square of the open-loop position error after the longest time measured [m]; NaN without poses.
+    seconds
+        How long all its identifications took [s].
+    failure
+        Why there is none, in a line; empty where there is.
+    """
+
+    kind: str
+    states: int
+    powers: FloatArray
+    pose_error: float
+    seconds: float
+    failure: str = ""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Kinds of model side by side on one log.
+
+    Attributes
+    ----------
+    scores
+        No model first, then as in `KINDS`.
+    weights
+        (B, 2) readings behind each block.
+    spread
+        (2,) variance of what was measured, about its mean.
+    parts
+        How many parts were held out in turn.
+    horizon
+        Time after which `pose_error` is measured [s].
+    """
+
+    scores: tuple[Scored, ...]
+    weights: FloatArray
+    spread: FloatArray
+    parts: int
+    horizon: float
+
+    def fits(self, scored: Scored, draw: FloatArray | None = None) -> FloatArray:
+        """(..., 2) pooled FIT of v and omega [%]; of blocks that are drawn (..., B) so often."""
+        drawn = np.ones(len(self.weights)) if draw is None else draw
+        readings = drawn @ self.weights
+        power = drawn @ (self.weights * scored.powers)
+        return np.asarray(100.0 * (1.0 - np.sqrt(power / readings / self.spread)))
+
+    @property
+    def recommended(self) -> Scored:
+        """The simplest kind that no more elaborate one beats by more than its uncertainty, in mean FIT."""
+        able = [one for one in self.scores if not one.failure]
+        best = able[0]
+        for one in able[1:]:
+            if self.gain(one, best)[0] > 0.0:
+                best = one
+        return best
+
+    def gain(self, scored: Scored, other: Scored) -> FloatArray:
+        """(2,) 95 % interval of the mean FIT of v and omega over that of `other` [points], blocks drawn anew."""
+        rng = np.random.default_rng(_SEED)
+        count = len(self.weights)
+        draws = rng.multinomial(count, np.full(count, 1.0 / count), size=_DRAWS).astype(float)
+        difference = (self.fits(scored, draws) - self.fits(other, draws)).mean(axis=1)
+        return np.asarray(np.quantile(difference, _INTERVAL))
+
+    def table(self) -> Table:
+        """One row for each kind."""
+        chosen = self.recommended
+        rows = []
+        for one in self.scores:
+            if one.failure:
+                rows.append((one.kind, *["-"] * 6))
+                continue
+            v, omega = self.fits(one)
+            low, high = self.gain(one, chosen)
+            against = "-" if one is chosen else f"{low:+.2f} to {high:+.2f}"
+            rows.append(
+                (
+                    f"{one.kind} *" if one is chosen else one.kind,
+                    str(one.states),
+                    number(float(v), 2),
+                    number(float(omega), 2),
+                    against,
+                    number(one.pose_error),
+                    f"{one.seconds:.0f}",
+                )
+            )
+        columns = (
+            *("kind", "states", "FIT v [%]", "FIT omega [%]", "mean FIT over * [points]"),
+            *(f"pose after {self.horizon:g} s [m]", "found in [s]"),
+        )
+        note = (
+            f"* recommended. Each kind identified {self.parts} times, each time without one part of the rows, and "
+            "simulated over that part from the commands alone. Interval: 95 %, blocks of time drawn anew."
+        )
+        return Table("Which model for this robot", columns, tuple(rows), note=note)
+
+    def sentence(self) -> str:
+        """The recommendation with its margin."""
+        chosen = self.recommended
+        others = [one for one in self.scores if one is not chosen and not one.failure and one.kind != NO_MODEL]
+        words = []
+        for one in others:
+            low, high = self.gain(one, chosen)
+            if high < 0.0:
+                words.append(f"{one.kind} is worse by {-high:.1f} to {-low:.1f} points")
+            else:
+                words.append(f"{one.kind} is no better by more than its uncertainty ({low:+.1f} to {high:+.1f} points)")
+        words += [f"{one.kind} was not found: {one.failure}" for one in self.scores if one.failure]
+        return f"{chosen.kind}: " + "; ".join(words) if words else f"{chosen.kind}: nothing to hold it against"
+
+
+def compare_models(
+    data: LogData, kinds: Sequence[str] = (), parts: int = 3, on_progress: Callable[[str], None] | None = None
+) -> Comparison:
+    """Identify every kind without each part of the records in turn, and score it on that part.
+
+    Parameters
+    ----------
+    data
+        All records, as `read_data` gives them; how they are divided there does not matter.
+    kinds
+        Names in `KINDS`; by default all.
+    parts
+        Of equal length in time, at least 2.
+    on_progress
+        Called with what is done next.
+
+    Raises
+    ------
+    ConfigError
+        If a kind is unknown, or there are too few rows.
+    """
+    unknown = [name for name in kinds if name not in {kind.name for kind in KINDS}]
+    if unknown:
+        raise ConfigError(f"kind '{unknown[0]}': give some of {', '.join(kind.name for kind in KINDS)}")
+    if parts < 2:
+        raise ConfigError(f"parts = {parts}: give 2 or more, one of them is held out at a time")
+    folds = list(_folds([*data.train, *data.validation], parts))
+    horizon = max(h for h in identification_settings().horizons if h <= _POSE_HORIZON)
+    measured = [twist_experiments(held_out, data.yaw) for _, held_out in folds]
+    readings = np.concatenate([one.outputs[one.counts.all(axis=1)] for fold in measured for one in fold])
+    if not len(readings):
+        raise ConfigError("no row has both a reading of v and one of omega; log them at the same rate")
+    commands = [[record.command for record in held_out] for _, held_out in folds]
+    scores = [Scored(NO_MODEL, 0, _powers(measured, commands)[0], float("nan"), 0.0)]
+    for kind in KINDS:
+        if kinds and kind.name not in kinds:
+            continue
+        scores.append(_score(kind, data, folds, measured, horizon, on_progress or (lambda _: None)))
+    return Comparison(tuple(scores), _powers(measured, commands)[1], readings.var(axis=0), parts, horizon)
+
+
+def _folds(records: Sequence[Record], parts: int) -> Sequence[tuple[list[Record], list[Record]]]:
+    """For each part the rest and the part; short ends of stretches are left out."""
+    found, fewest = [], 2 * identification_settings().fewest_readings
+    for k in range(parts):
+        before, behind = divide(records, k / parts)
+        part, after = divide(behind, 1.0 / (parts - k))
+        rest, part = ([one for one in some if len(one.command) >= fewest] for some in ([*before, *after], part))
+        if not (rest and part):
+            raise ConfigError(f"too few rows to hold {parts} parts out in turn; give a longer log, or fewer parts")
+        found.append((rest, part))
+    return found
+
+
+def _score(
+    kind: Kind,
+    data: LogData,
+    folds: Sequence[tuple[list[Record], list[Record]]],
+    measured: Sequence[Sequence[Experiment]],
+    horizon: float,
+    announce: Callable[[str], None],
+) -> Scored:
+    simulated, states, errors, seconds = [], 0, [], 0.0
+    for k, (rest, part) in enumerate(folds):
+        announce(f"{kind.name}, part {k + 1} of {len(folds)}")
+        fold = replace(data, train=tuple(rest), validation=tuple(part))
+        try:
+            fitted = fit(fold, STRUCTURES[kind.structure], effects=kind.effects)
+            poses = from_poses(fold, fitted)
+        except (ValueError, ConfigError) as error:
+            return Scored(kind.name, 0, np.empty((0, 2)), float("nan"), seconds, str(error))
+        simulated.append(list(fitted.simulated))
+        states, seconds = fitted.identified.model.order, seconds + fitted.seconds
+        errors += [drift.position_rmse for drift in poses.drift if drift.horizon == horizon]
+    pose = float(np.sqrt(np.mean(np.square(errors)))) if errors else float("nan")
+    return Scored(kind.name, states, _powers(measured, simulated)[0], pose, seconds)
+
+
+def _powers(
+    measured: Sequence[Sequence[Experiment]], simulated: Sequence[Sequence[FloatArray]]
+) -> tuple[FloatArray, FloatArray]:
+    """(B, 2) mean square errors in blocks of time, and the readings behind each."""
+    length = identification_settings().block_time
+    powers, weights = [], []
+    for fold, outputs in zip(measured, simulated, strict=True):
+        for experiment, said in zip(fold, outputs, strict=True):
+            errors = np.where(experiment.counts, experiment.outputs - said, np.nan)
+            span = max(1, round(length / experiment.dt))
+            for first in range(0, len(errors), span):
+                block = errors[first : first + span]
+                count = np.isfinite(block).sum(axis=0)
+                if count.all():
+                    powers.append(np.nanmean(block**2, axis=0))
+                    weights.append(count)
+    return np.array(powers), np.array(weights, dtype=float)

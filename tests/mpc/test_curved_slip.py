@@ -1,0 +1,137 @@
+"""Slip that curves the body's twist: the prediction, what the estimator learns of it, and the settings."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from ideal_robot import IdealRobot
+
+from diffdrive_mpc import Controller, Measurement, NonlinearModel, Stamped, load_config, load_model, load_trajectory
+from diffdrive_mpc.models.slip_laws import POLYNOMIAL
+from diffdrive_mpc.mpc.estimation.slip import CURVED_SLIPS, SLIPS, Slip
+from diffdrive_mpc.mpc.problem.formulas import body_twist
+from diffdrive_mpc.mpc.trajectories.excitation import slip_excitation
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.segments import lay_segments
+from diffdrive_mpc.sim import make_plant
+from diffdrive_mpc.sim.plants.surface import load_surface
+
+DT = load_config("ssm").sample_time
+# What a floor might do.
+CURVES = {"crab": 0.0, "veer": 0.1, "forward_coupling": -0.1, "yaw_coupling": 0.3, "track_growth": 0.2}
+PLAIN = {
+    "compensation.v_offset": False,
+    "compensation.yaw_gain": False,
+    "compensation.side_slip": False,
+    "monitor.enabled": False,
+}
+
+
+def in_config(values):
+    return {f"estimator.{name}": value for name, value in values.items()}
+
+
+def bent_model(curves):
+    """The linear model whose output is the body's twist, as a function."""
+    model = load_model("ssm").with_extra_dead_time([0.005, 0.005]).discretise(DT)
+    x, window = ca.SX.sym("x", model.order), ca.SX.sym("window", 4)
+    slip = Slip(**curves)
+    twist = body_twist(ca.mtimes(model.C, x), ca.DM([getattr(slip, name) for name in SLIPS]))
+    step = model.A @ x + model.B0 @ window[2:] + model.B1 @ window[:2]
+    return NonlinearModel(
+        "bent",
+        ca.Function("step", [x, window], [step], ["x", "window"], ["x_next"]),
+        ca.Function("output", [x], [twist], ["x"], ["y"]),
+        DT,
+        known_lag=load_model("ssm").with_extra_dead_time([0.005, 0.005]).lag,
+    )
+
+
+def drive(controller, ticks, name="s"):
+    """Commands and plans on a robot without slip: poses alone are measured, so both estimate the same."""
+    robot = IdealRobot(load_model("ssm").discretise(DT), np.array([0.02, -0.03, 0.05]))
+    controller.start(load_trajectory(name), 0.0)
+    commands, plans = [], []
+    for _ in range(ticks):
+        step = controller.step(robot.time, Measurement(pose=Stamped(robot.pose, robot.time)))
+        commands.append(step.command)
+        plans.append(step.plan)
+        robot.advance(step.command)
+    return np.array(commands), np.array(plans)
+
+
+def test_curved_slip_is_predicted_as_a_nonlinear_model_that_says_the_same():
+    fixed = {f"{name}_uncertainty": 1e-9 for name in CURVES}
+    curved = Controller(load_config("ssm", PLAIN | in_config(CURVES | fixed)))
+    bent = Controller(load_config("ssm", PLAIN), model=bent_model(CURVES))
+    first, second = drive(curved, 40), drive(bent, 40)
+    assert first[0] == pytest.approx(second[0], abs=2e-5)
+    assert first[1] == pytest.approx(second[1], abs=2e-5)
+    flat = drive(Controller(load_config("ssm", PLAIN)), 40)
+    assert np.abs(first[0] - flat[0]).max() > 0.03
+
+
+@pytest.mark.parametrize("name", CURVED_SLIPS)
+def test_every_setting_reaches_the_estimate_in_its_own_place(name):
+    given = in_config({name: 0.011, f"{name}_uncertainty": 0.02})
+    controller = Controller(load_config("ssm", PLAIN | given))
+    controller.start(load_trajectory("s"), 0.0)
+    slip = controller.step(0.0, Measurement(pose=Stamped(np.zeros(3), 0.0))).estimate
+    assert slip.slip == replace(Slip(), **{name: 0.011})
+    assert {one for one in SLIPS if getattr(slip.slip_deviation, one) > 0} == {name}
+    assert getattr(slip.slip_deviation, name) == pytest.approx(0.02)
+
+
+def test_an_uncertainty_alone_makes_room_and_nothing_else_does():
+    plain = Controller(load_config("ssm"))
+    roomy = Controller(load_config("ssm", {"estimator.veer_uncertainty": 0.01}))
+    for controller, more in ((plain, 0), (roomy, 5)):
+        controller.start(load_trajectory("s"), 0.0)
+        estimate = controller.step(0.0, Measurement(pose=Stamped(np.zeros(3), 0.0))).estimate
+        assert len(estimate.mean) == 2 + 12 + more
+        assert estimate.state.shape == (2,)
+
+
+def learned(surface, seed):
+    """Estimate after the diagnostic drive of 90 s, from a start that knows nothing of the floor."""
+    still = {"longitudinal_gain": 2e-4, "turn_ahead": 1e-3, "turn_left": 1e-3, "side_slip": 2e-3, "yaw_gain": 1.5e-3}
+    settings = in_config(
+        {f"{name}_drift": drift for name, drift in (still | {"load_shift": 3e-4, "v_offset": 3e-3}).items()}
+        | {"crab_uncertainty": 0.03, "veer_uncertainty": 0.02, "forward_coupling_uncertainty": 0.03}
+        | {"yaw_coupling_uncertainty": 0.1, "longitudinal_gain_uncertainty": 0.02, "side_slip_uncertainty": 0.1}
+    )
+    reference = lay_segments(slip_excitation(6.0, 90.0, 0.6, 1.0), TrajectoryLimits.of_robot(), name="excitation")
+    controller, plant = Controller(load_config("ssm", settings)), make_plant("model:ssm", surface, seed=seed)
+    plant.reset(reference.sample([0.0]).pose[0])
+    controller.start(reference, 0.0)
+    while plant.time < reference.duration:
+        step = controller.step(plant.time, plant.measure())
+        plant.advance(step.command)
+    return step.estimate
+
+
+@pytest.mark.parametrize("surface", ["p4_asphalt", "p4_concrete"])
+def test_the_terms_of_a_floor_are_learned_from_the_diagnostic_drive(surface):
+    """From zero in 90 s: within 20 % of the published coefficients, or within what so small a term is worth."""
+    truth = dict(zip(POLYNOMIAL, load_surface(surface).slip.polynomial.coefficients, strict=True))
+    found = dict(zip(POLYNOMIAL, learned(surface, 3).slip.polynomial, strict=True))
+    worth = {"a11": 0.001, "a12": 0.001, "a21": 0.001, "a23": 0.003, "a31": 0.0015}
+    for name, value in truth.items():
+        assert found[name] == pytest.approx(value, rel=0.2, abs=worth.get(name, 0.0)), name
+
+
+def test_terms_that_a_drive_does_not_tell_stay_where_they_were():
+    """On one circle at one speed yaw gain, veer and coupling are one: only their sum is learned."""
+    settings = in_config({"veer_uncertainty": 0.02, "yaw_coupling_uncertainty": 0.1})
+    controller, plant = Controller(load_config("ssm", settings)), make_plant("model:ssm", "p4_asphalt", seed=3)
+    reference = load_trajectory("circle")
+    controller.start(reference, 0.0)
+    while plant.time < reference.duration:
+        step = controller.step(plant.time, plant.measure())
+        plant.advance(step.command)
+    slip, deviation = step.estimate.slip, step.estimate.slip_deviation
+    assert deviation.yaw_coupling > 0.03
+    turning = slip.yaw_gain * slip.omega_gain + slip.veer * 1.0 / 1.0 + slip.yaw_coupling * 0.5
+    truth = 0.595 + 0.005 + 0.119 * 0.5
+    assert turning == pytest.approx(truth, abs=0.05)
