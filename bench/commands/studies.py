@@ -112,7 +112,7 @@ def reproduce(
     *,
     out: Annotated[Path, out_option("reproduce.json, reproduce.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="A small study of under a minute.")] = False,
-    only: Annotated[str | None, parts_option("mbm_sm, ssm, cost, virtual_track, drive_models")] = None,
+    only: Annotated[str | None, parts_option("mbm_sm, ssm, lstm, cost, virtual_track, drive_models")] = None,
     data: Annotated[
         Path | None,
         typer.Option(envvar="DIFFDRIVE_MPC_DATA", help="Folder with the real logs.", show_default="without them"),

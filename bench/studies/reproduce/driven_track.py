@@ -118,7 +118,7 @@ def driven_track_tables(results: Sequence[DrivenTrack], published: Published) ->
         columns += [f"{one.surface}: v [m/s]", "yaw rate [rad/s]", "track [m]"]
     return [
         Table(
-            "Virtual track, driven",
+            "Driven virtual track",
             tuple(columns),
             tuple(rows),
             note="The paper's commands on the simulated robot (true track 0.330 m), true v and yaw rate; each in open "

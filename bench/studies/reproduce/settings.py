@@ -10,7 +10,7 @@ from pydantic import Field
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.robot import Positive
 
-PARTS = ("mbm_sm", "ssm", "cost", "virtual_track", "drive_models")
+PARTS = ("mbm_sm", "ssm", "lstm", "cost", "virtual_track", "drive_models")
 """Names of the parts, in the order of the report."""
 
 Count = Annotated[int, Field(ge=1)]
@@ -40,6 +40,26 @@ class SsmStudy(StrictModel):
     free_drives: Count
     free_duration: Positive = Field(description="[s]")
     paper_range: PaperRange
+
+
+class LongerTraining(StrictModel):
+    """Where a training differs from the paper's."""
+
+    dropout: float = Field(ge=0, lt=1)
+    decay: float = Field(ge=0)
+    patience: Count
+    most_epochs: Count
+
+
+class NetworkStudy(StrictModel):
+    """LSTM beside SSM from one free drive, and networks of Table 2."""
+
+    train_duration: Positive = Field(description="[s]")
+    free_drives: Count
+    free_duration: Positive = Field(description="[s]")
+    paper_range: PaperRange
+    rows: tuple[tuple[int, ...], ...] = Field(description="of Table 2, in groups that are trained one after the other")
+    longer: LongerTraining
 
 
 class CostStudy(StrictModel):
@@ -82,6 +102,7 @@ class ReproduceSettings(StrictModel):
     repetitions: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)]
     mbm_sm: MbmSmStudy
     ssm: SsmStudy
+    lstm: NetworkStudy
     cost: CostStudy
     drive_models: DriveStudy
     driven_track: TrackStudy

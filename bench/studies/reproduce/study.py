@@ -31,6 +31,15 @@ from diffdrive_mpc.bench.studies.reproduce.mbm_and_sm import (
     mbm_sm_findings,
     odometry_tables,
 )
+from diffdrive_mpc.bench.studies.reproduce.networks import (
+    NetworkResult,
+    NetworkRows,
+    beside_tables,
+    compare_with_ssm,
+    network_findings,
+    row_table,
+    train_rows,
+)
 from diffdrive_mpc.bench.studies.reproduce.published import Finding, load_published
 from diffdrive_mpc.bench.studies.reproduce.settings import PARTS, ReproduceSettings
 from diffdrive_mpc.bench.studies.reproduce.state_space import (
@@ -49,7 +58,7 @@ from diffdrive_mpc.bench.studies.reproduce.virtual_track import (
 from diffdrive_mpc.bench.study import Draw, Report, Study, check_parts
 from diffdrive_mpc.bench.table import Table
 
-Task = Callable[[], SsmResult | MbmSmResult | DriveModelsResult | DrivenTrack]
+Task = Callable[[], SsmResult | MbmSmResult | NetworkResult | NetworkRows | DriveModelsResult | DrivenTrack]
 
 
 @dataclass(frozen=True)
@@ -58,8 +67,10 @@ class ReproduceResults:
 
     Attributes
     ----------
-    mbm_sm, ssm
+    mbm_sm, ssm, lstm
         One for each repetition.
+    rows
+        Networks of P1's Table 2, in groups.
     cost
         By name of the model.
     virtual_track
@@ -72,6 +83,8 @@ class ReproduceResults:
 
     mbm_sm: tuple[MbmSmResult, ...] = ()
     ssm: tuple[SsmResult, ...] = ()
+    lstm: tuple[NetworkResult, ...] = ()
+    rows: tuple[NetworkRows, ...] = ()
     cost: Mapping[str, Cost] | None = None
     virtual_track: VirtualTrackResult | None = None
     drive_models: tuple[DriveModelsResult, ...] = ()
@@ -93,7 +106,13 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         """What is repeated, the longest first: a long one at the end would keep one core waiting."""
         check_parts(self._only, PARTS)
         s, only = self.settings, self._only
-        tasks: list[Task] = [partial(compare_orders, s.ssm, k) for k in s.repetitions if "ssm" in only]
+        tasks: list[Task] = []
+        if "lstm" in only:
+            networks, first = load_published().networks, s.repetitions[0]
+            for rows in s.lstm.rows:
+                tasks.append(partial(train_rows, s.lstm, {row: networks[row] for row in rows}, first))
+            tasks += [partial(compare_with_ssm, s.lstm, k) for k in s.repetitions]
+        tasks += [partial(compare_orders, s.ssm, k) for k in s.repetitions if "ssm" in only]
         if "drive_models" in only:
             if self._data:
                 tasks += [partial(compare_on_log, name, self._data) for name in s.drive_models.logs]
@@ -112,6 +131,8 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         return ReproduceResults(
             ssm=tuple(result for result in done if isinstance(result, SsmResult)),
             mbm_sm=tuple(result for result in done if isinstance(result, MbmSmResult)),
+            lstm=tuple(result for result in done if isinstance(result, NetworkResult)),
+            rows=tuple(result for result in done if isinstance(result, NetworkRows)),
             drive_models=tuple(driven),
             driven_track=tuple(result for result in done if isinstance(result, DrivenTrack)),
             cost=measure_cost(self.settings.cost, bar.advance) if timed else None,
@@ -128,7 +149,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         repetitions = ", ".join(map(str, self.settings.repetitions))
         where = f"plant mujoco, surface default, sensors default, repetitions {repetitions}"
         return Report(
-            counted=f"{len(results.ssm) + len(results.mbm_sm)} repetitions",
+            counted=f"{len(results.ssm) + len(results.mbm_sm) + len(results.lstm)} repetitions",
             meta={"parts": parts},
             content={
                 "findings": [plain(finding) | {"verdict": finding.verdict} for finding in findings],
@@ -149,6 +170,10 @@ def report_tables(results: ReproduceResults, findings: Table) -> list[Table]:
         tables += [fit_table(results.mbm_sm, published), *odometry_tables(results.mbm_sm, published)]
     if results.ssm:
         tables += [order_table(results.ssm, published), *free_drive_tables(results.ssm, published)]
+    if results.rows:
+        tables.append(row_table([row for rows in results.rows for row in rows.rows], published))
+    if results.lstm:
+        tables += beside_tables(results.lstm, published)
     if results.cost is not None:
         tables.append(cost_table(results.cost, published))
     if results.virtual_track is not None:
@@ -182,6 +207,9 @@ def find(results: ReproduceResults) -> list[Finding]:
         findings += mbm_sm_findings(results.mbm_sm, published)
     if results.ssm:
         findings += ssm_findings(results.ssm, published)
+    if results.lstm or results.rows:
+        rows = [row for rows in results.rows for row in rows.rows]
+        findings += network_findings(results.lstm, rows, published)
     if results.cost is not None:
         findings += cost_findings(results.cost, published)
     if results.virtual_track is not None:
