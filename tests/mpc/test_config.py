@@ -54,7 +54,8 @@ def test_mistakes_are_one_line_with_place_and_remedy(overrides, message):
 
 
 def test_unknown_source():
-    with pytest.raises(ConfigError, match="unknown configuration 'smm': give one of kinematic, lstm, mbm, sm, ssm or"):
+    shipped = "kinematic, lstm, mbm, p2_experimental, p2_physical, sm, ssm"
+    with pytest.raises(ConfigError, match=f"unknown configuration 'smm': give one of {shipped} or"):
         load_config("smm")
 
 
