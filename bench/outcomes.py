@@ -17,7 +17,7 @@ from diffdrive_mpc.bench.case import DIMENSIONS, Case
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.runner import OnDone, run_tasks
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.load import NETWORK
+from diffdrive_mpc.models.networks.network import NETWORK
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.mpc import Trajectory
 from diffdrive_mpc.sim import Metrics, Run

@@ -8,13 +8,12 @@ from pathlib import Path
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.named_file import named_file, shipped_names
+from diffdrive_mpc.models.networks.network import NETWORK
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 
-NETWORK = "lstm"
-"""The structure of networks on past commands."""
 PARAMETERS = Path(__file__).parent / "parameters"
 MODEL_NAMES = (*(name for name in STRUCTURES if (PARAMETERS / f"{name}.yaml").is_file()), NETWORK, "kinematic")
 """Shipped models: one of each structure that ships one, the network, and the one to hold them against."""

@@ -112,7 +112,7 @@ def reproduce(
     *,
     out: Annotated[Path, out_option("reproduce.json, reproduce.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="A small study of under a minute.")] = False,
-    only: Annotated[str | None, parts_option("mbm_sm, ssm, cost, virtual_track")] = None,
+    only: Annotated[str | None, parts_option("mbm_sm, ssm, lstm, cost, virtual_track")] = None,
     jobs: Jobs = None,
 ) -> None:
     """Repeat the papers' experiments on the simulated robot and say which findings hold: minutes on two cores."""

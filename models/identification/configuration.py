@@ -7,7 +7,7 @@ tell keeps the schema's default and is named.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -126,7 +126,12 @@ class Configuration:
 
 
 def configure(
-    name: str, identified: IdentifiedModel, train: Sequence[Record], geometry: WheelGeometry | None
+    name: str,
+    identified: IdentifiedModel,
+    train: Sequence[Record],
+    geometry: WheelGeometry | None,
+    *,
+    every_sample: bool = False,
 ) -> Configuration:
     """The controller of an identified robot: limits that the log covers, and the tracks of the wheels.
 
@@ -140,6 +145,8 @@ def configure(
         The records it was identified from.
     geometry
         Wheel radius and track of the log; None without wheel speeds.
+    every_sample
+        Whether the model that predicts is for samples of the log and no others.
 
     Raises
     ------
@@ -182,7 +189,7 @@ def configure(
     lengths = _lengths(limit[0] * gain[0], geometry)
     return Configuration(
         name,
-        _general(identified, train[0].dt),
+        _general(identified, train[0].dt, every_sample=every_sample),
         (*limits, *lengths.get("limits", ())),
         tuple(wheels),
         _noises(train),
@@ -205,8 +212,10 @@ def _lengths(speed: float, geometry: WheelGeometry | None) -> dict[str, list[Set
     return found
 
 
-def _general(identified: IdentifiedModel, dt: float) -> tuple[Setting, ...]:
+def _general(identified: IdentifiedModel, dt: float, *, every_sample: bool) -> tuple[Setting, ...]:
     pace = choose_pace(identified.model, dt)
+    if every_sample:
+        pace = replace(pace, sample_time=dt, every=1)
     source = "of the log" if pace.every == 1 else f"{pace.every} samples of the log, as the robot answers slowly"
     return (
         Setting("model", MODEL_FILE),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.doubt import Doubt
@@ -14,11 +15,15 @@ from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.logs.geometry import WheelGeometry, wheel_geometry
-from diffdrive_mpc.models.output_error.experiment import twist_experiments
+from diffdrive_mpc.models.networks.network import NETWORK
+from diffdrive_mpc.models.output_error.experiment import YawSource, twist_experiments
 from diffdrive_mpc.models.output_error.validation import Validation, score, simulate_records
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.orders import OrderChoice
 from diffdrive_mpc.models.structures.structure import Conditions, Found, Structure
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.models.identification.network import TrainedNetwork
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,8 @@ class Fitted:
         For each validation record (K, 2) v [m/s] and omega [rad/s], sensor offsets included.
     seconds
         How long the estimation took [s], without reading, validation and figures.
+    network
+        A network that predicts in place of `identified`, which limits and tracks still come from; None without one.
     """
 
     identified: IdentifiedModel
@@ -51,6 +58,22 @@ class Fitted:
     validation: Validation
     simulated: tuple[FloatArray, ...]
     seconds: float
+    network: TrainedNetwork | None = None
+
+    @property
+    def structure(self) -> str:
+        """Name of the structure that predicts."""
+        return self.identified.structure if self.network is None else NETWORK
+
+    @property
+    def method(self) -> str:
+        """How it was done, in words."""
+        return self.identified.method if self.network is None else self.network.method
+
+    @property
+    def offset(self) -> FloatArray:
+        """(2,) what v [m/s] and omega [rad/s] are said to be at rest: bias of the sensors, as the model has it."""
+        return self.identified.offset if self.network is None else self.network.network.at_rest
 
 
 def fit(
@@ -93,7 +116,7 @@ def fit(
     _ = identified.model  # refuses what cannot be a robot
     simulated = [_simulated(identified, base, records) for records in (data.train, data.validation)]
     train, validation = (
-        _scored(outputs, records, identified, name)
+        scored(outputs, records, identified.yaw, name)
         for outputs, records, name in zip(
             simulated, (data.train, data.validation), ("training", "validation"), strict=True
         )
@@ -127,10 +150,9 @@ def _simulated(identified: IdentifiedModel, base: IdentifiedBase | None, records
     return [readings[:, [0, -1]] for readings in base.readings(records)]
 
 
-def _scored(
-    simulated: Sequence[FloatArray], records: Sequence[Record], identified: IdentifiedModel, name: str
-) -> Validation:
+def scored(simulated: Sequence[FloatArray], records: Sequence[Record], yaw: YawSource, name: str) -> Validation:
+    """How well outputs (K, 2), one array for each record, explain these; raises ConfigError with their `name`."""
     try:
-        return score(simulated, twist_experiments(records, identified.yaw))
+        return score(simulated, twist_experiments(records, yaw))
     except ValueError as error:
         raise ConfigError(f"{name} records: {error}") from error

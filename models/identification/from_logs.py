@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,16 +19,25 @@ from diffdrive_mpc.models.identification.poses import from_poses
 from diffdrive_mpc.models.identification.report import IdentificationReport
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding, Log
-from diffdrive_mpc.models.structures.identified import model_file, write_model_file
+from diffdrive_mpc.models.networks.network import NETWORK
+from diffdrive_mpc.models.networks.network_file import NetworkFile, network_content, write_network
+from diffdrive_mpc.models.networks.network_model import network_model
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.structures.identified import model_file, percent, write_model_file
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.structure import Structure
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 
+if TYPE_CHECKING:
+    from diffdrive_mpc.models.identification.network import TrainedNetwork
+
 AUTOMATIC = "auto"
+BESIDE = "sm"
+"""The linear model beside a network."""
 CONFIG_FILE = "config.yaml"
 FILES = (MODEL_FILE, CONFIG_FILE, "report.json", "report.md")
-"""What `Identification.write` writes."""
+"""What `Identification.write` writes, and of a network the file of its weights."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -50,10 +59,10 @@ class Identification:
         `config` with a reason beside each value.
     """
 
-    model: VelocityModel
+    model: VelocityModel | NonlinearModel
     config: Mapping[str, Any]
     report: IdentificationReport
-    content: ModelFile
+    content: ModelFile | NetworkFile
     configuration: Configuration
 
     def __repr__(self) -> str:
@@ -104,7 +113,11 @@ class Identification:
         numbers = json.dumps(self.report.as_json(), indent=1, allow_nan=False) + "\n"
         folder.mkdir(parents=True, exist_ok=True)
         if force or not self.refusal:
-            write_model_file(folder / MODEL_FILE, self.content)
+            network = self.report.fitted.network
+            if isinstance(self.content, ModelFile):
+                write_model_file(folder / MODEL_FILE, self.content)
+            elif network is not None:
+                write_network(folder / MODEL_FILE, network.network, self.content)
             (folder / CONFIG_FILE).write_text(self.configuration.text(), encoding="utf-8")
         (folder / "report.json").write_text(numbers, encoding="utf-8")
         (folder / "report.md").write_text(words, encoding="utf-8")
@@ -135,7 +148,7 @@ def identify(
         What their columns or topics are: the name of a shipped mapping or the path of a mapping file; None for logs of
         `diffdrive-mpc simulate --log`, and for bags with the usual topics.
     structure
-        "mbm", "sm", "ssm".
+        "mbm", "sm", "ssm"; or "lstm", a network trained on the logs, which needs the extra `learn` and minutes.
     effects
         Whether to look for what the base does around an sm: slew, steps, tyres, veer. Takes minutes.
     validate
@@ -163,13 +176,17 @@ def identify(
     paths = [Path(path) for path in ([logs] if isinstance(logs, (str, Path)) else logs)]
     if not paths:
         raise ConfigError("no logs: give at least one")
-    chosen = _structure(structure)
+    chosen = _structure(BESIDE if structure == NETWORK else structure)
     wanted = _order(chosen, order)
     if validate and fit_share is not None:
         raise OptionError("fit_share", ": with --validate all of the other logs is identified from; give one of them")
-    if effects and not chosen.takes_effects:
+    if effects and (structure == NETWORK or not chosen.takes_effects):
         able = " or ".join(other.name for other in STRUCTURES.values() if other.takes_effects)
-        raise OptionError("effects", f": they stand around an {able}, not an {chosen.name}; choose that structure")
+        raise OptionError("effects", f": they stand around an {able}, not an {structure}; choose that structure")
+    if structure == NETWORK:
+        from diffdrive_mpc.models.networks.training import check_installed  # noqa: PLC0415 - others do without it
+
+        check_installed()
     if name is not None and not name.strip():
         raise OptionError("name", ": it is empty; give the model a name, or leave the option out")
     if on_progress:
@@ -186,8 +203,10 @@ def identify(
         most_rows=identification_settings().most_rows["effects" if effects else "plain"],
     )
     more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
-    title = name or f"{chosen.name.upper()} from {paths[0].stem}{more}"
-    return identify_data(data, chosen, title, order=wanted, effects=effects, on_progress=on_progress)
+    title = name or f"{structure.upper()} from {paths[0].stem}{more}"
+    return identify_data(
+        data, chosen, title, order=wanted, effects=effects, network=structure == NETWORK, on_progress=on_progress
+    )
 
 
 def identify_data(
@@ -197,6 +216,7 @@ def identify_data(
     *,
     order: int | None = None,
     effects: bool = False,
+    network: bool = False,
     on_progress: Callable[[str], None] | None = None,
 ) -> Identification:
     """Identify a model from records that are divided already; otherwise as `identify`.
@@ -211,6 +231,8 @@ def identify_data(
         Of the model.
     order, effects, on_progress
         As for `identify`; an order of None is chosen.
+    network
+        Whether to train a network, too, which then predicts; limits and tracks come from the structure.
 
     Raises
     ------
@@ -222,10 +244,31 @@ def identify_data(
     fitted = fit(
         data, structure, order, effects=effects, on_trial=lambda effect: announce(f"does the base show {effect}?")
     )
+    if network:
+        from diffdrive_mpc.models.identification.network import with_network  # noqa: PLC0415 - others do without it
+
+        announce("training (a minute or more)")
+        fitted = with_network(data, fitted)
     report = IdentificationReport(name, data, fitted, from_poses(data, fitted), date.today())
-    content = model_file(
+    configuration = configure(name, fitted.identified, data.train, fitted.geometry, every_sample=network)
+    model: VelocityModel | NonlinearModel
+    content: ModelFile | NetworkFile
+    if fitted.network is None:
+        content = _linear_content(report)
+        model = build_model(content)
+    else:
+        content = _network_content(report, fitted.network)
+        model = network_model(name, fitted.network.network, content.sample_time, content.provenance.model_dump())
+    found = Identification(model, configuration.mapping(), report, content, configuration)
+    _lock(found)
+    return found
+
+
+def _linear_content(report: IdentificationReport) -> ModelFile:
+    fitted, data = report.fitted, report.data
+    return model_file(
         fitted.identified,
-        name=name,
+        name=report.name,
         source=", ".join(data.logs),
         records=[record.name for record in data.train],
         date=report.day,
@@ -233,15 +276,32 @@ def identify_data(
         validation_fit_percent=fitted.validation.fit_percent,
         notes=f"validated on {data.held_out}",
     )
-    configuration = configure(name, fitted.identified, data.train, fitted.geometry)
-    found = Identification(build_model(content), configuration.mapping(), report, content, configuration)
-    _lock(found)
-    return found
+
+
+def _network_content(report: IdentificationReport, trained: TrainedNetwork) -> NetworkFile:
+    fitted, data = report.fitted, report.data
+    return network_content(
+        trained.network,
+        name=report.name,
+        sample_time=data.train[0].dt,
+        limits=fitted.identified.limits or None,
+        warnings=[str(doubt) for doubt in report.doubts],
+        fit_percent=percent(fitted.train.fit_percent),
+        validation_fit_percent=percent(fitted.validation.fit_percent),
+        provenance={
+            "origin": "identified",
+            "source": ", ".join(data.logs),
+            "method": f"{trained.method}; omega of the {data.yaw}",
+            "experiments": [record.name for record in data.train],
+            "date": report.day.isoformat(),
+            "notes": f"validated on {data.held_out}",
+        },
+    )
 
 
 def _structure(name: str) -> Structure:
     if name not in STRUCTURES:
-        raise OptionError("structure", f" '{name}': give one of {', '.join(STRUCTURES)}")
+        raise OptionError("structure", f" '{name}': give one of {', '.join((*STRUCTURES, NETWORK))}")
     return STRUCTURES[name]
 
 

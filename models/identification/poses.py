@@ -248,7 +248,7 @@ def _of_model(
     if gyro:
         gain[1] = 1.0 / gyro.parameters.value("gyro_scale")
     predictions = [
-        (record, gain * (outputs - fitted.identified.offset))
+        (record, gain * (outputs - fitted.offset))
         for record, outputs in zip(data.validation, fitted.simulated, strict=True)
         if record.pose is not None
     ]

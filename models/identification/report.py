@@ -59,7 +59,7 @@ class IdentificationReport:
 
     def __str__(self) -> str:
         """Scores, pose errors, parameters and warnings."""
-        tables = [*self.scores, parameter_table("Parameters", self.fitted.identified.parameters)]
+        tables = [*self.scores, parameter_table(self._parameters, self.fitted.identified.parameters)]
         said = "\n".join(f"warning: {warning}" for warning in self.warnings)
         return "\n\n".join([self.name, *map(str, tables), *([said] if said else [])])
 
@@ -84,6 +84,11 @@ class IdentificationReport:
         return tuple(dict.fromkeys([*counted(self._findings), *lines(self.doubts)]))
 
     @property
+    def _parameters(self) -> str:
+        """Title of their table."""
+        return "Parameters" if self.fitted.network is None else "Parameters of the linear model beside the network"
+
+    @property
     def _findings(self) -> list[Finding]:
         return [finding for finding in self.data.findings if finding.severity != "note"]
 
@@ -105,6 +110,8 @@ class IdentificationReport:
             f"{lag[i]:.2f} s"
             for i, channel in enumerate(CHANNELS)
         ]
+        if self.fitted.network is not None:
+            lags[0] = f"a network; by the linear model beside it, which limits and tracks come from, {lags[0]}"
         clipped = [f"{channel} clipped at {level:.3g}" for channel, level in self.fitted.identified.limits.items()]
         fit = [float(value) for value in self.fitted.validation.fit_percent]
         worst, limits = min(fit), identification_settings().warn
@@ -136,7 +143,7 @@ class IdentificationReport:
         """Scores, pose errors, parameters and warnings for a program; parameters from poses stand behind "poses."."""
         fitted = self.fitted
         return {
-            "model": fitted.identified.structure,
+            "model": fitted.structure,
             "train_fit_percent": _channels(fitted.train.fit_percent),
             "validation_fit_percent": _channels(fitted.validation.fit_percent),
             "pose_error": [
@@ -160,7 +167,7 @@ class IdentificationReport:
             tables.append(order_table(fitted.orders))
         if fitted.base:
             tables.append(effect_table(fitted.base))
-        tables.append(parameter_table("Parameters", fitted.identified.parameters))
+        tables.append(parameter_table(self._parameters, fitted.identified.parameters))
         if poses.parameters.names:
             tables.append(parameter_table("Parameters from poses", poses.parameters))
         if poses.laws:
@@ -184,7 +191,7 @@ class IdentificationReport:
         ]
         return _bullets(
             [
-                f"{fitted.identified.structure.upper()} from {', '.join(data.logs)}: {fitted.identified.method}.",
+                f"{fitted.structure.upper()} from {', '.join(data.logs)}: {fitted.method}.",
                 f"Identified from {spans[0]:.0f} s, tried on {spans[1]:.0f} s, {data.held_out}; "
                 f"one sample every {data.train[0].dt:.6g} s.",
                 f"omega is that of the {data.yaw}.",

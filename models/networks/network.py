@@ -13,6 +13,8 @@ from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.networks.equations import hidden, next_cell
 
+NETWORK = "lstm"
+"""By which files and options call such a network."""
 GATES = ("enter", "keep", "candidate", "leave")
 """Gates of a unit, in the order of their columns."""
 _CHUNK = 4096

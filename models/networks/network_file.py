@@ -13,12 +13,10 @@ import yaml
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check
-from diffdrive_mpc.models.networks.network import Architecture, Network
+from diffdrive_mpc.models.networks.network import NETWORK, Architecture, Network
 from diffdrive_mpc.models.networks.network_model import NetworkModel, network_model
 from diffdrive_mpc.models.structures.model_file import ChannelFit, CommandLimits, Provenance
 
-STRUCTURE = "lstm"
-"""By which files and options call a network."""
 _HEAD = "# A network on past commands; its weights lie in the file that it names. Times [s].\n"
 _FIRST_DAY = (1980, 1, 1, 0, 0, 0)
 
@@ -68,32 +66,34 @@ def load_network(path: Path, data: Any) -> NetworkModel:  # noqa: ANN401 - what 
     return network_model(content.name, network, content.sample_time, provenance)
 
 
-def write_network(path: Path, network: Network, **content: Any) -> None:  # noqa: ANN401 - fields of NetworkFile
-    """Write `path` with the fields of `NetworkFile` in `content`, and the weights beside it; the same bytes each time.
+def network_content(network: Network, **fields: Any) -> NetworkFile:  # noqa: ANN401 - fields of NetworkFile
+    """What the parameter file of a network says, but for the name of the file with its weights.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        If a field is missing or wrong.
+    """
+    digest = hashlib.sha256(_packed(network)).hexdigest()
+    kind = {"structure": NETWORK, "architecture": network.architecture, "weights": "", "sha256": digest}
+    return NetworkFile.model_validate({**kind, **fields})
+
+
+def write_network(path: Path, network: Network, content: NetworkFile) -> None:
+    """Write `content` to `path`, and the weights beside it; the same bytes each time.
 
     Raises
     ------
     OSError
         If a file cannot be written.
     """
-    packed = _packed(network)
     weights = path.with_suffix(".npz")
-    whole = NetworkFile.model_validate(
-        {
-            "structure": STRUCTURE,
-            "architecture": network.architecture,
-            "weights": weights.name,
-            "sha256": hashlib.sha256(packed).hexdigest(),
-            **content,
-        }
-    )
-    data = whole.model_dump(exclude_none=True, exclude_defaults=True) | {
-        "architecture": network.architecture.model_dump()
-    }
+    data = content.model_dump(exclude_none=True, exclude_defaults=True)
+    data |= {"architecture": network.architecture.model_dump(), "weights": weights.name}
     first = ("name", "structure", "provenance", "fit_percent", "validation_fit_percent", "limits", "warnings")
     ordered = {key: data[key] for key in first if key in data}
     ordered |= {key: value for key, value in data.items() if key not in first}
-    weights.write_bytes(packed)
+    weights.write_bytes(_packed(network))
     text = yaml.safe_dump(ordered, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
     path.write_text(_HEAD + text, encoding="utf-8")
 

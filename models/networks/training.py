@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -71,7 +72,7 @@ def train(
     ValueError
         If there are fewer windows than a few batches.
     """
-    jax, optax = _libraries()
+    jax, _ = _libraries()
     s = settings or training_settings()
     every = s.batch * s.validation_every
     if len(training) < every or not len(validation):
@@ -81,8 +82,7 @@ def train(
         )
     random = np.random.default_rng(s.seed)
     parameters = {name: jax.numpy.asarray(value, "float32") for name, value in _start(architecture, random).items()}
-    rule = optax.adam(s.rate) if s.optimiser == "adam" else optax.rmsprop(s.rate)
-    run, look = _compiled(jax, optax, rule, architecture, s)
+    rule, run, look = _compiled(architecture, s.optimiser, s.rate, s.dropout, s.decay)
     state, key = rule.init(parameters), jax.random.PRNGKey(s.seed)
     given, wanted = training.commands.astype("float32"), training.twists.astype("float32")
     held = validation.commands.astype("float32"), validation.twists.astype("float32")
@@ -112,9 +112,15 @@ def method(architecture: Architecture, settings: TrainingSettings, found: Traini
     return (
         f"{s.optimiser} at {s.rate:g} with L2 {s.decay:g}, batches of {s.batch}, dropout {s.dropout:g}; validation "
         f"every {s.validation_every} steps, best of {found.steps} steps at {found.best_step}, patience {s.patience}; "
-        f"training, validation and test parts {shares}, in this order in time; seed {s.seed}; window {a.window}, "
-        f"{a.layers} x LSTM of {a.units}, dense {a.dense} with {a.activation}, {a.parameters} parameters"
+        f"parts of {shares} in this order in time, of which the first trains and the second stops; seed {s.seed}; "
+        f"window {a.window}, {a.layers} x LSTM of {a.units}, dense {a.dense} with {a.activation}, {a.parameters} "
+        "parameters"
     )
+
+
+def check_installed() -> None:
+    """Raise MissingPackageError if JAX or Optax are not installed, before anything long begins."""
+    _libraries()
 
 
 def _libraries() -> tuple[Any, Any]:
@@ -145,14 +151,13 @@ def _start(architecture: Architecture, random: np.random.Generator) -> dict[str,
     return start
 
 
+@cache
 def _compiled(
-    jax: Any,  # noqa: ANN401 - the libraries are modules
-    optax: Any,  # noqa: ANN401
-    rule: Any,  # noqa: ANN401
-    architecture: Architecture,
-    settings: TrainingSettings,
-) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Some steps of training at once, and the loss on windows that are held out."""
+    architecture: Architecture, optimiser: str, rate: float, dropout: float, decay: float
+) -> tuple[Any, Callable[..., Any], Callable[..., Any]]:
+    """The optimiser's rule, some steps of training at once, and the loss on windows that are held out."""
+    jax, optax = _libraries()
+    rule = optax.adam(rate) if optimiser == "adam" else optax.rmsprop(rate)
     jnp = jax.numpy
 
     def says(p: Parameters, windows: Any, key: Any) -> Any:  # noqa: ANN401 - arrays of JAX
@@ -170,9 +175,9 @@ def _compiled(
 
             sums = rows @ p[f"input_{layer}"] + p[f"gate_offset_{layer}"]
             (last, _), rows = jax.lax.scan(advance, (zero, zero), sums)
-        if key is not None and settings.dropout:
-            keep = jax.random.bernoulli(key, 1 - settings.dropout, last.shape)
-            last = jnp.where(keep, last / (1 - settings.dropout), 0.0)
+        if key is not None and dropout:
+            keep = jax.random.bernoulli(key, 1 - dropout, last.shape)
+            last = jnp.where(keep, last / (1 - dropout), 0.0)
         dense = last @ p["dense"] + p["dense_offset"]
         dense = jnp.tanh(dense) if architecture.activation == "tanh" else jnp.maximum(dense, 0.0)
         return dense @ p["output"] + p["output_offset"]
@@ -182,7 +187,7 @@ def _compiled(
 
     def loss(p: Parameters, windows: Any, twists: Any, key: Any) -> Any:  # noqa: ANN401
         squares = [jnp.sum(p[name] ** 2) for name in p if name.startswith(_WEIGHTS) and not name.endswith("_offset")]
-        return error(p, windows, twists, key) + 0.5 * settings.decay * sum(squares)
+        return error(p, windows, twists, key) + 0.5 * decay * sum(squares)
 
     def step(carried: Any, batch: Any) -> Any:  # noqa: ANN401
         p, state, key = carried
@@ -193,4 +198,4 @@ def _compiled(
     def run(p: Parameters, state: Any, key: Any, windows: Any, twists: Any) -> Any:  # noqa: ANN401
         return jax.lax.scan(step, (p, state, key), (windows, twists))[0]
 
-    return jax.jit(run), jax.jit(error)
+    return rule, jax.jit(run), jax.jit(error)

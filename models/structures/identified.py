@@ -144,12 +144,12 @@ def model_file(
         "notes": notes,
     }
     more: dict[str, Any] = {
-        "fit_percent": _percent(train_fit_percent),
+        "fit_percent": percent(train_fit_percent),
         "uncertainty": uncertainty(identified.parameters),
         "warnings": list(lines(identified.warnings)),
     }
     if validation_fit_percent is not None:
-        more["validation_fit_percent"] = _percent(validation_fit_percent)
+        more["validation_fit_percent"] = percent(validation_fit_percent)
     if identified.limits:
         more["limits"] = dict(identified.limits)
     return identified.file(name, provenance, **more)
@@ -179,5 +179,6 @@ def uncertainty(estimate: ParameterEstimate) -> Mapping[str, Any]:
     }
 
 
-def _percent(fit: FloatArray) -> dict[str, float]:
+def percent(fit: FloatArray) -> dict[str, float]:
+    """FIT (2,) by channel, as a file holds it [%]."""
     return {channel: round(float(value), _PERCENT_DIGITS) for channel, value in zip(CHANNELS, fit, strict=True)}

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from diffdrive_mpc.bench.studies.reproduce import networks
 from diffdrive_mpc.bench.studies.reproduce.cost import Cost
 from diffdrive_mpc.bench.studies.reproduce.drives import PoseError, Spread
 from diffdrive_mpc.bench.studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, SM, MbmSmResult
+from diffdrive_mpc.bench.studies.reproduce.networks import NetworkResult, NetworkRow, NetworkRows
 from diffdrive_mpc.bench.studies.reproduce.published import load_published
 from diffdrive_mpc.bench.studies.reproduce.settings import load_study
 from diffdrive_mpc.bench.studies.reproduce.state_space import (
@@ -70,6 +72,26 @@ def ssm(repetition: int = 1, *, omega: tuple[float, ...] = (0.0, 90.0, 90.1, 90.
     return SsmResult(repetition, orders, chosen, "the lowest", *[{IDENTIFIED: drives, PRINTED: drives}] * 2)
 
 
+def lstm(repetition: int = 1, *, ssm: float = 95.0, lstm: float = 93.0) -> NetworkResult:
+    """FIT by model; errors of odometry grow where FIT falls."""
+    drives = {
+        name: (FreeDrive(VelocityFit((fit, fit - 2.0), (0.01, 0.05)), pose_error(0.1 * (100.0 - fit))),)
+        for name, fit in ((networks.SSM, ssm), (networks.LSTM, lstm), (networks.LONGER, lstm))
+    }
+    return NetworkResult(repetition, drives)
+
+
+def network_rows(best: int = 2) -> NetworkRows:
+    """All of P1's Table 2."""
+    fits = {row: 95.0 if row == best else 94.0 for row in load_published().networks}
+    return NetworkRows(
+        tuple(
+            NetworkRow(row, 5018, 400, VelocityFit((fit, fit), (0.01, 0.05)), VelocityFit((fit, fit), (0.01, 0.05)))
+            for row, fit in fits.items()
+        )
+    )
+
+
 def cost(mbm: float = 4e-6, sm: float = 3e-6, one: float = 2e-7) -> dict[str, Cost]:
     times = {"mbm": (8, mbm), "sm": (4, sm), "ssm": (2, one)}
     return {
@@ -82,6 +104,8 @@ def made_up(repetitions: int = 2) -> ReproduceResults:
     return ReproduceResults(
         mbm_sm=tuple(mbm_sm(k) for k in range(1, repetitions + 1)),
         ssm=tuple(ssm(k) for k in range(1, repetitions + 1)),
+        lstm=tuple(lstm(k) for k in range(1, repetitions + 1)),
+        rows=(network_rows(),),
         cost=cost(),
         virtual_track=check_virtual_track(load_published().virtual_track, certain=2.0),
     )

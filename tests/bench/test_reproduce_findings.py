@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from reproduce_parts import cost, made_up, mbm_sm, ssm
+from reproduce_parts import cost, lstm, made_up, mbm_sm, network_rows, ssm
 
 from diffdrive_mpc.bench.studies.reproduce.study import find
 from diffdrive_mpc.bench.studies.reproduce.virtual_track import VirtualTrackResult, fit_line
@@ -113,3 +113,20 @@ def test_an_exchange_explains_what_few_others_do_and_what_the_radii_side_with(ch
     assert verdict(replace(results, virtual_track=track), "exchanged by mistake") == expected
     not_given = replace(track, fitted_exchanged=track.fitted)
     assert verdict(replace(results, virtual_track=not_given), "exchanged by mistake") == "no"
+
+
+def test_lstm_and_ssm_are_compared_by_repetition():
+    results = made_up()
+    better, worse = lstm(1, ssm=95.0, lstm=93.0), lstm(2, ssm=93.0, lstm=95.0)
+    for pair, expected in (((better, better), "yes"), ((better, worse), "1 of 2"), ((worse, worse), "no")):
+        found = replace(results, lstm=pair)
+        assert verdict(found, "SSM explains v and omega better than LSTM") == expected
+        assert verdict(found, "odometry of SSM has the smaller errors") == expected
+
+
+def test_the_best_of_the_nine_is_only_named_where_all_were_trained():
+    results = made_up()
+    assert verdict(results, "row 2 has the best test FIT") == "yes"
+    assert verdict(replace(results, rows=(network_rows(best=7),)), "row 2 has the best test FIT") == "no"
+    some = replace(network_rows(), rows=network_rows().rows[:3])
+    assert not any("best test FIT of the nine" in claim for claim in verdicts(replace(results, rows=(some,))))

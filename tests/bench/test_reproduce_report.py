@@ -36,6 +36,9 @@ def test_every_table_is_filled_and_published_numbers_stand_beside_ours():
         "SSM odometry on free drives",
         "SSM velocity on fast free drives",
         "SSM odometry on fast free drives",
+        "The nine networks",
+        "SSM and LSTM velocity",
+        "SSM and LSTM odometry",
         "Cost of a simulation",
         "Virtual track",
     ]
@@ -56,6 +59,9 @@ def test_averages_of_the_free_drives_are_the_paper_s():
     assert averages[0][2:6] == ("0.85", "0.67", "0.53", "1.65")
     averages = [cells for cells in tables["SSM velocity on free drives"].rows if cells[1] == "average"]
     assert averages[0][2:4] == ("94.70", "91.71")
+    for title, paper in (("SSM and LSTM velocity", ("93.10", "90.95")), ("SSM and LSTM odometry", ("1.09", "0.80"))):
+        (average,) = [cells for cells in tables[title].rows if cells[:2] == ("published LSTM", "average")]
+        assert average[2:4] == paper
 
 
 def test_the_report_has_every_figure_and_the_verdicts(report: Path):
@@ -84,7 +90,7 @@ def test_every_table_and_figure_has_its_place_on_the_page(report: Path):
 
 
 def test_parts_that_were_not_run_leave_nothing(tmp_path: Path):
-    write_made_up(replace(made_up(), mbm_sm=(), ssm=(), cost=None), tmp_path)
+    write_made_up(replace(made_up(), mbm_sm=(), ssm=(), lstm=(), rows=(), cost=None), tmp_path)
     assert [path.name for path in (tmp_path / "figures").iterdir()] == ["virtual-track.png"]
     text = (tmp_path / "reproduce.md").read_text()
     assert [line for line in text.splitlines() if line.startswith("## ")] == ["## Findings", "## Virtual track"]
@@ -101,5 +107,5 @@ def test_the_command_writes_its_report(tmp_path: Path):
 def test_an_unknown_part_is_one_line_and_nothing_is_made(tmp_path: Path):
     result = runner.invoke(app, ["reproduce", "--out", str(tmp_path / "out"), "--only", "ssm,costs"])
     assert result.exit_code == 2
-    assert result.stderr == "error: --only: unknown part 'costs'; known: mbm_sm, ssm, cost, virtual_track\n"
+    assert result.stderr == "error: --only: unknown part 'costs'; known: mbm_sm, ssm, lstm, cost, virtual_track\n"
     assert not (tmp_path / "out").exists()

@@ -10,10 +10,14 @@ from diffdrive_mpc.models import ModelError, load_model
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.load import load_base_effects, load_linear_model
 from diffdrive_mpc.models.networks.network import Architecture, Network
-from diffdrive_mpc.models.networks.network_file import write_network
+from diffdrive_mpc.models.networks.network_file import network_content, write_network
 from diffdrive_mpc.models.networks.network_model import network_model
 
 PROVENANCE = {"origin": "assumed", "source": "random numbers"}
+
+
+def write(path, network):
+    write_network(path, network, network_content(network, name="mine", sample_time=DT, provenance=PROVENANCE))
 
 
 def one_window(network, window):
@@ -79,7 +83,7 @@ def test_a_free_run_is_what_its_steps_give():
 def test_its_file_brings_it_back_and_is_the_same_each_time(tmp_path):
     network = random_network()
     for name in ("one", "other"):
-        write_network(tmp_path / f"{name}.yaml", network, name="mine", sample_time=DT, provenance=PROVENANCE)
+        write(tmp_path / f"{name}.yaml", network)
     assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "other.npz").read_bytes()
     found = load_model(tmp_path / "one.yaml")
     windows = np.random.default_rng(4).normal(size=(5, 20, 2))
@@ -91,7 +95,7 @@ def test_its_file_brings_it_back_and_is_the_same_each_time(tmp_path):
 
 def test_files_that_are_not_whole_are_refused_in_one_line(tmp_path):
     path = tmp_path / "mine.yaml"
-    write_network(path, random_network(), name="mine", sample_time=DT, provenance=PROVENANCE)
+    write(path, random_network())
     weights = (tmp_path / "mine.npz").read_bytes()
     (tmp_path / "mine.npz").write_bytes(weights[:-1] + b"x")
     with pytest.raises(ConfigError, match="is not the file that was written with it"):

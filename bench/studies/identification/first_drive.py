@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from diffdrive_mpc.bench.studies.identification.trial_drives import TrialDrive, trial_doubts
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import ControllerConfig
@@ -51,7 +52,7 @@ class FirstCircle:
         )
 
 
-def first_circle(config: ControllerConfig, model: VelocityModel) -> FirstCircle:
+def first_circle(config: ControllerConfig, model: VelocityModel | NonlinearModel) -> FirstCircle:
     """The circle for a robot with these limits and gains."""
     radius = config.wheels.encoder_track / load_robot().track
     v_gain, omega_gain = abs(model.dc_gain[0, 0]), abs(model.dc_gain[1, 1])

@@ -14,7 +14,7 @@ from diffdrive_mpc.bench.studies.reproduce.settings import load_study
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.networks.network import Architecture
-from diffdrive_mpc.models.networks.network_file import write_network
+from diffdrive_mpc.models.networks.network_file import network_content, write_network
 from diffdrive_mpc.models.networks.training import method, train
 from diffdrive_mpc.models.networks.training_settings import training_settings
 from diffdrive_mpc.models.networks.windows import divided, fit_percent, windows_of
@@ -45,8 +45,7 @@ def fit_network(folder: Path, on_progress: Callable[[int, int], None] | None = N
     other = windows_of(twist_experiments(held_out), kind.window)
     parts = {"training": training, "validation": validation, "test": test, "other drives": other}
     fits = {name: fit_percent(network, part) for name, part in parts.items()}
-    write_network(
-        folder / "lstm.yaml",
+    content = network_content(
         network,
         name="LSTM",
         sample_time=drive[0].dt,
@@ -64,6 +63,7 @@ def fit_network(folder: Path, on_progress: Callable[[int, int], None] | None = N
             "on other drives of the same kind. What the network says at rest is taken off what it says.",
         },
     )
+    write_network(folder / "lstm.yaml", network, content)
     rows = [(name, str(len(parts[name])), *(f"{value:.2f}" for value in fit)) for name, fit in fits.items()]
     columns = ("part", "windows", "FIT v [%]", "FIT omega [%]")
     return Table("The network on drives of the simulated robot", columns, tuple(rows), text_columns=1)

@@ -12,6 +12,7 @@ from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.fitting import fit
 from diffdrive_mpc.models.identification.log_data import LogData
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.registry import STRUCTURES
@@ -73,7 +74,7 @@ def trial_drives(
     gain = np.abs(np.diag(found.model.dc_gain))
     circle = 2 * gain[0] * config.limits.v / (gain[1] * config.limits.omega)
     effects = _effects_of(found.report.fitted.identified)
-    plants: list[tuple[str, VelocityModel, BaseEffects]] = [(ITSELF, found.model, effects)]
+    plants: list[tuple[str, VelocityModel | NonlinearModel, BaseEffects]] = [(ITSELF, found.model, effects)]
     other = _of_held_out(found)
     if other is not None:
         plants.append((HELD_OUT, other.model, _effects_of(other)))

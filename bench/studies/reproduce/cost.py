@@ -6,16 +6,19 @@ import time
 import tracemalloc
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from diffdrive_mpc.bench.studies.reproduce.drives import predict_path
-from diffdrive_mpc.bench.studies.reproduce.published import Finding, Published
+from diffdrive_mpc.bench.studies.reproduce.published import Finding, Published, PublishedCost
 from diffdrive_mpc.bench.studies.reproduce.settings import CostStudy
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.bench.timing import quiet_core
 from diffdrive_mpc.models.discrete_model import DiscreteModel
-from diffdrive_mpc.models.load import load_linear_model
+from diffdrive_mpc.models.load import load_linear_model, load_model
+from diffdrive_mpc.models.networks.network import NETWORK
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.sim.plants.open_loop import random_commands
@@ -23,6 +26,9 @@ from diffdrive_mpc.sim.plants.open_loop import random_commands
 _SEED = 0
 _BYTES_PER_MB = 1e6
 _ROUNDING = 1e-9
+
+
+Sampled = DiscreteModel | NonlinearModel
 
 
 @dataclass(frozen=True)
@@ -62,11 +68,16 @@ def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -
     """
     dt = load_robot().sample_time
     commands = random_commands(_SEED, duration=study.steps * dt)
-    continuous = {name: load_linear_model(name) for name in STRUCTURES}
-    models = {name: model.discretise(dt) for name, model in continuous.items()}
+    ready: dict[str, Callable[[], Sampled]] = {
+        name: partial(load_linear_model(name).discretise, dt) for name in STRUCTURES
+    }
+    network = load_model(NETWORK)
+    assert isinstance(network, NonlinearModel)
+    ready[NETWORK] = lambda: network
+    models = {name: get() for name, get in ready.items()}
     whole = {name: random_commands(_SEED, duration=steps * dt) for name, steps in study.simulation_steps.items()}
 
-    def run(model: DiscreteModel) -> None:
+    def run(model: Sampled) -> None:
         predict_path(model, commands, np.zeros(3))
 
     simulated: dict[str, list[float]] = {name: [] for name in models}
@@ -81,7 +92,7 @@ def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -
                 run(model)
                 took[name].append((time.thread_time() - began) / study.steps)
                 began = time.thread_time()
-                predict_path(continuous[name].discretise(dt), whole[name], np.zeros(3))
+                predict_path(ready[name](), whole[name], np.zeros(3))
                 simulated[name].append(time.thread_time() - began)
             on_done()
         for _ in range(study.runs):
@@ -136,7 +147,18 @@ def cost_findings(cost: Mapping[str, Cost], published: Published) -> list[Findin
             f"{took['sm'] / took['ssm']:.1f} times",
             (took["sm"] > rules.much_quicker * took["ssm"],),
         ),
+        *([_network(took, printed, rules.much_quicker)] if NETWORK in took else []),
     ]
+
+
+def _network(took: Mapping[str, float], printed: Mapping[str, PublishedCost], much: float) -> Finding:
+    return Finding(
+        f"a step of SSM is more than {much:g} times as quick as one of LSTM",
+        "P1, Table 5",
+        f"{printed[NETWORK].time_per_step[0] / printed['ssm'].time_per_step[0]:.0f} times",
+        f"{took[NETWORK] / took['ssm']:.1f} times",
+        (took[NETWORK] > much * took["ssm"],),
+    )
 
 
 def cost_table(cost: Mapping[str, Cost], published: Published) -> Table:
@@ -152,7 +174,8 @@ def cost_table(cost: Mapping[str, Cost], published: Published) -> Table:
     values = [column for quantity in quantities for column in (f"published {quantity}", quantity)]
     note = (
         "Mean ± standard deviation over runs. Published: P0, Table 3 (MBM and SM in Simulink; its Table 4 prints 32 MB "
-        "and 5.3 MB for what Table 3 gives as 0.032 and 0.0053 MB); P1, Table 5 (SSM). Ours: from commands "
+        "and 5.3 MB for what Table 3 gives as 0.032 and 0.0053 MB); P1, Table 5 (SSM and "
+        "LSTM, whose windows are worked out all at once here). Ours: from commands "
         "to poses, one process, one BLAS thread, processor time; a simulation has as many steps as the paper's, and "
         "samples the model first; memory is the most held at a time."
     )

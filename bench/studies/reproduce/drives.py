@@ -13,6 +13,7 @@ from diffdrive_mpc.bench.studies.reproduce.settings import PaperRange
 from diffdrive_mpc.models.discrete_model import DiscreteModel, zero_order_hold
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.output_error.linear_system import LinearSystem
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import load_robot
@@ -98,7 +99,7 @@ def sampled(system: LinearSystem, dt: float) -> DiscreteModel:
     return zero_order_hold(system.A, system.B, system.C, system.dead_time, dt)
 
 
-def predict_path(model: DiscreteModel, commands: FloatArray, start: ArrayLike) -> FloatArray:
+def predict_path(model: DiscreteModel | NonlinearModel, commands: FloatArray, start: ArrayLike) -> FloatArray:
     """Poses (K, 3) from commands (K, 2) alone, from rest at `start` (3,)."""
     return dead_reckon(model.simulate(commands), start, model.dt)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,6 +40,20 @@ class PublishedDrive(PublishedFit):
     """A free drive: velocity and odometry."""
 
     odometry: PublishedErrors
+
+
+class PublishedNetwork(StrictModel):
+    """One row of P1's Table 2."""
+
+    window: int
+    units: int
+    layers: int
+    activation: Literal["tanh", "relu"]
+    optimiser: Literal["adam", "rmsprop"]
+    batch: int
+    validation_every: int
+    patience: int
+    test: PublishedFit
 
 
 class PublishedCost(StrictModel):
@@ -80,6 +95,9 @@ class Published(StrictModel):
     orders: dict[int, PublishedFit]
     free_drives: list[PublishedDrive]
     free_drives_average: PublishedDrive
+    lstm_drives: list[PublishedDrive]
+    lstm_drives_average: PublishedDrive
+    networks: dict[int, PublishedNetwork]
     cost: dict[str, PublishedCost]
     virtual_track: PublishedTrack
     rules: Rules

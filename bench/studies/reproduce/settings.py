@@ -10,7 +10,7 @@ from pydantic import Field
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.robot import Positive
 
-PARTS = ("mbm_sm", "ssm", "cost", "virtual_track")
+PARTS = ("mbm_sm", "ssm", "lstm", "cost", "virtual_track")
 """Names of the parts, in the order of the report."""
 
 Count = Annotated[int, Field(ge=1)]
@@ -42,6 +42,26 @@ class SsmStudy(StrictModel):
     paper_range: PaperRange
 
 
+class LongerTraining(StrictModel):
+    """Where a training differs from the paper's."""
+
+    dropout: float = Field(ge=0, lt=1)
+    decay: float = Field(ge=0)
+    patience: Count
+    most_epochs: Count
+
+
+class NetworkStudy(StrictModel):
+    """LSTM beside SSM from one free drive, and networks of Table 2."""
+
+    train_duration: Positive = Field(description="[s]")
+    free_drives: Count
+    free_duration: Positive = Field(description="[s]")
+    paper_range: PaperRange
+    rows: tuple[tuple[int, ...], ...] = Field(description="of Table 2, in groups that are trained one after the other")
+    longer: LongerTraining
+
+
 class CostStudy(StrictModel):
     """Simulations that are timed."""
 
@@ -56,6 +76,7 @@ class ReproduceSettings(StrictModel):
     repetitions: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)]
     mbm_sm: MbmSmStudy
     ssm: SsmStudy
+    lstm: NetworkStudy
     cost: CostStudy
 
 

@@ -38,7 +38,8 @@ IDENTIFIED, PRINTED = "identified", "as printed"
 _TABLE = "P1, Table 1"
 _SLIGHTLY_HIGHER = (3, 4)
 _HIGHEST = 5
-_FIT_COLUMNS = ("FIT v [%]", "FIT omega [%]", "RMSE v [m/s]", "RMSE omega [rad/s]")
+FIT_COLUMNS = ("FIT v [%]", "FIT omega [%]", "RMSE v [m/s]", "RMSE omega [rad/s]")
+"""Headings of `VelocityFit.values`."""
 _PUBLISHED = "published"
 _FAST = "fast free drives"
 _DIGITS = {True: (2, 2, 2, 2), False: (2, 2, 4, 4)}
@@ -122,7 +123,7 @@ def compare_orders(study: SsmStudy, repetition: int) -> SsmResult:
 
 def _predicted(identified: IdentifiedModel, drives: Sequence[Record]) -> dict[str, tuple[FreeDrive, ...]]:
     systems = {IDENTIFIED: identified.system, PRINTED: _as_printed(load_linear_model("ssm"))}
-    return {name: tuple(_free_drive(system, drive) for drive in drives) for name, system in systems.items()}
+    return {name: tuple(free_drive(system, drive) for drive in drives) for name, system in systems.items()}
 
 
 def _order(number: int, row: OrderRow, train: Sequence[Record], test: Sequence[Record]) -> OrderResult:
@@ -132,7 +133,8 @@ def _order(number: int, row: OrderRow, train: Sequence[Record], test: Sequence[R
     )
 
 
-def _free_drive(system: LinearSystem, drive: Record) -> FreeDrive:
+def free_drive(system: LinearSystem, drive: Record) -> FreeDrive:
+    """A linear model held against a drive."""
     pose = np.asarray(drive.pose)
     path = predict_path(sampled(system, drive.dt), drive.command, pose[0])
     return FreeDrive(_velocity(system, [drive]), pose_error(path, pose))
@@ -250,7 +252,7 @@ def order_table(results: Sequence[SsmResult], published: Published) -> Table:
         train = np.mean([result.orders[k].train.fit_percent for result in results], axis=0)
         bic = float(np.mean([result.orders[k].bic for result in results]))
         rows.append((str(first.order), *paper, *test, *_cells(train), number(bic, 0)))
-    on_test = (*(f"published {name}" for name in _FIT_COLUMNS), *_FIT_COLUMNS)
+    on_test = (*(f"published {name}" for name in FIT_COLUMNS), *FIT_COLUMNS)
     on_train = ("FIT v, train [%]", "FIT omega, train [%]", "Schwarz criterion [-]")
     note = (
         "Published: P1, Table 1, test. Ours: drives held out, pooled; mean over repetitions. Order 1 is a floor: one "
@@ -294,7 +296,7 @@ def _drive_tables(
     velocity = f"Published: P1, Table 3. {note}"
     odometry = f"Published: P1, Table 4. From commands alone, against the true pose. {note}"
     return [
-        Table(f"SSM velocity on {where}", (*names, *_FIT_COLUMNS), tuple(fits), len(names), velocity),
+        Table(f"SSM velocity on {where}", (*names, *FIT_COLUMNS), tuple(fits), len(names), velocity),
         Table(f"SSM odometry on {where}", (*names, *errors), tuple(paths), len(names), odometry),
     ]
 

@@ -17,6 +17,15 @@ from diffdrive_mpc.bench.studies.reproduce.mbm_and_sm import (
     mbm_sm_findings,
     odometry_tables,
 )
+from diffdrive_mpc.bench.studies.reproduce.networks import (
+    NetworkResult,
+    NetworkRows,
+    beside_tables,
+    compare_with_ssm,
+    network_findings,
+    row_table,
+    train_rows,
+)
 from diffdrive_mpc.bench.studies.reproduce.published import Finding, load_published
 from diffdrive_mpc.bench.studies.reproduce.settings import PARTS, ReproduceSettings
 from diffdrive_mpc.bench.studies.reproduce.state_space import (
@@ -35,7 +44,7 @@ from diffdrive_mpc.bench.studies.reproduce.virtual_track import (
 from diffdrive_mpc.bench.study import Draw, Report, Study, check_parts
 from diffdrive_mpc.bench.table import Table
 
-Task = Callable[[], SsmResult | MbmSmResult]
+Task = Callable[[], SsmResult | MbmSmResult | NetworkResult | NetworkRows]
 
 
 @dataclass(frozen=True)
@@ -44,8 +53,10 @@ class ReproduceResults:
 
     Attributes
     ----------
-    mbm_sm, ssm
+    mbm_sm, ssm, lstm
         One for each repetition.
+    rows
+        Networks of P1's Table 2, in groups.
     cost
         By name of the model.
     virtual_track
@@ -54,6 +65,8 @@ class ReproduceResults:
 
     mbm_sm: tuple[MbmSmResult, ...] = ()
     ssm: tuple[SsmResult, ...] = ()
+    lstm: tuple[NetworkResult, ...] = ()
+    rows: tuple[NetworkRows, ...] = ()
     cost: Mapping[str, Cost] | None = None
     virtual_track: VirtualTrackResult | None = None
 
@@ -72,7 +85,13 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         """What is repeated, the longest first: a long one at the end would keep one core waiting."""
         check_parts(self._only, PARTS)
         s, only = self.settings, self._only
-        tasks: list[Task] = [partial(compare_orders, s.ssm, k) for k in s.repetitions if "ssm" in only]
+        tasks: list[Task] = []
+        if "lstm" in only:
+            networks, first = load_published().networks, s.repetitions[0]
+            for rows in s.lstm.rows:
+                tasks.append(partial(train_rows, s.lstm, {row: networks[row] for row in rows}, first))
+            tasks += [partial(compare_with_ssm, s.lstm, k) for k in s.repetitions]
+        tasks += [partial(compare_orders, s.ssm, k) for k in s.repetitions if "ssm" in only]
         return tasks + [partial(compare_mbm_and_sm, s.mbm_sm, k) for k in s.repetitions if "mbm_sm" in only]
 
     def run(self, plan: list[Task], jobs: int, bar: ProgressBar) -> ReproduceResults:
@@ -84,6 +103,8 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         return ReproduceResults(
             ssm=tuple(result for result in done if isinstance(result, SsmResult)),
             mbm_sm=tuple(result for result in done if isinstance(result, MbmSmResult)),
+            lstm=tuple(result for result in done if isinstance(result, NetworkResult)),
+            rows=tuple(result for result in done if isinstance(result, NetworkRows)),
             cost=measure_cost(self.settings.cost, bar.advance) if timed else None,
             virtual_track=check_virtual_track(published.virtual_track, published.rules.certain) if tracked else None,
         )
@@ -98,7 +119,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         repetitions = ", ".join(map(str, self.settings.repetitions))
         where = f"plant mujoco, surface default, sensors default, repetitions {repetitions}"
         return Report(
-            counted=f"{len(results.ssm) + len(results.mbm_sm)} repetitions",
+            counted=f"{len(results.ssm) + len(results.mbm_sm) + len(results.lstm)} repetitions",
             meta={"parts": parts},
             content={
                 "findings": [plain(finding) | {"verdict": finding.verdict} for finding in findings],
@@ -119,6 +140,10 @@ def report_tables(results: ReproduceResults, findings: Table) -> list[Table]:
         tables += [fit_table(results.mbm_sm, published), *odometry_tables(results.mbm_sm, published)]
     if results.ssm:
         tables += [order_table(results.ssm, published), *free_drive_tables(results.ssm, published)]
+    if results.rows:
+        tables.append(row_table([row for rows in results.rows for row in rows.rows], published))
+    if results.lstm:
+        tables += beside_tables(results.lstm, published)
     if results.cost is not None:
         tables.append(cost_table(results.cost, published))
     if results.virtual_track is not None:
@@ -148,6 +173,9 @@ def find(results: ReproduceResults) -> list[Finding]:
         findings += mbm_sm_findings(results.mbm_sm, published)
     if results.ssm:
         findings += ssm_findings(results.ssm, published)
+    if results.lstm or results.rows:
+        rows = [row for rows in results.rows for row in rows.rows]
+        findings += network_findings(results.lstm, rows, published)
     if results.cost is not None:
         findings += cost_findings(results.cost, published)
     if results.virtual_track is not None:
