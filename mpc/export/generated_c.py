@@ -34,9 +34,13 @@ def constants_text(problem: Problem, functions: str | None) -> str:
     """Text of constants.c; `functions` is the stem of the file with the user's functions, if there are any."""
     tables, constants = [], []
     for name, value in constant_fields(problem.sizes, problem.constants()):
-        if isinstance(value, np.ndarray):
+        if not isinstance(value, np.ndarray):
+            constants.append((name, _written(value)))
+        elif value.size:
             tables.append(_table("real", name, value.ravel()))
-        constants.append((name, name if isinstance(value, np.ndarray) else _written(value)))
+            constants.append((name, name))
+        else:  # C has no empty arrays
+            constants.append((name, "0"))
     sizes = [(name, str(value)) for name, value in problem.sizes.items()]
     places = parameter_places(problem.terms)
     terms = ",\n".join(_term(index, term, places[term.name].start) for index, term in enumerate(problem.terms))

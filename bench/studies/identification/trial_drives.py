@@ -14,6 +14,7 @@ from diffdrive_mpc.models.identification.fitting import fit
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.table import Table, number
 from diffdrive_mpc.models.velocity_model import VelocityModel
@@ -72,11 +73,11 @@ def trial_drives(
     """
     gain = np.abs(np.diag(found.model.dc_gain))
     circle = 2 * gain[0] * config.limits.v / (gain[1] * config.limits.omega)
-    effects = BaseEffects.model_validate(found.report.fitted.identified.content.get("base_effects", {}))
+    effects = _effects_of(found.report.fitted.identified)
     plants: list[tuple[str, VelocityModel | NonlinearModel, BaseEffects]] = [(ITSELF, found.model, effects)]
-    other = _of_held_out(found.report.data)
+    other = _of_held_out(found)
     if other is not None:
-        plants.append((HELD_OUT, other, BaseEffects()))
+        plants.append((HELD_OUT, other.model, _effects_of(other)))
     slip, usual = _slip(found.report.data), load_robot()
     limits = usual.limits.model_copy(update={"v": config.limits.v, "omega": config.limits.omega})
     robot = usual.model_copy(update={"sample_time": config.sample_time, "limits": limits})
@@ -90,12 +91,25 @@ def trial_drives(
     return drives
 
 
-def _of_held_out(data: LogData) -> VelocityModel | None:
-    swapped = replace(data, train=data.validation, validation=data.train)
+def _effects_of(identified: IdentifiedModel) -> BaseEffects:
+    return BaseEffects.model_validate(identified.content.get("base_effects", {}))
+
+
+def _of_held_out(found: Identification) -> IdentifiedModel | None:
+    """An SM of the records held out, with the effects that were found, as those records have them.
+
+    A plain SM would take a slope that the base limits for a lag that it does not have.
+    """
+    data, base = found.report.data, found.report.fitted.base
     try:
-        return fit(swapped, STRUCTURES["sm"]).identified.model
+        if base is not None:
+            other = base.refitted(data.validation)
+        else:
+            other = fit(replace(data, train=data.validation, validation=data.train), STRUCTURES["sm"]).identified
+        _ = other.model  # refuses what cannot be a robot
     except ValueError:
         return None
+    return other
 
 
 def _slip(data: LogData) -> Slip:

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.doubt import Doubt
-from diffdrive_mpc.models.identification.effects.fitting import EffectFit, covariance
+from diffdrive_mpc.models.identification.effects.fitting import EffectFit, covariance, fit_effects, weighted
 from diffdrive_mpc.models.identification.effects.free_run import Point, base_track, free_run, sensed
 from diffdrive_mpc.models.identification.effects.pose_sensor import pose_sensor
-from diffdrive_mpc.models.identification.effects.selection import EFFECTS, Selection, Trial, select_effects
+from diffdrive_mpc.models.identification.effects.selection import (
+    BY_ENCODERS,
+    EFFECTS,
+    LINEAR,
+    Selection,
+    Trial,
+    select_effects,
+)
 from diffdrive_mpc.models.identification.effects.settings import effect_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import wheel_geometry
@@ -92,6 +99,22 @@ class IdentifiedBase:
                 for row in range(experiments[0].outputs.shape[1])
             ]
         )
+
+    def refitted(self, records: Sequence[Record]) -> IdentifiedModel:
+        """The same effects, with the numbers that other records give them; its statistics stay those of `identified`.
+
+        Raises
+        ------
+        ValueError
+            As `sensed`.
+        """
+        linear = LINEAR if self.identified.yaw == "gyro" else BY_ENCODERS
+        mine = [name for effect in self.effects for name in EFFECTS[effect]]
+        free = [name for name in (*linear, *mine) if name in self.point and name in effect_settings().parameters]
+        data = weighted(joined(sensed(records, self.identified.yaw)), self.point)
+        point = fit_effects(self.point, free, data, near=True).point
+        content = {**_linear(point), "base_effects": rounded_effects(_effects(point, None))}
+        return replace(self.identified, content=content)
 
     def _runs(self, point: Point, records: Sequence[Record]) -> list[FloatArray]:
         experiments = sensed(records, self.identified.yaw)

@@ -18,7 +18,7 @@ typedef struct {
 static void move(const ddmpc_controller *model, robot *r, const real command[2])
 {
     /* No slip: all zero but the gains. */
-    const real slip[SLIP] = {R(0.0), R(1.0), R(1.0), R(1.0)};
+    const real slip[FLAT_SLIPS] = {R(0.0), R(1.0), R(1.0), R(1.0)};
     const real dt = (real)ddmpc_this_constants.sample_time, acceleration = R(0.0);
     static real next[DDMPC_STATES], jacobian[DDMPC_STATES * (DDMPC_STATES + 2 * SENT)];
     real after[2], mean[2], moved[3];
