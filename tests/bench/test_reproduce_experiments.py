@@ -138,7 +138,7 @@ def test_the_papers_statistics_are_copied_without_slips():
 
 def test_a_larger_model_holds_more():
     done = []
-    study = CostStudy(runs=2, steps=400, simulation_steps={"mbm": 20, "sm": 20, "ssm": 20})
+    study = CostStudy(runs=2, steps=400, simulation_steps={"mbm": 20, "sm": 20, "ssm": 20, "lstm": 20})
     found = measure_cost(study, lambda: done.append(1))
     assert len(done) == 2 * study.runs
     assert found["mbm"].memory[0] > found["sm"].memory[0]

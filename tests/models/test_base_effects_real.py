@@ -53,17 +53,18 @@ if "DIFFDRIVE_MPC_DATA" in os.environ:
     }
 
     # Twenty minutes: DIFFDRIVE_MPC_ALL=1 pytest tests/models/test_base_effects_real.py
-    @pytest.mark.skipif("DIFFDRIVE_MPC_ALL" not in os.environ, reason="twenty minutes: DIFFDRIVE_MPC_ALL asks for it")
-    @pytest.mark.parametrize("track", [True, False], ids=["track", "no track"])
-    @pytest.mark.parametrize("gyro", [True, False], ids=["gyro", "no gyro"])
-    @pytest.mark.parametrize("log", LOGS)
-    def test_with_effects_no_row_held_out_is_predicted_worse(log, gyro, track):
-        path = Path(os.environ["DIFFDRIVE_MPC_DATA"]) / LOGS[log] / f"{log}.csv"
-        data = read_data([path], [], mapping=log, fit_share=0.6, wheels=False, on_findings=lambda _: None)
-        gone = {} if track else {"wheels": None, "wheel_speeds": None}
-        gone |= {} if gyro else {"yaw_rate": None, "fresh_yaw_rate": None}
-        halves = [tuple(replace(record, **gone) for record in half) for half in (data.train, data.validation)]
-        data = replace(data, train=halves[0], validation=halves[1], yaw="gyro" if gyro else "encoders")
-        plain, found = (fit(data, STRUCTURES["sm"], effects=on) for on in (False, True))
-        fits = [one.validation.fit_percent for one in (plain, found)]
-        assert (fits[1] > fits[0] - 1.0).all(), fits
+    if "DIFFDRIVE_MPC_ALL" in os.environ:
+
+        @pytest.mark.parametrize("track", [True, False], ids=["track", "no track"])
+        @pytest.mark.parametrize("gyro", [True, False], ids=["gyro", "no gyro"])
+        @pytest.mark.parametrize("log", LOGS)
+        def test_with_effects_no_row_held_out_is_predicted_worse(log, gyro, track):
+            path = Path(os.environ["DIFFDRIVE_MPC_DATA"]) / LOGS[log] / f"{log}.csv"
+            data = read_data([path], [], mapping=log, fit_share=0.6, wheels=False, on_findings=lambda _: None)
+            gone = {} if track else {"wheels": None, "wheel_speeds": None}
+            gone |= {} if gyro else {"yaw_rate": None, "fresh_yaw_rate": None}
+            halves = [tuple(replace(record, **gone) for record in half) for half in (data.train, data.validation)]
+            data = replace(data, train=halves[0], validation=halves[1], yaw="gyro" if gyro else "encoders")
+            plain, found = (fit(data, STRUCTURES["sm"], effects=on) for on in (False, True))
+            fits = [one.validation.fit_percent for one in (plain, found)]
+            assert (fits[1] > fits[0] - 1.0).all(), fits

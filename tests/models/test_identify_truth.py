@@ -90,14 +90,12 @@ def test_a_gyro_bias_is_told_from_a_turn():
 
 
 def test_four_times_the_data_halve_the_deviation():
-    short, long = (noisy_drive(SM, 6, count=count) for count in (2000, 8000))
-    ratio = [
-        a / b
-        for a, b in zip(
-            *(identify_sm([r], limits=False).parameters.part(list(SM_TRUTH)).standard_deviation for r in (short, long)),
-            strict=True,
-        )
-    ]
+    """On average: deviations are widened by the scatter of a few blocks, so that of one pair of drives tells little."""
+    ratio = []
+    for seed in (6, 7, 8, 9):
+        drives = [noisy_drive(SM, seed, count=count) for count in (2000, 8000)]
+        found = [identify_sm([drive], limits=False).parameters.part(list(SM_TRUTH)) for drive in drives]
+        ratio.append(found[0].standard_deviation / found[1].standard_deviation)
     assert np.mean(ratio) == pytest.approx(2.0, rel=0.15)
 
 

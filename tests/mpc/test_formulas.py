@@ -89,6 +89,7 @@ VARIED = {
     "sensors_curved": ["y", "slip", "gyro_bias"],
     "arc_curved": ["v", "omega", "theta"],
     "soft_curved": ["pose", "twist", "command"],
+    "turn": ["pose", "twist", "command"],
     "errors": ["pose", "twist", "command"],
     "soft": ["pose", "twist", "command"],
 }

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple
-
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
@@ -79,7 +77,7 @@ def _fed_forward(ahead: FeedForward, twist: FloatArray, n: int) -> FloatArray:
     rows = np.arange(n)[:, None] + ahead.whole
     now, after = twist[rows, [0, 1]], twist[rows + 1, [0, 1]]
     wanted = (now + ahead.rest * (after - now)).T
-    return np.asarray(formula("feed_forward").map(n)(wanted, list(astuple(Slip())), ahead.inverse_gain)).T
+    return np.asarray(formula("feed_forward").map(n)(wanted, Slip().flat, ahead.inverse_gain)).T
 
 
 def _in_path(pose: FloatArray, reference: FloatArray) -> FloatArray:
