@@ -27,10 +27,7 @@ def excite(
 
     if purpose != "slip":
         raise ConfigError(f"--for {purpose}: there is a drive for slip only; give --for slip")
-    try:
-        segments = slip_excitation(side, seconds, speed, yaw_rate)
-    except ValueError as error:
-        raise ConfigError(str(error)) from error
+    segments = slip_excitation(side, seconds, speed, yaw_rate)
     write_excitation(out, segments)
     told = told_apart(segments)
     typer.echo(

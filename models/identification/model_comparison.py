@@ -200,13 +200,13 @@ def compare_models(
     readings = np.concatenate([one.outputs[one.counts.all(axis=1)] for fold in measured for one in fold])
     if not len(readings):
         raise ConfigError("no row has both a reading of v and one of omega; log them at the same rate")
-    commands = [[record.command for record in held_out] for _, held_out in folds]
-    scores = [Scored(NO_MODEL, 0, _powers(measured, commands)[0], float("nan"), 0.0)]
+    obeyed, weights = _powers(measured, [[record.command for record in held_out] for _, held_out in folds])
+    scores = [Scored(NO_MODEL, 0, obeyed, float("nan"), 0.0)]
     for kind in KINDS:
         if kinds and kind.name not in kinds:
             continue
         scores.append(_score(kind, data, folds, measured, horizon, on_progress or (lambda _: None)))
-    return Comparison(tuple(scores), _powers(measured, commands)[1], readings.var(axis=0), parts, horizon)
+    return Comparison(tuple(scores), weights, readings.var(axis=0), parts, horizon)
 
 
 def _folds(records: Sequence[Record], parts: int) -> Sequence[tuple[list[Record], list[Record]]]:
