@@ -76,8 +76,8 @@ class MujocoPlant:
         self._loops = VelocityLoops(twin.driver, twin.motor, pulse, step)
         self._disturbances: DisturbedPhysics | None = None
         if scenario is not None:
-            base, torque = twin.chassis.wheel_base, twin.motor.stall_torque
-            self._disturbances = DisturbedPhysics(scenario, self._chassis, self._loops, friction, base, torque)
+            wheel_base, torque = twin.chassis.wheel_base, twin.motor.stall_torque
+            self._disturbances = DisturbedPhysics(scenario, self._chassis, self._loops, friction, wheel_base, torque)
         self._exact_speeds = sensors.encoders.speed_sd == 0.0
         kinematics = WheelKinematics(robot.wheel_radius, robot.track)
         self._sensors = Sensors(sensors, kinematics, self._sample_time, seed=seed, noisy_encoders=False)

@@ -26,7 +26,8 @@ class ChassisParameters(StrictModel):
         description="of the whole robot, ahead and to the left of the middle between the wheels [m]"
     )
     rolling_radii: tuple[Positive, Positive] = Field(
-        default=(1.0, 1.0), description="of the left, of the right wheels over the radius that firmware and encoders take"
+        default=(1.0, 1.0),
+        description="of the left, of the right wheels over what firmware and encoders take",
     )
 
 
