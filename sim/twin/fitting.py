@@ -116,7 +116,7 @@ def fit_twin(problem: Problem, start: Values, on_stage: Callable[[str, int], Non
             problem.weigh(problem.errors(z, search.motions(z)))
     announce("fit, part 3 of 3", settings.refined + len(every))
     deviation, information, slopes = search.posterior(z)
-    told = _told(information, settings.told)
+    told = told_apart(information, settings.told)
     free = [i for i in every if told[i]]
     moved = z.copy()
     fixed = [i for i in every if not told[i]]
@@ -130,7 +130,8 @@ def fit_twin(problem: Problem, start: Values, on_stage: Callable[[str, int], Non
     values = space.values(z)
     known = []
     for i, (name, prior) in enumerate(space.priors.items()):
-        reach = settings.interval * (deviation[i] if told[i] else 1.0)
+        known_to = float(np.hypot(deviation[i], prior.floor / prior.deviation)) if told[i] else 1.0
+        reach = settings.interval * known_to
         begin, end = (float(np.clip(prior.value(z[i] + side * reach), prior.low, prior.high)) for side in (-1, 1))
         share = float(deviation[i])
         known.append(Told(name, prior.unit, prior.words, values[name], begin, end, share, bool(told[i])))
@@ -138,7 +139,7 @@ def fit_twin(problem: Problem, start: Values, on_stage: Callable[[str, int], Non
     return TwinFit(space, values, tuple(known), search.drives, seconds)
 
 
-def _told(information: FloatArray, threshold: float) -> list[bool]:
+def told_apart(information: FloatArray, threshold: float) -> list[bool]:
     """Which parameters a log tells: those that it tells least go back to their prior one by one, which tells the rest.
 
     Of two that it cannot tell apart, one stays: the one that it tells better by a little.

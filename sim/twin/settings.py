@@ -24,6 +24,7 @@ class Prior(StrictModel):
     prior: float = Field(description="median")
     deviation: Positive = Field(description="standard deviation on that scale")
     stated: Positive | None = Field(default=None, description="the same, where the robot file says the number")
+    floor: Positive = Field(description="least deviation of an interval, on that scale")
     low: float = Field(description="least value")
     high: float = Field(description="largest value")
     step: Positive = Field(description="of finite differences, on that scale")
