@@ -28,6 +28,7 @@ app.command("reproduce", epilog=studies.EXAMPLES["reproduce"])(studies.reproduce
 app.command("peers", epilog=studies.EXAMPLES["peers"])(studies.peers)
 app.command("robustness", epilog=studies.EXAMPLES["robustness"])(studies.robustness)
 app.command("speed", epilog=studies.EXAMPLES["speed"])(studies.speed)
+app.command("loop-speed", epilog=studies.EXAMPLES["loop-speed"])(studies.loop_speed)
 app.command("excite", epilog=excite.EXAMPLE)(excite.excite)
 app.command("export", epilog=export.EXAMPLE)(export.export)
 app.command("node", epilog=ros.EXAMPLES["node"], context_settings=PASSED_ON)(ros.node)
