@@ -11,7 +11,7 @@ from pathlib import Path
 from diffdrive_mpc.bench.campaign.campaign_file import MOST_RUNS, load_campaign
 from diffdrive_mpc.bench.campaign.engine import Driven, Place, drive_all, failed
 from diffdrive_mpc.bench.campaign.outcome import TIME
-from diffdrive_mpc.bench.campaign.parquet import write_table
+from diffdrive_mpc.bench.campaign.parquet import needs_arrow, write_table
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.whole_file import whole_file
@@ -49,11 +49,12 @@ def run_campaign(file: Path, place: Place, runs: int | None = None, part: Part |
     part
         Which of them; None for all.
 
-    Raises ConfigError or ValueError if the file has a mistake, before anything is driven; StudyFailedError if runs
-    could not be driven.
+    Raises ConfigError or ValueError if the file has a mistake, and MissingPackageError without pyarrow, before anything
+    is driven; StudyFailedError if runs could not be driven.
     """
     if runs is not None and runs > MOST_RUNS:
         raise ConfigError(f"--runs {runs}: give at most {MOST_RUNS}")
+    needs_arrow()
     chosen = part or Part()
     campaign = load_campaign(file)
     definitions = campaign.definitions(runs)[chosen.number - 1 :: chosen.of]

@@ -19,7 +19,7 @@ def write_table(rows: Sequence[Mapping[str, object]], path: Path, facts: Mapping
 
     Raises MissingPackageError without pyarrow, ConfigError if `path` cannot be written to.
     """
-    arrow, parquet = _packages()
+    arrow, parquet = needs_arrow()
     names = list(dict.fromkeys(name for row in rows for name in row))
     # Times last: they are left out together.
     names.sort(key=lambda name: name.startswith(TIME))
@@ -31,7 +31,7 @@ def write_table(rows: Sequence[Mapping[str, object]], path: Path, facts: Mapping
 
 def read_table(path: Path, *, times: bool = True) -> Any:  # noqa: ANN401 - a pyarrow.Table
     """Read such a file, with or without the columns of time; raises MissingPackageError without pyarrow."""
-    _, parquet = _packages()
+    _, parquet = needs_arrow()
     table = parquet.read_table(path)
     return table if times else table.select([name for name in table.column_names if not name.startswith(TIME)])
 
@@ -48,7 +48,8 @@ def _column(values: list[object], arrow: Any) -> Any:  # noqa: ANN401 - pyarrow 
     return arrow.array([None if value is None else str(value) for value in values], type=arrow.string())
 
 
-def _packages() -> tuple[Any, Any]:
+def needs_arrow() -> tuple[Any, Any]:
+    """Give pyarrow and its part for Parquet; raises MissingPackageError where it is not installed."""
     try:
         import pyarrow  # noqa: PLC0415 - optional
         import pyarrow.parquet  # noqa: PLC0415
