@@ -8,6 +8,7 @@ drives more. Priors stand beside the readings, so what these do not tell stays w
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -177,8 +178,8 @@ class _Search:
     def least(self, z: FloatArray, free: list[int], evaluations: int, known: FloatArray | None = None) -> FloatArray:
         """(q,) the least sum of squares over the parameters `free`.
 
-        Slopes are found by differences once, or are `known` (n, len(free)), and then follow the steps (Broyden,
-        Mathematics of Computation 1965, 19(92), 577-593): a drive for each parameter is what the search costs.
+        Slopes are found by differences at every other step, and follow the steps in between (Broyden, Mathematics of
+        Computation 1965, 19(92), 577-593); at the first they may be `known` (n, len(free)).
         """
         problem, (low, high) = self.problem, self.problem.space.bounds
 
@@ -192,17 +193,18 @@ class _Search:
             return np.concatenate([problem.rows(problem.errors(point, self.motions(point))), part])
 
         last: list[FloatArray] = []
+        calls = itertools.count(0 if known is None else 1)
 
         def slopes(part: FloatArray) -> FloatArray:
             point = whole(part)
             here = self.motions(point)
             assert here is not None
-            now = problem.rows(problem.errors(point, here))
-            if last:
+            now, call = problem.rows(problem.errors(point, here)), next(calls)
+            if last and call % 2:
                 then, before, old = last
                 step = part - before
                 new = old + np.outer(now - then - old @ step, step) / max(float(step @ step), 1e-12)
-            elif known is not None:
+            elif known is not None and not last:
                 new = known
             else:
                 new = self.differences(point, free, here)
