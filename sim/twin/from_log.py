@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from time import process_time
 
 import numpy as np
 
@@ -56,8 +55,6 @@ class Twin:
         Those rows.
     notes
         What could not be done, or should be known.
-    effort
-        Processor time of this process [s].
     """
 
     name: str
@@ -69,7 +66,6 @@ class Twin:
     model_held: Held
     experiments: tuple[Experiment, ...]
     notes: tuple[str, ...]
-    effort: float
 
 
 def twin_of(
@@ -115,7 +111,7 @@ def twin_of(
     models.checked_yaml.ConfigError, ValueError, OSError
         If an argument or a log cannot be used; the message is one line.
     """
-    began, settings = process_time(), twin_settings()
+    settings = twin_settings()
     announce = on_stage or (lambda _text, _count: None)
     if seconds is not None and not (np.isfinite(seconds) and seconds >= LEAST_SECONDS):
         raise ConfigError(f"--seconds {seconds:g}: give {LEAST_SECONDS:g} or more of the log to fit")
@@ -165,7 +161,6 @@ def twin_of(
     except RobotLostError as error:
         raise ConfigError(f"the fitted plant does not come through the rows held out: {error}") from error
     by_model = held(hold_model(beside, held_out), travel)
-    effort = process_time() - began
     return Twin(
         title,
         data,
@@ -176,7 +171,6 @@ def twin_of(
         by_model,
         tuple(held_out),
         tuple(dict.fromkeys(notes)),
-        effort,
     )
 
 
