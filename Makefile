@@ -13,6 +13,7 @@ PROVE_OUT ?= out/prove
 TRACKING ?=
 REPRODUCE ?=
 SPEED ?=
+PROVE ?=
 # Options of pytest: make test TEST="tests/mpc -x"
 TEST ?=
 BIN := $(VENV)/bin
@@ -50,7 +51,7 @@ robustness: $(READY) ## every controller on other robots, floors, loads and sens
 		--models ssm,sm --trajectories circle,s --seeds 6,7
 
 prove: $(READY) ## how often the controller fails on many plants, paths and faults, and where it stops to hold: out/prove
-	$(BIN)/diffdrive-mpc prove ssm --out $(PROVE_OUT)
+	$(BIN)/diffdrive-mpc prove ssm --out $(PROVE_OUT) $(PROVE)
 
 tracking: $(READY) ## what the tracking reaches, what each part is worth, how much is left: tables and figures in out/tracking
 	$(BIN)/diffdrive-mpc tracking --out $(TRACKING_OUT) $(TRACKING)

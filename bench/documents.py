@@ -60,7 +60,9 @@ SPEED = ShownReport("speed", ("horizon.png", "tail.png"), ("speed.json",), "perf
 PEERS = ShownReport("peers", (), (), "peers.md")
 EDGE = ShownReport("edge", ("overview.png",), (), "peers.md", study="bench")
 ROBUSTNESS = ShownReport("robustness", ("ratios.png",), (), "robustness.md")
-PROVE = ShownReport("prove", ("errors.png", "map-1.png", "map-2.png"), (), "prove.md")
+PROVE = ShownReport(
+    "prove", ("errors.png", "map-dead-time-and-friction.png", "map-mass-and-latency.png"), (), "prove.md"
+)
 SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, PEERS, EDGE, ROBUSTNESS, PROVE)
 
 

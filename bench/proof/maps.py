@@ -19,8 +19,8 @@ class Drawn:
 
     Attributes
     ----------
-    of
-        Its axes.
+    name, of
+        Its name and its axes.
     error
         Position RMSE [m]; NaN where nothing could be driven.
     lateral
@@ -29,6 +29,7 @@ class Drawn:
         1 where the run came to its end, else 0.
     """
 
+    name: str
     of: Map
     error: FloatArray
     lateral: FloatArray
@@ -40,7 +41,7 @@ def map_runs(of: Map, probe: Definition, seed: int) -> list[Definition]:
     return [probe.changed({of.x.factor: x, of.y.factor: y}).with_seed(seed) for y in of.y.values for x in of.x.values]
 
 
-def drawn_map(of: Map, runs: Sequence[Definition], driven: Sequence[Driven]) -> Drawn:
+def drawn_map(name: str, of: Map, runs: Sequence[Definition], driven: Sequence[Driven]) -> Drawn:
     """What came of the runs of `map_runs`."""
     by_run = {one.definition: one for one in driven}
     shape = (of.y.steps, of.x.steps)
@@ -48,4 +49,4 @@ def drawn_map(of: Map, runs: Sequence[Definition], driven: Sequence[Driven]) -> 
     def grid(column: str) -> FloatArray:
         return np.array([by_run[run].number(column) for run in runs]).reshape(shape)
 
-    return Drawn(of, grid("position_rmse_m"), grid("lateral_max_m"), grid("completed"))
+    return Drawn(name, of, grid("position_rmse_m"), grid("lateral_max_m"), grid("completed"))

@@ -69,7 +69,9 @@ class Proof(Campaign):
     """A campaign file that may have maps and boundaries beside its runs."""
 
     probe: Probe = Probe(seeds=(0,))
-    maps: tuple[Map, ...] = Field((), description="two factors at a time, with the first seed of the probe")
+    maps: dict[Annotated[str, Field(pattern="^[a-z-]+$")], Map] = Field(
+        default_factory=dict, description="two factors at a time, by name, with the first seed of the probe"
+    )
     boundaries: dict[str, Search] = Field(default_factory=dict, description="by factor")
 
     @model_validator(mode="after")

@@ -95,9 +95,9 @@ class ProofStudy(Study[ProofPlan, Proven]):
         """Drive everything that the store of the place does not have."""
         place, proof = replace(self._place, jobs=jobs), self._proof
         driven = drive_all(plan.drawn, place, bar, "driving runs")
-        asked = [map_runs(of, plan.probe, proof.probe.seeds[0]) for of in proof.maps]
+        asked = [map_runs(of, plan.probe, proof.probe.seeds[0]) for of in proof.maps.values()]
         mapped = drive_all([run for runs in asked for run in runs], place, bar, "driving maps")
-        maps = [drawn_map(of, runs, mapped) for of, runs in zip(proof.maps, asked, strict=True)]
+        maps = [drawn_map(*named, runs, mapped) for named, runs in zip(proof.maps.items(), asked, strict=True)]
         tried: dict[str, Driven] = {one.key: one for one in mapped}
 
         def drive(runs: list[Definition]) -> list[Driven]:
@@ -114,7 +114,7 @@ class ProofStudy(Study[ProofPlan, Proven]):
         """Tables, and a figure of the errors and of each map."""
         from diffdrive_mpc.bench.proof.figures import draw_errors, draw_map  # noqa: PLC0415 - matplotlib loads slowly
 
-        figures = {f"map-{k}.png": partial(draw_map, drawn) for k, drawn in enumerate(results.maps, start=1)}
+        figures = {f"map-{drawn.name}.png": partial(draw_map, drawn) for drawn in results.maps}
         estimates = error_estimates(results.driven)
         found = errors([one for one in results.driven if one.row["completed"] is True])
         if found.size:
