@@ -107,7 +107,7 @@ class ProofStudy(Study[ProofPlan, Proven]):
 
         boundaries = find_boundaries(proof.boundaries, plan.probe, proof.probe.seeds, drive)
         listed = worst(driven, self._kept)
-        files = {f"{k:02d}-{one.key[:12]}.yaml": one for k, one in enumerate(listed, start=1)}
+        files = {f"{k:02d}.yaml": one for k, one in enumerate(listed, start=1)}
         return Proven(driven, maps, boundaries, len(tried), files)
 
     def report(self, results: Proven, seconds: float) -> Report:  # noqa: ARG002 - its tables say it
@@ -132,14 +132,13 @@ class ProofStudy(Study[ProofPlan, Proven]):
             notes=[f"Errors: {STATISTICS}."],
             tables=tables(results.driven, results.boundaries, results.worst, seeds),
             figures=figures,
-            figures_first=1,
         )
 
 
 def keep(proven: Proven, out: Path) -> None:
     """Write the table of the drawn runs and the worst of them into `out`; raises ConfigError if that cannot be."""
     write_table([one.columns for one in proven.driven], out / RESULTS)
-    for old in (out / WORST).glob("[0-9][0-9]-*.yaml"):
+    for old in (out / WORST).glob("[0-9][0-9].yaml"):
         old.unlink()
     for name, one in proven.worst.items():
         write_run(one, out / WORST / name)

@@ -66,7 +66,7 @@ def test_a_proof_leaves_report_table_figures_and_worst_runs(
     assert found["rates"]["completed"]["of"] == 20
     assert found["boundaries"][0]["tried"]["0.02"] == 2
     files = sorted((out / "worst").iterdir())
-    assert [path.name[:2] for path in files] == ["01", "02", "03"]
+    assert [path.name for path in files] == ["01.yaml", "02.yaml", "03.yaml"]
     # The worst are the worst, and each drives again to the same figures, from where it lies.
     errors = sorted((error for error in table["position_rmse_m"]), reverse=True)
     kept = [yaml.safe_load(path.read_text(encoding="utf-8"))["figures"]["position_rmse_m"] for path in files]
