@@ -30,6 +30,7 @@ app.command("robustness", epilog=studies.EXAMPLES["robustness"])(studies.robustn
 app.command("campaign", epilog=campaign.EXAMPLE)(campaign.campaign)
 app.command("prove", epilog=prove.EXAMPLE)(prove.prove)
 app.command("speed", epilog=studies.EXAMPLES["speed"])(studies.speed)
+app.command("loop-speed", epilog=studies.EXAMPLES["loop-speed"])(studies.loop_speed)
 app.command("excite", epilog=excite.EXAMPLE)(excite.excite)
 app.command("export", epilog=export.EXAMPLE)(export.export)
 app.command("node", epilog=ros.EXAMPLES["node"], context_settings=PASSED_ON)(ros.node)

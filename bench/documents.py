@@ -63,7 +63,8 @@ ROBUSTNESS = ShownReport("robustness", ("ratios.png",), (), "robustness.md")
 PROVE = ShownReport(
     "prove", ("errors.png", "map-dead-time-and-friction.png", "map-mass-and-latency.png"), (), "prove.md"
 )
-SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, PEERS, EDGE, ROBUSTNESS, PROVE)
+LOOP_SPEED = ShownReport("loop-speed", (), (), "performance.md")
+SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, LOOP_SPEED, PEERS, EDGE, ROBUSTNESS, PROVE)
 
 
 def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
