@@ -30,7 +30,8 @@ ALLOWED: dict[str, set[str]] = {
     "sensing": set(),
     "disturbances": set(),
     "metrics": set(),
-    "plants": {"sensing", "disturbances"},
+    "core": set(),
+    "plants": {"core", "sensing", "disturbances"},
     "ros": {"sensing", "plants"},
     "": {"sensing", "disturbances", "plants", "metrics"},
 }
