@@ -79,7 +79,7 @@ def draw_simulation(report: IdentificationReport, path: Path) -> None:
     longest = int(np.argmax([len(record.command) for record in data.validation]))
     record, simulated = data.validation[longest], fitted.simulated[longest]
     (experiment,) = twist_experiments([record], data.yaw)
-    first = _busiest(record.command, round(figure_settings().window / record.dt))
+    first = busiest(record.command, round(figure_settings().window / record.dt))
     rows = slice(first, first + round(figure_settings().window / record.dt))
     time = record.time[rows]
     with new_figure(path, 7.4, 6.6) as figure:
@@ -104,7 +104,7 @@ def draw_simulation(report: IdentificationReport, path: Path) -> None:
         figure.align_ylabels(panels)
 
 
-def _busiest(commands: FloatArray, window: int) -> int:
+def busiest(commands: FloatArray, window: int) -> int:
     """First row of the window in which the commands, each over its own spread, change most."""
     if len(commands) <= window:
         return 0
