@@ -240,14 +240,16 @@ def _mjcf(robot: Robot, twin: TwinParameters, step: float, payload: Payload | No
     """The model in MuJoCo's XML format; `aligned` gives contacts whose first tangent is along the axle."""
     chassis, tyre, radius = twin.chassis, twin.tyre, robot.wheel_radius
     half_base, half_track = chassis.wheel_base / 2, robot.track / 2
-    shape = f'type="sphere" size="{radius}"'
+    rolling = [share * radius for share in chassis.rolling_radii] * 2
+    shapes = [f'type="sphere" size="{one}"' for one in rolling]
     if aligned:
-        shape, tyre = f'type="capsule" size="{radius} {_CAPSULE}" euler="90 0 0"', _of_two(tyre)
+        shapes = [f'type="capsule" size="{one} {_CAPSULE}" euler="90 0 0"' for one in rolling]
+        tyre = _of_two(tyre)
     places = [(half_base, half_track), (half_base, -half_track), (-half_base, half_track), (-half_base, -half_track)]
     wheels = "".join(
         f'<body pos="{x} {y} 0"><joint type="hinge" axis="0 1 0" armature="{twin.motor.rotor_inertia}"/>'
         f'<geom name="{name}" {shape} mass="{chassis.wheel_mass}"/></body>'
-        for name, (x, y) in zip(WHEELS, places, strict=True)
+        for name, shape, (x, y) in zip(WHEELS, shapes, places, strict=True)
     )
     # Friction gets a time constant of its own: with that of the normal direction, fast skidding lifts the wheels.
     contacts = "".join(
@@ -273,7 +275,7 @@ def _mjcf(robot: Robot, twin: TwinParameters, step: float, payload: Payload | No
         ' integrator="implicitfast"><flag autoreset="disable" island="disable"/></option>'
         '<default><geom contype="0" conaffinity="0"/></default>'
         '<worldbody><geom name="floor" type="plane" size="0 0 1"/>'
-        f'<body pos="0 0 {radius}"><freejoint/><geom type="box" size="{length} {width} {height}"'
+        f'<body pos="0 0 {max(rolling)}"><freejoint/><geom type="box" size="{length} {width} {height}"'
         f' pos="{ahead} {left} {chassis.body_height}" mass="{body_mass}"/>{load}{wheels}</body></worldbody>'
         f"<contact>{contacts}</contact></mujoco>"
     )

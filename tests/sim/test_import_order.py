@@ -33,6 +33,7 @@ ALLOWED: dict[str, set[str]] = {
     "core": set(),
     "plants": {"core", "sensing", "disturbances"},
     "ros": {"sensing", "plants"},
+    "twin": {"sensing", "plants"},
     "": {"sensing", "disturbances", "plants", "metrics"},
 }
 """By room, the others that it may build on; "" stands for the files beside the rooms."""
