@@ -64,7 +64,7 @@ def figures_of(report: IdentificationReport) -> dict[str, tuple[str, Draw]]:
         "Measured against simulated": ("simulation.png", draw_simulation),
         "What residuals still hold": ("residuals.png", draw_residuals),
     }
-    if report.fitted.network is None:
+    if report.fitted.predictor is None:
         jobs |= {"Step responses": ("steps.png", draw_steps), "Poles": ("poles.png", draw_poles)}
     if report.fitted.orders:
         jobs["Orders of SSM"] = ("orders.png", draw_orders)
