@@ -72,6 +72,7 @@ VERDICTS: Mapping[str, Verdict] = {
     "saturation": _yes("beyond its limit the robot may do less than it is told"),
     # Of estimates.
     "second lag": _no("one lag is enough"),
+    "divided lag": _no("dead time and lag are right together"),
     "equal lags": _no("together they predict the same"),
     "lag": _yes("how late the robot answers is not known"),
     "gain": _yes("the robot may drive faster or slower than the model says"),

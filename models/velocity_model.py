@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,6 +23,17 @@ _LONGEST_DEAD_TIME = 2.0
 
 class ModelError(DiffdriveMpcError, ValueError):
     """A velocity model cannot be used. The message is one line: model, mistake, remedy."""
+
+
+def mean_delay(A: FloatArray, B: FloatArray, C: FloatArray, dead_time: FloatArray, inputs: Sequence[int]) -> FloatArray:
+    """(p,) mean delay of each output's answer to one of the inputs [s]: dead time plus the lag at zero frequency.
+
+    For x' = A x + B u(t - dead_time), y = C x with n states, m inputs and p outputs; `inputs` (p,) are their numbers.
+    """
+    settled, driven = np.linalg.solve(A, B), (np.arange(len(C)), list(inputs))
+    return np.asarray(
+        np.asarray(dead_time)[driven[1]] - (C @ np.linalg.solve(A, settled))[driven] / (C @ settled)[driven]
+    )
 
 
 @dataclass(frozen=True)
@@ -83,8 +94,7 @@ class VelocityModel:
     @property
     def lag(self) -> FloatArray:
         """(2,) mean delay of each channel [s]: dead time plus the lag of the dynamics at zero frequency."""
-        first_moment = self.C @ np.linalg.solve(self.A, np.linalg.solve(self.A, self.B))
-        return np.asarray(self.dead_time + np.diag(first_moment) / np.diag(self.dc_gain))
+        return mean_delay(self.A, self.B, self.C, self.dead_time, (0, 1))
 
     def with_extra_dead_time(self, extra: ArrayLike) -> VelocityModel:
         """The same dynamics behind `extra` (2,) seconds more dead time."""

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 
 from diffdrive_mpc.models.doubt import Doubt
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit
+from diffdrive_mpc.models.velocity_model import mean_delay
 
 _AT_BOUND = 1e-3
 _CERTAIN = 2.0
@@ -29,11 +32,41 @@ _KINDS = {
 """Kind of doubt by what a parameter is."""
 
 
-def badly_known(estimate: ParameterEstimate, kind: str | None = None) -> list[Doubt]:
+def answer_delays(fit: OutputErrorFit, names: Sequence[str], inputs: Sequence[int]) -> ParameterEstimate:
+    """(p,) how late each output answers [s], dead time and lag together: `names` of them, each by one of `inputs`."""
+
+    def delays(parameters: FloatArray) -> FloatArray:
+        system = fit.layout.system(parameters)
+        return mean_delay(system.A, system.B, system.C, system.dead_time, inputs)
+
+    return ParameterEstimate(fit.layout.names, fit.parameters, fit.covariance).derived(names, delays)
+
+
+def late_answers(delays: ParameterEstimate) -> list[Doubt]:
+    """A doubt for each of `delays`, named by channel or motor, whose standard deviation is large."""
+    limits, found = estimator_settings().warn, []
+    for name, value, deviation in zip(delays.names, delays.values, delays.standard_deviation, strict=True):
+        if not deviation <= max(limits.delay_deviation * value, limits.least_delay_deviation):
+            words = f"dead time and lag, {value:.2g} s together, are badly known: standard deviation {deviation:.2g} s"
+            doubt = Doubt("lag", words)
+            found.append(doubt.of(name) if name else doubt)
+    return found
+
+
+def badly_known(
+    estimate: ParameterEstimate, kind: str | None = None, delays: ParameterEstimate | None = None
+) -> list[Doubt]:
     """A doubt for each parameter whose standard deviation is large beside its value.
 
-    Natural frequency and damping of a channel may both be unknown while their lag is known: then only how it is made up
-    of two is not. `kind` is that of all of them; by default it follows from the names.
+    Parameters
+    ----------
+    estimate
+        The parameters, those without which a robot cannot be.
+    kind
+        That of all of them; by default it follows from the names.
+    delays
+        How late channels or motors answer, dead time and lag together, each by the name before its parameters' dot. How
+        that is divided between dead time and poles may be unknown while it is known itself; it alone matters.
     """
     limit = estimator_settings().warn.relative_deviation
     found = []
@@ -43,22 +76,16 @@ def badly_known(estimate: ParameterEstimate, kind: str | None = None) -> list[Do
                 f"standard deviation {deviation:.2g}" if deviation < abs(value) else "it could as well be twice that"
             )
             words = f"{name} = {value:.4g} is badly known: {large}"
-            found.append(Doubt(kind or _kind(estimate, name, limit), words))
+            found.append(Doubt(kind or _kind(name, delays), words))
     return found
 
 
-def _kind(estimate: ParameterEstimate, name: str, limit: float) -> str:
+def _kind(name: str, delays: ParameterEstimate | None) -> str:
     group, _, last = name.rpartition(".")
-    if last in _SHAPE:
-        w, damping = (".".join(filter(None, (group, one))) for one in _SHAPE)
-        if not {w, damping} <= set(estimate.names):
-            return "lag"
-        # The lag is 2 damping / natural frequency: its relative deviation, to first order.
-        both = estimate.part([damping, w])
-        slope = np.array([1.0, -1.0]) / both.values
-        return "second lag" if slope @ both.covariance @ slope < limit**2 else "lag"
-    if "pole" in last:
-        return "lag"
+    if last in _SHAPE or "pole" in last:
+        # A pole without a channel is one of all.
+        known = delays is not None and not late_answers(delays.part([group]) if group in delays.names else delays)
+        return "divided lag" if known else "lag"
     return _KINDS.get(last, "gain" if group == "gain" else "effect")
 
 

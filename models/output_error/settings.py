@@ -41,6 +41,8 @@ class WarningSettings(StrictModel):
     """When a parameter is said to be badly known."""
 
     relative_deviation: Positive = Field(description="standard deviation over value [-]")
+    delay_deviation: Positive = Field(description="standard deviation of dead time and lag together over both [-]")
+    least_delay_deviation: Positive = Field(description="below which they are known well enough [s]")
     condition: Positive = Field(description="condition number of the scaled information matrix [-]")
 
 

@@ -164,6 +164,7 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, robust: bool
         for i, name in enumerate(_MOTORS)
     }
     dead_time = parameters.value("dead_time")
+    delays = doubts.answer_delays(fit, _MOTORS[: len(sides)], [0] * len(sides))
     return IdentifiedModel(
         schema=MbmFile,
         content={
@@ -181,7 +182,11 @@ def identify_mbm(records: Sequence[Record], wheel_radius: float, *, robust: bool
         fits=(fit, yaw.fit),
         warnings=(
             *doubts.at_bounds(fit, "motors"),
-            *(doubt.of("motors") for doubt in doubts.badly_known(parameters.part(_doubtful(parameters)))),
+            *(
+                doubt.of("motors")
+                for doubt in doubts.badly_known(parameters.part(_doubtful(parameters)), delays=delays)
+            ),
+            *(doubt.of("motors") for doubt in doubts.late_answers(delays)),
             *doubts.hardly_identifiable(fit, "motors"),
         ),
     )

@@ -236,6 +236,7 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
     )
     main = parameters.part([gains[0], gains[3], *(name for name in named_poles if not name.endswith("imag"))])
     values = fit.parameters[own + dead_times + offsets :]
+    delays = doubts.answer_delays(fit, CHANNELS, [0, 1])
     return IdentifiedModel(
         schema=SsmFile,
         content={
@@ -252,7 +253,7 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
         fits=(fit,),
         warnings=(
             *doubts.at_bounds(fit, label),
-            *(doubt.of(label) for doubt in doubts.badly_known(main)),
+            *(doubt.of(label) for doubt in (*doubts.badly_known(main, delays=delays), *doubts.late_answers(delays))),
             *doubts.merged_poles(parameters.part(real_pole_names(named_poles)), label),
         ),
     )

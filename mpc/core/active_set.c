@@ -285,7 +285,7 @@ typedef enum { SETTLED, RAN_OUT, UNBOUNDED } outcome;
 static outcome settle(ddmpc_rows *rows, int *iterations)
 {
     for (;;) {
-        real length, rise;
+        real length = R(0.0), rise = R(0.0); /* find_step sets what its answer needs */
         if (*iterations >= rows->problem->most_iterations)
             return RAN_OUT;
         ++*iterations;

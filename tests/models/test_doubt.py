@@ -5,13 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from identification_parts import noisy_drive, two_channels
 
 from diffdrive_mpc import models
 from diffdrive_mpc.models.doubt import VERDICTS, Doubt
 from diffdrive_mpc.models.logs import Finding
 from diffdrive_mpc.models.logs.record import counted
-from diffdrive_mpc.models.output_error.doubts import badly_known
+from diffdrive_mpc.models.output_error.doubts import answer_delays, badly_known, late_answers
+from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.structures.two_poles import identify_channel
 
 ROOM = Path(models.__file__).parent
 TRIALS = ROOM.parent / "bench" / "studies" / "identification"
@@ -48,12 +51,36 @@ def test_a_verdict_stands_once_behind_what_is_said():
     assert lines[1].startswith("1 s: spikes (and 2 more like it) (does not matter")
 
 
-@pytest.mark.parametrize(("correlation", "kind"), [(0.999, "second lag"), (0.0, "lag")])
-def test_a_lag_that_is_known_only_as_a_whole_does_not_matter(correlation, kind):
-    """Natural frequency and damping that rise together leave 2 damping / natural frequency as it is."""
-    values = np.array([1.0, 100.0, 2.0])
-    sigma = np.array([0.01, 80.0, 1.6])
-    both = np.eye(3)
-    both[1, 2] = both[2, 1] = correlation
-    estimate = ParameterEstimate(("v.gain", "v.natural_frequency", "v.damping"), values, both * np.outer(sigma, sigma))
-    assert [doubt.kind for doubt in badly_known(estimate)] == [kind, kind]
+@pytest.mark.parametrize(("deviation", "kind"), [(0.005, "divided lag"), (0.03, "lag")])
+def test_how_a_delay_is_divided_matters_only_where_the_delay_is_not_known(deviation, kind):
+    """Half of what is 0.07 s late is not known to twice 0.03 s."""
+    names = ("v.gain", "v.natural_frequency", "v.damping")
+    estimate = ParameterEstimate(names, np.array([1.0, 100.0, 2.0]), np.diag([0.01, 80.0, 1.6]) ** 2)
+    delays = ParameterEstimate(("v",), np.array([0.07]), np.array([[deviation**2]]))
+    assert [doubt.kind for doubt in badly_known(estimate, delays=delays)] == [kind, kind]
+    assert [doubt.kind for doubt in late_answers(delays)] == ["lag"] * (kind == "lag")
+
+
+def test_the_delay_of_a_fit_is_known_better_than_its_parts():
+    """One lag of 20 ms behind 50 ms of dead time: of steps at 50 Hz the sum is seen, hardly the parts."""
+    lag = two_channels((1.0, 140.0, 1.4), (1.0, 7.0, 0.7), dead_time=(0.05, 0.03))
+    fit = identify_channel(_channel(noisy_drive(lag, 8, count=400, noise=(0.03, 0.03))), "v", limit=False).fit
+    delay = answer_delays(fit, ["v"], [0])
+    assert delay.value("v") == pytest.approx(0.07, abs=3 * delay.deviation("v"))
+    dead_time = fit.covariance[fit.layout.names.index("dead_time_0")][fit.layout.names.index("dead_time_0")] ** 0.5
+    assert delay.deviation("v") < dead_time / 2
+
+
+def test_a_fit_says_whether_what_it_does_not_know_matters():
+    """The same robot in a long quiet log, and in a short one in noise as large as its speed."""
+    lag = two_channels((1.0, 140.0, 1.4), (1.0, 7.0, 0.7), dead_time=(0.05, 0.03))
+    quiet, loud = (
+        identify_channel(_channel(noisy_drive(lag, 8, count=count, noise=(noise, noise))), "v", limit=False).warnings
+        for count, noise in ((3000, 0.01), (150, 1.0))
+    )
+    assert not [str(doubt) for doubt in quiet if doubt.verdict.matters]
+    assert "v: dead time and lag" in " ".join(doubt.words for doubt in loud if doubt.verdict.matters)
+
+
+def _channel(drive):
+    return [experiment.channel(0, 0) for experiment in twist_experiments([drive])]

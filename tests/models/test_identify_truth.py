@@ -123,7 +123,8 @@ def test_a_limit_of_the_base_is_found_where_there_is_one():
 def test_a_pole_too_fast_to_see_is_said():
     lag = two_channels((1.0, 80.0, 5.5), (1.0, 7.0, 0.7))
     experiments = [s.channel(0, 0) for s in twist_experiments([noisy_drive(lag, 8, count=1500)])]
-    assert any(doubt.kind == "second lag" for doubt in identify_channel(experiments, "v", limit=False).warnings)
+    doubts = identify_channel(experiments, "v", limit=False).warnings
+    assert {doubt.kind for doubt in doubts} == {"divided lag"}
 
 
 def test_two_poles_that_meet_are_said():

@@ -248,9 +248,27 @@ def _physical(name: str, value: float) -> float:
     return float(np.cosh(value)) if kind == "spread" else value
 
 
+def _delays(fit: EffectFit, parameters: ParameterEstimate) -> ParameterEstimate:
+    """(2,) how late v and omega answer [s]: dead time and both lags."""
+    known = {_readable(name): _physical(name, value) for name, value in fit.point.items()}
+
+    def delays(row: FloatArray) -> FloatArray:
+        point = {**known, **dict(zip(parameters.names, row.tolist(), strict=True))}
+        damping = [point.get(f"{channel}.damping", 1.0) for channel in CHANNELS]
+        return np.array(
+            [
+                point[f"{channel}.dead_time"] + 2 * d / point[f"{channel}.natural_frequency"]
+                for channel, d in zip(CHANNELS, damping, strict=True)
+            ]
+        )
+
+    return parameters.derived(CHANNELS, delays)
+
+
 def _doubts(fit: EffectFit, parameters: ParameterEstimate) -> list[Doubt]:
     sized = [name for name in parameters.names if not any(part in name for part in _MAY_BE_ZERO)]
-    found = doubts.badly_known(parameters.part(sized))
+    delays = _delays(fit, parameters)
+    found = [*doubts.badly_known(parameters.part(sized), delays=delays), *doubts.late_answers(delays)]
     for name, (low, high, _) in effect_settings().parameters.items():
         # Nothing of something is a finding; anything else at a bound is none.
         if name in fit.point and fit.point[name] in (low, high) and fit.point[name] != 0.0:
