@@ -1,4 +1,4 @@
-"""Building a wheel compiles the controller's core into it; all else is said in pyproject.toml."""
+"""Building a wheel compiles its C into it, controller and simulated drivetrain; all else is said in pyproject.toml."""
 
 import sys
 import types
@@ -13,7 +13,8 @@ SOURCES = Path(__file__).parent / "src"
 
 def bare_packages() -> None:
     """Put our packages in place without what they import themselves: a build needs CasADi, but no controller."""
-    for name in ("diffdrive_mpc", "diffdrive_mpc.models", "diffdrive_mpc.mpc", "diffdrive_mpc.mpc.problem"):
+    for room in ("", ".models", ".mpc", ".mpc.problem", ".sim"):
+        name = f"diffdrive_mpc{room}"
         package = types.ModuleType(name)
         package.__path__ = [str(SOURCES.joinpath(*name.split(".")))]
         sys.modules[name] = package
@@ -27,13 +28,16 @@ class BuildWithCore(build_py):
         super().run()
         if not self.editable_mode:
             bare_packages()
-            from diffdrive_mpc.mpc.core.compiler import NotCompiledError  # noqa: PLC0415
-            from diffdrive_mpc.mpc.core.packaged import write_packaged  # noqa: PLC0415
+            from diffdrive_mpc.models.compiled.compiler import NotCompiledError  # noqa: PLC0415
+            from diffdrive_mpc.mpc.core.packaged import write_packaged as write_core  # noqa: PLC0415
+            from diffdrive_mpc.sim.core.library import write_packaged as write_twin  # noqa: PLC0415
 
+            package = Path(self.build_lib, "diffdrive_mpc")
             try:
-                write_packaged(Path(self.build_lib, "diffdrive_mpc", "mpc", "core"))
+                write_core(package / "mpc" / "core")
+                write_twin(package / "sim" / "core")
             except NotCompiledError as error:
-                sys.exit(f"error: the controller's core is not compiled: {error}; install gcc, or take a wheel")
+                sys.exit(f"error: the package's C is not compiled: {error}; install gcc, or take a wheel")
 
 
 class PlatformWheel(bdist_wheel):

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.commands import excite, export, identify, real_logs, ros, studies
+from diffdrive_mpc.bench.commands import campaign, excite, export, identify, real_logs, ros, studies, twin
 from diffdrive_mpc.bench.commands.config import config_app
 from diffdrive_mpc.bench.commands.models import models_app
 from diffdrive_mpc.bench.commands.one_line_errors import OneLineErrors
@@ -22,12 +22,15 @@ app = typer.Typer(
 app.command("simulate", epilog=studies.EXAMPLES["simulate"])(studies.simulate)
 app.command("bench", epilog=studies.EXAMPLES["bench"])(studies.bench)
 app.command("identify", epilog=identify.EXAMPLE)(identify.identify)
+app.command("twin", epilog=twin.EXAMPLE)(twin.twin)
 app.command("tracking", epilog=studies.EXAMPLES["tracking"])(studies.tracking)
 app.command("real-logs", epilog=real_logs.EXAMPLE)(real_logs.real_logs)
 app.command("reproduce", epilog=studies.EXAMPLES["reproduce"])(studies.reproduce)
 app.command("peers", epilog=studies.EXAMPLES["peers"])(studies.peers)
 app.command("robustness", epilog=studies.EXAMPLES["robustness"])(studies.robustness)
+app.command("campaign", epilog=campaign.EXAMPLE)(campaign.campaign)
 app.command("speed", epilog=studies.EXAMPLES["speed"])(studies.speed)
+app.command("loop-speed", epilog=studies.EXAMPLES["loop-speed"])(studies.loop_speed)
 app.command("excite", epilog=excite.EXAMPLE)(excite.excite)
 app.command("export", epilog=export.EXAMPLE)(export.export)
 app.command("node", epilog=ros.EXAMPLES["node"], context_settings=PASSED_ON)(ros.node)

@@ -60,7 +60,8 @@ SPEED = ShownReport("speed", ("horizon.png", "tail.png"), ("speed.json",), "perf
 PEERS = ShownReport("peers", (), (), "peers.md")
 EDGE = ShownReport("edge", ("overview.png",), (), "peers.md", study="bench")
 ROBUSTNESS = ShownReport("robustness", ("ratios.png",), (), "robustness.md")
-SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, PEERS, EDGE, ROBUSTNESS)
+LOOP_SPEED = ShownReport("loop-speed", (), (), "performance.md")
+SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, LOOP_SPEED, PEERS, EDGE, ROBUSTNESS)
 
 
 def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:

@@ -34,13 +34,13 @@ def describe_machine() -> dict[str, object]:
         "cores": available_cores(),
         "os": _system(),
         "python": platform.python_version(),
-        "packages": {name: _version(name) for name in PACKAGES},
+        "packages": {name: package_version(name) for name in PACKAGES},
     }
 
 
 def project_version() -> str:
     """Version of this project."""
-    return _version("diffdrive-mpc")
+    return package_version("diffdrive-mpc")
 
 
 def git_revision() -> str | None:
@@ -63,7 +63,8 @@ def _git(*arguments: str) -> str:
     return done.stdout.strip()
 
 
-def _version(package: str) -> str:
+def package_version(package: str) -> str:
+    """Version of an installed package, in words where it is not."""
     try:
         return version(package)
     except PackageNotFoundError:

@@ -90,14 +90,15 @@ def load_variation(schema: type[Schema], path: str | Path, base: Mapping[str, An
         As for `load_checked`.
     """
     data = read_yaml(path)
-    return check(schema, _laid_over(base, data) if isinstance(data, Mapping) else data, str(path))
+    return check(schema, laid_over(base, data) if isinstance(data, Mapping) else data, str(path))
 
 
-def _laid_over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def laid_over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """`base` with the values of `changes` in place of its own, groups key by key."""
     whole = dict(base)
     for key, value in changes.items():
         under = whole.get(key)
-        whole[key] = _laid_over(under, value) if isinstance(under, Mapping) and isinstance(value, Mapping) else value
+        whole[key] = laid_over(under, value) if isinstance(under, Mapping) and isinstance(value, Mapping) else value
     return whole
 
 

@@ -81,6 +81,7 @@ VERDICTS: Mapping[str, Verdict] = {
     "dead time": _yes("the robot may answer later than the model says"),
     "no dead time": _no("dead time and lag are right together"),
     "told together": _no("together they predict the same"),
+    "prior kept": _no("where the log did not show it, the robot does not do it"),
     "pose calibration": _no("the controller does not use it"),
     "effect": _yes("drive gently until another log tells it"),
     "unseen effects": _no("the model of what the encoders see is complete"),

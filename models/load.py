@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Literal
 
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
@@ -14,7 +15,10 @@ from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 
-DRIVES = {"p2_experimental": "drive_experimental", "p2_physical": "drive_physical"}
+DRIVES: Mapping[str, Literal["drive_experimental", "drive_physical"]] = {
+    "p2_experimental": "drive_experimental",
+    "p2_physical": "drive_physical",
+}
 """Shipped drive models, and their structures."""
 PARAMETERS = Path(__file__).parent / "parameters"
 MODEL_NAMES = (*(name for name in STRUCTURES if (PARAMETERS / f"{name}.yaml").is_file()), NETWORK, *DRIVES, "kinematic")

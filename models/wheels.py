@@ -7,7 +7,7 @@ rate is wider than the geometric one: the caller says which track is meant.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,28 +32,36 @@ class WheelKinematics:
 
     radius: float
     track: float
+    _to_wheels: FloatArray = field(init=False, repr=False, compare=False)
+    _to_body: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Check that both lengths are positive and finite; raises ValueError."""
+        """Check that both lengths are positive and finite, or raise ValueError; work out the matrices once."""
         for name in ("radius", "track"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{name} = {value}: a length in metres must be positive and finite")
 
+        to_wheels = np.column_stack([np.ones(4), 0.5 * self.track * _RIGHT]) / self.radius
+        to_body = self.radius * np.vstack([np.full(4, 0.25), 0.5 * _RIGHT / self.track])
+        for name, matrix in (("_to_wheels", to_wheels), ("_to_body", to_body)):
+            matrix.setflags(write=False)
+            object.__setattr__(self, name, matrix)
+
     @property
     def body_to_wheels(self) -> FloatArray:
         """(4, 2) matrix from (v [m/s], omega [rad/s]) to wheel speeds [rad/s]."""
-        return np.column_stack([np.ones(4), 0.5 * self.track * _RIGHT]) / self.radius
+        return self._to_wheels
 
     @property
     def wheels_to_body(self) -> FloatArray:
         """(2, 4) matrix from wheel speeds [rad/s] to (v [m/s], omega [rad/s]); each side is the mean of its wheels."""
-        return self.radius * np.vstack([np.full(4, 0.25), 0.5 * _RIGHT / self.track])
+        return self._to_body
 
     def wheel_speeds(self, twist: ArrayLike) -> FloatArray:
         """Wheel speeds (..., 4) [rad/s] for body twists (..., 2)."""
-        return np.asarray(np.asarray(twist, dtype=float) @ self.body_to_wheels.T)
+        return np.asarray(np.asarray(twist, dtype=float) @ self._to_wheels.T)
 
     def twist(self, wheel_speeds: ArrayLike) -> FloatArray:
         """Body twists (..., 2) for wheel speeds (..., 4) [rad/s]."""
-        return np.asarray(np.asarray(wheel_speeds, dtype=float) @ self.wheels_to_body.T)
+        return np.asarray(np.asarray(wheel_speeds, dtype=float) @ self._to_body.T)

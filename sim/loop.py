@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -9,9 +10,9 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import (
     ControlStep,
-    EstimatingStep,
     FloatArray,
     Measurement,
+    MotionEstimate,
     Reference,
     TrackingController,
 )
@@ -76,9 +77,11 @@ def simulate(
         solve_time[k] = step.solve_time
         if step.solver is not None:
             iterations[k] = step.solver.iterations
-        if isinstance(step, EstimatingStep) and step.estimate is not None:
-            estimates[k, :3], estimates[k, 3:] = step.estimate.pose, step.estimate.twist
-            deviations[k, :3], deviations[k, 3:] = step.estimate.pose_deviation, step.estimate.twist_deviation
+        # Of an `EstimatingStep`; to ask each step whether it is one takes longer than the step.
+        estimate: MotionEstimate | None = getattr(step, "estimate", None)
+        if estimate is not None:
+            estimates[k, :3], estimates[k, 3:] = estimate.pose, estimate.twist
+            deviations[k, :3], deviations[k, 3:] = estimate.pose_deviation, estimate.twist_deviation
         said.append(_Said.by(step))
         measurements.append(measurement)
         try:
@@ -137,7 +140,7 @@ class _Said(NamedTuple):
 def _checked(command: FloatArray, t: float) -> FloatArray:
     """Pass on a sound command; a controller that gives anything else has a fault worth stopping for."""
     command = np.asarray(command, dtype=float)
-    if command.shape != (2,) or not np.isfinite(command).all():
+    if command.shape != (2,) or not all(map(math.isfinite, command.tolist())):
         raise ValueError(
             f"t = {t:.3f} s: the controller's command must be two finite numbers (found {command.tolist()})"
         )

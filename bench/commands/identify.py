@@ -19,7 +19,10 @@ def identify(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="CSV files or ROS 2 bags.")],
     structure: Annotated[
         str | None,
-        typer.Option(help="Structure of the model: mbm, sm, ssm, or lstm, a network.", show_default=_DEFAULT_STRUCTURE),
+        typer.Option(
+            help="Structure of the model: mbm, sm, ssm; p2_experimental or p2_physical, a drive; lstm, a network.",
+            show_default=_DEFAULT_STRUCTURE,
+        ),
     ] = None,
     model: Annotated[str | None, typer.Option(hidden=True, help="The old name of --structure.")] = None,
     mapping: Annotated[

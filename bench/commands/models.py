@@ -142,7 +142,12 @@ def calibrate(
 def compare(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="CSV files or bags, all of one robot.")],
     mapping: Annotated[str | None, typer.Option(help="Shipped mapping or mapping file.", show_default=False)] = None,
-    kinds: Annotated[str, typer.Option(metavar="LIST", help="Kinds to compare, with commas between.")] = "all",
+    kinds: Annotated[
+        str,
+        typer.Option(
+            metavar="LIST", help="Kinds to compare, with commas between, or all.", show_default="all but the slow lstm"
+        ),
+    ] = "",
     parts: Annotated[int, typer.Option(min=2, help="Parts of the log that are held out in turn.")] = 3,
 ) -> None:
     """Identify every kind of model from a log, cross-validated, and say which one it supports."""
@@ -163,7 +168,7 @@ def compare(
             on_findings=lambda _: None,
             most_rows=settings.most_rows["effects"],
         )
-        chosen = () if kinds == "all" else tuple(name.strip() for name in kinds.split(","))
+        chosen = tuple(name.strip() for name in kinds.split(",")) if kinds else ()
         found = compare_models(data, chosen, parts, on_progress=lambda text: bar.begin(text, 1))
     output_console().print(rich_table(found.table()))
     typer.echo(found.sentence())

@@ -30,6 +30,7 @@ EXAMPLES = {
     "peers": "Example: diffdrive-mpc peers --out results --peers pursuit,lqr+slip",
     "robustness": "Example: diffdrive-mpc robustness --out results --only mass_left,frozen_pose --models sm,ssm",
     "speed": "Example: diffdrive-mpc speed --out results --quick --peers ours,acados",
+    "loop-speed": "Example: diffdrive-mpc loop-speed --out results --models ssm --trajectories circle,s",
 }
 
 
@@ -213,3 +214,20 @@ def speed(
         changes["horizons"] = split_numbers(horizons, "--horizons", least=1)
     names = None if peers is None else split_names(peers, "--peers")
     carry_out(SpeedStudy(chosen(loaded.model_copy(update=changes), names), environment), out)
+
+
+def loop_speed(
+    *,
+    out: Annotated[Path, out_option("loop-speed.json and loop-speed.md")],
+    models: Annotated[str, typer.Option(metavar="NAMES", help="Models of the controller.")] = "ssm",
+    trajectories: Annotated[str, typer.Option(metavar="NAMES", help="Paths.")] = "circle,square,s,cane",
+    plant: Annotated[str, typer.Option(metavar="NAME", help="Plant.")] = "mujoco",
+    scenario: Annotated[str, typer.Option(metavar="NAME", help="What happens on the way.")] = "none",
+    repeats: Annotated[int, typer.Option(min=1, help="How often each is driven; the least time counts.")] = 5,
+) -> None:
+    """Say how many times as fast as real time the closed loop is simulated on one core, whole and by part."""
+    from diffdrive_mpc.bench.studies.loop_speed.study import LoopSpeedStudy  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+
+    paths = split_names(trajectories, "--trajectories")
+    carry_out(LoopSpeedStudy(split_names(models, "--models"), paths, plant, scenario, repeats), out)

@@ -146,7 +146,11 @@ def load_drive(path: Path, data: Any) -> DriveModel:  # noqa: ANN401 - what a YA
     models.velocity_model.ModelError
         If it cannot be a robot's.
     """
-    content = check(DRIVE_FILES[data["structure"]], data, str(path))
+    return drive_of(check(DRIVE_FILES[data["structure"]], data, str(path)))
+
+
+def drive_of(content: ExperimentalFile | PhysicalFile) -> DriveModel:
+    """The model that a parameter file describes; raises ModelError if it cannot be a robot's."""
     channels: tuple[DriveChannel, DriveChannel] = (content.v, content.omega)
     return drive_model(
         content.name,

@@ -103,17 +103,22 @@ def fit_drive(kind: Kind, records: Sequence[Record], yaw: YawSource = "gyro") ->
     values, dead = [one[0] for one in found], (found[0][1], found[1][1])
     if kind == "drive_physical":
         values = _share_integral_time(values, dead, runs)
+    return DriveFit(kind, dt, (values[0], values[1]), dead, numbers_at_bounds(values))
+
+
+def numbers_at_bounds(values: Sequence[dict[str, float]]) -> tuple[str, ...]:
+    """Names "v gain" and so on of numbers that lie on a bound of the search."""
     bounds = fit_settings().bounds
-    at_bound = tuple(
+    return tuple(
         f"{channel} {name}"
         for channel, numbers in zip(("v", "omega"), values, strict=True)
         for name, value in numbers.items()
         if name != "friction" and _near_bound(value, bounds[name])
     )
-    return DriveFit(kind, dt, (values[0], values[1]), dead, at_bound)
 
 
-def _names(kind: Kind, row: int) -> list[str]:
+def parameter_names(kind: Kind, row: int) -> list[str]:
+    """Of v (`row` 0) or omega."""
     own = {
         "drive_experimental": ["lag", "threshold", "threshold_by_slope"],
         "drive_physical": ["stiffness", "integral_time"],
@@ -123,7 +128,7 @@ def _names(kind: Kind, row: int) -> list[str]:
 
 def _fit_channel(kind: Kind, row: int, runs: Sequence[Experiment]) -> tuple[dict[str, float], int]:
     """Numbers and dead time of one channel."""
-    names, starts = _names(kind, row), fit_settings().starts
+    names, starts = parameter_names(kind, row), fit_settings().starts
     known: dict[int, tuple[float, FloatArray]] = {}
 
     def solved(dead: int, begin: FloatArray, close: float = _COARSE) -> tuple[float, FloatArray]:
@@ -150,7 +155,7 @@ def _fit_channel(kind: Kind, row: int, runs: Sequence[Experiment]) -> tuple[dict
 def _share_integral_time(
     values: Sequence[dict[str, float]], dead: Sequence[int], runs: Sequence[Experiment]
 ) -> list[dict[str, float]]:
-    names = [_names("drive_physical", row) for row in (0, 1)]
+    names = [parameter_names("drive_physical", row) for row in (0, 1)]
     own = [[name for name in group if name != "integral_time"] for group in names]
     channels = [[run.channel(row, row) for run in runs] for row in (0, 1)]
     # Errors of both channels count by what each left on its own.
@@ -205,14 +210,20 @@ def _near_bound(value: float, bound: Range) -> bool:
 
 
 def _errors(kind: Kind, row: int, runs: Sequence[Experiment], values: dict[str, float], dead: int) -> FloatArray:
-    """Simulated less measured, every reading of all runs."""
+    return np.concatenate(channel_errors(kind, row, runs, values, dead))
+
+
+def channel_errors(
+    kind: Kind, row: int, runs: Sequence[Experiment], values: dict[str, float], dead: int
+) -> list[FloatArray]:
+    """For each run of one channel (K,) simulated less measured, at its readings."""
     offset = values.get("offset", 0.0)
     parts = []
     for run in runs:
         coefficients = step_coefficients(kind, values, run.dt)
         simulated = _free_run(kind, row, replace(run, outputs=run.outputs - offset), coefficients, dead) + offset
         parts.append((simulated - run.outputs[:, 0])[run.counts[:, 0]])
-    return np.concatenate(parts)
+    return parts
 
 
 def _free_run(

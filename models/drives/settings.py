@@ -28,6 +28,8 @@ class FitSettings(StrictModel):
     still: tuple[Positive, Positive] = Field(description="speed below which a robot stands [m/s], [rad/s]")
     bounds: dict[str, Range]
     starts: tuple[dict[str, float], ...]
+    priors: dict[str, float] = Field(description="of numbers that a log need not tell")
+    least_gain: Positive = Field(description="rise of the error power that a prior has to cost, or it is kept [-]")
 
 
 @cache

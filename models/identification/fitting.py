@@ -5,25 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.effects import IdentifiedBase, identify_with_effects
 from diffdrive_mpc.models.identification.effects.comparison import loses
 from diffdrive_mpc.models.identification.log_data import LogData
+from diffdrive_mpc.models.identification.predictor import Predictor
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.logs.geometry import WheelGeometry, wheel_geometry
-from diffdrive_mpc.models.networks.network import NETWORK
 from diffdrive_mpc.models.output_error.experiment import YawSource, twist_experiments
 from diffdrive_mpc.models.output_error.validation import Validation, score, simulate_records
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.orders import OrderChoice
 from diffdrive_mpc.models.structures.structure import Conditions, Found, Structure
-
-if TYPE_CHECKING:
-    from diffdrive_mpc.models.identification.network import TrainedNetwork
 
 
 @dataclass(frozen=True)
@@ -46,8 +42,8 @@ class Fitted:
         For each validation record (K, 2) v [m/s] and omega [rad/s], sensor offsets included.
     seconds
         How long the estimation took [s], without reading, validation and figures.
-    network
-        A network that predicts in place of `identified`, which limits and tracks still come from; None without one.
+    predictor
+        What predicts in place of `identified`, which limits and tracks still come from; None where that does itself.
     """
 
     identified: IdentifiedModel
@@ -58,22 +54,27 @@ class Fitted:
     validation: Validation
     simulated: tuple[FloatArray, ...]
     seconds: float
-    network: TrainedNetwork | None = None
+    predictor: Predictor | None = None
 
     @property
     def structure(self) -> str:
         """Name of the structure that predicts."""
-        return self.identified.structure if self.network is None else NETWORK
+        return self.identified.structure if self.predictor is None else self.predictor.structure
 
     @property
     def method(self) -> str:
         """How it was done, in words."""
-        return self.identified.method if self.network is None else self.network.method
+        return self.identified.method if self.predictor is None else self.predictor.method
 
     @property
     def offset(self) -> FloatArray:
         """(2,) what v [m/s] and omega [rad/s] are said to be at rest: bias of the sensors, as the model has it."""
-        return self.identified.offset if self.network is None else self.network.network.at_rest
+        return self.identified.offset if self.predictor is None else self.predictor.offset
+
+    @property
+    def states(self) -> int:
+        """Of the model that predicts."""
+        return self.identified.model.order if self.predictor is None else self.predictor.states
 
 
 def fit(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,12 +16,10 @@ from diffdrive_mpc.models.identification.configuration import MODEL_FILE, Config
 from diffdrive_mpc.models.identification.fitting import fit
 from diffdrive_mpc.models.identification.log_data import LogData, OptionError, read_data
 from diffdrive_mpc.models.identification.poses import from_poses
+from diffdrive_mpc.models.identification.predictor import Predictor, finders, with_predictor
 from diffdrive_mpc.models.identification.report import IdentificationReport
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding, Log
-from diffdrive_mpc.models.networks.network import NETWORK
-from diffdrive_mpc.models.networks.network_file import NetworkFile, network_content, write_network
-from diffdrive_mpc.models.networks.network_model import network_model
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.structures.identified import model_file, percent, write_model_file
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
@@ -29,12 +27,9 @@ from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.structures.structure import Structure
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 
-if TYPE_CHECKING:
-    from diffdrive_mpc.models.identification.network import TrainedNetwork
-
 AUTOMATIC = "auto"
 BESIDE = "sm"
-"""The linear model beside a network."""
+"""The linear model beside a predictor."""
 CONFIG_FILE = "config.yaml"
 FILES = (MODEL_FILE, CONFIG_FILE, "report.json", "report.md")
 """What `Identification.write` writes, and of a network the file of its weights."""
@@ -62,7 +57,7 @@ class Identification:
     model: VelocityModel | NonlinearModel
     config: Mapping[str, Any]
     report: IdentificationReport
-    content: ModelFile | NetworkFile
+    content: Any
     configuration: Configuration
 
     def __repr__(self) -> str:
@@ -113,11 +108,11 @@ class Identification:
         numbers = json.dumps(self.report.as_json(), indent=1, allow_nan=False) + "\n"
         folder.mkdir(parents=True, exist_ok=True)
         if force or not self.refusal:
-            network = self.report.fitted.network
-            if isinstance(self.content, ModelFile):
+            predictor = self.report.fitted.predictor
+            if predictor is None:
                 write_model_file(folder / MODEL_FILE, self.content)
-            elif network is not None:
-                write_network(folder / MODEL_FILE, network.network, self.content)
+            else:
+                predictor.write(folder / MODEL_FILE, self.content)
             (folder / CONFIG_FILE).write_text(self.configuration.text(), encoding="utf-8")
         (folder / "report.json").write_text(numbers, encoding="utf-8")
         (folder / "report.md").write_text(words, encoding="utf-8")
@@ -148,7 +143,8 @@ def identify(
         What their columns or topics are: the name of a shipped mapping or the path of a mapping file; None for logs of
         `diffdrive-mpc simulate --log`, and for bags with the usual topics.
     structure
-        "mbm", "sm", "ssm"; or "lstm", a network trained on the logs, which needs the extra `learn` and minutes.
+        "mbm", "sm", "ssm"; "p2_experimental" or "p2_physical", a drive; or "lstm", a network trained on the logs, which
+        needs the extra `learn` and minutes.
     effects
         Whether to look for what the base does around an sm: slew, steps, tyres, veer. Takes minutes.
     validate
@@ -176,17 +172,16 @@ def identify(
     paths = [Path(path) for path in ([logs] if isinstance(logs, (str, Path)) else logs)]
     if not paths:
         raise ConfigError("no logs: give at least one")
-    chosen = _structure(BESIDE if structure == NETWORK else structure)
+    predictor = structure if structure in finders else None
+    chosen = _structure(BESIDE if predictor else structure)
     wanted = _order(chosen, order)
     if validate and fit_share is not None:
         raise OptionError("fit_share", ": with --validate all of the other logs is identified from; give one of them")
-    if effects and (structure == NETWORK or not chosen.takes_effects):
+    if effects and (predictor or not chosen.takes_effects):
         able = " or ".join(other.name for other in STRUCTURES.values() if other.takes_effects)
         raise OptionError("effects", f": they stand around an {able}, not an {structure}; choose that structure")
-    if structure == NETWORK:
-        from diffdrive_mpc.models.networks.training import check_installed  # noqa: PLC0415 - others do without it
-
-        check_installed()
+    if predictor:
+        finders[predictor]()  # refuses what is not installed before anything is read
     if name is not None and not name.strip():
         raise OptionError("name", ": it is empty; give the model a name, or leave the option out")
     if on_progress:
@@ -205,7 +200,7 @@ def identify(
     more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
     title = name or f"{structure.upper()} from {paths[0].stem}{more}"
     return identify_data(
-        data, chosen, title, order=wanted, effects=effects, network=structure == NETWORK, on_progress=on_progress
+        data, chosen, title, order=wanted, effects=effects, predictor=predictor, on_progress=on_progress
     )
 
 
@@ -216,7 +211,7 @@ def identify_data(
     *,
     order: int | None = None,
     effects: bool = False,
-    network: bool = False,
+    predictor: str | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> Identification:
     """Identify a model from records that are divided already; otherwise as `identify`.
@@ -231,8 +226,8 @@ def identify_data(
         Of the model.
     order, effects, on_progress
         As for `identify`; an order of None is chosen.
-    network
-        Whether to train a network, too, which then predicts; limits and tracks come from the structure.
+    predictor
+        Of `finders`, to be found, too, and to predict; limits and tracks come from the structure.
 
     Raises
     ------
@@ -244,21 +239,19 @@ def identify_data(
     fitted = fit(
         data, structure, order, effects=effects, on_trial=lambda effect: announce(f"does the base show {effect}?")
     )
-    if network:
-        from diffdrive_mpc.models.identification.network import with_network  # noqa: PLC0415 - others do without it
-
-        announce("training (a minute or more)")
-        fitted = with_network(data, fitted)
+    if predictor:
+        announce(f"{predictor} (a minute or more)")
+        fitted = with_predictor(data, fitted, finders[predictor]())
     report = IdentificationReport(name, data, fitted, from_poses(data, fitted), date.today())
-    configuration = configure(name, fitted.identified, data.train, fitted.geometry, every_sample=network)
+    configuration = configure(name, fitted.identified, data.train, fitted.geometry, every_sample=predictor is not None)
     model: VelocityModel | NonlinearModel
-    content: ModelFile | NetworkFile
-    if fitted.network is None:
+    content: Any
+    if fitted.predictor is None:
         content = _linear_content(report)
         model = build_model(content)
     else:
-        content = _network_content(report, fitted.network)
-        model = network_model(name, fitted.network.network, content.sample_time, content.provenance.model_dump())
+        content = fitted.predictor.content(_fields(report, fitted.predictor))
+        model = fitted.predictor.model(content)
     found = Identification(model, configuration.mapping(), report, content, configuration)
     _lock(found)
     return found
@@ -278,30 +271,30 @@ def _linear_content(report: IdentificationReport) -> ModelFile:
     )
 
 
-def _network_content(report: IdentificationReport, trained: TrainedNetwork) -> NetworkFile:
+def _fields(report: IdentificationReport, predictor: Predictor) -> dict[str, Any]:
+    """What every file of a predictor says."""
     fitted, data = report.fitted, report.data
-    return network_content(
-        trained.network,
-        name=report.name,
-        sample_time=data.train[0].dt,
-        limits=fitted.identified.limits or None,
-        warnings=[str(doubt) for doubt in report.doubts],
-        fit_percent=percent(fitted.train.fit_percent),
-        validation_fit_percent=percent(fitted.validation.fit_percent),
-        provenance={
+    return {
+        "name": report.name,
+        "sample_time": data.train[0].dt,
+        "limits": fitted.identified.limits or None,
+        "warnings": [str(doubt) for doubt in report.doubts],
+        "fit_percent": percent(fitted.train.fit_percent),
+        "validation_fit_percent": percent(fitted.validation.fit_percent),
+        "provenance": {
             "origin": "identified",
             "source": ", ".join(data.logs),
-            "method": f"{trained.method}; omega of the {data.yaw}",
+            "method": f"{predictor.method}; omega of the {data.yaw}",
             "experiments": [record.name for record in data.train],
             "date": report.day.isoformat(),
             "notes": f"validated on {data.held_out}",
         },
-    )
+    }
 
 
 def _structure(name: str) -> Structure:
     if name not in STRUCTURES:
-        raise OptionError("structure", f" '{name}': give one of {', '.join((*STRUCTURES, NETWORK))}")
+        raise OptionError("structure", f" '{name}': give one of {', '.join((*STRUCTURES, *finders))}")
     return STRUCTURES[name]
 
 

@@ -9,9 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.identification.fitting import fit
+from diffdrive_mpc.models.errors import MissingPackageError
+from diffdrive_mpc.models.identification.fitting import Fitted, fit
 from diffdrive_mpc.models.identification.log_data import LogData, divide
 from diffdrive_mpc.models.identification.poses import from_poses
+from diffdrive_mpc.models.identification.predictor import finders, with_predictor
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
@@ -30,17 +32,26 @@ class Kind(NamedTuple):
     """A kind of model; the simpler ones come first."""
 
     name: str
-    structure: str
-    effects: bool
+    structure: str = "sm"
+    effects: bool = False
+    predictor: str = ""
+    """Of `predictor.finders`: what predicts in place of the structure's model"""
+    slow: bool = False
+    """Compared only where it is named, or all are asked for"""
 
 
 KINDS = (
-    Kind("sm", "sm", False),
-    Kind("ssm", "ssm", False),
-    Kind("mbm", "mbm", False),
-    Kind("sm+effects", "sm", True),
+    Kind("sm"),
+    Kind("ssm", "ssm"),
+    Kind("mbm", "mbm"),
+    Kind("p2_physical", predictor="p2_physical"),
+    Kind("p2_experimental", predictor="p2_experimental"),
+    Kind("sm+effects", effects=True),
+    Kind("lstm", predictor="lstm", slow=True),
 )
 """What is compared, the simplest first. A later one has to predict better by more than chance."""
+ALL = "all"
+"""In place of names: the slow ones, too."""
 NO_MODEL = "no model"
 
 
@@ -178,7 +189,7 @@ def compare_models(
     data
         All records, as `read_data` gives them; how they are divided there does not matter.
     kinds
-        Names in `KINDS`; by default all.
+        Names in `KINDS`, or "all"; by default all that are not slow.
     parts
         Of equal length in time, at least 2.
     on_progress
@@ -189,9 +200,9 @@ def compare_models(
     ConfigError
         If a kind is unknown, or there are too few rows.
     """
-    unknown = [name for name in kinds if name not in {kind.name for kind in KINDS}]
+    unknown = [name for name in kinds if name not in {ALL, *(kind.name for kind in KINDS)}]
     if unknown:
-        raise ConfigError(f"kind '{unknown[0]}': give some of {', '.join(kind.name for kind in KINDS)}")
+        raise ConfigError(f"kind '{unknown[0]}': give some of {', '.join(kind.name for kind in KINDS)}, or {ALL}")
     if parts < 2:
         raise ConfigError(f"parts = {parts}: give 2 or more, one of them is held out at a time")
     folds = list(_folds([*data.train, *data.validation], parts))
@@ -202,10 +213,11 @@ def compare_models(
         raise ConfigError("no row has both a reading of v and one of omega; log them at the same rate")
     obeyed, weights = _powers(measured, [[record.command for record in held_out] for _, held_out in folds])
     scores = [Scored(NO_MODEL, 0, obeyed, float("nan"), 0.0)]
+    linear: dict[tuple[str, bool, int], Fitted] = {}
     for kind in KINDS:
-        if kinds and kind.name not in kinds:
+        if ALL not in kinds and (kind.name not in kinds if kinds else kind.slow):
             continue
-        scores.append(_score(kind, data, folds, measured, horizon, on_progress or (lambda _: None)))
+        scores.append(_score(kind, data, folds, linear, measured, horizon, on_progress or (lambda _: None)))
     return Comparison(tuple(scores), weights, readings.var(axis=0), parts, horizon)
 
 
@@ -226,21 +238,27 @@ def _score(
     kind: Kind,
     data: LogData,
     folds: Sequence[tuple[list[Record], list[Record]]],
+    linear: dict[tuple[str, bool, int], Fitted],
     measured: Sequence[Sequence[Experiment]],
     horizon: float,
     announce: Callable[[str], None],
 ) -> Scored:
+    """`linear` holds the linear models that were found, by structure, effects and part, as several kinds need them."""
     simulated, states, errors, seconds = [], 0, [], 0.0
     for k, (rest, part) in enumerate(folds):
         announce(f"{kind.name}, part {k + 1} of {len(folds)}")
         fold = replace(data, train=tuple(rest), validation=tuple(part))
         try:
-            fitted = fit(fold, STRUCTURES[kind.structure], effects=kind.effects)
+            find = finders[kind.predictor]() if kind.predictor else None
+            key = (kind.structure, kind.effects, k)
+            if key not in linear:
+                linear[key] = fit(fold, STRUCTURES[kind.structure], effects=kind.effects)
+            fitted = linear[key] if find is None else with_predictor(fold, linear[key], find)
             poses = from_poses(fold, fitted)
-        except (ValueError, ConfigError) as error:
+        except (ValueError, ConfigError, MissingPackageError) as error:
             return Scored(kind.name, 0, np.empty((0, 2)), float("nan"), seconds, str(error))
         simulated.append(list(fitted.simulated))
-        states, seconds = fitted.identified.model.order, seconds + fitted.seconds
+        states, seconds = fitted.states, seconds + fitted.seconds
         errors += [drift.position_rmse for drift in poses.drift if drift.horizon == horizon]
     pose = float(np.sqrt(np.mean(np.square(errors)))) if errors else float("nan")
     return Scored(kind.name, states, _powers(measured, simulated)[0], pose, seconds)

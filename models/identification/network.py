@@ -1,18 +1,22 @@
-"""A network on past commands from records, beside the linear model that limits, tracks and poses come from."""
+"""A network on past commands from records."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from time import perf_counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from diffdrive_mpc.models.identification.fitting import Fitted, scored
+from diffdrive_mpc.models.doubt import Doubt
+from diffdrive_mpc.models.identification.fitting import Fitted
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record
-from diffdrive_mpc.models.networks.network import Architecture, Network
+from diffdrive_mpc.models.networks.network import NETWORK, Architecture, Network
+from diffdrive_mpc.models.networks.network_file import NetworkFile, network_content, write_network
+from diffdrive_mpc.models.networks.network_model import NetworkModel, network_model
 from diffdrive_mpc.models.networks.training import method, train
 from diffdrive_mpc.models.networks.training_settings import TrainingSettings, training_settings
 from diffdrive_mpc.models.networks.windows import divided, windows_of
@@ -21,21 +25,48 @@ from diffdrive_mpc.models.output_error.experiment import YawSource, joined, part
 
 @dataclass(frozen=True)
 class TrainedNetwork:
-    """A network, and how it was trained in words."""
+    """A network as `identification.predictor.Predictor`, and how it was trained in words."""
 
     network: Network
     method: str
+    structure: str = NETWORK
+    title: str = "a network"
+    states: int = 2
+    estimate: None = None
+    doubts: tuple[Doubt, ...] = ()
+
+    @property
+    def offset(self) -> FloatArray:
+        """See `Predictor`."""
+        return self.network.at_rest
+
+    def simulate(self, records: Sequence[Record], yaw: YawSource) -> list[FloatArray]:
+        """See `Predictor`."""
+        return simulate_records(self.network, records, yaw)
+
+    def refitted(self, records: Sequence[Record], yaw: YawSource) -> None:
+        """See `Predictor`: the part held out is too short to train with."""
+
+    def content(self, fields: Mapping[str, Any]) -> NetworkFile:
+        """See `Predictor`."""
+        return network_content(self.network, **fields)
+
+    def model(self, content: NetworkFile) -> NetworkModel:
+        """See `Predictor`."""
+        return network_model(content.name, self.network, content.sample_time, content.provenance.model_dump())
+
+    def write(self, path: Path, content: NetworkFile) -> None:
+        """See `Predictor`; the weights beside it."""
+        write_network(path, self.network, content)
 
 
-def with_network(
+def find_network(
     data: LogData,
     fitted: Fitted,
     settings: TrainingSettings | None = None,
     on_look: Callable[[int], None] | None = None,
-) -> Fitted:
-    """`fitted` with a network trained on the same records, and its scores and outputs in place of the linear model's.
-
-    The last part of the records in time tells when to stop; the records held out are not looked at.
+) -> TrainedNetwork:
+    """Train a network on the training records, whose last part in time tells when to stop.
 
     Parameters
     ----------
@@ -59,23 +90,11 @@ def with_network(
     first, second, _ = chosen.shares
     shares = (first / (first + second), second / (first + second))
     chosen = chosen.model_copy(update={"shares": shares})
-    started = perf_counter()
     windows = windows_of(joined(twist_experiments(data.train, yaw)), kind.window)
     training, validation = divided(windows, shares)
     told = (lambda steps, _: on_look(steps)) if on_look else None
     found = train(kind, training, validation, chosen, told)
-    seconds = perf_counter() - started
-    simulated = [simulate_records(found.network, records, yaw) for records in (data.train, data.validation)]
-    both = ((data.train, "training"), (data.validation, "validation"))
-    scores = [scored(outputs, records, yaw, name) for outputs, (records, name) in zip(simulated, both, strict=True)]
-    return replace(
-        fitted,
-        network=TrainedNetwork(found.network, method(kind, chosen, found)),
-        train=scores[0],
-        validation=scores[1],
-        simulated=tuple(simulated[1]),
-        seconds=fitted.seconds + seconds,
-    )
+    return TrainedNetwork(found.network, method(kind, chosen, found))
 
 
 def simulate_records(network: Network, records: Sequence[Record], yaw: YawSource) -> list[FloatArray]:

@@ -59,14 +59,15 @@ class IdentificationReport:
 
     def __str__(self) -> str:
         """Scores, pose errors, parameters and warnings."""
-        tables = [*self.scores, parameter_table(self._parameters, self.fitted.identified.parameters)]
+        tables = [*self.scores, *self._parameter_tables]
         said = "\n".join(f"warning: {warning}" for warning in self.warnings)
         return "\n\n".join([self.name, *map(str, tables), *([said] if said else [])])
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
         """What not to trust in the estimate and its scores."""
-        found = [*self.data.warnings, *self.fitted.identified.warnings, *self.poses.warnings]
+        own = self.fitted.predictor.doubts if self.fitted.predictor else ()
+        found = [*self.data.warnings, *own, *self.fitted.identified.warnings, *self.poses.warnings]
         if self.data.yaw == "encoders":
             words = "omega: the log has no gyro, so this is the yaw rate of the wheels; a skid-steered body turns less"
             found.append(Doubt("no gyro", words))
@@ -84,9 +85,12 @@ class IdentificationReport:
         return tuple(dict.fromkeys([*counted(self._findings), *lines(self.doubts)]))
 
     @property
-    def _parameters(self) -> str:
-        """Title of their table."""
-        return "Parameters" if self.fitted.network is None else "Parameters of the linear model beside the network"
+    def _parameter_tables(self) -> list[Table]:
+        linear, predictor = self.fitted.identified.parameters, self.fitted.predictor
+        if predictor is None:
+            return [parameter_table("Parameters", linear)]
+        own = [parameter_table("Parameters", predictor.estimate)] if predictor.estimate else []
+        return [*own, parameter_table(f"Parameters of the linear model beside {predictor.title}", linear)]
 
     @property
     def _findings(self) -> list[Finding]:
@@ -110,8 +114,9 @@ class IdentificationReport:
             f"{lag[i]:.2f} s"
             for i, channel in enumerate(CHANNELS)
         ]
-        if self.fitted.network is not None:
-            lags[0] = f"a network; by the linear model beside it, which limits and tracks come from, {lags[0]}"
+        if self.fitted.predictor is not None:
+            linear = "by the linear model beside it, which limits and tracks come from"
+            lags[0] = f"{self.fitted.predictor.title}; {linear}, {lags[0]}"
         clipped = [f"{channel} clipped at {level:.3g}" for channel, level in self.fitted.identified.limits.items()]
         fit = [float(value) for value in self.fitted.validation.fit_percent]
         worst, limits = min(fit), identification_settings().warn
@@ -142,6 +147,7 @@ class IdentificationReport:
     def as_json(self) -> dict[str, Any]:
         """Scores, pose errors, parameters and warnings for a program; parameters from poses stand behind "poses."."""
         fitted = self.fitted
+        own = fitted.predictor.estimate if fitted.predictor else None
         return {
             "model": fitted.structure,
             "train_fit_percent": _channels(fitted.train.fit_percent),
@@ -155,6 +161,7 @@ class IdentificationReport:
                 for drift in self.poses.drift
             ],
             "parameters": _parameters(fitted.identified.parameters)
+            | (_parameters(own.renamed(fitted.structure)) if own else {})
             | _parameters(self.poses.parameters.renamed("poses")),
             "warnings": list(self.warnings),
         }
@@ -167,7 +174,7 @@ class IdentificationReport:
             tables.append(order_table(fitted.orders))
         if fitted.base:
             tables.append(effect_table(fitted.base))
-        tables.append(parameter_table(self._parameters, fitted.identified.parameters))
+        tables += self._parameter_tables
         if poses.parameters.names:
             tables.append(parameter_table("Parameters from poses", poses.parameters))
         if poses.laws:

@@ -1,8 +1,8 @@
 """The compiled core and compiled functions of the user, loaded through cffi.
 
 The core is the package's own where a wheel brought one. Else it is compiled at first use for the processor at hand, and
-kept in the user's cache (`mpc/core/cache.py`). Its declarations are the text of its header, so names cross the border
-by name.
+kept in the user's cache (`models/compiled/cache.py`). Its declarations are the text of its header, so names cross the
+border by name.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Any
 import casadi as ca
 import cffi
 
-from diffdrive_mpc.mpc.core.cache import load_cached
-from diffdrive_mpc.mpc.core.compiler import NATIVE, NotCompiledError, build_library, what_is_built
+from diffdrive_mpc.models.compiled.cache import load_cached
+from diffdrive_mpc.models.compiled.compiler import NATIVE, NotCompiledError, build_library, what_is_built
 from diffdrive_mpc.mpc.core.generate import GeneratedC
 from diffdrive_mpc.mpc.core.packaged import packaged_libraries
 from diffdrive_mpc.mpc.core.sources import core_declarations, core_origin, core_texts, shared_headers

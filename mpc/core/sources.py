@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from diffdrive_mpc.mpc.core.compiler import digest_of
+from diffdrive_mpc.models.compiled.compiler import digest_of
 
 CORE = Path(__file__).parent
 """Folder of the C files and headers."""

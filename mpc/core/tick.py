@@ -198,7 +198,11 @@ class MeasurementBuffer:
         sent = measurement.sent
         self.struct.has_sent = sent is not None
         if sent is not None:
-            _write(self._sent, sent, 2)
+            try:
+                # Two numbers that are no array, as nearly always.
+                self._sent[0], self._sent[1] = sent
+            except (TypeError, ValueError):
+                _write(self._sent, sent, 2)
 
 
 class _Message:

@@ -5,9 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import ArrayLike, NDArray
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
+
+# Distances of points from segments that are worked out at once: as many as fit into a processor's cache.
+_AT_ONCE = 20_000
+_EQUALLY_NEAR, _LEEWAY = 1e-12, 1e-9  # [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,32 +58,72 @@ class Polyline:
             (n,) lateral errors [m]; NaN for points that are not finite.
         """
         points, arc_length = np.asarray(points, dtype=float), np.asarray(arc_length, dtype=float)
+        lateral = np.full(len(points), np.nan)
+        finite = np.flatnonzero(np.isfinite(points).all(axis=1))
+        points, arc_length = points[finite], arc_length[finite]
         first = np.searchsorted(self.arc_end, arc_length - window)
         last = np.searchsorted(self.arc_start, arc_length + window, side="right")
-        lateral = np.full(len(points), np.nan)
-        found, before = -1, points[:0]
-        for i in np.flatnonzero(np.isfinite(points).all(axis=1)):
-            begin, end = int(first[i]), int(last[i])
-            if found >= 0:
-                # On the inside of a bend the nearest place is faster than the point; of a leap it makes no search.
-                reach = min(window, 2.0 * float(np.hypot(*(points[i] - before))))
-                begin = min(begin, int(np.searchsorted(self.arc_end, self.arc_start[found] - reach)))
-                end = max(end, int(np.searchsorted(self.arc_start, self.arc_end[found] + reach, side="right")))
-            lateral[i], found = self._nearest(points[i], begin, end)
-            before = points[i]
+        # On the inside of a bend the nearest place is faster than the point; of a leap it makes no search.
+        moved = np.diff(points, axis=0)
+        reach = np.minimum(window, 2.0 * np.hypot(moved[:, 0], moved[:, 1]))
+        begin, end = first.copy(), last.copy()
+        nearest, found = np.empty(len(points)), np.empty(len(points), dtype=np.intp)
+        # Where a point is looked for depends on where the one before was found: until no search changes any more.
+        rows = np.arange(len(points))
+        while rows.size:
+            nearest[rows], found[rows] = self._nearest(points[rows], begin[rows], end[rows])
+            before = found[:-1]
+            begins = np.minimum(first[1:], np.searchsorted(self.arc_end, self.arc_start[before] - reach))
+            ends = np.maximum(last[1:], np.searchsorted(self.arc_start, self.arc_end[before] + reach, side="right"))
+            rows = 1 + np.flatnonzero((begins != begin[1:]) | (ends != end[1:]))
+            begin[1:], end[1:] = begins, ends
+        lateral[finite] = nearest
         return lateral
 
-    def _nearest(self, point: FloatArray, begin: int, end: int) -> tuple[float, int]:
-        """Signed distance [m] of `point` (2,) from the segments `begin` to `end`, and the first nearest of them."""
-        part = slice(begin, end)
-        direction, offset = self.direction[part], point - self.start[part]
-        along = np.clip(np.einsum("ij,ij->i", offset, direction), 0.0, self.length[part])
-        gap = offset - along[:, None] * direction
-        distance = np.hypot(gap[:, 0], gap[:, 1])
-        least = np.min(distance)
+    def _nearest(
+        self, points: FloatArray, begin: NDArray[np.intp], end: NDArray[np.intp]
+    ) -> tuple[FloatArray, NDArray[np.intp]]:
+        """(n,) signed distances [m] of `points` (n, 2) from their segments `begin` to `end`, and the nearest of these.
+
+        Of several that are equally near it is the first.
+        """
+        distance, segment = np.empty(len(points)), np.empty(len(points), dtype=np.intp)
+        some = max(1, _AT_ONCE // max(1, int(np.max(end - begin))))
+        for at in range(0, len(points), some):
+            part = slice(at, at + some)
+            distance[part], segment[part] = self._nearest_at_once(points[part], begin[part], end[part])
+        return distance, segment
+
+    def _nearest_at_once(
+        self, points: FloatArray, begin: NDArray[np.intp], end: NDArray[np.intp]
+    ) -> tuple[FloatArray, NDArray[np.intp]]:
+        width = int(np.max(end - begin))
+        since = np.minimum(begin, len(self.length) - width)
+        place = since[:, None] + np.arange(width)
+
+        def windows(values: FloatArray) -> FloatArray:
+            """(n, width) of the segments from `since` on."""
+            return sliding_window_view(values, width)[since]
+
+        ux, uy = windows(self.direction[:, 0]), windows(self.direction[:, 1])
+        x, y = points[:, :1] - windows(self.start[:, 0]), points[:, 1:] - windows(self.start[:, 1])
+        along = np.minimum(np.maximum(x * ux + y * uy, 0.0), windows(self.length))
+        across, behind = x - along * ux, y - along * uy
+        square = across * across + behind * behind
+        square[(place < begin[:, None]) | (place >= end[:, None])] = np.inf
+        # Squares are quick, and sort out all that can be neither the nearest nor as near: the rest exactly.
+        row, k = np.nonzero(square <= (np.sqrt(square.min(axis=1, keepdims=True)) + _LEEWAY) ** 2)
+        gap = np.hypot(across[row, k], behind[row, k])
+        _, first = np.unique(row, return_index=True)
+        least = np.minimum.reduceat(gap, first)
+        nearest = np.flatnonzero(gap == least[row])
+        _, first = np.unique(row[nearest], return_index=True)
         # At a vertex two segments are equally near, and each may see the point straight ahead: their sum decides.
-        side = np.sum((direction[:, 0] * offset[:, 1] - direction[:, 1] * offset[:, 0])[distance <= least + 1e-12])
-        return float(np.copysign(least, side)), begin + int(np.argmin(distance))
+        near = gap <= least[row] + _EQUALLY_NEAR
+        row_near, k_near = row[near], k[near]
+        left = (ux[row_near, k_near] * y[row_near, k_near]) - (uy[row_near, k_near] * x[row_near, k_near])
+        side = np.bincount(row_near, left, len(points))
+        return np.copysign(least, side), since + k[nearest[first]]
 
 
 def path_polyline(reference: Reference, spacing: float, extension: float) -> Polyline:

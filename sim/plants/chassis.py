@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import Robot
+from diffdrive_mpc.sim.core.library import address, load_twin, physics_step
 from diffdrive_mpc.sim.disturbances.disturbance_types import Payload, Slope
 from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, Tyre
@@ -60,18 +61,29 @@ class Chassis:
 
         # It would write a log file into the working directory; divergence is found and told in `step`.
         mujoco.set_mju_user_warning(_ignore)
-        self._advance = mujoco.mj_step
         self._forward = mujoco.mj_forward
         self._restart = mujoco.mj_resetData
-        self._largest = float(mujoco.mjMAXVAL)
         self._model: Any = mujoco.MjModel.from_xml_string(_mjcf(robot, twin, step, payload, sideways != 1.0))
         self._data: Any = mujoco.MjData(self._model)
         self._sideways = sideways
         self.set_friction(np.full(4, friction))
-        self._torque = self._data.qfrc_applied[6:10]
         self._position, self._velocity = self._data.qpos, self._data.qvel
-        for _ in range(round(_SETTLING_TIME / step)):
-            self._advance(self._model, self._data)
+        ffi, self._lib = load_twin()
+        self.c = ffi.new(
+            "twin_chassis *",
+            {
+                "model": ffi.cast("void *", self._model._address),
+                "data": ffi.cast("void *", self._data._address),
+                "position": address(self._position),
+                "velocity": address(self._velocity),
+                "torque": address(self._data.qfrc_applied[6:10]),
+                "largest": mujoco.mjMAXVAL,
+                "least_upright": math.cos(_TIPPED),
+            },
+        )
+        self._step = _step_in_c(self._model, self._data)
+        self.c.step = self._step
+        mujoco.mj_step(self._model, self._data, nstep=round(_SETTLING_TIME / step))
         self._resting_height = float(self._position[2])
         if slope is not None:
             # Only now: while it settles, the robot has no motors to hold it.
@@ -85,7 +97,7 @@ class Chassis:
         self._position[:7] = [x, y, self._resting_height, math.cos(theta / 2), 0.0, 0.0, math.sin(theta / 2)]
         self._position[7:] = 0.0
         self._forward(self._model, self._data)
-        self._yaw = float(theta)
+        self.c.yaw = theta
 
     def step(self, torques: FloatArray) -> None:
         """Apply wheel `torques` (4,) [N m] for one physics step.
@@ -95,17 +107,17 @@ class Chassis:
         sim.plants.plant.RobotLostError
             If the robot has tipped over, or a position or speed is not finite or beyond what MuJoCo computes with.
         """
-        self._torque[:] = torques
-        self._advance(self._model, self._data)
-        if not (np.abs(self._position).max() < self._largest and np.abs(self._velocity).max() < self._largest):
+        given = np.array(torques, dtype=float)
+        self.check(self._lib.twin_move(self.c, address(given)))
+
+    def check(self, fate: int) -> None:
+        """Raise a RobotLostError if a step in C says that the robot did not come through."""
+        if fate == self._lib.TWIN_DIVERGED:
             raise RobotLostError(f"{self._now}: the simulation diverged; lower the forces of the scenario")
-        w, x, y, z = self._position[3:7].tolist()
-        if 1.0 - 2.0 * (x * x + y * y) < math.cos(_TIPPED):
+        if fate == self._lib.TWIN_TIPPED:
             # On its side it has no heading, and the floor meets wheels only.
             remedy = "lower the force, height or payload of the scenario"
             raise RobotLostError(f"{self._now}: the robot has tipped over; {remedy}")
-        yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        self._yaw += math.remainder(yaw - self._yaw, 2 * math.pi)
 
     def set_friction(self, friction: FloatArray) -> None:
         """Change the sliding friction coefficient under each wheel (4,), along its rolling; it outlasts a reset."""
@@ -121,7 +133,7 @@ class Chassis:
 
         The forces meet the vertical through its centre of mass at `height` above the floor [m].
         """
-        c, s = math.cos(self._yaw), math.sin(self._yaw)
+        c, s = math.cos(self.c.yaw), math.sin(self.c.yaw)
         x, y = c * forward - s * left, s * forward + c * left
         lever = height - float(self._data.xipos[1, 2])
         self._data.xfrc_applied[1] += [x, y, 0.0, -lever * y, lever * x, yaw_torque]
@@ -129,14 +141,19 @@ class Chassis:
     @property
     def pose(self) -> FloatArray:
         """(3,) x, y [m] midway between the wheels, theta [rad], unwrapped."""
-        return np.array([self._position[0], self._position[1], self._yaw])
+        return np.array([self._position[0], self._position[1], self.c.yaw])
 
     @property
     def twist(self) -> FloatArray:
         """(3,) forward and lateral speed [m/s] and yaw rate [rad/s], body frame."""
         vx, vy = float(self._velocity[0]), float(self._velocity[1])
-        c, s = math.cos(self._yaw), math.sin(self._yaw)
+        c, s = math.cos(self.c.yaw), math.sin(self.c.yaw)
         return np.array([c * vx + s * vy, c * vy - s * vx, self._velocity[5]])
+
+    @property
+    def yaw_rate(self) -> float:
+        """Yaw rate [rad/s]."""
+        return float(self._velocity[5])
 
     @property
     def _now(self) -> str:
@@ -179,6 +196,17 @@ class Chassis:
         return float(0.5 * self._velocity @ momentum)
 
 
+def _step_in_c(model: Any, data: Any) -> Any:  # noqa: ANN401 - neither MuJoCo nor cffi has types
+    """`mj_step` for C: MuJoCo's own, or where its library cannot be found the way through Python."""
+    import mujoco  # noqa: PLC0415 - see above
+
+    ffi, _ = load_twin()
+    kind, found = "void(*)(const void *, void *)", physics_step()
+    if found is not None:
+        return ffi.cast(kind, found)
+    return ffi.callback(kind, lambda _model, _data: mujoco.mj_step(model, data))
+
+
 def _ignore(_warning: str) -> None:
     pass
 
@@ -212,14 +240,16 @@ def _mjcf(robot: Robot, twin: TwinParameters, step: float, payload: Payload | No
     """The model in MuJoCo's XML format; `aligned` gives contacts whose first tangent is along the axle."""
     chassis, tyre, radius = twin.chassis, twin.tyre, robot.wheel_radius
     half_base, half_track = chassis.wheel_base / 2, robot.track / 2
-    shape = f'type="sphere" size="{radius}"'
+    rolling = [share * radius for share in chassis.rolling_radii] * 2
+    shapes = [f'type="sphere" size="{one}"' for one in rolling]
     if aligned:
-        shape, tyre = f'type="capsule" size="{radius} {_CAPSULE}" euler="90 0 0"', _of_two(tyre)
+        shapes = [f'type="capsule" size="{one} {_CAPSULE}" euler="90 0 0"' for one in rolling]
+        tyre = _of_two(tyre)
     places = [(half_base, half_track), (half_base, -half_track), (-half_base, half_track), (-half_base, -half_track)]
     wheels = "".join(
         f'<body pos="{x} {y} 0"><joint type="hinge" axis="0 1 0" armature="{twin.motor.rotor_inertia}"/>'
         f'<geom name="{name}" {shape} mass="{chassis.wheel_mass}"/></body>'
-        for name, (x, y) in zip(WHEELS, places, strict=True)
+        for name, shape, (x, y) in zip(WHEELS, shapes, places, strict=True)
     )
     # Friction gets a time constant of its own: with that of the normal direction, fast skidding lifts the wheels.
     contacts = "".join(
@@ -238,13 +268,14 @@ def _mjcf(robot: Robot, twin: TwinParameters, step: float, payload: Payload | No
             f'<geom type="sphere" size="{payload.radius}" pos="{payload.x} {payload.y} {payload.z}"'
             f' mass="{payload.mass}"/>'
         )
-    # Reset by MuJoCo, a diverged robot would stand at its start as if nothing had happened.
+    # Reset by MuJoCo, a diverged robot would stand at its start as if nothing had happened. There is one body with its
+    # wheels: to look for islands of contacts that do not meet takes time and finds none.
     return (
         f'<mujoco><option timestep="{step!r}" cone="elliptic" impratio="{tyre.creep_stiffness}"'
-        ' integrator="implicitfast"><flag autoreset="disable"/></option>'
+        ' integrator="implicitfast"><flag autoreset="disable" island="disable"/></option>'
         '<default><geom contype="0" conaffinity="0"/></default>'
         '<worldbody><geom name="floor" type="plane" size="0 0 1"/>'
-        f'<body pos="0 0 {radius}"><freejoint/><geom type="box" size="{length} {width} {height}"'
+        f'<body pos="0 0 {max(rolling)}"><freejoint/><geom type="box" size="{length} {width} {height}"'
         f' pos="{ahead} {left} {chassis.body_height}" mass="{body_mass}"/>{load}{wheels}</body></worldbody>'
         f"<contact>{contacts}</contact></mujoco>"
     )

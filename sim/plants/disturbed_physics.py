@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -11,6 +12,7 @@ from diffdrive_mpc.sim.disturbances.disturbance_types import Blockade, Patch, Pu
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.chassis import WHEELS, Chassis
 from diffdrive_mpc.sim.plants.drivetrain import VelocityLoops
+from diffdrive_mpc.sim.plants.twin import Twin
 
 
 class DisturbedPhysics:
@@ -62,6 +64,13 @@ class DisturbedPhysics:
     def crossed(self) -> list[Span]:
         """For each patch met so far: when a wheel was first on it, and when last [s]; infinity for an endless one."""
         return [span for span in self._crossed if span is not None]
+
+    def advance(self, twin: Twin) -> None:
+        """One control sample of `twin`, disturbed; raises RobotLostError."""
+        edges = twin.edges.tolist()
+        for k, (start, end) in enumerate(itertools.pairwise(edges)):
+            self.before_step(start, end)
+            twin.step(k, self.motors(twin.torques(k), start))
 
     def before_step(self, start: float, end: float) -> None:
         """Set what acts during the physics step from `start` to `end` [s]."""

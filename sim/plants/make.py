@@ -10,7 +10,7 @@ from diffdrive_mpc.models.robot import Robot, TwistBounds, load_robot
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.plant import Plant
-from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
+from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
@@ -38,9 +38,10 @@ def make_plant(
         "model:NAME+SECONDS" puts that dead time on top of the model's own, as `extra_dead_time` does: "model:sm+0.04".
         Where a file has the whole of NAME+SECONDS for a path, it is that file.
     surface
-        Name of a shipped surface or path of a surface file.
+        Name of a shipped surface or path of a surface file. For "mujoco:NAME" the default one has the friction that the
+        robot file says, where it says one.
     sensors
-        Name of a shipped sensor set or path of a sensor file.
+        Name of a shipped sensor set or path of a sensor file; the default ones of "mujoco:NAME" are those of its file.
     seed
         Seed of all noise, not negative: the same seed gives the same run, bit for bit.
     extra_dead_time
@@ -76,13 +77,15 @@ def make_plant(
 
         _, colon, file = name.partition(":")
         build = load_simulated_robot(file) if colon else None
+        own_floor = build.friction if build and surface == DEFAULT else None
         robot = MujocoPlant(
-            floor.friction,
-            sensor_set,
+            own_floor or floor.friction,
+            build.sensors if build and sensors == DEFAULT else sensor_set,
             seed,
             robot=build.robot if build else None,
             twin=build.twin if build else None,
             firmware=build.firmware if build else None,
+            base=build.base if build else None,
             scenario=happening if happening.physical else None,
             sideways=floor.sideways,
             sample_time=sample_time,

@@ -10,13 +10,15 @@ from diffdrive_mpc.models.robot import Robot, load_robot
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.disturbances.disturbance_types import Span
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
+from diffdrive_mpc.sim.plants.base_commands import BaseCommands, CommandShaping
 from diffdrive_mpc.sim.plants.chassis import Chassis
 from diffdrive_mpc.sim.plants.disturbed_physics import DisturbedPhysics
 from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, SpeedObserver, VelocityLoops
 from diffdrive_mpc.sim.plants.link import DelayLine, clip_command
+from diffdrive_mpc.sim.plants.twin import Twin
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
-from diffdrive_mpc.sim.sensing.sensors import Sensors
+from diffdrive_mpc.sim.sensing.sensors import TIME_TOLERANCE, Sensors
 
 # Spawn keys of the sensors' streams are 0, 1, 2, ...: this one can never meet them.
 _ENCODER_PHASE_KEY = 1_000
@@ -35,6 +37,8 @@ class MujocoPlant:
         Seed of all noise, not negative.
     robot, twin, firmware
         Other robots than the shipped one.
+    base
+        What its base does to commands; nothing by default.
     scenario
         What happens to chassis and motors; the rest of it is for `sim.plants.disturbed_plant.DisturbedPlant`.
     sideways
@@ -52,6 +56,7 @@ class MujocoPlant:
         robot: Robot | None = None,
         twin: TwinParameters | None = None,
         firmware: Firmware | None = None,
+        base: BaseCommands | None = None,
         scenario: Scenario | None = None,
         sideways: float = 1.0,
         sample_time: float | None = None,
@@ -66,13 +71,16 @@ class MujocoPlant:
         load, slope = (scenario.payload, scenario.slope) if scenario else (None, None)
         self._chassis = Chassis(robot, twin, friction, step, load, slope, sideways)
         self._line = DelayLine(twin.link.dead_time)
+        self._shaping = None if base is None else CommandShaping(base, self._sample_time)
         self._shaper = CommandShaper(firmware or load_firmware(), robot, step)
         self._observer = SpeedObserver(twin.driver.observer_bandwidth, pulse, step, phase)
         self._loops = VelocityLoops(twin.driver, twin.motor, pulse, step)
+        self._twin = Twin(self._line, self._shaper, self._observer, self._loops, self._chassis, self._substeps)
+        self._offsets = np.arange(self._substeps + 1) * step
         self._disturbances: DisturbedPhysics | None = None
         if scenario is not None:
-            base, torque = twin.chassis.wheel_base, twin.motor.stall_torque
-            self._disturbances = DisturbedPhysics(scenario, self._chassis, self._loops, friction, base, torque)
+            wheel_base, torque = twin.chassis.wheel_base, twin.motor.stall_torque
+            self._disturbances = DisturbedPhysics(scenario, self._chassis, self._loops, friction, wheel_base, torque)
         self._exact_speeds = sensors.encoders.speed_sd == 0.0
         kinematics = WheelKinematics(robot.wheel_radius, robot.track)
         self._sensors = Sensors(sensors, kinematics, self._sample_time, seed=seed, noisy_encoders=False)
@@ -114,6 +122,8 @@ class MujocoPlant:
         self._sent: tuple[float, float] | None = None
         self._chassis.reset(pose)
         self._line.reset()
+        if self._shaping is not None:
+            self._shaping.reset()
         self._shaper.reset()
         self._observer.reset()
         self._loops.reset()
@@ -129,22 +139,23 @@ class MujocoPlant:
         """Send `command` (2,) and let one sample pass; raises as `sim.plants.plant.Plant` says."""
         sent = clip_command(command, self._robot.limits)
         self._sent = (float(sent[0]), float(sent[1]))
-        self._line.send(self.time, sent)
-        edges = self.time + np.arange(self._substeps + 1) * (self.sample_time / self._substeps)
+        if self._shaping is None:
+            self._line.send(self.time, sent)
+        else:
+            for at, twist in self._shaping.levels(self.time, sent):
+                self._line.send(at, twist)
+        edges, poses = self._twin.edges, self._twin.poses
+        np.add(self.time, self._offsets, out=edges)
         edges[-1] = (self._tick + 1) * self.sample_time
-        chassis, observer, disturbances = self._chassis, self._observer, self._disturbances
-        for start, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-            if disturbances is not None:
-                disturbances.before_step(start, end)
-            set_points = self._shaper.set_points(self._line.mean(start, end))
-            torques = self._loops.torque(set_points, observer.speed, chassis.wheel_speeds)
-            if disturbances is not None:
-                torques = disturbances.motors(torques, start)
-            before = chassis.pose
-            chassis.step(torques)
-            observer.update(chassis.wheel_angles)
-            for look in self._sensors.poses_due(end):
-                self._sensors.see_pose(look, before + (look - start) / (end - start) * (chassis.pose - before))
+        if self._disturbances is None:
+            self._twin.advance()
+        else:
+            self._disturbances.advance(self._twin)
         self._tick += 1
-        speeds = chassis.wheel_speeds if self._exact_speeds else observer.speed
-        self._sensors.see_motion(self.time, speeds, float(chassis.twist[2]))
+        for look in self._sensors.poses_due(edges[-1]):
+            # The first step of the physics at whose end it counts as due.
+            k = int(np.searchsorted(edges[1:] + TIME_TOLERANCE, look))
+            start, end, before, after = edges[k], edges[k + 1], poses[k], poses[k + 1]
+            self._sensors.see_pose(look, before + (look - start) / (end - start) * (after - before))
+        speeds = self._chassis.wheel_speeds if self._exact_speeds else self._observer.speed
+        self._sensors.see_motion(self.time, speeds, self._chassis.yaw_rate)

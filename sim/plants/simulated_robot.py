@@ -8,10 +8,14 @@ from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_variation
 from diffdrive_mpc.models.named_file import named_file
-from diffdrive_mpc.models.robot import Robot, load_robot
+from diffdrive_mpc.models.robot import Positive, Robot, load_robot
+from diffdrive_mpc.sim.plants.base_commands import BaseCommands
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
+from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 
 ROBOTS = Path(__file__).parent / "robots"
+DEFAULT = "default"
+"""Name of the floor and of the sensors that a robot file may replace by its own."""
 
 
 class SimulatedRobot(StrictModel):
@@ -21,6 +25,11 @@ class SimulatedRobot(StrictModel):
     robot: Robot = Field(description="as models/parameters/robot.yaml")
     twin: TwinParameters = Field(description="as sim/plants/parameters/twin.yaml")
     firmware: Firmware = Field(description="as sim/plants/parameters/firmware.yaml")
+    base: BaseCommands | None = Field(default=None, description="slope limits and wheel commands inside the base")
+    friction: Positive | None = Field(
+        default=None, description="sliding friction coefficient of the floor that is its default one"
+    )
+    sensors: SensorSet = Field(description="those that are its default ones, as sim/sensing/sensor_sets")
 
     @model_validator(mode="after")
     def _stands_on_its_wheels(self) -> SimulatedRobot:
@@ -44,6 +53,11 @@ def load_simulated_robot(name: str | Path) -> SimulatedRobot:
     models.checked_yaml.ConfigError
         If there is no such robot or its file has a mistake.
     """
-    parts = {"robot": load_robot(), "twin": load_twin_parameters(), "firmware": load_firmware()}
+    parts = {
+        "robot": load_robot(),
+        "twin": load_twin_parameters(),
+        "firmware": load_firmware(),
+        "sensors": load_sensor_set(DEFAULT),
+    }
     twin = {key: part.model_dump() for key, part in parts.items()}
     return load_variation(SimulatedRobot, named_file("robot", ROBOTS, name), twin)

@@ -25,6 +25,10 @@ class ChassisParameters(StrictModel):
     centre_of_mass: tuple[float, float] = Field(
         description="of the whole robot, ahead and to the left of the middle between the wheels [m]"
     )
+    rolling_radii: tuple[Positive, Positive] = Field(
+        default=(1.0, 1.0),
+        description="of the left, of the right wheels over what firmware and encoders take",
+    )
 
 
 class Tyre(StrictModel):

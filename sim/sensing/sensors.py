@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,8 +13,10 @@ from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 
-# Times are sums and multiples of decimals: an instant this close [s] counts as reached.
-_TIME_TOLERANCE = 1e-9
+TIME_TOLERANCE = 1e-9
+"""Times are sums and multiples of decimals: an instant this close [s] counts as reached."""
+_BLOCK = 256
+"""Samples of noise that are drawn at once."""
 
 
 class Sensors:
@@ -58,13 +61,13 @@ class Sensors:
 
     def reset(self, pose: ArrayLike, wheel_speeds: ArrayLike) -> None:
         """Restart all noise at time 0, after a long rest at `pose` (3,)."""
-        self._pose_stream, self._gyro_stream, self._encoder_stream = (
-            np.random.default_rng(stream) for stream in np.random.SeedSequence(self._seed).spawn(3)
-        )
-        self._gyro_bias = self._parameters.gyro.bias_sd * self._gyro_stream.standard_normal()
+        pose_noise, gyro_noise, encoder_noise = np.random.SeedSequence(self._seed).spawn(3)
+        self._pose_noise, self._gyro_noise = _white(pose_noise, self._pose_sd), _white(gyro_noise, np.ones(1))
+        self._encoder_noise = _white(encoder_noise, np.full(4, self._speed_noise))
+        self._gyro_bias = self._parameters.gyro.bias_sd * float(next(self._gyro_noise)[0])
         self._on_the_way: deque[tuple[float, Stamped]] = deque()
         # Back to the first pose that has arrived by time 0.
-        self._next_pose = -int(np.ceil((self._parameters.pose.latency - _TIME_TOLERANCE) / self._period))
+        self._next_pose = -int(np.ceil((self._parameters.pose.latency - TIME_TOLERANCE) / self._period))
         for time in self.poses_due(0.0):
             self.see_pose(time, pose)
         self.see_motion(0.0, wheel_speeds, 0.0)
@@ -72,14 +75,14 @@ class Sensors:
     def poses_due(self, until: float) -> list[float]:
         """The times up to `until` [s] at which the pose sensor looks; each has to be answered with `see_pose`."""
         due = []
-        while self._next_pose * self._period <= until + _TIME_TOLERANCE:
+        while self._next_pose * self._period <= until + TIME_TOLERANCE:
             due.append(self._next_pose * self._period)
             self._next_pose += 1
         return due
 
     def see_pose(self, time: float, pose: ArrayLike) -> None:
         """The pose sensor looks at the true `pose` (3,) at `time` [s]."""
-        value = np.asarray(pose, dtype=float) + self._pose_sd * self._pose_stream.standard_normal(3)
+        value = np.asarray(pose, dtype=float) + next(self._pose_noise)
         value[2] = -wrap_angle(-value[2])  # into (-pi, pi], as SLAM reports it
         arrival = time + self._parameters.pose.latency
         stamp = arrival if self._parameters.pose.stamped_on_arrival else time
@@ -87,8 +90,8 @@ class Sensors:
 
     def see_motion(self, time: float, wheel_speeds: ArrayLike, yaw_rate: float) -> None:
         """Encoders and gyro are read at the tick at `time` [s]: wheel speeds (4,) [rad/s], true yaw rate [rad/s]."""
-        speeds = np.array(wheel_speeds, dtype=float) + self._speed_noise * self._encoder_stream.standard_normal(4)
-        noise = self._gyro_bias + self._parameters.gyro.noise_sd * self._gyro_stream.standard_normal()
+        speeds = np.asarray(wheel_speeds, dtype=float) + next(self._encoder_noise)
+        noise = self._gyro_bias + self._parameters.gyro.noise_sd * float(next(self._gyro_noise)[0])
         self._wheel_speeds: Stamped | None = Stamped(speeds, time, self._speed_covariance)
         self._wheel_twist: Stamped | None = Stamped(self._kinematics.twist(speeds), time, self._twist_covariance)
         self._yaw_rate: Stamped | None = Stamped(np.float64(yaw_rate + noise), time, self._gyro_covariance)
@@ -96,7 +99,7 @@ class Sensors:
     def collect(self, time: float, sent: tuple[float, float] | None) -> Measurement:
         """Everything delivered up to `time` [s] and not collected yet; of several poses the newest."""
         pose = None
-        while self._on_the_way and self._on_the_way[0][0] <= time + _TIME_TOLERANCE:
+        while self._on_the_way and self._on_the_way[0][0] <= time + TIME_TOLERANCE:
             _, pose = self._on_the_way.popleft()
         measurement = Measurement(
             pose=pose,
@@ -107,6 +110,13 @@ class Sensors:
         )
         self._wheel_speeds = self._wheel_twist = self._yaw_rate = None
         return measurement
+
+
+def _white(seed: np.random.SeedSequence, deviations: FloatArray) -> Iterator[FloatArray]:
+    """White noise with these standard deviations (k,), sample by sample; drawn in blocks, which gives the same."""
+    stream = np.random.default_rng(seed)
+    while True:
+        yield from deviations * stream.standard_normal((_BLOCK, len(deviations)))
 
 
 def _stated(covariance: FloatArray) -> FloatArray | None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from diffdrive_mpc.models.checked_yaml import ConfigError
+    from diffdrive_mpc.models.compiled.compiler import NotCompiledError
     from diffdrive_mpc.models.errors import DiffdriveMpcError, MissingPackageError
     from diffdrive_mpc.models.identification.from_logs import identify
     from diffdrive_mpc.models.interface import Measurement, Stamped
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from diffdrive_mpc.mpc.config.config_file import load_config
     from diffdrive_mpc.mpc.config.schema import ControllerConfig
     from diffdrive_mpc.mpc.controller import Controller
-    from diffdrive_mpc.mpc.core.compiler import NotCompiledError
     from diffdrive_mpc.mpc.problem.terms import Term
     from diffdrive_mpc.mpc.trajectories.load import load_trajectory
     from diffdrive_mpc.sim.loop import simulate
@@ -37,7 +37,7 @@ _HOMES = {
     "MissingPackageError": "models.errors",
     "ModelError": "models.velocity_model",
     "NonlinearModel": "models.nonlinear_model",
-    "NotCompiledError": "mpc.core.compiler",
+    "NotCompiledError": "models.compiled.compiler",
     "RobotLostError": "sim.plants.plant",
     "Stamped": "models.interface",
     "Term": "mpc.problem.terms",

@@ -231,3 +231,12 @@ def test_the_network_comes_along(tmp_path):
         steps = drive_both(program, "circle", {}, 60, model="lstm")
         assert np.abs(differences(steps)).max() <= difference
         assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)
+
+
+@pytest.mark.parametrize("model", ["p2_experimental", "p2_physical"])
+def test_a_drive_comes_along(tmp_path, model):
+    """Slope limits and, of the experimental one, its threshold: the same C as Python's."""
+    program = export(tmp_path / "c", "circle", "double", {}, "-O1", model=model)
+    steps = drive_both(program, "circle", {}, 60, model=model)
+    assert np.abs(differences(steps)).max() <= DOUBLE
+    assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)

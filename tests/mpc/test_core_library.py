@@ -13,8 +13,10 @@ from pathlib import Path
 import casadi as ca
 import pytest
 
-from diffdrive_mpc.mpc.core import cache, compiler, library, packaged, sources
-from diffdrive_mpc.mpc.core.compiler import NotCompiledError
+from diffdrive_mpc.models.compiled import cache, compiler
+from diffdrive_mpc.models.compiled import packaged as in_wheel
+from diffdrive_mpc.models.compiled.compiler import NotCompiledError
+from diffdrive_mpc.mpc.core import library, packaged, sources
 from diffdrive_mpc.mpc.core.generate import generate
 from diffdrive_mpc.mpc.problem.user_functions import user_term
 
@@ -472,7 +474,7 @@ def test_a_package_whose_header_was_changed_is_compiled_anew(wheel_core, compila
 
 def test_the_best_level_that_the_processor_has_is_taken(wheel_core, monkeypatch):
     def levels(flags):
-        monkeypatch.setattr(packaged, "processor_lines", lambda: (f"flags\t\t: {' '.join(flags)}",) * 2)
+        monkeypatch.setattr(in_wheel, "processor_lines", lambda: (f"flags\t\t: {' '.join(flags)}",) * 2)
         return [path.stem.removeprefix("ddmpc_core-") for path in packaged.packaged_libraries()]
 
     written = set(json.loads((wheel_core / "ddmpc_core.json").read_text())["libraries"])
@@ -572,15 +574,18 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel):
     assert rooms == {"__init__.py", "py.typed", "models", "mpc", "sim", "bench"}
     for name in ("ddmpc_core-baseline.so", "ddmpc_core.json", "core.h", "real.h"):
         assert f"diffdrive_mpc/mpc/core/{name}" in names
+    for name in ("ddmpc_twin-baseline.so", "ddmpc_twin.json", "twin.c", "twin.h"):
+        assert f"diffdrive_mpc/sim/core/{name}" in names
 
 
 def test_the_wheel_s_core_runs_without_a_compiler(wheel, tmp_path):
     installed = tmp_path / "installed"
     zipfile.ZipFile(wheel).extractall(installed)
     code = (
-        "import diffdrive_mpc; from diffdrive_mpc.mpc.core import compiler, library\n"
+        "import diffdrive_mpc; from diffdrive_mpc.models.compiled import compiler\n"
+        "from diffdrive_mpc.mpc.core import library; from diffdrive_mpc.sim.core.library import load_twin\n"
         "compiler._COMPILERS = ()\n"
-        "ffi, lib = library.load_core(); print(diffdrive_mpc.__file__)"
+        "library.load_core(), load_twin(); print(diffdrive_mpc.__file__)"
     )
     environment = {**os.environ, "PYTHONPATH": str(installed), cache.CACHE_VARIABLE: str(tmp_path / "cache")}
     done = subprocess.run(

@@ -30,8 +30,10 @@ ALLOWED: dict[str, set[str]] = {
     "sensing": set(),
     "disturbances": set(),
     "metrics": set(),
-    "plants": {"sensing", "disturbances"},
+    "core": set(),
+    "plants": {"core", "sensing", "disturbances"},
     "ros": {"sensing", "plants"},
+    "twin": {"sensing", "plants"},
     "": {"sensing", "disturbances", "plants", "metrics"},
 }
 """By room, the others that it may build on; "" stands for the files beside the rooms."""

@@ -10,18 +10,15 @@ import numpy as np
 from diffdrive_mpc.bench.studies.reproduce.drive_models import EXPERIMENTAL, KINDS, PHYSICAL, twin_records
 from diffdrive_mpc.bench.studies.reproduce.settings import load_study
 from diffdrive_mpc.bench.table import Table
-from diffdrive_mpc.models.drives.drive_file import DRIVE_FILES, Chassis, ExperimentalFile, PhysicalFile, write_drive
-from diffdrive_mpc.models.drives.fitting import ACTUATOR_LAG, DriveFit, fit_drive
-from diffdrive_mpc.models.drives.settings import fit_settings
+from diffdrive_mpc.models.drives.content import drive_content
+from diffdrive_mpc.models.drives.drive_file import write_drive
+from diffdrive_mpc.models.drives.fitting import fit_drive
 from diffdrive_mpc.models.load import DRIVES
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.validation import score
-from diffdrive_mpc.models.robot import load_robot
 
 _REPETITION = 43
 """Whose drives these are: of no study, so no seed is shared with one."""
-_FRICTION = 35e-7
-"""The paper's K [N m s/rad]."""
 _NOTES = {
     EXPERIMENTAL: "The structure is the paper's, whose Pioneer 3DX has two samples of 0.1 s and a lag of 0.1 s; its "
     "threshold's line and its slope limits are not in the text. All numbers here are of the simulated robot. The gain "
@@ -48,9 +45,8 @@ def fit_drives(folder: Path) -> Table:
         fit = fit_drive(kind, train)
         scores = [score(fit.simulate(part), twist_experiments(part)).fit_percent for part in (train, held_out)]
         file = next(file for file, structure in DRIVES.items() if structure == kind)
-        content = {
+        fields = {
             "name": f"P2 {name}",
-            "structure": kind,
             "provenance": {
                 "origin": "identified",
                 "source": "digital twin of this project: mujoco plant, default surface and sensors. Not from a robot",
@@ -62,52 +58,11 @@ def fit_drives(folder: Path) -> Table:
             "fit_percent": _channels(scores[0]),
             "validation_fit_percent": _channels(scores[1]),
             "warnings": [f"{one} lies on a bound of the search: the data do not determine it" for one in fit.at_bound],
-            "sample_time": fit.dt,
-            **(_physical(fit) if name == PHYSICAL else {}),
-            **{channel: _channel(fit, row) for row, channel in enumerate(("v", "omega"))},
         }
-        checked: ExperimentalFile | PhysicalFile = DRIVE_FILES[kind].model_validate(content)
-        write_drive(folder / f"{file}.yaml", checked)
+        write_drive(folder / f"{file}.yaml", drive_content(fit, fields))
         rows.append((name, *(f"{value:.2f}" for value in (*scores[0], *scores[1]))))
     columns = ("model", "FIT v [%]", "FIT omega [%]", "held out: FIT v [%]", "held out: FIT omega [%]")
     return Table("Drive models on drives of the simulated robot", columns, tuple(rows), text_columns=1)
-
-
-def _channel(fit: DriveFit, row: int) -> dict[str, float]:
-    """What a file says of a channel: not what belongs to both, nor to the sensor."""
-    keys = set(fit.values[row]) - {"offset", "stiffness", "integral_time"}
-    return {
-        "dead_samples": fit.dead_samples[row],
-        "still": fit_settings().still[row],
-        **{key: _rounded(fit.values[row][key]) for key in fit.values[row] if key in keys},
-    }
-
-
-def _physical(fit: DriveFit) -> dict[str, dict[str, float]]:
-    """Chassis and drive whose ratios are those that were found, without inertia of wheels and rotors."""
-    robot = load_robot()
-    forward, turning = fit.values[0]["stiffness"], fit.values[1]["stiffness"]
-    together = robot.mass * robot.wheel_radius**2 / 2
-    apart = together * forward / turning
-    chassis = Chassis(
-        mass=robot.mass,
-        wheel_radius=robot.wheel_radius,
-        track=robot.track,
-        centre_ahead=0.0,
-        yaw_inertia=_rounded(apart / 2 * robot.track**2 / robot.wheel_radius**2),
-        wheel_inertia=0.0,
-    )
-    drive = {
-        "proportional_gain": _rounded(forward * (chassis.own + chassis.other)),
-        "integral_time": _rounded(fit.values[0]["integral_time"]),
-        "actuator_lag": ACTUATOR_LAG,
-        "friction": _FRICTION,
-    }
-    return {"chassis": chassis.model_dump(), "wheel_drive": drive}
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.5g}")
 
 
 def _channels(fit: np.ndarray) -> dict[str, float]:

@@ -64,7 +64,7 @@ def figures_of(report: IdentificationReport) -> dict[str, tuple[str, Draw]]:
         "Measured against simulated": ("simulation.png", draw_simulation),
         "What residuals still hold": ("residuals.png", draw_residuals),
     }
-    if report.fitted.network is None:
+    if report.fitted.predictor is None:
         jobs |= {"Step responses": ("steps.png", draw_steps), "Poles": ("poles.png", draw_poles)}
     if report.fitted.orders:
         jobs["Orders of SSM"] = ("orders.png", draw_orders)
@@ -79,7 +79,7 @@ def draw_simulation(report: IdentificationReport, path: Path) -> None:
     longest = int(np.argmax([len(record.command) for record in data.validation]))
     record, simulated = data.validation[longest], fitted.simulated[longest]
     (experiment,) = twist_experiments([record], data.yaw)
-    first = _busiest(record.command, round(figure_settings().window / record.dt))
+    first = busiest(record.command, round(figure_settings().window / record.dt))
     rows = slice(first, first + round(figure_settings().window / record.dt))
     time = record.time[rows]
     with new_figure(path, 7.4, 6.6) as figure:
@@ -104,7 +104,7 @@ def draw_simulation(report: IdentificationReport, path: Path) -> None:
         figure.align_ylabels(panels)
 
 
-def _busiest(commands: FloatArray, window: int) -> int:
+def busiest(commands: FloatArray, window: int) -> int:
     """First row of the window in which the commands, each over its own spread, change most."""
     if len(commands) <= window:
         return 0

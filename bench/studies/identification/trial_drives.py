@@ -77,7 +77,7 @@ def trial_drives(
     plants: list[tuple[str, VelocityModel | NonlinearModel, BaseEffects]] = [(ITSELF, found.model, effects)]
     other = _of_held_out(found)
     if other is not None:
-        plants.append((HELD_OUT, other.model, _effects_of(other)))
+        plants.append((HELD_OUT, *other))
     slip, usual = _slip(found.report.data), load_robot()
     limits = usual.limits.model_copy(update={"v": config.limits.v, "omega": config.limits.omega})
     robot = usual.model_copy(update={"sample_time": config.sample_time, "limits": limits})
@@ -95,21 +95,23 @@ def _effects_of(identified: IdentifiedModel) -> BaseEffects:
     return BaseEffects.model_validate(identified.content.get("base_effects", {}))
 
 
-def _of_held_out(found: Identification) -> IdentifiedModel | None:
-    """An SM of the records held out, with the effects that were found, as those records have them.
+def _of_held_out(found: Identification) -> tuple[VelocityModel | NonlinearModel, BaseEffects] | None:
+    """An SM of the records held out, with the effects that were found, as those records have them; or a drive of them.
 
     A plain SM would take a slope that the base limits for a lag that it does not have.
     """
-    data, base = found.report.data, found.report.fitted.base
+    data, base, predictor = found.report.data, found.report.fitted.base, found.report.fitted.predictor
     try:
+        own = predictor.refitted(data.validation, data.yaw) if predictor else None
+        if own is not None:
+            return own, BaseEffects()
         if base is not None:
             other = base.refitted(data.validation)
         else:
             other = fit(replace(data, train=data.validation, validation=data.train), STRUCTURES["sm"]).identified
-        _ = other.model  # refuses what cannot be a robot
+        return other.model, _effects_of(other)
     except ValueError:
         return None
-    return other
 
 
 def _slip(data: LogData) -> Slip:

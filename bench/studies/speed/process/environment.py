@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from diffdrive_mpc.bench.studies.speed.process.subject import SubjectError
-from diffdrive_mpc.mpc.core.cache import user_folder
+from diffdrive_mpc.models.compiled.cache import user_folder
 
 REQUIREMENTS = Path(__file__).parents[1] / "subjects" / "requirements.txt"
 _READY = ".ready"

@@ -17,7 +17,7 @@ from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
-from diffdrive_mpc.mpc.core.compiler import NotCompiledError
+from diffdrive_mpc.models.compiled.compiler import NotCompiledError
 
 CACHE_VARIABLE = "DIFFDRIVE_MPC_CACHE"
 """Environment variable that names the folder of compiled libraries."""

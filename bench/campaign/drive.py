@@ -1,0 +1,139 @@
+"""Drive one run of a campaign: build what its definition names, and watch the controller's commands."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import yaml
+from threadpoolctl import threadpool_limits
+
+from diffdrive_mpc.bench.campaign.definition import Definition
+from diffdrive_mpc.bench.campaign.outcome import Row, row_of
+from diffdrive_mpc.bench.case import Overrides
+from diffdrive_mpc.bench.command_check import Unsafe, check_commands, stated_limits
+from diffdrive_mpc.bench.controllers import build
+from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc.models.interface import ControlStep, Measurement, Reference, TrackingController
+from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.mpc.config.config_file import PARAMETERS
+from diffdrive_mpc.sim import Plant, Run, simulate
+from diffdrive_mpc.sim.plants.simulated_robot import ROBOTS
+from diffdrive_mpc.sim.plants.surface import SURFACES
+from diffdrive_mpc.sim.sensing.sensor_set import SENSOR_SETS
+
+_PHYSICS = "mujoco"
+
+
+class WatchedController:
+    """A controller, and what it commanded when: also commands that the loop refuses."""
+
+    def __init__(self, controller: TrackingController) -> None:
+        self._controller = controller
+        self.times: list[float] = []
+        self.commands: list[tuple[float, float]] = []
+        self.modes: list[str] = []
+        self.pose_came: list[bool] = []
+
+    def start(self, reference: Reference, t0: float) -> None:
+        """Pass on."""
+        self._controller.start(reference, t0)
+
+    def step(self, t: float, measurement: Measurement) -> ControlStep:
+        """Pass on, and keep what was said."""
+        step = self._controller.step(t, measurement)
+        pose = measurement.pose
+        values = np.asarray(step.command, dtype=float).ravel()
+        self.times.append(t)
+        self.commands.append((float(values[0]), float(values[1])) if values.size == 2 else (np.nan, np.nan))
+        self.modes.append(str(step.mode))
+        self.pose_came.append(pose is not None and bool(np.isfinite(pose.value).all()))
+        return step
+
+    def unsafe(self, definition: Definition) -> Unsafe | None:
+        """What the checker counts; None for a peer, which states no limits."""
+        case = definition.case
+        if case.controller in PEERS or not self.times:
+            return None
+        shipped = PARAMETERS / f"{case.model if case.model in MODEL_NAMES else 'ssm'}.yaml"
+        limits = stated_limits(case.config or shipped, dict(case.overrides))
+        return check_commands(self.times, self.commands, self.modes, self.pose_came, limits)
+
+
+@contextmanager
+def built(definition: Definition) -> Iterator[tuple[TrackingController, Plant, Reference]]:
+    """Controller, plant and reference of a run.
+
+    Raises ConfigError or ValueError if a name is unknown, or a file or a value that replaces one has a mistake.
+    """
+    with TemporaryDirectory(prefix="diffdrive-mpc-") as folder:
+        yield build(_with_files(definition, Path(folder)))
+
+
+def simulate_definition(definition: Definition) -> Run:
+    """Drive the run and keep all of it; raises as `built` and `sim.simulate` do."""
+    with built(definition) as parts:
+        return simulate(*parts)
+
+
+def drive(definition: Definition) -> Row:
+    """Drive the run and keep its row; whatever goes wrong with it becomes the row's `error`."""
+    began, processor = time.perf_counter(), time.process_time()
+    run: Run | None = None
+    watched: WatchedController | None = None
+    error = ""
+    with threadpool_limits(limits=1):
+        try:
+            with built(definition) as (controller, plant, reference):
+                watched = WatchedController(controller)
+                run = simulate(watched, plant, reference)
+                _ = run.errors
+        except (MemoryError, OSError):
+            raise  # the machine's fault, not the run's: it is to be done again
+        except Exception as fault:
+            error = f"{type(fault).__name__}: {' '.join(str(fault).split())}"
+        unsafe = watched.unsafe(definition) if watched else None
+        return row_of(run, unsafe, error, time.process_time() - processor, time.perf_counter() - began)
+
+
+def _with_files(definition: Definition, folder: Path) -> Any:  # noqa: ANN401 - a Case
+    """The case, with files in `folder` in place of those of which single values are replaced."""
+    case = definition.case
+    if definition.robot:
+        kind, _, name = case.plant.partition(":")
+        if kind != _PHYSICS:
+            raise ConfigError(
+                f"robot.{definition.robot[0][0]}: the plant '{case.plant}' has no robot file; use 'mujoco'"
+            )
+        base = read_yaml(named_file("robot", ROBOTS, name)) if name else {}
+        changed = _changed({"description": "drawn by a campaign"} | base, definition.robot)
+        case = replace(case, plant=f"{_PHYSICS}:{_written(changed, folder / 'robot.yaml')}")
+    if definition.surface:
+        changed = _changed(read_yaml(named_file("surface", SURFACES, case.surface)), definition.surface)
+        case = replace(case, surface=_written(changed, folder / "surface.yaml"))
+    if definition.sensors:
+        changed = _changed(read_yaml(named_file("sensor set", SENSOR_SETS, case.sensors)), definition.sensors)
+        case = replace(case, sensors=_written(changed, folder / "sensors.yaml"))
+    return case
+
+
+def _changed(data: Mapping[str, Any], values: Overrides) -> dict[str, Any]:
+    changed = dict(data)
+    for key, value in values:
+        first, dot, rest = key.partition(".")
+        inner = changed.get(first)
+        changed[first] = _changed(inner if isinstance(inner, Mapping) else {}, ((rest, value),)) if dot else value
+    return changed
+
+
+def _written(data: Mapping[str, Any], path: Path) -> str:
+    path.write_text(yaml.safe_dump(dict(data)), encoding="utf-8")
+    return str(path)

@@ -1,0 +1,159 @@
+"""Count unsafe commands of a run, from the outside.
+
+It shares no code with the controller: limits come from plain YAML, the rules from docs/failure.md, and nothing but
+NumPy and a YAML parser is imported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike, NDArray
+
+STATED = Path(__file__).with_name("stated_limits.yaml")
+"""What is stated where a configuration says nothing."""
+
+# Sums in floating point: a limit is kept to this [m/s, rad/s].
+_ROUNDING = 1e-9
+_BRAKES = ("BRAKING", "FINISHED")
+_DRIVES = ("TRACKING", "REUSED_PLAN")
+_STANDS = "STOPPED"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the controller states of its commands; pairs are v [m/s, m/s^2] and omega [rad/s, rad/s^2].
+
+    `most`: largest command; `slew`: largest rate while driving; `braking`: rate to zero; `max_pose_age`: without a pose
+    for longer it brakes [s]; `sample_time`: between two ticks [s].
+    """
+
+    most: tuple[float, float]
+    slew: tuple[float, float]
+    braking: tuple[float, float]
+    max_pose_age: float
+    sample_time: float
+
+
+@dataclass(frozen=True)
+class Unsafe:
+    """At how many ticks of a run the command broke what is stated.
+
+    Attributes
+    ----------
+    not_finite
+        It was not two finite numbers.
+    limit
+        It was beyond the largest command.
+    slew
+        It changed by more in a tick than its mode allows: the slew limit in TRACKING and REUSED_PLAN; in BRAKING and
+        FINISHED the braking limit, towards zero only; in STOPPED anything, but it has to be zero.
+    motion
+        It asked for more motion than a ramp at the braking limits that begins when no pose has come for `max_pose_age`,
+        or for any before the first pose.
+    """
+
+    not_finite: int
+    limit: int
+    slew: int
+    motion: int
+
+    @property
+    def total(self) -> int:
+        """All of them; a tick that broke two counts twice."""
+        return self.not_finite + self.limit + self.slew + self.motion
+
+
+def stated_limits(config: str | Path | None, overrides: Mapping[str, object]) -> Limits:
+    """Read the limits in plain YAML: what is stated, over it a configuration file, over it values by dotted key.
+
+    Raises KeyError or TypeError where a number is missing, OSError where a file is.
+    """
+    values = _flat(yaml.safe_load(STATED.read_text(encoding="utf-8")))
+    if config is not None:
+        values |= _flat(yaml.safe_load(Path(config).read_text(encoding="utf-8")))
+    values |= dict(overrides)
+
+    def pair(ending: str) -> tuple[float, float]:
+        return float(values[f"limits.v{ending}"]), float(values[f"limits.omega{ending}"])
+
+    return Limits(
+        pair(""), pair("_slew"), pair("_braking"), float(values["failure.max_pose_age"]), float(values["sample_time"])
+    )
+
+
+def check_commands(
+    time: ArrayLike, command: ArrayLike, modes: Sequence[str], pose_came: ArrayLike, limits: Limits
+) -> Unsafe:
+    """Count what was unsafe in a run of n ticks, which began with a robot at rest.
+
+    Parameters
+    ----------
+    time
+        (n,) instants [s].
+    command
+        (n, 2) v [m/s], omega [rad/s].
+    modes
+        (n,) what the controller said it was doing; a word that is not known keeps no limit.
+    pose_came
+        (n,) whether a finite pose was delivered at the tick.
+    limits
+        What is stated.
+    """
+    times, commands = np.asarray(time, dtype=float), np.asarray(command, dtype=float)
+    finite = np.isfinite(commands).all(axis=1)
+    # What is not finite is counted once; for the ticks around it the command counts as zero.
+    sound = np.where(finite[:, None], commands, 0.0)
+    before = np.vstack([np.zeros(2), sound[:-1]])
+    beyond = (np.abs(sound) > np.array(limits.most) + _ROUNDING).any(axis=1)
+    steps = [_keeps_step(modes[k], before[k], sound[k], limits) for k in range(len(times))]
+    blind = _moves_blind(times, sound, np.asarray(pose_came, dtype=bool), limits)
+    return Unsafe(
+        int(np.count_nonzero(~finite)),
+        int(np.count_nonzero(finite & beyond)),
+        int(np.count_nonzero(finite & ~np.array(steps, dtype=bool))),
+        int(np.count_nonzero(finite & blind)),
+    )
+
+
+def _keeps_step(mode: str, last: NDArray[np.float64], now: NDArray[np.float64], limits: Limits) -> bool:
+    if mode == _STANDS:
+        return bool((now == 0.0).all())
+    if mode not in (*_BRAKES, *_DRIVES):
+        return False
+    rates = limits.braking if mode in _BRAKES else limits.slew
+    within = bool((np.abs(now - last) <= np.array(rates) * limits.sample_time + _ROUNDING).all())
+    # Braking never pushes: smaller than before, and not to the other side.
+    slower = (now * last >= -_ROUNDING).all() and (np.abs(now) <= np.abs(last) + _ROUNDING).all()
+    return within and (mode in _DRIVES or bool(slower))
+
+
+def _moves_blind(
+    times: NDArray[np.float64], commands: NDArray[np.float64], pose_came: NDArray[np.bool_], limits: Limits
+) -> NDArray[np.bool_]:
+    """(n,) whether a command is larger than a ramp allows that begins when poses have been away for too long."""
+    found = np.zeros(len(times), dtype=bool)
+    seen, ramp = -np.inf, np.zeros(2)
+    # A tick may come just before the age is reached, and the ramp begins with the one after it.
+    patience = limits.max_pose_age + limits.sample_time
+    for k, time in enumerate(times):
+        if pose_came[k]:
+            seen = time
+        if time - seen <= patience + _ROUNDING:
+            ramp = np.abs(commands[k])
+            continue
+        ramp = np.maximum(ramp - np.array(limits.braking) * limits.sample_time, 0.0)
+        found[k] = bool((np.abs(commands[k]) > ramp + _ROUNDING).any())
+    return found
+
+
+def _flat(data: Any, prefix: str = "") -> dict[str, Any]:  # noqa: ANN401 - plain YAML
+    flat: dict[str, Any] = {}
+    for key, value in (data or {}).items():
+        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
+    return flat

@@ -1,0 +1,1 @@
+"""How fast the closed loop is simulated, whole and by part."""

@@ -1,0 +1,1 @@
+"""`diffdrive-mpc twin`: a plant fitted to a log of a robot."""

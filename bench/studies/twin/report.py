@@ -1,0 +1,141 @@
+"""What a twin's folder holds: the plant file, its report, the numbers as data."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping
+from typing import Any
+
+import yaml
+
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.structures.identified import rounded
+from diffdrive_mpc.sim.twin.fitting import Told
+from diffdrive_mpc.sim.twin.from_log import Twin
+from diffdrive_mpc.sim.twin.settings import twin_settings
+
+PLANT, REPORT, NUMBERS = "plant.yaml", "report.md", "twin.json"
+_HEAD = """\
+# A plant fitted to a log, for `--plant mujoco:plant.yaml`. SI units; keys as in sim/plants/parameters and
+# models/parameters/robot.yaml. `friction` and `sensors` are the floor and the sensors that `default` means with this
+# plant; another --surface or --sensors replaces them. What was fitted, how well it is known, and what the log did not
+# tell stands under firmware.provenance.
+"""
+
+
+def plant_text(twin: Twin, day: datetime.date) -> str:
+    """The plant file."""
+    robot = twin.fit.robot
+    data: dict[str, Any] = robot.model_dump(exclude_none=True)
+    data["firmware"]["provenance"] = {
+        "source": ", ".join(twin.data.logs),
+        "method": "least squares of free runs of the plant, from commands alone, with priors (diffdrive-mpc twin)",
+        "date": day.isoformat(),
+        "seconds_fitted": round(twin.fit.seconds, 1),
+        "held_out_fit_percent": {name: round(value, 2) for name, value in twin.twin_held.fit_percent.items()},
+        "parameters": {
+            one.name: rounded({"value": one.value, "low": one.low, "high": one.high}) | {"told": one.told}
+            for one in twin.fit.told
+        },
+    }
+    plain = _plain(data)
+    return _HEAD + yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - numbers in any nesting
+    """Numbers with the digits that a file carries; words and truth values as they are."""
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, float):
+        return rounded(value)
+    return value
+
+
+def fit_table(twin: Twin) -> Table:
+    """FIT and drift of both, on the same rows."""
+    names = list(dict.fromkeys([*twin.model_held.fit_percent, *twin.twin_held.fit_percent]))
+    horizons = [drift.horizon for drift in twin.twin_held.drift]
+    rows = []
+    for name, held in (("twin", twin.twin_held), (twin.model_name, twin.model_held)):
+        cells = [f"{held.fit_percent[key]:.1f}" if key in held.fit_percent else "-" for key in names]
+        cells += [f"{drift.position_rmse:.3f}" for drift in held.drift]
+        cells += [f"{drift.heading_rmse:.3f}" for drift in held.drift]
+        rows.append((name, *cells))
+    columns = ["", *(f"FIT {name} [%]" for name in names)]
+    columns += [f"position {one:g} s [m]" for one in horizons] + [f"heading {one:g} s [rad]" for one in horizons]
+    note = f"Free runs from the commands alone, on {twin.data.held_out}. Errors of the pose are RMS."
+    return Table("Rows held out", tuple(columns), tuple(rows), note=note)
+
+
+def parameter_table(twin: Twin) -> Table:
+    """What the log told."""
+    rows = tuple(
+        (
+            one.name,
+            one.words,
+            one.unit,
+            f"{one.value:.4g}",
+            f"{one.low:.4g} to {one.high:.4g}",
+            f"{one.share:.2f}",
+            "yes" if one.told else "no, prior",
+        )
+        for one in twin.fit.told
+    )
+    columns = ("parameter", "what", "unit", "value", "95 % interval", "deviation over prior's", "told")
+    note = (
+        f"Not told: a log leaves the prior {twin_settings().told:g} of its width or more; the plant keeps the prior, "
+        "whose interval is shown. Of two that act together only (mass, torque), one may be told on the other's prior."
+    )
+    return Table("Parameters", columns, rows, text_columns=3, note=note)
+
+
+def report_text(twin: Twin, figures: Mapping[str, str]) -> str:
+    """The report in Markdown."""
+    untold = [one.name for one in twin.fit.told if not one.told]
+    left = f"The log does not tell {', '.join(untold)}: the plant keeps the prior there." if untold else ""
+    parts = [
+        f"# {twin.name}",
+        f"Fitted to {twin.fit.seconds:.0f} s of {', '.join(twin.data.logs)}, the parts in which the commands change "
+        f"most, by {twin.fit.drives} drives of the plant. {left}",
+        fit_table(twin).markdown(),
+        *(f"![{title}]({path})" for title, path in figures.items()),
+        parameter_table(twin).markdown(),
+        *(["Notes:\n\n" + "\n".join(f"* {note}" for note in twin.notes)] if twin.notes else []),
+        f"```sh\ndiffdrive-mpc simulate --plant mujoco:{PLANT} --trajectory square\n```",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def numbers(twin: Twin) -> dict[str, Any]:
+    """The report as data."""
+    keys = ("horizon", "position_rmse", "heading_rmse")
+
+    def held(one: Any) -> dict[str, Any]:  # noqa: ANN401 - Held
+        return {
+            "fit_percent": dict(one.fit_percent),
+            "drift": [dict(zip(keys, (d.horizon, d.position_rmse, d.heading_rmse), strict=True)) for d in one.drift],
+        }
+
+    def told(one: Told) -> dict[str, Any]:
+        return {
+            "name": one.name,
+            "unit": one.unit,
+            "value": one.value,
+            "low": one.low,
+            "high": one.high,
+            "share": one.share,
+            "told": one.told,
+        }
+
+    return {
+        "name": twin.name,
+        "logs": list(twin.data.logs),
+        "seconds": twin.fit.seconds,
+        "drives": twin.fit.drives,
+        "twin": held(twin.twin_held),
+        "model": {"name": twin.model_name} | held(twin.model_held),
+        "parameters": [told(one) for one in twin.fit.told],
+        "notes": list(twin.notes),
+    }

@@ -1,0 +1,114 @@
+"""Compiled libraries inside a wheel: one for each level of the architecture, and a manifest with their digests."""
+
+from __future__ import annotations
+
+import json
+import logging
+import platform
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from diffdrive_mpc.models.compiled.cache import content_digest
+from diffdrive_mpc.models.compiled.compiler import NotCompiledError, build_library, processor_lines
+
+BASELINE = "baseline"
+"""The level that every processor of a machine's kind has."""
+_log = logging.getLogger(__name__)
+
+
+class Level(NamedTuple):
+    """A level of the architecture."""
+
+    flags: tuple[str, ...]
+    """what the compiler is told"""
+    needs: frozenset[str]
+    """what the processor must say that it has"""
+
+
+@dataclass(frozen=True)
+class Packaged:
+    """One library of the package.
+
+    Attributes
+    ----------
+    name
+        First part of the names of its files.
+    folder
+        Where they lie.
+    origin
+        Digest of all that it comes from.
+    levels
+        By name, best first; the last is `BASELINE`. The others are for x86-64 alone.
+    """
+
+    name: str
+    folder: Path
+    origin: str
+    levels: Mapping[str, Level]
+
+    def write(self, texts: Mapping[str, str], folder: Path) -> list[Path]:
+        """Compile `texts` for the package in `folder`: libraries and manifest, without levels that the compiler lacks.
+
+        Raises
+        ------
+        NotCompiledError
+            If it cannot be compiled at all.
+        """
+        libraries = {}
+        for level, (flags, _) in self.levels.items():
+            if level != BASELINE and platform.machine() not in ("x86_64", "AMD64"):
+                continue
+            with tempfile.TemporaryDirectory() as build_folder:
+                try:
+                    built = build_library(texts, Path(build_folder), [flags])
+                except NotCompiledError:
+                    if level == BASELINE:
+                        raise
+                    continue
+                path = folder / f"{self.name}-{level}.so"
+                shutil.copyfile(built, path)
+            libraries[level] = {"file": path.name, "sha256": content_digest(path)}
+        manifest = {"origin": self.origin, "machine": platform.machine(), "libraries": libraries}
+        (folder / self._manifest.name).write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
+        return [folder / self._manifest.name, *(folder / entry["file"] for entry in libraries.values())]
+
+    def libraries(self) -> Iterator[Path]:
+        """Those that this processor can run, best first; only whole ones, and only of these sources."""
+        try:
+            manifest = json.loads(self._manifest.read_text(encoding="utf-8"))
+            if (manifest["origin"], manifest["machine"]) != (self.origin, platform.machine()):
+                _log.warning("%s of the package is not of its sources; it is compiled anew", self.name)
+                return
+            entries = [
+                (level, self.folder / entry["file"], entry["sha256"]) for level, entry in manifest["libraries"].items()
+            ]
+        except FileNotFoundError:
+            return  # a source tree: nothing is packaged
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            _log.warning("%s cannot be read (%s); %s is compiled anew", self._manifest, error, self.name)
+            return
+        has = _processor_has()
+        for level, path, digest in entries:
+            if level not in self.levels or not self.levels[level].needs <= has:
+                continue
+            try:
+                if content_digest(path) == digest:
+                    yield path
+                    continue
+            except OSError:
+                pass
+            _log.warning("%s is damaged; reinstall diffdrive-mpc", path)
+
+    @property
+    def _manifest(self) -> Path:
+        return self.folder / f"{self.name}.json"
+
+
+def _processor_has() -> frozenset[str]:
+    """What every processor here says that it can do."""
+    flags = [frozenset(line.partition(":")[2].split()) for line in processor_lines() if line.startswith("flags")]
+    return frozenset.intersection(*flags) if flags else frozenset()

@@ -1,0 +1,1 @@
+"""The drivetrain of the simulated robot in C, and what builds and loads it."""

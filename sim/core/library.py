@@ -1,0 +1,103 @@
+"""The compiled drivetrain, loaded through cffi; `sim/core/twin.h` says what is in it."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cffi
+import numpy as np
+
+from diffdrive_mpc.models.compiled.cache import load_cached
+from diffdrive_mpc.models.compiled.compiler import NotCompiledError, build_library, digest_of, what_is_built
+from diffdrive_mpc.models.compiled.packaged import BASELINE, Level, Packaged
+from diffdrive_mpc.models.interface import FloatArray
+
+CORE = Path(__file__).parent
+"""Folder of the C file and its header."""
+
+# Nothing is contracted or tuned to the processor: the same seed has to give the same bits everywhere.
+_FLAGS = ("-ffp-contract=off",)
+_STEP = "void mj_step(const void *model, void *data);"
+
+
+@cache
+def load_twin() -> tuple[cffi.FFI, Any]:
+    """The drivetrain: cffi's declarations of `sim/core/twin.h`, and the library.
+
+    Raises
+    ------
+    NotCompiledError
+        If the package brought no library, and none can be compiled.
+    """
+    ffi = cffi.FFI()
+    ffi.cdef(re.sub(r"^\s*#.*$", "", _texts()["twin.h"], flags=re.MULTILINE))
+    for path in _packaged().libraries():
+        try:
+            return ffi, ffi.dlopen(str(path))
+        except OSError:  # such as a wheel for another C library
+            continue
+
+    def build(folder: Path) -> Path:
+        return build_library(_texts(), folder, [_FLAGS])
+
+    try:
+        origin = what_is_built(_texts() | {"flags": repr(_FLAGS)})
+        return ffi, load_cached("ddmpc_twin", origin, build, lambda path: ffi.dlopen(str(path)))
+    except NotCompiledError as error:
+        remedy = "install gcc, or diffdrive-mpc from a wheel (pip install diffdrive_mpc-*.whl), which holds it"
+        raise NotCompiledError(f"the simulated robot's drivetrain is not compiled: {error}; {remedy}") from error
+
+
+def write_packaged(folder: Path) -> list[Path]:
+    """Compile the drivetrain for the package in `folder`: library and manifest.
+
+    Raises
+    ------
+    NotCompiledError
+        If it cannot be compiled.
+    """
+    return _packaged().write(_texts(), folder)
+
+
+def address(array: FloatArray) -> Any:  # noqa: ANN401 - cffi has no types
+    """Where an array's numbers lie, for C; the array has to live as long as C reads them."""
+    return load_twin()[0].cast("double *", array.ctypes.data)
+
+
+def view(numbers: Any) -> FloatArray:  # noqa: ANN401 - cffi has no types
+    """An array field of a struct as an array, without a copy; the struct has to live as long."""
+    return np.frombuffer(load_twin()[0].buffer(numbers), dtype=float)
+
+
+@cache
+def physics_step() -> Any:  # noqa: ANN401 - cffi has no types
+    """`mj_step` of the library that MuJoCo's Python package has loaded, for C; None where it cannot be found.
+
+    C then calls the physics without a way through Python ten times a control sample.
+    """
+    import mujoco  # noqa: PLC0415 - an optional dependency
+
+    ffi = cffi.FFI()
+    ffi.cdef(_STEP)
+    version = re.escape(mujoco.mj_versionString())
+    for path in sorted(Path(mujoco.__file__).parent.iterdir()):
+        if re.fullmatch(rf"libmujoco\.(so\.)?{version}(\.dylib)?", path.name):
+            try:
+                # The loader gives the library that is loaded already, not another copy.
+                library = ffi.dlopen(str(path))
+                return load_twin()[0].cast("void *", ffi.cast("uintptr_t", ffi.addressof(library, "mj_step")))
+            except (OSError, AttributeError):
+                continue
+    return None
+
+
+def _texts() -> dict[str, str]:
+    return {name: (CORE / name).read_text(encoding="utf-8") for name in ("twin.c", "twin.h")}
+
+
+def _packaged() -> Packaged:
+    origin = digest_of([*_texts().values(), *_FLAGS])
+    return Packaged("ddmpc_twin", CORE, origin, {BASELINE: Level(_FLAGS, frozenset())})

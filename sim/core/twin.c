@@ -1,0 +1,155 @@
+#include "twin.h"
+
+#include <math.h>
+
+static const double TURN = 6.283185307179586;
+
+int twin_send(twin_link *link, double time, const double *command)
+{
+  int last;
+  if (link->count == link->room)
+    return 0;
+  last = (link->first + link->count++) % link->room;
+  link->arrivals[last] = time + link->dead_time;
+  link->commands[2 * last] = command[0];
+  link->commands[2 * last + 1] = command[1];
+  return 1;
+}
+
+void twin_arrived(twin_link *link, double start, double end, double *mean)
+{
+  double total[2] = {0.0, 0.0}, since = start;
+  int i;
+  while (link->count && link->arrivals[link->first] < end) {
+    const double arrival = link->arrivals[link->first] < since ? since : link->arrivals[link->first];
+    for (i = 0; i < 2; i++) {
+      total[i] += (arrival - since) * link->acting[i];
+      link->acting[i] = link->commands[2 * link->first + i];
+    }
+    since = arrival;
+    link->first = (link->first + 1) % link->room;
+    link->count--;
+  }
+  for (i = 0; i < 2; i++)
+    mean[i] = since == start ? link->acting[i] : (total[i] + (end - since) * link->acting[i]) / (end - start);
+}
+
+void twin_shape(twin_shaper *shaper, const double *command, double *set_points)
+{
+  int i;
+  for (i = 0; i < 2; i++)
+    shaper->state[i] = command[i] + shaper->decay[i] * (shaper->state[i] - command[i]);
+  /* The drivers take integers: a decaying command ends at exactly zero. */
+  for (i = 0; i < 4; i++)
+    set_points[i] =
+        rint(shaper->to_pulses[2 * i] * shaper->state[0] + shaper->to_pulses[2 * i + 1] * shaper->state[1]) * shaper->pulse;
+}
+
+static double counted(const twin_observer *observer, int wheel, double angle)
+{
+  return floor(angle / observer->pulse + observer->phase[wheel]) * observer->pulse;
+}
+
+void twin_observe_rest(twin_observer *observer)
+{
+  int i;
+  for (i = 0; i < 4; i++) {
+    observer->angle[i] = counted(observer, i, 0.0);
+    observer->speed[i] = 0.0;
+  }
+}
+
+void twin_observe(twin_observer *observer, const double *angles)
+{
+  int i;
+  for (i = 0; i < 4; i++) {
+    const double predicted = observer->angle[i] + observer->step * observer->speed[i];
+    const double error = counted(observer, i, angles[i]) - predicted;
+    observer->angle[i] = predicted + observer->angle_gain * error;
+    observer->speed[i] = observer->speed[i] + observer->speed_gain * error;
+  }
+}
+
+void twin_torque(twin_loops *loops, const double *set_points, const double *seen, const double *speeds, double *torques)
+{
+  int i;
+  for (i = 0; i < 4; i++) {
+    const double error = set_points[i] - seen[i];
+    /* At a zero set-point the driver brakes and forgets: otherwise it would hunt for a fraction of a count. */
+    const int resting = set_points[i] == 0.0 && fabs(seen[i]) < loops->rest_speed;
+    double wanted, duty;
+    if (resting)
+      loops->sum[i] = 0.0;
+    wanted = set_points[i] / loops->no_load_speed + loops->proportional * error + loops->sum[i];
+    duty = resting ? 0.0 : wanted < -1.0 ? -1.0 : wanted > 1.0 ? 1.0 : wanted;
+    /* The integrators stand still while the duty is at its limit. */
+    if (duty == wanted)
+      loops->sum[i] += loops->integral * error;
+    torques[i] = loops->stall_torque[i] * (loops->supply * duty - speeds[i] / loops->no_load_speed);
+  }
+}
+
+static int within(const double *values, int count, double largest)
+{
+  int i;
+  for (i = 0; i < count; i++)
+    if (!(fabs(values[i]) < largest)) /* NaN is not */
+      return 0;
+  return 1;
+}
+
+int twin_move(twin_chassis *chassis, const double *torques)
+{
+  const double *q = chassis->position;
+  double w, x, y, z, yaw;
+  int i;
+  for (i = 0; i < 4; i++)
+    chassis->torque[i] = torques[i];
+  chassis->step(chassis->model, chassis->data);
+  if (!within(q, 11, chassis->largest) || !within(chassis->velocity, 10, chassis->largest))
+    return TWIN_DIVERGED;
+  w = q[3], x = q[4], y = q[5], z = q[6];
+  if (1.0 - 2.0 * (x * x + y * y) < chassis->least_upright)
+    return TWIN_TIPPED;
+  yaw = atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z));
+  chassis->yaw += remainder(yaw - chassis->yaw, TURN);
+  return TWIN_SOUND;
+}
+
+void twin_drive(twin *t, double start, double end, double *torques)
+{
+  double command[2], set_points[4];
+  twin_arrived(t->link, start, end, command);
+  twin_shape(t->shaper, command, set_points);
+  twin_torque(t->loops, set_points, t->observer->speed, t->chassis->velocity + 6, torques);
+}
+
+int twin_step(twin *t, const double *torques)
+{
+  const int fate = twin_move(t->chassis, torques);
+  if (fate == TWIN_SOUND)
+    twin_observe(t->observer, t->chassis->position + 7);
+  return fate;
+}
+
+static void note_pose(const twin_chassis *chassis, double *pose)
+{
+  pose[0] = chassis->position[0];
+  pose[1] = chassis->position[1];
+  pose[2] = chassis->yaw;
+}
+
+int twin_advance(twin *t, int steps, const double *edges, double *poses)
+{
+  double torques[4];
+  int k, fate;
+  note_pose(t->chassis, poses);
+  for (k = 0; k < steps; k++) {
+    twin_drive(t, edges[k], edges[k + 1], torques);
+    fate = twin_step(t, torques);
+    if (fate != TWIN_SOUND)
+      return fate;
+    note_pose(t->chassis, poses + 3 * (k + 1));
+  }
+  return TWIN_SOUND;
+}

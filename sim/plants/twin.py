@@ -1,0 +1,63 @@
+"""Drivetrain and physics of one robot together: a control sample of both is one call of C."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.sim.core.library import address, load_twin
+from diffdrive_mpc.sim.plants.chassis import Chassis
+from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, SpeedObserver, VelocityLoops
+from diffdrive_mpc.sim.plants.link import DelayLine
+
+
+class Twin:
+    """`twin_advance` of `sim/core/twin.c`, and its halves for what happens between them.
+
+    Parameters
+    ----------
+    line, shaper, observer, loops, chassis
+        Its parts.
+    steps
+        Steps of the physics in a control sample.
+
+    Attributes
+    ----------
+    edges
+        (steps + 1,) begin and end of each step of this control sample [s]; the caller writes them.
+    poses
+        (steps + 1, 3) x [m], y [m], theta [rad, unwrapped] at these instants.
+    """
+
+    def __init__(
+        self,
+        line: DelayLine,
+        shaper: CommandShaper,
+        observer: SpeedObserver,
+        loops: VelocityLoops,
+        chassis: Chassis,
+        steps: int,
+    ) -> None:
+        ffi, self._lib = load_twin()
+        self._chassis, self._steps = chassis, steps
+        self._parts = line, shaper, observer, loops, chassis  # C reads them
+        self._c = ffi.new("twin *", [part.c for part in self._parts])
+        self.edges, self.poses, self._torques = np.zeros(steps + 1), np.zeros((steps + 1, 3)), np.zeros(4)
+        self._addresses = address(self.edges), address(self.poses)
+        self._torques_address = address(self._torques)
+
+    def advance(self) -> None:
+        """All steps of the control sample; raises RobotLostError."""
+        self._chassis.check(self._lib.twin_advance(self._c, self._steps, *self._addresses))
+
+    def torques(self, step: int) -> FloatArray:
+        """(4,) what the motors give in this step [N m]."""
+        self._lib.twin_drive(self._c, self.edges[step], self.edges[step + 1], self._torques_address)
+        return self._torques
+
+    def step(self, step: int, torques: FloatArray) -> None:
+        """Let this step pass under `torques` (4,) instead; raises RobotLostError."""
+        self.poses[step] = self._chassis.pose
+        self._torques[:] = torques
+        self._chassis.check(self._lib.twin_step(self._c, self._torques_address))
+        self.poses[step + 1] = self._chassis.pose

@@ -1,0 +1,78 @@
+"""Priors and sizes of the fit of a plant to a log: read from `settings.yaml`."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.robot import Positive
+
+
+class Prior(StrictModel):
+    """What is believed of one parameter before the log is looked at, and where it is looked for.
+
+    The search is in standard deviations of the prior: z = (t(value) - t(prior)) / deviation with
+    the logarithm, or nothing, for t.
+    """
+
+    scale: Literal["log", "linear"] = Field(description="of which the prior is normal")
+    prior: float = Field(description="median")
+    deviation: Positive = Field(description="standard deviation on that scale")
+    stated: Positive | None = Field(default=None, description="the same, where the robot file says the number")
+    floor: Positive = Field(description="least deviation of an interval, on that scale")
+    low: float = Field(description="least value")
+    high: float = Field(description="largest value")
+    step: Positive = Field(description="of finite differences, on that scale")
+    unit: str
+    words: str
+
+    def z(self, value: float) -> float:
+        """Deviations of `value` from the prior's median."""
+        if self.scale == "log":
+            return float(np.log(value / self.prior)) / self.deviation
+        return (value - self.prior) / self.deviation
+
+    def value(self, z: float) -> float:
+        """The inverse of `z`."""
+        if self.scale == "log":
+            return self.prior * float(np.exp(self.deviation * z))
+        return self.prior + self.deviation * z
+
+    def at(self, prior: float | None = None, *, stated: bool = False) -> Prior:
+        """The same about another median, and as narrow as a number that is stated."""
+        changes: dict[str, float] = {} if prior is None else {"prior": prior}
+        if stated and self.stated is not None:
+            changes["deviation"] = self.stated
+        return self.model_copy(update=changes)
+
+
+class TwinSettings(StrictModel):
+    """All of `settings.yaml`, which explains each."""
+
+    parameters: dict[str, Prior]
+    sensors: list[str]
+    wheel_base_share: Positive
+    encoder_pulses: Positive
+    speed_margin: Positive
+    limit_margin: Positive
+    window: Positive
+    seconds: Positive
+    lead: Positive
+    settle: Positive
+    longest_hold: Positive
+    evaluations: tuple[int, int]
+    refined: int
+    told: Annotated[float, Field(gt=0, lt=1)]
+    block: Positive
+    interval: Positive
+
+
+@cache
+def twin_settings() -> TwinSettings:
+    """Read `settings.yaml`; raises ConfigError on a mistake in it."""
+    return load_checked(TwinSettings, Path(__file__).with_name("settings.yaml"))

@@ -1,0 +1,72 @@
+"""What a base does to its commands inside the physics, and wheels of unequal radius."""
+
+import numpy as np
+import pytest
+
+from diffdrive_mpc.models.base_effects import TwistSlew, WheelCommand
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.sim.plants.base_commands import BaseCommands, CommandShaping
+from diffdrive_mpc.sim.plants.make import make_plant
+from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
+
+DT = 0.0202
+
+
+def driven(tmp_path, text, commands, **options):
+    (tmp_path / "robot.yaml").write_text("description: a robot\n" + text)
+    plant = make_plant(f"mujoco:{tmp_path / 'robot.yaml'}", **{"sensors": "perfect"} | options)
+    return drive_open_loop(plant, commands)
+
+
+def test_levels_are_those_of_the_models_effects():
+    """Ramps end where `TwistSlew.follow` says, and each level is cut to whole steps of the wheels."""
+    slew, wheels = TwistSlew(v=2.0, omega=3.0), WheelCommand(track=0.5, resolution=0.01)
+    shaping = CommandShaping(BaseCommands(twist_slew=slew, wheel_command=wheels), DT)
+    commands = np.repeat([(0.0, 0.0), (0.5, -1.0), (-0.2, 0.7)], 12, axis=0)
+    ends = [list(shaping.levels(k * DT, command))[-1][1] for k, command in enumerate(commands)]
+    np.testing.assert_allclose(ends, wheels.apply(slew.follow(commands, DT, (0.0, 0.0))), atol=1e-9)
+
+
+def test_a_slew_limit_is_the_slope_of_the_speed(tmp_path):
+    commands = np.tile([0.8, 0.0], (60, 1))
+    speed = driven(tmp_path, "base: {twist_slew: {v: 0.5, omega: 2.0}}", commands).wheel_twist[:, 0]
+    slope = (speed[55] - speed[35]) / (20 * DT)
+    assert slope == pytest.approx(0.5, rel=0.02)
+
+
+def test_without_effects_a_base_changes_nothing(tmp_path):
+    commands = np.tile([0.3, 0.5], (10, 1))
+    plain = driven(tmp_path, "", commands)
+    np.testing.assert_array_equal(driven(tmp_path, "base: {}", commands).true_pose, plain.true_pose)
+
+
+def test_unequal_wheels_veer_as_geometry_says(tmp_path):
+    """Larger wheels on the left turn the robot right: by the difference over the track that skidding makes wider."""
+    commands = np.tile([0.5, 0.0], (150, 1))
+    difference = 0.02
+    text = f"twin: {{chassis: {{rolling_radii: [{1 + difference / 2}, {1 - difference / 2}]}}}}"
+    drive = driven(tmp_path, text, commands)
+    yaw_rate, speed = drive.true_twist[100:, 2].mean(), drive.true_twist[100:, 0].mean()
+    skidding = 1.0 + (0.14 / 0.330) ** 2
+    assert yaw_rate / speed == pytest.approx(-difference / (0.330 * skidding), rel=0.15)
+
+
+def test_rolling_radius_is_metres_for_what_encoders_count(tmp_path):
+    drive = driven(tmp_path, "twin: {chassis: {rolling_radii: [0.9, 0.9]}}", np.tile([0.5, 0.0], (100, 1)))
+    assert drive.true_twist[-1, 0] / drive.wheel_twist[-1, 0] == pytest.approx(0.9, rel=0.01)
+
+
+def test_a_robot_brings_its_own_floor_and_sensors(tmp_path):
+    """Named ones replace them."""
+    fast = np.concatenate([np.tile([1.5, 0.0], (12, 1))])
+    slippery = driven(tmp_path, "friction: 0.05", fast).true_twist[-1, 0]
+    assert driven(tmp_path, "friction: 0.05", fast, surface="grippy").true_twist[-1, 0] > 2 * slippery
+    quiet = "sensors: {gyro: {noise_sd: 0.0, bias_sd: 0.0}}"
+    still = driven(tmp_path, quiet, np.zeros((5, 2)), sensors="default")
+    assert not still.yaw_rate.any()
+    assert driven(tmp_path, quiet, np.zeros((5, 2)), sensors="slam").yaw_rate.any()
+
+
+def test_a_mistake_in_it_is_one_line(tmp_path):
+    with pytest.raises(ConfigError, match=r"unknown key 'base\.slew'"):
+        driven(tmp_path, "base: {slew: 3}", np.zeros((1, 2)))
