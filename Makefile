@@ -8,10 +8,12 @@ SPEED_OUT ?= out/speed
 EDGE_OUT ?= out/edge
 PEERS_OUT ?= out/peers
 ROBUSTNESS_OUT ?= out/robustness
+PROVE_OUT ?= out/prove
 # Options of the studies: make tracking TRACKING=--quick
 TRACKING ?=
 REPRODUCE ?=
 SPEED ?=
+PROVE ?=
 # Options of pytest: make test TEST="tests/mpc -x"
 TEST ?=
 BIN := $(VENV)/bin
@@ -21,7 +23,7 @@ READY := $(VENV)/.ready
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench edge peers robustness tracking reproduce speed test lint types format models calibrate readme requirements clean
+.PHONY: help bench edge peers robustness prove tracking reproduce speed test lint types format models calibrate readme requirements clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -47,6 +49,9 @@ peers: $(READY) ## tune the peers again, and show that their neighbours are no b
 robustness: $(READY) ## every controller on other robots, floors, loads and sensors: out/robustness
 	$(BIN)/diffdrive-mpc robustness --out $(ROBUSTNESS_OUT) --controllers mpc,pursuit+slip,kanayama+slip,lqr+slip \
 		--models ssm,sm --trajectories circle,s --seeds 6,7
+
+prove: $(READY) ## how often the controller fails on many plants, paths and faults, and where it stops to hold: out/prove
+	$(BIN)/diffdrive-mpc prove ssm --out $(PROVE_OUT) $(PROVE)
 
 tracking: $(READY) ## what the tracking reaches, what each part is worth, how much is left: tables and figures in out/tracking
 	$(BIN)/diffdrive-mpc tracking --out $(TRACKING_OUT) $(TRACKING)
@@ -78,7 +83,7 @@ calibrate: $(READY) ## fit the simulated robot to the published SSM again
 	$(BIN)/diffdrive-mpc models calibrate
 
 readme: $(READY) ## copy tables and figures of the last `make bench` and of the studies that were made into README and docs
-	$(BIN)/python -m diffdrive_mpc.bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT) $(PEERS_OUT) $(EDGE_OUT) $(ROBUSTNESS_OUT))
+	$(BIN)/python -m diffdrive_mpc.bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT) $(PEERS_OUT) $(EDGE_OUT) $(ROBUSTNESS_OUT) $(PROVE_OUT))
 
 requirements: ## pin all dependencies anew (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \

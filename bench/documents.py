@@ -60,6 +60,9 @@ SPEED = ShownReport("speed", ("horizon.png", "tail.png"), ("speed.json",), "perf
 PEERS = ShownReport("peers", (), (), "peers.md")
 EDGE = ShownReport("edge", ("overview.png",), (), "peers.md", study="bench")
 ROBUSTNESS = ShownReport("robustness", ("ratios.png",), (), "robustness.md")
+PROVE = ShownReport(
+    "prove", ("errors.png", "map-dead-time-and-friction.png", "map-mass-and-latency.png"), (), "prove.md"
+)
 LOOP_SPEED = ShownReport("loop-speed", (), (), "performance.md")
 SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, LOOP_SPEED, PEERS, EDGE, ROBUSTNESS)
 

@@ -97,25 +97,26 @@ def load_campaign(path: str | Path) -> Campaign:
 
     Raises ConfigError when the file has a mistake.
     """
-    return beside(load_checked(Campaign, path), Path(path))
+    read = load_checked(Campaign, path)
+    return read.model_copy(update=files_beside(read, Path(path)))
 
 
-def beside(campaign: Campaign, path: Path) -> Campaign:
-    """The same campaign with names of files that stand beside `path` as whole paths."""
+def files_beside(campaign: Campaign, path: Path) -> dict[str, object]:
+    """Factors and conditions of a campaign whose file is `path`, with whole paths for files that stand beside it."""
+    return {name: whole_paths(getattr(campaign, name), path.parent) for name in ("factors", "conditions")}
 
-    def found(value: object) -> object:
-        if isinstance(value, Mapping):
-            return {found(key): found(inner) for key, inner in value.items()}
-        if isinstance(value, (list, tuple)):
-            return [found(inner) for inner in value]
-        if not isinstance(value, str) or not Path(value).suffix:
-            return value
-        kind, colon, rest = value.rpartition(":")
-        file = path.parent / rest
-        return f"{kind}{colon}{file.resolve()}" if file.is_file() else value
 
-    factors = {name: found(data) for name, data in campaign.factors.items()}
-    return campaign.model_copy(update={"factors": factors, "conditions": found(campaign.conditions)})
+def whole_paths(value: object, folder: Path) -> object:
+    """Plain data with whole paths in place of names of files in `folder`."""
+    if isinstance(value, Mapping):
+        return {whole_paths(key, folder): whole_paths(inner, folder) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [whole_paths(inner, folder) for inner in value]
+    if not isinstance(value, str) or not Path(value).suffix:
+        return value
+    kind, colon, rest = value.rpartition(":")
+    file = folder / rest
+    return f"{kind}{colon}{file.resolve()}" if file.is_file() else value
 
 
 def _with_condition(values: dict[str, Value], conditions: Conditions) -> dict[str, Value]:

@@ -151,9 +151,8 @@ def _connect(scheduler: str) -> Any:  # noqa: ANN401 - has no types
         from distributed import Client  # noqa: PLC0415 - only needed with --scheduler
     except ImportError as error:
         raise MissingPackageError("--scheduler needs Dask: pip install diffdrive-mpc[campaign]") from error
-    return Client(  # type: ignore[no-untyped-call]
-        scheduler, timeout=_CONNECT, set_as_default=False, name="diffdrive-mpc campaign"
-    )
+    connect: Any = Client
+    return connect(scheduler, timeout=_CONNECT, set_as_default=False, name="diffdrive-mpc campaign")
 
 
 def _close(client: Any) -> None:  # noqa: ANN401 - has no types

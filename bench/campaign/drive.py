@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +30,7 @@ from diffdrive_mpc.sim.plants.simulated_robot import ROBOTS
 from diffdrive_mpc.sim.plants.surface import SURFACES
 from diffdrive_mpc.sim.sensing.sensor_set import SENSOR_SETS
 
+OnTick = Callable[[int, int], None]
 _PHYSICS = "mujoco"
 
 
@@ -86,6 +87,11 @@ def simulate_definition(definition: Definition) -> Run:
 
 def drive(definition: Definition) -> Row:
     """Drive the run and keep its row; whatever goes wrong with it becomes the row's `error`."""
+    return drive_whole(definition)[1]
+
+
+def drive_whole(definition: Definition, on_tick: OnTick | None = None) -> tuple[Run | None, Row]:
+    """The same, with the run, where there is one; `on_tick` is that of `sim.simulate`."""
     began, processor = time.perf_counter(), time.process_time()
     run: Run | None = None
     watched: WatchedController | None = None
@@ -94,14 +100,14 @@ def drive(definition: Definition) -> Row:
         try:
             with built(definition) as (controller, plant, reference):
                 watched = WatchedController(controller)
-                run = simulate(watched, plant, reference)
+                run = simulate(watched, plant, reference, on_tick=on_tick)
                 _ = run.errors
         except (MemoryError, OSError):
             raise  # the machine's fault, not the run's: it is to be done again
         except Exception as fault:
             error = f"{type(fault).__name__}: {' '.join(str(fault).split())}"
         unsafe = watched.unsafe(definition) if watched else None
-        return row_of(run, unsafe, error, time.process_time() - processor, time.perf_counter() - began)
+        return run, row_of(run, unsafe, error, time.process_time() - processor, time.perf_counter() - began)
 
 
 def _with_files(definition: Definition, folder: Path) -> Any:  # noqa: ANN401 - a Case

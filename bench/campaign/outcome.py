@@ -43,7 +43,7 @@ def row_of(run: Run | None, unsafe: Unsafe | None, error: str, processor: float,
         clock = name.startswith(_BY_THE_CLOCK)
         row[f"{TIME}{name.replace('_time', '')}" if clock else name] = value
     row["driven_s"] = float(run.time[-1])
-    row["ended"] = run.ended
+    row |= {"ended": run.ended, "last_mode": run.modes[-1]}
     row |= plain(asdict(SolverShares.of(run)))
     said = Counter(message for message in run.messages if message)
     row["message"] = said.most_common(1)[0][0] if said else ""

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from diffdrive_mpc.bench.case import HORIZONS, parse_seeds, split_names, split_numbers
+from diffdrive_mpc.bench.case import DIMENSIONS, HORIZONS, parse_seeds, split_names, split_numbers
 from diffdrive_mpc.bench.commands.one_line_errors import FAILED
 from diffdrive_mpc.bench.commands.options import (
     ConfigFile,
@@ -22,6 +22,8 @@ from diffdrive_mpc.bench.commands.options import (
     with_dimensions,
 )
 
+DEFAULTS = {one.name: None if one.name == "model" else one.default for one in DIMENSIONS}
+"""Values of the options of `simulate` where they are not given."""
 EXAMPLES = {
     "simulate": "Example: diffdrive-mpc simulate --model ssm --trajectory square --set horizon=20 --out results",
     "bench": "Example: diffdrive-mpc bench --out results --models ssm --set weights.across=60,120,240",
@@ -43,9 +45,25 @@ def simulate(
     log: Annotated[Path | None, typer.Option(help="CSV file for the log of the run.", show_default=False)] = None,
     laps: Annotated[int, typer.Option(min=1, help="Drive it so often, and learn from lap to lap.")] = 1,
     scale_to_robot: Scaled = False,
+    from_run: Annotated[
+        Path | None,
+        typer.Option(help="Drive a run that `prove` kept again; takes --out and --log.", show_default=False),
+    ] = None,
     **values: Any,  # noqa: ANN401 - text or number
 ) -> None:
-    """Run one closed loop and print how well it tracked; --out draws it, --log writes it as CSV."""
+    """Run one closed loop and print how well it tracked; --out draws it, --log writes it as CSV.
+
+    With --from-run the exit code is 1 when the figures are not those of the file.
+    """
+    if from_run is not None:
+        from diffdrive_mpc.bench.campaign.again import simulate_again  # noqa: PLC0415 - --help does without it
+
+        said = {name: value for name, value in values.items() if value != DEFAULTS[name]}
+        if said or config is not None or settings or laps != 1 or scale_to_robot:
+            raise ValueError("--from-run: the file says what is driven; give --out and --log beside it, nothing else")
+        if not simulate_again(from_run, out, log):
+            raise typer.Exit(FAILED)
+        return
     from diffdrive_mpc.bench.studies.comparison.laps import simulate_laps  # noqa: PLC0415 - --help does without it
     from diffdrive_mpc.bench.studies.comparison.single import simulate_one  # noqa: PLC0415
 

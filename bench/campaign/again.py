@@ -1,0 +1,40 @@
+"""Drive the run of a file again, as `simulate` does, and hold its figures against those of the file."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+
+from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.campaign.drive import drive_whole
+from diffdrive_mpc.bench.campaign.run_file import compared, load_run
+from diffdrive_mpc.bench.outcomes import Outcome
+from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.studies.comparison.single import draw, log_file, report
+from diffdrive_mpc.sim.log_csv import write_rows
+
+
+def simulate_again(file: Path, out: Path | None = None, log: Path | None = None) -> bool:
+    """Drive the run of `file`, print its tables, write figures and log where asked; whether its figures are the same.
+
+    Raises ConfigError or ValueError if the file, or one that it names, cannot be used.
+    """
+    told = load_run(file)
+    definition = told.definition
+    with ExitStack() as stack:
+        draft = None if log is None else stack.enter_context(log_file(log))
+        folder = None if out is None else stack.enter_context(staged(out))
+        with ProgressBar("simulating") as bar:
+            run, row = drive_whole(definition, bar.at)
+        if run is not None and draft is not None:
+            write_rows(run, draft)
+        if run is not None and folder is not None:
+            draw(Outcome(definition.case, run), folder)
+    console = output_console()
+    if run is not None:
+        report(Outcome(definition.case, run))
+    else:
+        console.print(f"not completed: {row['error']}", markup=False, highlight=False)
+    same, sentence = compared(told, row)
+    console.print(f"{file}: {sentence}", markup=False, highlight=False)
+    return same

@@ -1,0 +1,89 @@
+"""What a proof consists of: a campaign, maps of two factors, and a search for the boundary of one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from diffdrive_mpc.bench.campaign.campaign_file import Campaign, files_beside, whole_paths
+from diffdrive_mpc.bench.campaign.definition import check_factor
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+
+DEFAULT = Path(__file__).with_name("default.yaml")
+
+
+class Axis(StrictModel):
+    """A factor of a map and its ends, in the unit of the factor."""
+
+    factor: str
+    low: float
+    high: float
+    steps: Annotated[int, Field(ge=2, le=100)] = Field(description="values, ends included")
+
+    @model_validator(mode="after")
+    def _useful(self) -> Axis:
+        check_factor(self.factor, "maps")
+        if not self.low < self.high:
+            raise ValueError(f"low ({self.low:g}) has to be below high ({self.high:g})")
+        return self
+
+    @property
+    def values(self) -> list[float]:
+        """From low to high."""
+        width = (self.high - self.low) / (self.steps - 1)
+        return [float(f"{self.low + k * width:.9g}") for k in range(self.steps)]
+
+
+class Map(StrictModel):
+    """Two factors at a time."""
+
+    x: Axis
+    y: Axis
+
+
+class Search(StrictModel):
+    """Where a factor stops to hold, between a value that does and one that is far beyond."""
+
+    holds: float = Field(description="value that should hold")
+    beyond: float = Field(description="the largest value that is asked about; smaller than `holds` to search downwards")
+    within: Annotated[float, Field(gt=0)] = Field(description="how narrow the boundary is searched")
+    unit: str = Field("", description="of the factor, for tables")
+
+    @model_validator(mode="after")
+    def _apart(self) -> Search:
+        if abs(self.holds - self.beyond) <= self.within:
+            raise ValueError("holds and beyond are no further apart than within")
+        return self
+
+
+class Probe(StrictModel):
+    """The run that maps and searches change a factor of."""
+
+    factors: dict[str, bool | int | float | str] = Field(default_factory=dict, description="what it is made of")
+    seeds: Annotated[tuple[int, ...], Field(min_length=1)] = Field(description="each value is driven with all of them")
+
+
+class Proof(Campaign):
+    """A campaign file that may have maps and boundaries beside its runs."""
+
+    probe: Probe = Probe(seeds=(0,))
+    maps: dict[Annotated[str, Field(pattern="^[a-z-]+$")], Map] = Field(
+        default_factory=dict, description="two factors at a time, by name, with the first seed of the probe"
+    )
+    boundaries: dict[str, Search] = Field(default_factory=dict, description="by factor")
+
+    @model_validator(mode="after")
+    def _factors_exist(self) -> Proof:
+        for name in (*self.probe.factors, *self.boundaries):
+            check_factor(name, "probe and boundaries")
+        return self
+
+
+def load_proof(path: Path | None) -> Proof:
+    """Read a proof, by default the shipped one; a campaign is one, too. Raises ConfigError when it has a mistake."""
+    file = path or DEFAULT
+    read = load_checked(Proof, file)
+    probe = read.probe.model_copy(update={"factors": whole_paths(read.probe.factors, file.parent)})
+    return read.model_copy(update=files_beside(read, file) | {"probe": probe})

@@ -1,0 +1,96 @@
+"""What a number of runs says of all runs that could have been drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import binomtest, bootstrap
+
+from diffdrive_mpc.models.interface import FloatArray
+
+CONFIDENCE = 0.95
+TAIL = 0.05
+"""Share of the worst runs that CVaR is the mean of."""
+_RESAMPLES = 2000
+_SEED = 17
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A share of runs with its exact interval (Clopper, Pearson, Biometrika 26, 1934), both sides `CONFIDENCE`."""
+
+    count: int
+    of: int
+    low: float
+    high: float
+
+    @classmethod
+    def of_runs(cls, count: int, of: int) -> Rate:
+        """So many of so many runs; raises ValueError without runs."""
+        interval = binomtest(count, of).proportion_ci(CONFIDENCE, method="exact")
+        return cls(count, of, float(interval.low), float(interval.high))
+
+    @property
+    def share(self) -> float:
+        """What was seen."""
+        return self.count / self.of
+
+    @property
+    def bound(self) -> float:
+        """No larger, with `CONFIDENCE` on this one side; for none of n it is 1 - 0.05^(1/n), about 3/n."""
+        return float(binomtest(self.count, self.of, alternative="less").proportion_ci(CONFIDENCE, method="exact").high)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A figure over runs with its bootstrap interval (percentiles)."""
+
+    value: float
+    low: float
+    high: float
+
+    @classmethod
+    def of_runs(cls, values: ArrayLike, figure: Callable[..., FloatArray]) -> Estimate:
+        """`figure(values, axis=-1)` of (n,) values; the interval is NaN for fewer than two, all is without any."""
+        sample = np.asarray(values, dtype=float)
+        if sample.size == 0:
+            return cls(np.nan, np.nan, np.nan)
+        value = float(figure(sample, axis=-1))
+        if sample.size < 2 or np.ptp(sample) == 0.0:
+            same = value if sample.size > 1 else np.nan
+            return cls(value, same, same)
+        found = bootstrap(
+            (sample,),
+            figure,
+            n_resamples=_RESAMPLES,
+            batch=100,
+            confidence_level=CONFIDENCE,
+            method="percentile",
+            random_state=np.random.default_rng(_SEED),
+        ).confidence_interval
+        return cls(value, float(found.low), float(found.high))
+
+
+def mean(values: FloatArray, axis: int = -1) -> FloatArray:
+    """Mean along an axis."""
+    return np.asarray(np.mean(values, axis=axis))
+
+
+def median(values: FloatArray, axis: int = -1) -> FloatArray:
+    """Median along an axis."""
+    return np.asarray(np.median(values, axis=axis))
+
+
+def cvar(values: ArrayLike, axis: int = -1) -> FloatArray:
+    """Conditional value at risk: the mean of the worst twentieth along an axis.
+
+    Where a twentieth of n is no whole number, the last of the worst counts by the part that is left (Rockafellar,
+    Uryasev, J. Banking & Finance 26, 2002, for a sample).
+    """
+    worst = -np.sort(-np.moveaxis(np.asarray(values, dtype=float), axis, -1), axis=-1)
+    mass = max(TAIL * worst.shape[-1], np.finfo(float).tiny)
+    weights = np.clip(mass - np.arange(worst.shape[-1]), 0.0, 1.0)
+    return np.asarray(worst @ (weights / weights.sum()))
