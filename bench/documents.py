@@ -64,7 +64,7 @@ PROVE = ShownReport(
     "prove", ("errors.png", "map-dead-time-and-friction.png", "map-mass-and-latency.png"), (), "prove.md"
 )
 LOOP_SPEED = ShownReport("loop-speed", (), (), "performance.md")
-SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, LOOP_SPEED, PEERS, EDGE, ROBUSTNESS)
+SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, LOOP_SPEED, PEERS, EDGE, ROBUSTNESS, PROVE)
 
 
 def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:

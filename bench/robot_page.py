@@ -30,6 +30,7 @@ _TITLES = {
     "estimator": "Estimator",
     "monitor": "Sensors that contradict each other",
     "failure": "Failure",
+    "fence": "Fence",
     "reentry": "Re-entry",
     "finish": "Finish",
     "rehearsal": "Rehearsal, when the same reference is started again",

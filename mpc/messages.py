@@ -89,7 +89,7 @@ class Words:
         ]
 
     def _ladder_words(self, lib: Any, c: Any) -> list[tuple[int, str]]:  # noqa: ANN401
-        failure, finish = self._config.failure, self._config.finish
+        failure, finish, fence = self._config.failure, self._config.finish, self._config.fence
         age = c.estimate.pose_age[0]
         return [
             (lib.DDMPC_NO_POSE, "no pose has arrived yet"),
@@ -100,6 +100,11 @@ class Words:
             (
                 lib.DDMPC_TOO_FAR,
                 f"{c.distance:.2f} m from the reference; the limit is {failure.max_position_error} m",
+            ),
+            (
+                lib.DDMPC_LEFT_FENCE,
+                f"its way to rest leaves the fence of {fence.length:g} by {fence.width:g} m; call start or reset to "
+                "drive on",
             ),
             (
                 lib.DDMPC_NOT_AT_REST,

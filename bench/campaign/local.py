@@ -11,12 +11,14 @@ from diffdrive_mpc.bench.campaign.task import Task, do
 from diffdrive_mpc.bench.errors import WorkerDiedError
 from diffdrive_mpc.bench.runner import OnDone, run_tasks
 
+_WORTH = 8
+"""A process that starts costs as much as so many runs."""
 _TRIES = 3
 """So many pools in a row may break without a run done in between."""
 
 
 def drive_here(tasks: Iterable[Task], folder: Path, jobs: int, on_done: OnDone) -> None:
-    """Drive every run that the store in `folder` does not have, in `jobs` processes; each keeps its own row.
+    """Drive every run that the store in `folder` does not have, in `jobs` processes at most; each keeps its own.
 
     Runs of a process that was ended from outside are done again. Raises WorkerDiedError when that does not help,
     OtherVersionError if a file that a run names changed meanwhile.
@@ -24,7 +26,8 @@ def drive_here(tasks: Iterable[Task], folder: Path, jobs: int, on_done: OnDone) 
     left, tries = list(tasks), 0
     while left:
         try:
-            run_tasks([partial(_keep, task, folder) for task in left], jobs, on_done)
+            processes = min(jobs, max(1, len(left) // _WORTH))
+            run_tasks([partial(_keep, task, folder) for task in left], processes, on_done)
             return
         except WorkerDiedError:
             kept = Store(folder).keys()

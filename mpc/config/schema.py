@@ -6,9 +6,9 @@ each description.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.robot import SampleTime, load_robot
 from diffdrive_mpc.mpc.config.group import Group, NotNegative, Positive
@@ -222,6 +222,37 @@ class Failure(Group):
     resume: bool = Field(True, description="drive on when poses and solves are good again after a stop [-]")
 
 
+Place = Annotated[float, Field(ge=-1e6, le=1e6)]
+
+
+class Fence(Group):
+    """A rectangle that the robot stays in: before its braking path leaves it, it brakes, and stands until `start`."""
+
+    enabled: bool = Field(False, description="brake before the robot leaves the rectangle [-]")
+    length: Positive = Field(4.0, description="size of the rectangle along its own heading [m]")
+    width: Positive = Field(3.0, description="size of the rectangle across its own heading [m]")
+    margin: NotNegative = Field(
+        0.1,
+        description="so far inside the rectangle the robot is to come to rest, for what the model does not know [m]",
+    )
+    frame: Literal["start", "poses"] = Field(
+        "start",
+        description="start: the rectangle lies as seen from where the reference begins; poses: in the frame of the "
+        "poses [-]",
+    )
+    x: Place = Field(0.0, description="middle of the rectangle along that frame [m]")
+    y: Place = Field(0.0, description="middle of the rectangle to the left in that frame [m]")
+    heading: Annotated[float, Field(ge=-7, le=7)] = Field(
+        0.0, description="direction of its length in that frame, turned to the left [rad]"
+    )
+
+    @model_validator(mode="after")
+    def _has_room(self) -> Self:
+        if 2 * self.margin >= min(self.length, self.width):
+            raise ValueError(f"a margin of {self.margin:g} m leaves nothing of {self.length:g} by {self.width:g} m")
+        return self
+
+
 class Reentry(Group):
     """How a robot that is off its path rejoins it, and how far the reference's clock waits for it."""
 
@@ -355,6 +386,7 @@ class ControllerConfig(Group):
     estimator: Estimator = Estimator()
     monitor: Monitor = Monitor()
     failure: Failure = Failure()
+    fence: Fence = Fence()
     reentry: Reentry = Reentry()
     finish: Finish = Finish()
     rehearsal: Rehearsal = Rehearsal()

@@ -106,6 +106,9 @@ typedef struct {
 
     /* ladder */
     real max_pose_age, max_position_error;
+    int fence, fence_at_start; /* whether there is one, and whether its middle is seen from where the reference begins */
+    real fence_middle[3];      /* [m, m, rad] */
+    real fence_reach[2];       /* half of length and width, less the margin [m] */
     real finish_position, finish_speed, finish_timeout;
     int max_reused_ticks, resume;
 
@@ -201,7 +204,8 @@ enum {
     DDMPC_POSES_LATE = 524288,       /* later than they are stamped */
     DDMPC_TURNS_OTHERWISE = 1048576, /* the robot turns by another factor than its tracks say */
     DDMPC_POSES_RARE = 2097152,      /* too rare and too late for max_pose_age; `pose_interval` and `pose_latency` */
-    DDMPC_POSES_TOO_OLD = 4194304    /* none is accepted: they come later than the history reaches back; `pose_latency` */
+    DDMPC_POSES_TOO_OLD = 4194304,   /* none is accepted: they come later than the history reaches back; `pose_latency` */
+    DDMPC_LEFT_FENCE = 8388608       /* the way to rest left it; call start or reset to drive on */
 };
 
 typedef enum {

@@ -172,6 +172,20 @@ static real mean_output(const ddmpc_controller *c, const real *z, const real *af
     return (end[0] - begin[0]) / (real)c->constants->sample_time;
 }
 
+void ddmpc_filter_carry(const ddmpc_controller *c, const real *mean, const real *newest, real *after)
+{
+    const int n = STATES(c), pose = n + POSE(c);
+    real state[DDMPC_MOST_STATES], y[2], rows[2 * DDMPC_MOST_STATES], twist[2];
+    real by_state[DDMPC_MOST_STATES * DDMPC_MOST_STATES];
+    moved_pose moved;
+    ddmpc_velocity_step(c, mean, newest, state, NONLINEAR(c) ? by_state : 0, 0);
+    const real acceleration = mean_output(c, mean, state, by_state, y, rows, twist);
+    move(c, mean, y, rows, acceleration, (real)c->constants->sample_time, &moved);
+    memcpy(after, state, (size_t)n * sizeof(real));
+    memcpy(after + n, mean + n, (size_t)(SLIPS(c) + 1) * sizeof(real));
+    memcpy(after + pose, moved.pose, sizeof moved.pose);
+}
+
 void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before, const real *newest,
                           ddmpc_belief *after)
 {

@@ -252,6 +252,10 @@ struct ddmpc_controller {
     int plan_age;         /* ticks since it was made; -1: there is none */
     int has_reference, has_result, has_driven, latched, finished, pending;
     real share;
+    /* fence */
+    real fence[3]; /* its middle in the frame of poses [m, m, rad] */
+    real allowed;  /* how far outside the robot may be: where it was least far since it started [m] */
+    int left_fence;
     real rim[2];           /* smoothed speeds of the right and left wheels by their encoders [m/s] */
     int short_ticks;       /* for which wheels have been short of what was asked */
     real patience;         /* factor by which it takes longer, after errors, to find a wheel short */
@@ -294,7 +298,8 @@ void ddmpc_velocity_output(const ddmpc_controller *c, const real *x, real y[2], 
 void ddmpc_filter_twist(const ddmpc_controller *c, const real *mean, real twist[2]);
 void ddmpc_filter_twist_deviation(const ddmpc_controller *c, const ddmpc_belief *belief, real deviation[2]);
 void ddmpc_filter_pose_at(const ddmpc_controller *c, const ddmpc_belief *belief, real ahead, real pose[3]);
-/* One sample on under the commands up to `newest`. */
+/* One sample on under the commands up to `newest`; of the mean (Z) alone, and of the whole belief. */
+void ddmpc_filter_carry(const ddmpc_controller *c, const real *mean, const real *newest, real *after);
 void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before, const real *newest,
                           ddmpc_belief *after);
 real ddmpc_filter_correct_twist(const ddmpc_controller *c, ddmpc_belief *belief, const ddmpc_checked_twist *twist);
@@ -316,6 +321,14 @@ int ddmpc_estimator_state(const ddmpc_controller *c);
 const real *ddmpc_estimator_slip(const ddmpc_controller *c);
 int ddmpc_estimator_restart_elsewhere(ddmpc_controller *c);
 void ddmpc_estimator_estimate(ddmpc_controller *c);
+
+/* fence.c */
+/* As nobody has left it yet. */
+void ddmpc_fence_clear(ddmpc_controller *c);
+/* Place it for the reference that is tracked from now on. */
+void ddmpc_fence_place(ddmpc_controller *c);
+/* Whether the robot has stayed inside so far, and would come to rest inside; only with an estimate. */
+int ddmpc_fence_holds(ddmpc_controller *c);
 
 /* monitor.c */
 void ddmpc_monitor_clear(ddmpc_controller *c);

@@ -31,6 +31,7 @@
 static void forget(ddmpc_controller *c)
 {
     ddmpc_estimator_forget(c);
+    ddmpc_fence_clear(c);
     ddmpc_solver_reset(c);
     c->has_last_tick = c->has_leap = 0;
     c->plan_age = -1;
@@ -73,6 +74,7 @@ int ddmpc_start(ddmpc_controller *c, const ddmpc_reference *reference, ddmpc_tim
     c->reference = *reference;
     c->t0 = t0;
     c->has_reference = 1;
+    ddmpc_fence_place(c);
     return 1;
 }
 
@@ -483,6 +485,8 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
         return brake(c, 0, 1);
     if (has_old_pose(c))
         return brake(c, 0, 1);
+    if (!ddmpc_fence_holds(c))
+        return brake(c, DDMPC_LEFT_FENCE, 1);
     if (c->latched)
         return brake(c, DDMPC_LATCHED, 1);
     watch_wheels(c);

@@ -118,7 +118,7 @@ class Problem:
         times: Constants = {"sample_time": self.model.dt, "longest_pause": longest_pause}
         parts = (times, self._velocity(), self._estimation(), self._prediction(), self._cost(), self._limits())
         merged: Constants = {}
-        for part in (*parts, self._solution(), self._ladder(), self._monitor()):
+        for part in (*parts, self._solution(), self._ladder(), self._fence(), self._monitor()):
             merged |= part
         return merged
 
@@ -284,6 +284,15 @@ class Problem:
             "ahead": AHEAD * reentry.wait,
             "standing": STANDING,
             "turning": TURNING,
+        }
+
+    def _fence(self) -> Constants:
+        fence = self.config.fence
+        return {
+            "fence": fence.enabled,
+            "fence_at_start": fence.frame == "start",
+            "fence_middle": [fence.x, fence.y, fence.heading],
+            "fence_reach": [0.5 * fence.length - fence.margin, 0.5 * fence.width - fence.margin],
         }
 
 

@@ -74,15 +74,15 @@ def test_a_repeated_campaign_drives_nothing(campaign: Path, tmp_path: Path, monk
 
 def test_processes_parts_and_copied_folders_give_the_same_table(campaign: Path, tmp_path: Path) -> None:
     whole, first, second = (tmp_path / name for name in ("whole", "first", "second"))
-    call("campaign", campaign, "--out", whole, "--jobs", "2")
-    call("campaign", campaign, "--out", first, "--jobs", "1", "--part", "1/2")
-    call("campaign", campaign, "--out", second, "--jobs", "1", "--part", "2/2")
-    assert read_table(first / "results.parquet").num_rows == 3
+    call("campaign", campaign, "--out", whole, "--jobs", "2", "--runs", "16")
+    call("campaign", campaign, "--out", first, "--jobs", "1", "--runs", "16", "--part", "1/2")
+    call("campaign", campaign, "--out", second, "--jobs", "1", "--runs", "16", "--part", "2/2")
+    assert read_table(first / "results.parquet").num_rows == 8
     shutil.copytree(second / "runs", first / "runs", dirs_exist_ok=True)
-    call("campaign", campaign, "--out", first, "--jobs", "1")
+    call("campaign", campaign, "--out", first, "--jobs", "1", "--runs", "16")
     expected = read_table(whole / "results.parquet", times=False)
     assert read_table(first / "results.parquet", times=False).equals(expected)
-    assert expected.num_rows == 6
+    assert expected.num_rows == 16
 
 
 def test_a_file_that_was_cut_off_is_driven_again(campaign: Path, tmp_path: Path) -> None:
@@ -166,7 +166,7 @@ def test_who_has_other_files_does_not_drive(short: Path) -> None:
 def test_a_run_that_cannot_go_on_has_its_error_in_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     definition = Definition(quick_case())
 
-    def refuse(*_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise ZeroDivisionError("of a test")
 
     monkeypatch.setattr(drive_module, "simulate", refuse)

@@ -264,6 +264,9 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
     k.forced = once_in(8);
     k.max_pose_age = R(0.5);
     k.max_position_error = R(5.0);
+    k.fence = once_in(3);
+    k.fence_at_start = once_in(2);
+    k.fence_reach[0] = R(2.0), k.fence_reach[1] = R(1.0);
     k.finish_position = k.finish_speed = R(0.02);
     k.finish_timeout = R(2.0);
     k.max_reused_ticks = below(6);

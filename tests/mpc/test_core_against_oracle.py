@@ -129,6 +129,13 @@ def sensors_gone(k, t, m, both):
     return t, Measurement() if k >= 60 else m, None
 
 
+def started_again(k, t, m, both):
+    if k == 140:
+        # Back to where it came from: the way on leads out.
+        both.start(starting_at(load_trajectory("circle"), m.pose.value + [0.0, 0.0, 2.0]), t)
+    return t, m, None
+
+
 def clock_astray(k, t, m, both):
     times = {30: t - 1.0, 50: math.nan, 70: t + 1e6, 90: t - 0.7 * DT, 100: t + 0.004}
     return times.get(k, t), m, None
@@ -194,6 +201,18 @@ EVENTS = {
     "no side-slip": (carried, {"compensation.side_slip": False}, ["TRACKING"], ""),
     "a horizon of the dead time": (carried, {"horizon": 4}, ["TRACKING"], ""),
     "a long horizon": (carried, {"horizon": 50}, ["TRACKING"], ""),
+    "fenced": (
+        started_again,
+        {"fence.enabled": True, "fence.length": 1.7, "fence.width": 1.2, "fence.y": 0.1, "fence.heading": 0.2},
+        ["TRACKING", "BRAKING", "STOPPED", "TRACKING"],
+        "leaves the fence of 1.7 by 1.2 m",
+    ),
+    "fenced in the frame of poses": (
+        started_again,
+        {"fence.enabled": True, "fence.length": 1.7, "fence.width": 1.2, "fence.frame": "poses", "fence.x": -0.1},
+        ["TRACKING", "BRAKING", "STOPPED", "TRACKING"],
+        "leaves the fence of 1.7 by 1.2 m",
+    ),
     "along its limits": (carried, HARD | SOFT, ["TRACKING"], "rejoining"),
 }
 

@@ -195,6 +195,26 @@ def test_pushed_beyond_the_limit_it_stops_and_says_so():
         assert f"from the reference; the limit is {CONFIG.failure.max_position_error} m" in s.loop.last.message
 
 
+def test_before_it_leaves_its_fence_it_stops_and_start_does_not_let_it_out():
+    fence = {
+        "fence.enabled": True,
+        "fence.length": 0.8,
+        "fence.width": 0.8,
+        "fence.margin": 0.1,
+        "fence.frame": "poses",
+    }
+    with stack(drive=True, **fence) as s:
+        braked = s.base.run(ticks(3.0))
+        assert s.loop.last.mode == Mode.STOPPED
+        assert "leaves the fence of 0.8 by 0.8 m; call start or reset" in s.loop.last.message
+        assert_smooth(braked)
+        assert np.abs(s.base.plant.true_pose[:2]).max() < 0.4
+        assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+        s.base.run(ticks(1.0))
+        assert s.loop.last.mode == Mode.STOPPED
+        assert np.abs(s.base.plant.true_pose[:2]).max() < 0.4
+
+
 def test_deactivated_while_driving_zero_is_the_last_command():
     with stack(drive=True) as s:
         assert s.base.run(20)[-1, 0] > 0.1

@@ -21,6 +21,7 @@ from diffdrive_mpc.mpc.step_result import Mode
 from oracle.clock import TickClock, TickKind
 from oracle.estimate import Estimate
 from oracle.estimator import StateEstimator
+from oracle.fence import FenceWatch
 from oracle.problem import TrackingProblem, command_box
 from oracle.reach import ASTRAY, BESIDE, WheelReach
 from oracle.solver import solve
@@ -113,6 +114,7 @@ class OracleController:
         """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`."""
         self._forget()
         self.reference, self.t0 = sampled(reference), t0
+        self.fence = FenceWatch(self.config, reference)
         self.pursuit.start(self.reference, native=False)
 
     def reset(self) -> None:
@@ -123,6 +125,7 @@ class OracleController:
 
     def _forget(self) -> None:
         self.estimator.forget()
+        self.fence = FenceWatch(self.config, self.reference)
         self.reach.restart()
         self.pursuit.restart()
         self.clock.restart()
@@ -210,6 +213,9 @@ class OracleController:
             return self._brake(notes, f"no pose was accepted for {estimate.pose_age:.2f} s")
         if rate.rare:
             return self._brake(notes)
+        if not self.fence.holds(estimator, self.last):
+            size = f"{self.config.fence.length:g} by {self.config.fence.width:g} m"
+            return self._brake(notes, f"its way to rest leaves the fence of {size}; call start or reset to drive on")
         if self.latched:
             return self._brake(notes, "stopped after a failure; call start or reset to drive on")
         followed = self.plan is not None and self.plan_age == 0 and self._is_astray()

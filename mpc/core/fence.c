@@ -1,0 +1,103 @@
+/* The fence: a rectangle that the robot is to stay in. It brakes as soon as the way on which it would come to rest, were it
+ * to brake from the next tick on, leaves the rectangle less its margin. That way is predicted as all motion is: by the
+ * velocity model with the commands on their way, the slip that was learned, and the ramp of braking. */
+#include <string.h>
+
+#include "internal.h"
+
+/* A robot that stands too far out may move on, but no further out than this beyond where it has been since [m]: what poses
+   scatter by. */
+#define PLAY R(0.02)
+/* At rest: slower than this with no command on its way [m/s]. */
+#define AT_REST R(0.005)
+/* Longer than this after its last command no model rolls on [s]. */
+#define ROLLS_ON 2.0
+
+void ddmpc_fence_clear(ddmpc_controller *c)
+{
+    c->left_fence = 0;
+    c->allowed = (real)HUGE_VAL;
+}
+
+void ddmpc_fence_place(ddmpc_controller *c)
+{
+    const ddmpc_constants *k = c->constants;
+    const real *middle = k->fence_middle;
+    real start[3] = {R(0.0), R(0.0), R(0.0)}, twist[2], arc_length;
+    if (k->fence_at_start)
+        c->reference.sample(c->reference.context, 0.0, start, twist, &arc_length);
+    const real cosine = ddmpc_cos(start[2]), sine = ddmpc_sin(start[2]);
+    c->fence[0] = start[0] + cosine * middle[0] - sine * middle[1];
+    c->fence[1] = start[1] + sine * middle[0] + cosine * middle[1];
+    c->fence[2] = start[2] + middle[2];
+}
+
+/* How far outside a place is [m]; negative inside. */
+static real beyond(const ddmpc_controller *c, const real *place)
+{
+    const real cosine = ddmpc_cos(c->fence[2]), sine = ddmpc_sin(c->fence[2]);
+    const real dx = place[0] - c->fence[0], dy = place[1] - c->fence[1];
+    const real along = ddmpc_fabs(cosine * dx + sine * dy) - c->constants->fence_reach[0];
+    const real across = ddmpc_fabs(cosine * dy - sine * dx) - c->constants->fence_reach[1];
+    return along > across ? along : across;
+}
+
+/* Whether a command is on its way. */
+static int is_commanded(const real *commands, int count)
+{
+    for (int i = 0; i < 2 * count; i++)
+        if (commands[i] != R(0.0))
+            return 1;
+    return 0;
+}
+
+/* The command nearest to zero that braking reaches in one sample. */
+static void brake_on(const ddmpc_constants *k, real command[2])
+{
+    for (int i = 0; i < 2; i++) {
+        const real less = ddmpc_fabs(command[i]) - k->braking[i];
+        command[i] = !(less > R(0.0)) ? R(0.0) : command[i] < R(0.0) ? -less : less;
+    }
+}
+
+/* How far outside the way to rest leads at most, where this tick's command is the last one once more [m]. */
+static real stops_beyond(const ddmpc_controller *c)
+{
+    const ddmpc_constants *k = c->constants;
+    const int window = WINDOW(c) + 1, Z = BELIEF(c);
+    real commands[2 * (DDMPC_MOST_WINDOW + 1)], means[2][MOST_BELIEF], y[2];
+    real *here = means[0], *next = means[1], *newest = commands + 2 * (window - 1);
+    real most = beyond(c, c->result.estimate.mean + STATES(c) + POSE(c));
+    const real ramps = ddmpc_max(ddmpc_fabs(c->last[0]) / k->braking[0], ddmpc_fabs(c->last[1]) / k->braking[1]);
+    const int longest = (int)ramps + window + (int)(ROLLS_ON / k->sample_time);
+    memcpy(commands, c->estimator.commands + 2 * (COMMANDS(c) - window), sizeof(real) * (size_t)(2 * window));
+    memcpy(here, c->result.estimate.mean, sizeof(real) * (size_t)Z);
+    real command[2] = {c->last[0], c->last[1]};
+    for (int i = 0; i < longest; i++) {
+        memmove(commands, commands + 2, sizeof(real) * (size_t)(2 * (window - 1)));
+        memcpy(newest, command, sizeof command);
+        ddmpc_filter_carry(c, here, newest, next);
+        const real out = beyond(c, next + STATES(c) + POSE(c));
+        if (!(out <= most)) /* true for NaN, too */
+            most = out;
+        ddmpc_velocity_output(c, next, y, 0);
+        if (!is_commanded(commands, window) && ddmpc_fabs(y[0]) < AT_REST)
+            break;
+        real *swapped = here;
+        here = next;
+        next = swapped;
+        brake_on(k, command);
+    }
+    return most;
+}
+
+int ddmpc_fence_holds(ddmpc_controller *c)
+{
+    if (!c->constants->fence)
+        return 1;
+    const real here = ddmpc_max(beyond(c, c->result.estimate.mean + STATES(c) + POSE(c)), R(0.0));
+    c->allowed = ddmpc_min(c->allowed, here);
+    const real most = c->allowed > R(0.0) ? c->allowed + PLAY : R(0.0);
+    c->left_fence = c->left_fence || !(stops_beyond(c) <= most);
+    return !c->left_fence;
+}

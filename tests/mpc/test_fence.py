@@ -1,0 +1,127 @@
+"""The fence: a robot comes to rest inside its rectangle, whatever path leads out, and stands until it is started."""
+
+import numpy as np
+import pytest
+from ideal_robot import IdealRobot
+
+from diffdrive_mpc import Controller, load_config, load_model, simulate
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.step_result import Mode
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.moved import starting_at
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded
+from diffdrive_mpc.sim import make_plant
+
+DT = 0.0202
+SIZE = np.array([2.4, 1.6])
+FENCE = {"fence.enabled": True, "fence.length": SIZE[0], "fence.width": SIZE[1], "fence.margin": 0.1}
+
+
+def way_out(v=0.6, omega=0.2, heading=0.0):
+    segments = [Segment(v=v, omega=omega, duration=8.0)]
+    return lay_commanded(segments, TrajectoryLimits.of_robot(), name="out", start=(0.0, 0.0, heading))
+
+
+def outside(poses, middle=(0.0, 0.0, 0.0), size=SIZE):
+    """How far outside a rectangle poses (n, 3) lie [m]; negative inside."""
+    x, y, turn = middle
+    place = (poses[:, 0] - x + 1j * (poses[:, 1] - y)) * np.exp(-1j * turn)
+    return np.maximum(np.abs(place.real) - size[0] / 2, np.abs(place.imag) - size[1] / 2)
+
+
+@pytest.mark.parametrize("yaw_gain", [0.5, 1.0, 1.5])
+@pytest.mark.parametrize(("v", "omega", "heading"), [(0.6, 0.2, 0.3), (0.9, -0.5, 1.9), (-0.5, 0.4, -0.8)])
+def test_it_rests_inside_though_it_turns_otherwise_than_the_model_says(v, omega, heading, yaw_gain):
+    model, reference = load_model("ssm"), way_out(v, omega, heading)
+    robot = IdealRobot(model.discretise(DT), reference.sample([0.0]).pose[0], slip=Slip(yaw_gain=yaw_gain), noise=1.0)
+    controller = Controller(load_config("ssm", {**FENCE, "fence.frame": "poses"}), model)
+    controller.start(reference, 0.0)
+    steps, poses = [], []
+    for _ in range(350):
+        steps.append(controller.step(robot.time, robot.measure()))
+        poses.append(robot.pose)
+        robot.advance(steps[-1].command)
+    out = outside(np.array(poses))
+    # Inside, and not far from where the margin begins: it does not brake for nothing.
+    assert -0.16 < out.max() < 0.0
+    modes = [step.mode for step in steps]
+    assert modes[0] == Mode.TRACKING
+    assert modes[-1] == Mode.STOPPED
+    assert "leaves the fence of 2.4 by 1.6 m; call start or reset" in steps[-1].message
+
+
+@pytest.mark.parametrize("late", [0.0, 0.08])
+def test_with_dead_time_that_nobody_told_it_passes_the_margin_by_that_way_at_most(late):
+    controller = Controller(load_config("ssm", FENCE))
+    run = simulate(controller, make_plant("model:ssm", seed=1, extra_dead_time=late), way_out(0.9, 0.0))
+    assert outside(run.true_pose).max() <= 0.9 * late + 0.005 - 0.1
+    assert run.modes[-1] == "STOPPED"
+    braking = np.array(run.modes) == "BRAKING"
+    slowing = np.abs(np.diff(run.command[:, 0], prepend=run.command[0, 0]))[braking]
+    assert slowing.max() <= controller.config.limits.v_braking * DT + 1e-9
+
+
+def test_the_physics_stays_inside():
+    run = simulate(Controller(load_config("ssm", FENCE)), make_plant("mujoco", seed=3), way_out(0.8, 0.5))
+    assert outside(run.true_pose).max() < -0.05
+    assert run.modes[-1] == "STOPPED"
+
+
+def test_it_stands_until_it_is_started_and_then_drives_in_but_not_out():
+    model = load_model("ssm")
+    robot = IdealRobot(model.discretise(DT), np.zeros(3), noise=1.0)
+    controller = Controller(load_config("ssm", {**FENCE, "fence.frame": "poses"}), model)
+
+    def drive(reference, ticks):
+        if reference is not None:
+            controller.start(reference, robot.time)
+        steps = []
+        for _ in range(ticks):
+            steps.append(controller.step(robot.time, robot.measure()))
+            robot.advance(steps[-1].command)
+        return steps
+
+    assert drive(way_out(), 300)[-1].mode == Mode.STOPPED
+    stood = robot.pose.copy()
+    assert {step.mode for step in drive(None, 50)} == {Mode.STOPPED}
+    on = drive(starting_at(way_out(), robot.pose), 60)
+    assert on[-1].mode == Mode.STOPPED
+    assert np.hypot(*(robot.pose - stood)[:2]) < 0.04
+    back = drive(starting_at(way_out(v=-0.4, omega=0.0), robot.pose), 150)
+    assert {step.mode for step in back} == {Mode.TRACKING}
+    assert outside(np.array([robot.pose]))[0] < -0.5
+    # What it has left behind counts again.
+    assert drive(starting_at(way_out(), robot.pose), 300)[-1].mode == Mode.STOPPED
+    controller.reset()
+    assert "fence" not in controller.step(robot.time, robot.measure()).message
+
+
+@pytest.mark.parametrize("frame", ["start", "poses"])
+def test_it_lies_where_it_is_said_to_lie(frame):
+    start = np.array([3.0, -2.0, 1.1])
+    reference = starting_at(way_out(0.5, 0.0), start)
+    seen = np.array([0.6, -0.2, 0.7])
+    turn = np.exp(1j * start[2]) * complex(*seen[:2])
+    middle = start + [turn.real, turn.imag, seen[2]]
+    given = seen if frame == "start" else middle
+    place = {f"fence.{name}": float(value) for name, value in zip(("x", "y", "heading"), given, strict=True)}
+    controller = Controller(load_config("ssm", {**FENCE, **place, "fence.frame": frame}))
+    run = simulate(controller, make_plant("model:ssm", seed=2), reference)
+    assert run.modes[-1] == "STOPPED"
+    assert -0.12 < outside(run.true_pose, middle).max() < -0.08
+
+
+def test_a_fence_that_is_not_reached_or_not_enabled_changes_nothing():
+    reference = way_out(0.5, 0.8)
+    runs = [
+        simulate(Controller(load_config("ssm", changes)), make_plant("mujoco", seed=4), reference)
+        for changes in ({}, {"fence.enabled": True, "fence.length": 9.0, "fence.width": 9.0}, {"fence.length": 0.5})
+    ]
+    assert all(run.modes[-1] == "TRACKING" for run in runs)
+    assert all(np.array_equal(runs[0].command, run.command) for run in runs)
+
+
+def test_a_margin_that_leaves_no_room_is_refused():
+    with pytest.raises(ConfigError, match=r"fence.*a margin of 0.5 m leaves nothing of 4 by 1 m"):
+        load_config("ssm", {"fence.width": 1.0, "fence.margin": 0.5})

@@ -1,0 +1,59 @@
+"""The fence: whether the way to rest, braking from the next tick on, stays in a rectangle less its margin."""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from oracle.estimator import StateEstimator
+
+# As stated in mpc/core/fence.c.
+_PLAY, _AT_REST = 0.02, 0.005
+
+
+class FenceWatch:
+    """Whether a robot has stayed inside its fence."""
+
+    def __init__(self, config: ControllerConfig, reference: Reference | None) -> None:
+        self.fence, self.limits, self.dt = config.fence, config.limits, config.sample_time
+        start = np.zeros(3)
+        if self.fence.frame == "start" and reference is not None:
+            start = reference.sample([0.0]).pose[0]
+        turn = complex(math.cos(start[2]), math.sin(start[2]))
+        self.middle = complex(start[0], start[1]) + turn * complex(self.fence.x, self.fence.y)
+        self.axis = turn * complex(math.cos(self.fence.heading), math.sin(self.fence.heading))
+        self.allowed, self.left = math.inf, False
+
+    def beyond(self, pose: FloatArray) -> float:
+        """How far outside a pose (3,) is [m]; negative inside."""
+        place = (complex(pose[0], pose[1]) - self.middle) / self.axis
+        half = 0.5 * np.array([self.fence.length, self.fence.width]) - self.fence.margin
+        return float((np.abs([place.real, place.imag]) - half).max())
+
+    def way_to_rest(self, estimator: StateEstimator, last: FloatArray) -> list[FloatArray]:
+        """Poses (3,) now and at each sample until it rests, the command `last` (2,) given once more and then braked."""
+        commands, model = copy.deepcopy(estimator.commands), estimator.model
+        belief, command = estimator.nodes[-1].posterior, np.array(last)
+        rate = self.dt * np.array([self.limits.v_braking, self.limits.omega_braking])
+        way = [estimator.estimate.pose]
+        while True:
+            commands.append(command)
+            belief = estimator.filter.predict(belief, *commands.acting(0))
+            way.append(estimator.filter.pose(belief.mean, 0.0))
+            moving = commands.everything[-model.memory - 1 :].any()
+            if not moving and abs((model.C @ belief.mean[: model.order])[0]) < _AT_REST:
+                return way
+            command = np.sign(command) * np.maximum(np.abs(command) - rate, 0.0)
+
+    def holds(self, estimator: StateEstimator, last: FloatArray) -> bool:
+        """Whether it has stayed inside, and would come to rest inside; outside it may not go further out."""
+        if not self.fence.enabled or self.left:
+            return not self.left
+        way = [self.beyond(pose) for pose in self.way_to_rest(estimator, last)]
+        self.allowed = min(self.allowed, max(0.0, way[0]))
+        self.left = max(way) > (self.allowed + _PLAY if self.allowed > 0.0 else 0.0)
+        return not self.left
