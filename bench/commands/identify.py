@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.commands.options import out_folder
+from diffdrive_mpc.bench.commands.options import Mapping, out_folder
 
 EXAMPLE = "Example: diffdrive-mpc identify drive.csv --structure sm --out my_robot"
 _DEFAULT_OUT = "identified"
@@ -25,14 +25,7 @@ def identify(
         ),
     ] = None,
     model: Annotated[str | None, typer.Option(hidden=True, help="The old name of --structure.")] = None,
-    mapping: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="What the columns or topics are.",
-            show_default="that of simulate --log, and a bag's usual topics",
-        ),
-    ] = None,
+    mapping: Mapping = None,
     out: Annotated[
         Path | None,
         typer.Option(

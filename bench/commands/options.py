@@ -59,6 +59,15 @@ Scaled = Annotated[
         "--scale-to-robot", help="Fit paths of segments to wheels.encoder_track and limits of the configuration."
     ),
 ]
+Mapping = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME|FILE",
+        help="What the columns or topics are.",
+        show_default="that of simulate --log, and a bag's usual topics",
+    ),
+]
+"""Of the columns or topics of a log."""
 Jobs = Annotated[int | None, typer.Option("--jobs", min=1, help="Processes.", show_default="one for each core")]
 
 

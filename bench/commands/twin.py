@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.commands.options import Jobs, out_option
+from diffdrive_mpc.bench.commands.options import Jobs, Mapping, out_option
 
 EXAMPLE = "Example: diffdrive-mpc twin drive.csv --robot my_robot.yaml --out my_twin"
 
@@ -16,14 +16,7 @@ def twin(
     *,
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="CSV files or ROS 2 bags.")],
     out: Annotated[Path, out_option("plant.yaml, report.md, twin.json and figures/")],
-    mapping: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="What the columns or topics are.",
-            show_default="that of simulate --log, and a bag's usual topics",
-        ),
-    ] = None,
+    mapping: Mapping = None,
     robot: Annotated[
         str | None,
         typer.Option(

@@ -1,4 +1,4 @@
-"""Compiled libraries inside a wheel: one for each level of the architecture, and a manifest with their digests."""
+"""Compiled libraries of the package: in a wheel one for each level of the architecture, else compiled at first use."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ import logging
 import platform
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from diffdrive_mpc.models.compiled.cache import content_digest
-from diffdrive_mpc.models.compiled.compiler import NotCompiledError, build_library, processor_lines
+import cffi
+
+from diffdrive_mpc.models.compiled.cache import content_digest, load_cached
+from diffdrive_mpc.models.compiled.compiler import NotCompiledError, build_library, processor_lines, what_is_built
 
 BASELINE = "baseline"
 """The level that every processor of a machine's kind has."""
@@ -106,6 +108,50 @@ class Packaged:
     @property
     def _manifest(self) -> Path:
         return self.folder / f"{self.name}.json"
+
+
+def load_library(
+    name: str,
+    declarations: str,
+    packaged: Iterable[Path],
+    made_of: Mapping[str, str],
+    build: Callable[[Path], Path],
+    complaint: str,
+) -> tuple[cffi.FFI, Any]:
+    """Cffi's declarations, and the library: the package's own where a wheel brought one, else compiled and kept.
+
+    Parameters
+    ----------
+    name
+        First part of the names of its files.
+    declarations
+        Of its functions and types, in C.
+    packaged
+        Those that the package brought, best first.
+    made_of
+        Texts that it comes from.
+    build
+        Compiles it in an empty folder, and returns where.
+    complaint
+        Begins the message where it is not there; `{}` stands for the reason and how to get a compiler or a wheel.
+
+    Raises
+    ------
+    NotCompiledError
+        If the package brought no library, and none can be compiled.
+    """
+    ffi = cffi.FFI()
+    ffi.cdef(declarations)
+    for path in packaged:
+        try:
+            return ffi, ffi.dlopen(str(path))
+        except OSError:  # such as a wheel for another C library
+            continue
+    try:
+        return ffi, load_cached(name, what_is_built(made_of), build, lambda path: ffi.dlopen(str(path)))
+    except NotCompiledError as error:
+        remedy = "install gcc, or diffdrive-mpc from a wheel (pip install diffdrive_mpc-*.whl)"
+        raise NotCompiledError(complaint.format(f"{error}; {remedy}")) from error
 
 
 def _processor_has() -> frozenset[str]:

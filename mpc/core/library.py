@@ -16,6 +16,7 @@ import cffi
 
 from diffdrive_mpc.models.compiled.cache import load_cached
 from diffdrive_mpc.models.compiled.compiler import NATIVE, NotCompiledError, build_library, what_is_built
+from diffdrive_mpc.models.compiled.packaged import load_library
 from diffdrive_mpc.mpc.core.generate import GeneratedC
 from diffdrive_mpc.mpc.core.packaged import packaged_libraries
 from diffdrive_mpc.mpc.core.sources import core_declarations, core_origin, core_texts, shared_headers
@@ -32,23 +33,13 @@ def load_core() -> tuple[cffi.FFI, Any]:
     NotCompiledError
         If the package brought no library, and none can be compiled.
     """
-    ffi = cffi.FFI()
-    ffi.cdef(core_declarations())
-    for path in packaged_libraries():
-        try:
-            return ffi, ffi.dlopen(str(path))
-        except OSError:  # such as a wheel for another C library
-            continue
 
     def build(folder: Path) -> Path:
         return build_library(core_texts(), folder, NATIVE)
 
-    try:
-        origin = what_is_built({"core": core_origin(), "casadi": ca.CasadiMeta.version()})
-        return ffi, load_cached("ddmpc_core", origin, build, lambda path: ffi.dlopen(str(path)))
-    except NotCompiledError as error:
-        remedy = "install gcc, or diffdrive-mpc from a wheel (pip install diffdrive_mpc-*.whl), which holds the core"
-        raise NotCompiledError(f"the controller's core is not compiled: {error}; {remedy}") from error
+    made_of = {"core": core_origin(), "casadi": ca.CasadiMeta.version()}
+    complaint = "the controller's core is not compiled: {}, which holds the core"
+    return load_library("ddmpc_core", core_declarations(), packaged_libraries(), made_of, build, complaint)
 
 
 @cache

@@ -10,9 +10,8 @@ from typing import Any
 import cffi
 import numpy as np
 
-from diffdrive_mpc.models.compiled.cache import load_cached
-from diffdrive_mpc.models.compiled.compiler import NotCompiledError, build_library, digest_of, what_is_built
-from diffdrive_mpc.models.compiled.packaged import BASELINE, Level, Packaged
+from diffdrive_mpc.models.compiled.compiler import build_library, digest_of
+from diffdrive_mpc.models.compiled.packaged import BASELINE, Level, Packaged, load_library
 from diffdrive_mpc.models.interface import FloatArray
 
 CORE = Path(__file__).parent
@@ -32,23 +31,14 @@ def load_twin() -> tuple[cffi.FFI, Any]:
     NotCompiledError
         If the package brought no library, and none can be compiled.
     """
-    ffi = cffi.FFI()
-    ffi.cdef(re.sub(r"^\s*#.*$", "", _texts()["twin.h"], flags=re.MULTILINE))
-    for path in _packaged().libraries():
-        try:
-            return ffi, ffi.dlopen(str(path))
-        except OSError:  # such as a wheel for another C library
-            continue
 
     def build(folder: Path) -> Path:
         return build_library(_texts(), folder, [_FLAGS])
 
-    try:
-        origin = what_is_built(_texts() | {"flags": repr(_FLAGS)})
-        return ffi, load_cached("ddmpc_twin", origin, build, lambda path: ffi.dlopen(str(path)))
-    except NotCompiledError as error:
-        remedy = "install gcc, or diffdrive-mpc from a wheel (pip install diffdrive_mpc-*.whl), which holds it"
-        raise NotCompiledError(f"the simulated robot's drivetrain is not compiled: {error}; {remedy}") from error
+    declarations = re.sub(r"^\s*#.*$", "", _texts()["twin.h"], flags=re.MULTILINE)
+    made_of = _texts() | {"flags": repr(_FLAGS)}
+    complaint = "the simulated robot's drivetrain is not compiled: {}, which holds it"
+    return load_library("ddmpc_twin", declarations, _packaged().libraries(), made_of, build, complaint)
 
 
 def write_packaged(folder: Path) -> list[Path]:

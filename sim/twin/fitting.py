@@ -172,7 +172,7 @@ class _Search:
 
     def differences(self, z: FloatArray, free: list[int], here: list[Motion]) -> FloatArray:
         """`Problem.slopes`, counted."""
-        self.drives += sum(self.problem.space.names[i] not in twin_settings().sensors for i in free)
+        self.drives += sum(self.problem.drives(free))
         return self.problem.slopes(z, free, here)
 
     def least(self, z: FloatArray, free: list[int], evaluations: int, known: FloatArray | None = None) -> FloatArray:

@@ -34,7 +34,7 @@ LEAST_SECONDS = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Twin:
+class FittedTwin:
     """What was made of a log.
 
     Attributes
@@ -82,7 +82,7 @@ def twin_of(
     on_findings: Callable[[Sequence[Finding]], None] | None = None,
     on_stage: Callable[[str, int], None] | None = None,
     on_drive: Callable[[], None] | None = None,
-) -> Twin:
+) -> FittedTwin:
     """Fit the physics to logs of one robot; the first 60 % of each are fitted, the others score.
 
     Parameters
@@ -161,7 +161,7 @@ def twin_of(
     except RobotLostError as error:
         raise ConfigError(f"the fitted plant does not come through the rows held out: {error}") from error
     by_model = held(hold_model(beside, held_out), travel)
-    return Twin(
+    return FittedTwin(
         title,
         data,
         fit,

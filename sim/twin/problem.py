@@ -91,16 +91,20 @@ class Problem:
         every = np.concatenate(errors) * self.weight
         return np.asarray(every[np.isfinite(every)])
 
+    def drives(self, free: Sequence[int]) -> list[bool]:
+        """For each parameter of `free`, whether another value needs another drive: the log's sensors need none."""
+        return [self.space.names[i] not in twin_settings().sensors for i in free]
+
     def slopes(self, z: FloatArray, free: Sequence[int], here: Sequence[Motion]) -> FloatArray:
         """(n, len(free)) derivatives of `rows`, by one-sided differences; the sensors' need no drive."""
         _, high = self.space.bounds
-        steps, sensors = self.space.steps, twin_settings().sensors
+        steps = self.space.steps
         moved = []
         for i in free:
             other = z.copy()
             other[i] += steps[i] if z[i] + steps[i] < high[i] else -steps[i]
             moved.append(other)
-        driven = [i not in sensors_of(self.space, sensors) for i in free]
+        driven = self.drives(free)
         tasks = [
             partial(_driven, self.space.robot(self.space.values(other)), self.stretches)
             for other, new in zip(moved, driven, strict=True)
@@ -129,8 +133,3 @@ class Problem:
             labels.append(np.repeat(label[:, None], one.experiment.counts.shape[1], axis=1)[one.experiment.counts])
         every = np.concatenate(labels)
         return [np.flatnonzero(every == label) for label in range(next_label)]
-
-
-def sensors_of(space: Space, sensors: Sequence[str]) -> set[int]:
-    """Places of the log's sensors among the parameters."""
-    return {i for i, name in enumerate(space.names) if name in sensors}

@@ -8,12 +8,12 @@ import numpy as np
 
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
 from diffdrive_mpc.bench.studies.identification.figures import busiest, figure_settings
-from diffdrive_mpc.sim.twin.from_log import Twin
+from diffdrive_mpc.sim.twin.from_log import FittedTwin
 
 _UNITS = {"v": "m/s", "omega": "rad/s"}
 
 
-def draw_held_out(twin: Twin, path: Path) -> None:
+def draw_held_out(twin: FittedTwin, path: Path) -> None:
     """Draw the busiest window of the longest stretch held out, v above and omega below."""
     longest = int(np.argmax([run.samples for run in twin.experiments]))
     run, record = twin.experiments[longest], twin.data.validation[longest]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import yaml
@@ -11,7 +12,7 @@ import yaml
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.structures.identified import rounded
 from diffdrive_mpc.sim.twin.fitting import Told
-from diffdrive_mpc.sim.twin.from_log import Twin
+from diffdrive_mpc.sim.twin.from_log import FittedTwin
 from diffdrive_mpc.sim.twin.settings import twin_settings
 
 PLANT, REPORT, NUMBERS = "plant.yaml", "report.md", "twin.json"
@@ -23,7 +24,7 @@ _HEAD = """\
 """
 
 
-def plant_text(twin: Twin, day: datetime.date) -> str:
+def plant_text(twin: FittedTwin, day: datetime.date) -> str:
     """The plant file."""
     robot = twin.fit.robot
     data: dict[str, Any] = robot.model_dump(exclude_none=True)
@@ -53,7 +54,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - numbers in any nesting
     return value
 
 
-def fit_table(twin: Twin) -> Table:
+def fit_table(twin: FittedTwin) -> Table:
     """FIT and drift of both, on the same rows."""
     names = list(dict.fromkeys([*twin.model_held.fit_percent, *twin.twin_held.fit_percent]))
     horizons = [drift.horizon for drift in twin.twin_held.drift]
@@ -69,7 +70,7 @@ def fit_table(twin: Twin) -> Table:
     return Table("Rows held out", tuple(columns), tuple(rows), note=note)
 
 
-def parameter_table(twin: Twin) -> Table:
+def parameter_table(twin: FittedTwin) -> Table:
     """What the log told."""
     rows = tuple(
         (
@@ -91,7 +92,7 @@ def parameter_table(twin: Twin) -> Table:
     return Table("Parameters", columns, rows, text_columns=3, note=note)
 
 
-def report_text(twin: Twin, figures: Mapping[str, str]) -> str:
+def report_text(twin: FittedTwin, figures: Mapping[str, str]) -> str:
     """The report in Markdown."""
     untold = [one.name for one in twin.fit.told if not one.told]
     left = f"The log does not tell {', '.join(untold)}: the plant keeps the prior there." if untold else ""
@@ -108,7 +109,7 @@ def report_text(twin: Twin, figures: Mapping[str, str]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def numbers(twin: Twin) -> dict[str, Any]:
+def numbers(twin: FittedTwin) -> dict[str, Any]:
     """The report as data."""
     keys = ("horizon", "position_rmse", "heading_rmse")
 
@@ -119,15 +120,7 @@ def numbers(twin: Twin) -> dict[str, Any]:
         }
 
     def told(one: Told) -> dict[str, Any]:
-        return {
-            "name": one.name,
-            "unit": one.unit,
-            "value": one.value,
-            "low": one.low,
-            "high": one.high,
-            "share": one.share,
-            "told": one.told,
-        }
+        return {name: value for name, value in asdict(one).items() if name != "words"}
 
     return {
         "name": twin.name,

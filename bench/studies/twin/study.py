@@ -30,14 +30,14 @@ from diffdrive_mpc.models.identification.log_data import OptionError
 from diffdrive_mpc.models.logs import Finding
 from diffdrive_mpc.models.logs.record import counted
 from diffdrive_mpc.sim.twin.free_run import Motion
-from diffdrive_mpc.sim.twin.from_log import Twin, twin_of
+from diffdrive_mpc.sim.twin.from_log import FittedTwin, twin_of
 from diffdrive_mpc.sim.twin.problem import Task, one_by_one
 
 FIGURES = "figures"
 _PICTURE = "held_out.png"
 
 
-def twin_into(logs: Sequence[Path], out: Path, *, jobs: int | None = None, **options: Any) -> Twin:  # noqa: ANN401 - those of `twin_of`
+def twin_into(logs: Sequence[Path], out: Path, *, jobs: int | None = None, **options: Any) -> FittedTwin:  # noqa: ANN401 - those of `twin_of`
     """Fit a plant, print what was found, write plant file, report, numbers and picture into `out`.
 
     Raises
@@ -76,7 +76,7 @@ def _call(task: Task) -> list[Motion] | None:
     return task()
 
 
-def _twin(logs: Sequence[Path], **options: Any) -> Twin:  # noqa: ANN401 - those of `twin_of`
+def _twin(logs: Sequence[Path], **options: Any) -> FittedTwin:  # noqa: ANN401 - those of `twin_of`
     try:
         return twin_of(logs, **options)
     except OptionError as error:
@@ -89,7 +89,7 @@ def _print_findings(findings: Sequence[Finding]) -> None:
         console.print(f"note: {line}", markup=False, highlight=False, soft_wrap=True)
 
 
-def _print(twin: Twin, out: Path) -> None:
+def _print(twin: FittedTwin, out: Path) -> None:
     console = output_console()
     for table in (fit_table(twin), parameter_table(twin)):
         console.print(rich_table(table))
