@@ -64,8 +64,8 @@ class WatchedController:
         case = definition.case
         if case.controller in PEERS or not self.times:
             return None
-        shipped = PARAMETERS / f"{case.model if case.model in MODEL_NAMES else 'ssm'}.yaml"
-        limits = stated_limits(case.config or shipped, dict(case.overrides))
+        named = case.config or (case.model if case.model in MODEL_NAMES else "ssm")
+        limits = stated_limits(named_file("configuration", PARAMETERS, named), dict(case.overrides))
         return check_commands(self.times, self.commands, self.modes, self.pose_came, limits)
 
 
@@ -77,12 +77,6 @@ def built(definition: Definition) -> Iterator[tuple[TrackingController, Plant, R
     """
     with TemporaryDirectory(prefix="diffdrive-mpc-") as folder:
         yield build(_with_files(definition, Path(folder)))
-
-
-def simulate_definition(definition: Definition) -> Run:
-    """Drive the run and keep all of it; raises as `built` and `sim.simulate` do."""
-    with built(definition) as parts:
-        return simulate(*parts)
 
 
 def drive(definition: Definition) -> Row:

@@ -16,15 +16,17 @@ from typer.testing import CliRunner
 from diffdrive_mpc.bench.campaign import drive as drive_module
 from diffdrive_mpc.bench.campaign import identity
 from diffdrive_mpc.bench.campaign.definition import Definition
-from diffdrive_mpc.bench.campaign.drive import built, drive, simulate_definition
+from diffdrive_mpc.bench.campaign.drive import built, drive, drive_whole
 from diffdrive_mpc.bench.campaign.engine import Place, drive_all, failed
 from diffdrive_mpc.bench.campaign.identity import key_of
+from diffdrive_mpc.bench.campaign.outcome import TIME
 from diffdrive_mpc.bench.campaign.parquet import read_table
 from diffdrive_mpc.bench.campaign.store import Store
 from diffdrive_mpc.bench.campaign.task import OtherVersionError, Task, do
 from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc.config.config_file import PARAMETERS
 
 SHORT = "name: short\nsegments:\n- {v: 0.3, omega: 0.4, duration: 0.5}\n"
 FILE = """
@@ -115,11 +117,21 @@ def test_pandas_and_duckdb_read_the_table(campaign: Path, tmp_path: Path) -> Non
 def test_what_a_run_gives_is_what_simulate_gives() -> None:
     case = quick_case(sensors="default")
     row = drive(Definition(case))
-    run = simulate_definition(Definition(case))
+    run, _ = drive_whole(Definition(case))
+    assert run is not None
     metrics = run.metrics
     assert (row["position_rmse_m"], row["steps"]) == (metrics.position_rmse_m, metrics.steps)
     assert row["ticks_tracking"] == run.modes.count("TRACKING")
     assert sum(value for name, value in row.items() if name.startswith("ticks_")) == len(run.time)  # type: ignore[misc]
+
+
+def test_a_shipped_configuration_goes_by_its_name_as_by_its_file() -> None:
+    case = quick_case()
+    rows = [drive(Definition(replace(case, config=config))) for config in ("ssm", str(PARAMETERS / "ssm.yaml"))]
+    first, second = ({name: value for name, value in row.items() if not name.startswith(TIME)} for row in rows)
+    assert first == second
+    assert first["error"] == ""
+    assert first["unsafe_slew"] == 0
 
 
 def test_the_hash_knows_everything_that_decides(short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
