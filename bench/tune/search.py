@@ -87,20 +87,17 @@ class Search:
                 str(told.get("config", told["model"])),
                 {key: getattr(one, end) for key, one in self._distributions.items()},
             )
-        self._fidelities = self.run_sets(plan.tuning)
+        self._fidelities = [RunSet(self._runs(plan.tuning, one.runs, one.factors)) for one in plan.fidelities]
         self._own = self.constraint_sets(plan.tuning)
 
-    def run_sets(self, of: Runs) -> list[RunSet]:
-        """The runs of each fidelity, not driven yet."""
-        return [RunSet(self._plan.runs(of, one.runs, self._told, one.factors)) for one in self._plan.fidelities]
+    def verdict_runs(self, count: int) -> list[Definition]:
+        """So many runs of the verdict."""
+        return self._runs(self._plan.verdict, count, {})
 
     def constraint_sets(self, of: Runs) -> dict[str, RunSet]:
         """The runs of each constraint that has its own, not driven yet."""
-        return {
-            name: RunSet(self._plan.runs(of, one.runs, self._told, one.factors))
-            for name, one in self._plan.constraints.items()
-            if one.runs
-        }
+        listed = {name: one for name, one in self._plan.constraints.items() if one.runs}
+        return {name: RunSet(self._runs(of, one.runs, one.factors)) for name, one in listed.items()}
 
     def run(self, bar: ProgressBar) -> Searched:
         """Ask, drive and tell until the study has its points.
@@ -133,6 +130,9 @@ class Search:
         driven = drive_all([run for mine in asked for run in mine], self._place, bar, text)
         by_run = {one.definition: one for one in driven}
         return [[by_run[run] for run in mine] for mine in asked]
+
+    def _runs(self, of: Runs, count: int, factors: Mapping[str, object]) -> list[Definition]:
+        return self._plan.runs(of, count, self._told, factors)
 
     def _name(self) -> str:
         """Of the study: another one for every plan, configuration, plant and version of the product."""
