@@ -35,5 +35,7 @@ def tune(
     """
     from diffdrive_mpc.bench.tune.study import tune as tuned  # noqa: PLC0415 - --help does without it
 
-    result = tuned(config, out, plan=plan, plant=plant, workers=jobs, scheduler=scheduler, storage=storage, worker=worker)
+    result = tuned(
+        config, out, plan=plan, plant=plant, workers=jobs, scheduler=scheduler, storage=storage, worker=worker
+    )
     typer.echo(f"{result.sentence}; configuration in {result.config_path}")

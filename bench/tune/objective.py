@@ -11,7 +11,7 @@ import numpy as np
 from diffdrive_mpc.bench.campaign.engine import Driven
 from diffdrive_mpc.bench.proof.report import is_unsafe
 from diffdrive_mpc.bench.proof.statistics import cvar, mean
-from diffdrive_mpc.bench.tune.tune_file import Constraint, Figure, Objective
+from diffdrive_mpc.bench.tune.tune_file import Constraint, Figure, Objective, Weighted
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 
@@ -52,12 +52,13 @@ class Score:
 
 def terms_of(objective: Objective) -> list[Term]:
     """All terms, error first; their weights add up to 1."""
-    listed: list[tuple[Side, str, Figure, float]] = [
+    sides: dict[Side, Weighted] = {"error": objective.error, "effort": objective.effort}
+    listed = [
         (side, column, figure, weight)
-        for side, columns in (("error", objective.error), ("effort", objective.effort))
+        for side, columns in sides.items()
         for column, figures in columns.items()
         for figure, weight in figures.items()
-    ]  # type: ignore[assignment]
+    ]
     total = sum(weight for *_, weight in listed)
     return [Term(side, column, figure, weight / total) for side, column, figure, weight in listed]
 
@@ -86,8 +87,8 @@ def check_usual(terms: Sequence[Term], table: FloatArray) -> None:
         figure = float(term.of(values))
         if not (np.isfinite(figure) and figure > 0.0):
             raise ConfigError(
-                f"objective.{term.side}.{term.column}: its {term.figure} is {figure:g} with the configuration as it is; "
-                "leave it out, or drive runs that have it"
+                f"objective.{term.side}.{term.column}: its {term.figure} is {figure:g} with the configuration as it "
+                "is; leave it out, or drive runs that have it"
             )
 
 

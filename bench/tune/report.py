@@ -27,14 +27,15 @@ def facts(plan: TunePlan, searched: Searched, verdict: Verdict) -> list[str]:
     broken = [one for one in searched.points if one.broken]
     lines = [
         f"{verdict.sentence[0].upper()}{verdict.sentence[1:]}.",
-        f"{len(searched.points)} points, the defaults first; {' / '.join(map(str, through))} of them driven with {runs} runs each, "
-        f"{len(searched.usable)} came through all; {len(broken)} broke what has to hold.",
+        f"{len(searched.points)} points, the defaults first; {' / '.join(map(str, through))} of them driven with "
+        f"{runs} runs each, {len(searched.usable)} came through all; {len(broken)} broke what has to hold.",
     ]
     if plan.step_time is not None:
         stated = plan.step_time
         lines.append(
             f"Step time on {stated.machine}: p99 {1e3 * stated.p99:.3g} ms as stated for the defaults, at most "
-            f"{1e3 * stated.at_most:.3g} ms allowed; of a point: that times its processor time here over that of the defaults."
+            f"{1e3 * stated.at_most:.3g} ms allowed; of a point: that times its processor time here over that of the "
+            "defaults."
         )
     return lines
 
@@ -61,8 +62,8 @@ def configuration(
     notes = {key: _note(usual[key], worth.get(key)) for key in other}
     head = [
         f"Tuned from {Path(config).name}: {verdict.sentence}.",
-        f"Plan: {plan.description}; {len(searched.points)} points, seeds from {plan.tuning.first_seed} on; verdict with "
-        f"seeds from {plan.verdict.first_seed} on.",
+        f"Plan: {plan.description}; {len(searched.points)} points, seeds from {plan.tuning.first_seed} on; verdict "
+        f"with seeds from {plan.verdict.first_seed} on.",
     ]
     head += ["Values that changed say what they were."] if other else ["All values are what they were."]
     with whole_file(path) as draft:
@@ -105,8 +106,8 @@ def _verdict(verdict: Verdict) -> Table:
         ("figure", "weight", "defaults", "chosen", "change [%]", "95 % interval [%]"),
         tuple(rows),
         1,
-        f"{verdict.runs} runs of each with seeds that the search has not seen, paired run by run; intervals: bootstrap, 2000 "
-        "samples. Figures are in the unit of their column; error, effort and objective are weighted ratios.",
+        f"{verdict.runs} runs of each with seeds that the search has not seen, paired run by run; intervals: bootstrap "
+        "of 2000 samples. Figures are in the unit of their column; error, effort and objective are weighted ratios.",
     )
 
 
@@ -129,8 +130,8 @@ def _chosen(searched: Searched, verdict: Verdict, usual: Mapping[str, Value]) ->
         for key in sorted(usual, key=lambda key: -searched.importance.get(key, 0.0))
     ]
     note = (
-        "Importance: how much a parameter decides whether a point is among the best tenth with the first fidelity (PED-ANOVA, "
-        "Watanabe et al., IJCAI 2023), over the whole range that was searched; the shares add up to 100."
+        "Importance: how much a parameter decides whether a point is among the best tenth with the first fidelity "
+        "(PED-ANOVA, Watanabe et al., IJCAI 2023), over the whole range that was searched; the shares add up to 100."
     )
     if not verdict.improved:
         note += " The chosen point is not written: config.yaml holds the defaults."
@@ -150,8 +151,8 @@ def _put_back(verdict: Verdict) -> Table:
         ("put back", "to", "objective", "error", "effort"),
         rows,
         1,
-        "The chosen point with one parameter alone as the defaults have it: rise of the objective and its sides, in percent "
-        "of those of the defaults, with 95 % intervals, on runs of the verdict. Below zero: it would be better put back.",
+        "The chosen point with one parameter alone as the defaults have it: rise of the objective and its sides, in "
+        "percent of those of the defaults, with 95 % intervals, on runs of the verdict. Below zero: better put back.",
     )
 
 

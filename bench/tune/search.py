@@ -1,15 +1,14 @@
 """The search: Optuna asks for points, a campaign drives them, fidelity by fidelity; what promises little is pruned.
 
-Everything that is asked and told is kept in a storage, so an interrupted search goes on, and several machines may work on
-one study. With one worker a seed fixes the study bit for bit, on however many processes its runs are driven: points are
-asked for in groups of a fixed size, each with random numbers of its own, and are told in order.
+Everything that is asked and told is kept in a storage, so an interrupted search goes on, and several machines may work
+on one study. With one worker a seed fixes the study bit for bit, on however many processes its runs are driven: points
+are asked for in groups of a fixed size, each with random numbers of its own, and are told in order.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
@@ -151,7 +150,7 @@ class Search:
         size = 1 if not trials else min(self._plan.at_once, self._plan.points - len(trials))
         group = left[0].user_attrs[_GROUP] if left else [len(mine), size]
         begun = sum(one.user_attrs[_GROUP] == group for one in mine)
-        batch = [needs_optuna().trial.Trial(study, one._trial_id) for one in left]  # noqa: SLF001 - no other way
+        batch = [needs_optuna().trial.Trial(study, one._trial_id) for one in left]
         for k in range(group[1] - begun):
             study.sampler = sampler(self._plan.search_seed, self._worker, len(mine) + k)
             trial = study.ask(dict(self._distributions))
@@ -227,13 +226,14 @@ class Search:
 
     def _point(self, trial: Any) -> Point:  # noqa: ANN401
         said = trial.user_attrs[_SCORE]
-        scores = [tuple(math.nan if one is None else float(one) for one in each) for each in said["scores"]]
         values = self._values(trial.params)
         usable = trial.state == needs_optuna().trial.TrialState.COMPLETE
-        if not scores:
+        if not said["scores"]:
             return Point(trial.number, values, broken=said["broken"])
+        value, error, effort = said["scores"][-1]
+        first = said["scores"][0][0]
         return Point(
-            trial.number, values, len(scores), *scores[-1], first=scores[0][0], broken=said["broken"], usable=usable
+            trial.number, values, len(said["scores"]), value, error, effort, first, said["broken"], usable=usable
         )
 
 
@@ -241,4 +241,4 @@ def _value(config: object, key: str) -> Any:  # noqa: ANN401 - whatever the conf
     try:
         return reduce(getattr, key.split("."), config)
     except AttributeError as error:
-        raise ConfigError(f"parameters.{key}: the configuration has no such key; see `diffdrive-mpc config schema`") from error
+        raise ConfigError(f"parameters.{key}: the configuration has no such key; see `config schema`") from error

@@ -33,8 +33,8 @@ def sizes_of(values: Mapping[str, Value]) -> dict[str, Value]:
 def predicted_p99(stated: StepTime, usual: Case, values: Mapping[str, Value]) -> float:
     """99th percentile of the step time of a point on the machine of `stated` [s].
 
-    What is stated there for the defaults, times the ratio of the processor times here: each drives `usual` once, and both
-    drives are replayed in turns.
+    What is stated there for the defaults, times the ratio of the processor times here: each drives `usual` once, and
+    both drives are replayed in turns.
 
     Parameters
     ----------

@@ -12,6 +12,7 @@ from diffdrive_mpc.bench.campaign.engine import Place
 from diffdrive_mpc.bench.outcomes import STATISTICS, plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.proof.study import told_of
+from diffdrive_mpc.bench.runner import lasting_processes
 from diffdrive_mpc.bench.study import Report, Study, carry_out
 from diffdrive_mpc.bench.tune.optuna_study import needs_optuna
 from diffdrive_mpc.bench.tune.points import Searched
@@ -82,8 +83,10 @@ class TuneStudy(Study[Search, Tuned]):
 
     def run(self, plan: Search, jobs: int, bar: ProgressBar) -> Tuned:  # noqa: ARG002 - the place has them
         """Search, then judge the best point."""
-        searched = plan.run(bar)
-        return Tuned(searched, judge(self._plan, plan, searched.best, bar), plan.usual)
+        # Many short lists of runs: processes that start anew for each would cost as much as the runs.
+        with lasting_processes():
+            searched = plan.run(bar)
+            return Tuned(searched, judge(self._plan, plan, searched.best, bar), plan.usual)
 
     def report(self, results: Tuned, seconds: float) -> Report:  # noqa: ARG002 - its tables say it
         """Tables, the front, and how the search went."""
@@ -150,17 +153,22 @@ def tune(
     worker
         Number of this worker, where several work on one study.
 
-    Raises ConfigError or ValueError if a file has a mistake, MissingPackageError without Optuna, StudyFailedError if runs
-    could not be driven.
+    Raises ConfigError or ValueError if a file has a mistake, MissingPackageError without Optuna, StudyFailedError if
+    runs could not be driven.
     """
     read = plan if isinstance(plan, TunePlan) else load_plan(None if plan is None else Path(plan))
     if plant is not None:
-        whole = f"mujoco:{Path(plant).resolve()}" if Path(plant).suffix in (".yaml", ".yml") else str(plant)
-        whole = whole if ":" not in str(plant) else str(plant)
-        read = read.model_copy(update={"factors": read.factors | {"plant": whole}})
+        read = read.model_copy(update={"factors": read.factors | {"plant": _plant(plant)}})
     folder = Path(out)
     study = TuneStudy(str(config), read, Place(folder, workers, scheduler), storage, worker)
     tuned = carry_out(study, folder, workers)
     path = folder / CONFIG
     configuration(str(config), tuned.searched, tuned.verdict, read, tuned.usual, path)
     return TuneResult(path, tuned.verdict.improved, tuned.verdict.sentence, tuned)
+
+
+def _plant(plant: str | Path) -> str:
+    """A plant as a case names it: the file of a robot is one of the physics."""
+    named = str(plant)
+    alone = ":" not in named and Path(named).suffix in (".yaml", ".yml")
+    return f"mujoco:{Path(named).resolve()}" if alone else named

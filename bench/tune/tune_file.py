@@ -150,7 +150,8 @@ class TunePlan(StrictModel):
 
     @model_validator(mode="after")
     def _apart(self) -> TunePlan:
-        for name in (*self.factors, *self.spread, *(key for one in self._all_factors() for key in one)):
+        own = [one.factors for one in self.fidelities] + [one.factors for one in self.constraints.values()]
+        for name in (*self.factors, *self.spread, *(key for factors in own for key in factors)):
             check_factor(name, "factors and spread")
             if name in (*_CONTROLLER, "seed") or name.startswith("config."):
                 raise ValueError(f"factors.{name}: the tuning itself says that; leave it out")
@@ -160,9 +161,6 @@ class TunePlan(StrictModel):
         if max(tuned.start, judged.start) < min(tuned.stop, judged.stop):
             raise ValueError(f"verdict.first_seed: seeds from {judged.start} on are those of the tuning; give others")
         return self
-
-    def _all_factors(self) -> list[Factors]:
-        return [one.factors for one in (*self.fidelities, *self.constraints.values())]
 
     def runs(self, of: Runs, count: int, told: Mapping[str, Value], factors: Mapping[str, object]) -> list[Definition]:
         """`count` runs of the controller that `told` names, with `factors` in place of the plan's.

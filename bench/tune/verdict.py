@@ -60,7 +60,7 @@ class Verdict:
 
     @property
     def improved(self) -> bool:
-        """Whether everything holds, and the whole interval of the gain is above zero or the defaults break something."""
+        """Whether all holds, and the interval of the gain lies above zero or the defaults break something."""
         return not self.broken and (self.gain.low > 0.0 or self.usual_broken != "")
 
     @property
@@ -125,9 +125,11 @@ def _put_back(plan: TunePlan, search: Search, chosen: Point, terms: Sequence[Ter
     def rise(changed: FloatArray, of: Callable[[Score], FloatArray]) -> Estimate:
         if not all(np.isfinite(table).all() for table in (usual, mine, changed)):
             return Estimate(np.nan, np.nan, np.nan)
-        return Estimate.of_same_runs(
-            (changed, mine, usual), lambda one, ours, theirs: of(score(terms, one, theirs)) - of(score(terms, ours, theirs))
-        )
+
+        def difference(one: FloatArray, ours: FloatArray, theirs: FloatArray) -> FloatArray:
+            return of(score(terms, one, theirs)) - of(score(terms, ours, theirs))
+
+        return Estimate.of_same_runs((changed, mine, usual), difference)
 
     found = [
         PutBack(
