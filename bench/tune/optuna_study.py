@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,8 +17,8 @@ from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.whole_file import reason
 
 JOURNAL = "study.journal"
-_STARTUP = 16
-"""Points that are drawn without looking at others."""
+STARTUP = 16
+"""Points that are drawn without looking at others, the defaults included."""
 
 
 def needs_optuna() -> Any:  # noqa: ANN401 - a module
@@ -65,7 +66,7 @@ def open_study(name: str, folder: Path, storage: str, keep: int) -> Any:  # noqa
 def sampler(*seeds: int) -> Any:  # noqa: ANN401 - a sampler
     """A tree-structured Parzen estimator (Bergstra et al., NeurIPS 2011) whose random numbers come from these seeds."""
     seed = np.random.SeedSequence(seeds).generate_state(1)
-    return needs_optuna().samplers.TPESampler(seed=int(seed[0]), n_startup_trials=_STARTUP, constant_liar=True)
+    return needs_optuna().samplers.TPESampler(seed=int(seed[0]), n_startup_trials=STARTUP, constant_liar=True)
 
 
 def distribution(key: str, of: Range, now: Value) -> Any:  # noqa: ANN401 - a distribution
@@ -84,6 +85,18 @@ def distribution(key: str, of: Range, now: Value) -> Any:  # noqa: ANN401 - a di
     if isinstance(now, int):
         return distributions.IntDistribution(round(low), round(high), log=log)
     return distributions.FloatDistribution(low, high, log=log)
+
+
+def near(distributions: Mapping[str, Any], now: Mapping[str, Any], *seeds: int) -> dict[str, Value]:
+    """A first point: half way between the defaults, which are no bad ones, and a point anywhere in the ranges."""
+    shares = np.random.default_rng(np.random.SeedSequence(seeds)).random(len(distributions))
+    params: dict[str, Value] = {}
+    for (key, one), share in zip(distributions.items(), shares, strict=True):
+        low, high, here = (math.log(end) if one.log else end for end in (one.low, one.high, now[key]))
+        there = 0.5 * (here + low + share * (high - low))
+        value = min(max(math.exp(there) if one.log else there, one.low), one.high)
+        params[key] = round(value) if isinstance(one.low, int) else float(value)
+    return params
 
 
 def values_of(params: Mapping[str, Value], now: Mapping[str, Value], digits: int = 4) -> dict[str, Value]:

@@ -20,7 +20,15 @@ from diffdrive_mpc.bench.campaign.engine import Driven, Place, drive_all
 from diffdrive_mpc.bench.campaign.identity import key_of
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.tune.objective import broken, check_usual, exceeded, in_words, score, table_of, terms_of
-from diffdrive_mpc.bench.tune.optuna_study import distribution, needs_optuna, open_study, sampler, values_of
+from diffdrive_mpc.bench.tune.optuna_study import (
+    STARTUP,
+    distribution,
+    near,
+    needs_optuna,
+    open_study,
+    sampler,
+    values_of,
+)
 from diffdrive_mpc.bench.tune.points import Point, Searched, Values, importance_of
 from diffdrive_mpc.bench.tune.step_time import predicted_p99, sizes_of
 from diffdrive_mpc.bench.tune.tune_file import Runs, TunePlan
@@ -152,7 +160,10 @@ class Search:
         begun = sum(one.user_attrs[_GROUP] == group for one in mine)
         batch = [needs_optuna().trial.Trial(study, one._trial_id) for one in left]
         for k in range(group[1] - begun):
-            study.sampler = sampler(self._plan.search_seed, self._worker, len(mine) + k)
+            seeds = (self._plan.search_seed, self._worker, len(mine) + k)
+            study.sampler = sampler(*seeds)
+            if 0 < len(trials) + k < STARTUP:
+                study.enqueue_trial(near(self._distributions, self.usual, *seeds))
             trial = study.ask(dict(self._distributions))
             trial.set_user_attr(_GROUP, group)
             trial.set_user_attr(_WORKER, self._worker)
