@@ -92,8 +92,15 @@ def _beside(config: ControllerConfig, folder: Path) -> ControllerConfig:
 
 def _verdict(verdict: Verdict) -> Table:
     rows = [
-        (f"{term.column}, {term.figure}", f"{100 * term.weight:.0f} %", *_figures(usual, mine), "-")
-        for term, usual, mine in verdict.figures
+        (
+            f"{one.term.column}, {one.term.figure}",
+            f"{100 * one.term.weight:.0f} %",
+            f"{one.usual:.4g}",
+            f"{one.mine:.4g}",
+            _change(one.ratio),
+            _interval(one.ratio),
+        )
+        for one in verdict.figures
     ]
     for name, one in (("error", verdict.error), ("effort", verdict.effort)):
         if math.isfinite(one.value):
@@ -109,10 +116,6 @@ def _verdict(verdict: Verdict) -> Table:
         f"{verdict.runs} runs of each with seeds that the search has not seen, paired run by run; intervals: bootstrap "
         "of 2000 samples. Figures are in the unit of their column; error, effort and objective are weighted ratios.",
     )
-
-
-def _figures(usual: float, mine: float) -> tuple[str, str, str]:
-    return f"{usual:.4g}", f"{mine:.4g}", f"{100 * (mine / usual - 1.0):+.1f}"
 
 
 def _change(ratio: Estimate) -> str:

@@ -96,6 +96,7 @@ class Search:
             )
         self._fidelities = [RunSet(self._runs(plan.tuning, one.runs, one.factors)) for one in plan.fidelities]
         self._own = self.constraint_sets(plan.tuning)
+        self._study: Any = None
 
     def verdict_runs(self, count: int) -> list[Definition]:
         """So many runs of the verdict."""
@@ -116,7 +117,7 @@ class Search:
         self._own = {name: self.with_usual(one, bar) for name, one in self._own.items()}
         for one in self._fidelities:
             check_usual(self._terms, table_of(self._terms, one.usual))
-        study = open_study(self._name(), self._place.folder, self._storage, self._plan.keep)
+        study = self._study = open_study(self._name(), self._place.folder, self._storage, self._plan.keep)
         while batch := self._next(study):
             self._judge(study, batch, bar)
         points = [self._point(one) for one in study.get_trials(deepcopy=False) if _SCORE in one.user_attrs]
@@ -137,6 +138,19 @@ class Search:
         driven = drive_all([run for mine in asked for run in mine], self._place, bar, text)
         by_run = {one.definition: one for one in driven}
         return [[by_run[run] for run in mine] for mine in asked]
+
+    def step_time(self, values: Mapping[str, Value]) -> dict[str, float]:
+        """By which share of its limit the step time of a point is beyond it; empty without a limit."""
+        stated, study = self._plan.step_time, self._study
+        if stated is None:
+            return {}
+        # Kept in the storage: a measurement is another one each time.
+        other = {key: value for key, value in sizes_of(values).items() if value != self.usual[key]}
+        key = f"p99 [s] with {json.dumps(other, sort_keys=True)}"
+        if key not in study.user_attrs:
+            case = self._fidelities[0].runs[0].case
+            study.set_user_attr(key, predicted_p99(stated, case, other))
+        return {"step_time": study.user_attrs[key] / stated.at_most - 1.0}
 
     def _runs(self, of: Runs, count: int, factors: Mapping[str, object]) -> list[Definition]:
         return self._plan.runs(of, count, self._told, factors)
@@ -174,7 +188,7 @@ class Search:
         """Drive points fidelity by fidelity, prune, and tell in the end."""
         judged = [Judged(trial, self._values(trial.params)) for trial in batch]
         for one in judged:
-            one.violations |= self._step_time(study, one.values)
+            one.violations |= self.step_time(one.values)
         for k, of in enumerate(self._fidelities):
             left = [one for one in judged if one.goes_on]
             text = f"points {batch[0].number} to {batch[-1].number} of {self._plan.points}, fidelity {k + 1}"
@@ -185,7 +199,9 @@ class Search:
         for name, of in self._own.items():
             found = self.drive([one.values for one in left], of.runs, bar, f"constraint {name}")
             for one, driven in zip(left, found, strict=True):
+                one.violations |= broken(driven, of.usual, self._terms)
                 one.violations[name] = exceeded(self._plan.constraints[name], driven, of.usual, name)
+            left = [one for one in left if one.goes_on]
         state = needs_optuna().trial.TrialState
         for one in judged:
             for name, value in one.violations.items():
@@ -219,18 +235,6 @@ class Search:
             one.trial.set_user_attr(choice, one.trial.should_prune())
         # The defaults are what everything else is held against.
         one.pruned = one.trial.user_attrs[choice] and one.trial.number > 0
-
-    def _step_time(self, study: Any, values: Values) -> dict[str, float]:  # noqa: ANN401
-        stated = self._plan.step_time
-        if stated is None:
-            return {}
-        # Kept in the storage: a measurement is another one each time.
-        other = {key: value for key, value in sizes_of(values).items() if value != self.usual[key]}
-        key = f"p99 [s] with {json.dumps(other, sort_keys=True)}"
-        if key not in study.user_attrs:
-            case = self._fidelities[0].runs[0].case
-            study.set_user_attr(key, predicted_p99(stated, case, other))
-        return {"step_time": study.user_attrs[key] / stated.at_most - 1.0}
 
     def _values(self, params: Mapping[str, Value]) -> Values:
         return values_of(params, self.usual)

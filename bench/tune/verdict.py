@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,6 +30,16 @@ class PutBack:
 
 
 @dataclass(frozen=True)
+class TermFigure:
+    """A term of the objective: its figure for the defaults and for the chosen point, and the ratio of the two [-]."""
+
+    term: Term
+    usual: float
+    mine: float
+    ratio: Estimate
+
+
+@dataclass(frozen=True)
 class Verdict:
     """What the chosen point is worth.
 
@@ -42,7 +52,7 @@ class Verdict:
     error, effort
         Its sides, 1 being those of the defaults.
     figures
-        Each term of the objective with its figure for the defaults and for the chosen point, in the unit of its column.
+        Each term of the objective, figures in the unit of its column.
     broken, usual_broken
         What does not hold for the chosen point and for the defaults on these runs, in words; empty where all does.
     put_back
@@ -53,7 +63,7 @@ class Verdict:
     gain: Estimate
     error: Estimate
     effort: Estimate
-    figures: list[tuple[Term, float, float]]
+    figures: list[TermFigure]
     broken: str
     usual_broken: str
     put_back: list[PutBack]
@@ -70,7 +80,8 @@ class Verdict:
         of = f"95 % interval {100 * self.gain.low:.1f} to {100 * self.gain.high:.1f} %"
         by = f"{100 * abs(self.gain.value):.1f} % {'below' if self.gain.value >= 0.0 else 'above'} that of the defaults"
         if self.gain == Estimate(0.0, 0.0, 0.0):
-            return "no better than the defaults: none of the points that were tried is"
+            also = f"; the defaults break {self.usual_broken}" if self.usual_broken else ""
+            return f"no better than the defaults: none of the points that were tried is{also}"
         if self.broken:
             return f"no better than the defaults: {on} the best point breaks {self.broken}"
         if not self.improved:
@@ -89,7 +100,10 @@ def judge(plan: TunePlan, search: Search, chosen: Point, bar: ProgressBar) -> Ve
     theirs, ours = table_of(terms, usual), table_of(terms, mine)
     own = {name: search.with_usual(one, bar) for name, one in search.constraint_sets(plan.verdict).items()}
     found = {name: search.drive([chosen.values], one.runs, bar, f"constraint {name}")[0] for name, one in own.items()}
-    violations, usual_violations = broken(mine, usual, terms), broken(usual, usual, terms)
+    everything = [one for each in (mine, *found.values()) for one in each]
+    theirs_all = [one for each in (usual, *(of.usual for of in own.values())) for one in each]
+    violations = search.step_time(chosen.values) | broken(everything, theirs_all, terms)
+    usual_violations = search.step_time(search.usual) | broken(theirs_all, theirs_all, terms)
     for name, constraint in plan.constraints.items():
         of = own.get(name, RunSet(runs, usual))
         violations[name] = exceeded(constraint, found.get(name, mine), of.usual, name)
@@ -99,7 +113,15 @@ def judge(plan: TunePlan, search: Search, chosen: Point, bar: ProgressBar) -> Ve
         _estimate(terms, ours, theirs, lambda one: 1.0 - one.value),
         _estimate(terms, ours, theirs, lambda one: one.error),
         _estimate(terms, ours, theirs, lambda one: one.effort),
-        [(term, float(term.of(a)), float(term.of(b))) for term, a, b in zip(terms, theirs, ours, strict=True)],
+        [
+            TermFigure(
+                term,
+                float(term.of(theirs[k])),
+                float(term.of(ours[k])),
+                _estimate([replace(term, weight=1.0)], ours[k : k + 1], theirs[k : k + 1], lambda one: one.value),
+            )
+            for k, term in enumerate(terms)
+        ],
         in_words(violations),
         in_words(usual_violations),
         _put_back(plan, search, chosen, terms, bar),

@@ -10,9 +10,10 @@ from tune_parts import small_plan, written
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.campaign.check import check_definitions
+from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.tune.study import tune
-from diffdrive_mpc.bench.tune.tune_file import load_plan
+from diffdrive_mpc.bench.tune.tune_file import StepTime, load_plan
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_config
 
@@ -60,6 +61,21 @@ def test_where_nothing_is_better_the_defaults_are_written(tmp_path: Path) -> Non
     assert (result.improved, result.config_path) == (False, tmp_path / "out" / "config.yaml")
     assert result.sentence == "no better than the defaults: none of the points that were tried is"
     assert load_config(result.config_path) == load_config(config)
+
+
+def test_defaults_that_are_too_slow_give_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def grows(stated: StepTime, _usual: Case, values: dict[str, int]) -> float:
+        return stated.p99 * values.get("horizon", 30) / 30.0
+
+    monkeypatch.setattr("diffdrive_mpc.bench.tune.search.predicted_p99", grows)
+    limit = {"machine": "a small computer", "p99": 4.0e-4, "at_most": 3.8e-4}
+    plan = small_plan(tmp_path, points=5, parameters={"horizon": {"low": 12, "high": 40}}, step_time=limit)
+    result = tune("ssm", tmp_path / "out", plan=plan, workers=1)
+    assert result.improved
+    assert result.sentence.endswith("; the defaults break step time, it does not")
+    assert load_config(result.config_path).horizon <= 28
+    report = (tmp_path / "out" / "tune.md").read_text(encoding="utf-8")
+    assert "Step time on a small computer: p99 0.4 ms as stated for the defaults, at most 0.38 ms allowed" in report
 
 
 def test_a_model_beside_the_configuration_stays_where_it_is(tmp_path: Path) -> None:
