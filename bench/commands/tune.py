@@ -22,6 +22,9 @@ def tune(
         str | None,
         typer.Option(help="mujoco:ROBOT, model:NAME, or the file of a twin.", show_default="what the plan says"),
     ] = None,
+    points: Annotated[
+        int | None, typer.Option(min=2, help="How many to try.", show_default="what the plan says")
+    ] = None,
     jobs: Jobs = None,
     scheduler: Scheduler = "",
     storage: Annotated[
@@ -36,6 +39,14 @@ def tune(
     from diffdrive_mpc.bench.tune.study import tune as tuned  # noqa: PLC0415 - --help does without it
 
     result = tuned(
-        config, out, plan=plan, plant=plant, workers=jobs, scheduler=scheduler, storage=storage, worker=worker
+        config,
+        out,
+        plan=plan,
+        plant=plant,
+        points=points,
+        workers=jobs,
+        scheduler=scheduler,
+        storage=storage,
+        worker=worker,
     )
     typer.echo(f"{result.sentence}; configuration in {result.config_path}")

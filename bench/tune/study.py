@@ -20,6 +20,7 @@ from diffdrive_mpc.bench.tune.report import configuration, facts, tables
 from diffdrive_mpc.bench.tune.search import Search
 from diffdrive_mpc.bench.tune.tune_file import TunePlan, load_plan
 from diffdrive_mpc.bench.tune.verdict import Verdict, judge
+from diffdrive_mpc.models.checked_yaml import check
 
 CONFIG = "config.yaml"
 
@@ -127,6 +128,7 @@ def tune(
     *,
     plan: TunePlan | str | Path | None = None,
     plant: str | Path | None = None,
+    points: int | None = None,
     workers: int | None = None,
     scheduler: str = "",
     storage: str = "",
@@ -144,6 +146,8 @@ def tune(
         What is searched and on which runs: a plan or its file; by default the shipped one.
     plant
         Plant in place of the plan's: "mujoco:NAME", "model:NAME", or the file of a robot or twin.
+    points
+        How many are tried, in place of what the plan says; with more of them a study goes on.
     workers
         Processes that drive runs; by default one for each core.
     scheduler
@@ -159,6 +163,8 @@ def tune(
     read = plan if isinstance(plan, TunePlan) else load_plan(None if plan is None else Path(plan))
     if plant is not None:
         read = read.model_copy(update={"factors": read.factors | {"plant": _plant(plant)}})
+    if points is not None:
+        read = check(TunePlan, read.model_dump() | {"points": points}, "--points")
     folder = Path(out)
     study = TuneStudy(str(config), read, Place(folder, workers, scheduler), storage, worker)
     tuned = carry_out(study, folder, workers)
