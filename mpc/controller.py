@@ -367,6 +367,8 @@ class Controller:
         self._config, self._backend, self._pending = prepared.config, prepared.backend, None
         self._predicted = prepared.predicted
         self._tick.configure(prepared.constants, prepared.sizes)
+        if isinstance(self._rehearsal, FloorRehearsal):
+            self._rehearsal.config = prepared.config
         self._begin_with_learned()
         if self._dead_time is not None:
             self._dead_time.used = self._predicted.dead_time

@@ -36,6 +36,8 @@ class FloorRehearsal:
 
     Attributes
     ----------
+    config
+        The one in force; another one counts from the next start.
     laps
         From how many laps slip was learned.
     slip
@@ -50,7 +52,7 @@ class FloorRehearsal:
     """
 
     def __init__(self, config: ControllerConfig, inverse_gain: FloatArray) -> None:
-        self._config, self._inverse_gain = config, inverse_gain
+        self.config, self._inverse_gain = config, inverse_gain
         self.forget()
 
     def forget(self) -> None:
@@ -61,7 +63,7 @@ class FloorRehearsal:
         self._begin_lap(0.0)
 
     def _begin_anew(self, why: str) -> None:
-        self.laps, self.slip, self.said = 0, configured_slip(self._config), why
+        self.laps, self.slip, self.said = 0, configured_slip(self.config), why
 
     def _begin_lap(self, t0: float) -> None:
         self._t0, self._told = t0, False
@@ -91,7 +93,7 @@ class FloorRehearsal:
             return reference
         beside, heading = found.pose - found.given.pose, found.given.pose[:, 2]
         self.time, self.correction = found.times, np.column_stack([*ahead_and_left(beside, heading), beside[:, 2]])
-        return found.as_reference(reference.name, self._config.rehearsal.smoothing)
+        return found.as_reference(reference.name, self.config.rehearsal.smoothing)
 
     def take(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
         """Learn from the tick at `t` [s]; returns `result`, at the first tick with what was prepared in its message."""
@@ -110,12 +112,12 @@ class FloorRehearsal:
     def _learn(self, reference: Reference) -> None:
         """The mean of a lap's slip; as that began with what was learned, the laps before are in it."""
         times, *pose = np.array(self._driven).T
-        if times[-1] > reference.duration - 2 * self._config.sample_time:
+        if times[-1] > reference.duration - 2 * self.config.sample_time:
             off = np.array(pose).T - reference.sample(times).pose
             error = float(np.sqrt(np.mean(np.sum(off[:, :2] ** 2, axis=1))))
             if not self.correction.any():
                 self._error_as_given = error
-            elif error > self._config.rehearsal.worse * self._error_as_given:
+            elif error > self.config.rehearsal.worse * self._error_as_given:
                 before = f"{1e3 * self._error_as_given:.1f} mm as it was given"
                 self._begin_anew(f"what was learned is forgotten: error {1e3 * error:.1f} mm, {before}")
                 return
@@ -126,9 +128,9 @@ class FloorRehearsal:
 
     def _prepared(self, reference: Reference) -> Drivable | None:
         """The motion to track instead of `reference`, if there is one; says what was found."""
-        bounds, learned = self._config.drivable, f"slip learned from {self.laps} laps"
+        bounds, learned = self.config.drivable, f"slip learned from {self.laps} laps"
         try:
-            found = nearest_drivable(reference, self.slip, self._config, self._inverse_gain)
+            found = nearest_drivable(reference, self.slip, self.config, self._inverse_gain)
         except NotDrivableError as error:
             self.said = f"{learned}, {_AS_GIVEN}: {error}"
             return None

@@ -48,8 +48,8 @@ class Drivable(Group):
     v_rate: Positive = Field(
         0.003, description="distance that an acceleration beside the reference's is worth, by 1 m/s^2 [s^2]"
     )
-    omega_rate: Positive = Field(0.001, description="the same of the yaw rate, by 1 rad/s^2 [m s^2/rad]")
-    end: NotNegative = Field(1.0, description="for so long the distance at the end counts: there the robot stands [s]")
+    omega_rate: Positive = Field(0.0005, description="the same of the yaw rate, by 1 rad/s^2 [m s^2/rad]")
+    end: NotNegative = Field(0.5, description="for so long the distance at the end counts: there the robot stands [s]")
     end_heading: NotNegative = Field(0.1, description="distance that a radian is worth at the end [m/rad]")
     least: NotNegative = Field(
         0.001, description="a reference that need not be moved further than this is tracked as it is given [m]"

@@ -87,6 +87,8 @@ class Drivable:
         speeding = np.gradient(self.wheels[:, 0], step)
         rates, turned = (np.array(one).T for one in at_ends(self.wheels.T, self.pose.T, speeding[None]))
         smooth = gaussian_filter1d(turned[:, 0], smoothing / step, mode="nearest")
+        # Where it begins the reference is the given one's pose: a fence is laid from there.
+        smooth *= np.minimum(1.0, self.times / (2 * smoothing))
         poses = self.pose.copy()
         poses[:, 2] -= smooth
         rates[:, 2] -= np.gradient(smooth, step)
