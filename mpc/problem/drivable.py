@@ -126,6 +126,7 @@ def nearest_drivable(reference: Reference, slip: Slip, config: ControllerConfig,
         "ipopt.print_level": 0,
         "ipopt.sb": "yes",
         "ipopt.tol": _TOLERANCE,
+        "ipopt.mu_strategy": "adaptive",  # less than half the iterations where limits press
         "ipopt.max_iter": settings.iterations,
     }
     solver = ca.nlpsol("drivable", "ipopt", problem.program(), options)
