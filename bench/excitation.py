@@ -37,6 +37,8 @@ from diffdrive_mpc.mpc.trajectories.settings import load_settings
 from diffdrive_mpc.sim import Run, simulate
 from diffdrive_mpc.sim.log_csv import write_rows
 
+_LATE = "lag and dead time"
+
 
 @dataclass(frozen=True)
 class Excitation:
@@ -87,25 +89,24 @@ class Excitation:
         other = min(self.drive.worth.values())
         better = np.exp((max(self.drive.worth.values()) - other) / (2 * len(CHANNELS) * len(TOLD)))
         return [
-            f"{out}: {self.drive.family}, {seconds:.0f} s. With the other family deviations are {better:.2f} times as large, "
-            "in the geometric mean.",
-            "For the node: the robot begins in the middle of the room, its length straight ahead; its configuration has",
+            f"{out}: {self.drive.family}, {seconds:.0f} s. With the other family deviations are {better:.2f} times as "
+            "large, in the geometric mean.",
+            "For the node: the robot begins in the middle of the room, its length ahead; its configuration has",
             f"fence: {{enabled: true, length: {self.room.length:g}, width: {self.room.width:g}, frame: start}}",
         ]
 
     def table(self) -> Table:
         """How well the parameters will be known."""
+        shown = self.expected.derived(
+            [f"{channel}.{name}" for channel in CHANNELS for name in (*TOLD, _LATE)],
+            lambda values: np.concatenate([[*told, told[1] + told[2]] for told in values.reshape(2, -1)]),
+        )
         rows = []
-        for channel in CHANNELS:
-            for name in TOLD:
-                unit, scale = ("-", 1.0) if name == "gain" else ("ms", 1e3)
-                value, deviation = (
-                    scale * f(f"{channel}.{name}") for f in (self.expected.value, self.expected.deviation)
-                )
-                digits = 4 if name == "gain" else 2
-                rows.append(
-                    (channel, f"{name.replace('_', ' ')} [{unit}]", number(value, digits), number(deviation, digits))
-                )
+        for name, *numbers in zip(shown.names, shown.values, shown.standard_deviation, strict=True):
+            channel, parameter = name.split(".")
+            unit, scale, digits = ("-", 1.0, 4) if parameter == "gain" else ("ms", 1e3, 2)
+            cells = (number(scale * float(one), digits) for one in numbers)
+            rows.append((channel, f"{parameter.replace('_', ' ')} [{unit}]", *cells))
         return Table(
             "What the drive will tell",
             ("channel", "parameter", "believed", "standard deviation"),
@@ -154,8 +155,8 @@ def excite_model(
     margin = model_excitation_settings().margin
     if loaded.fence.margin >= margin:
         raise ConfigError(
-            f"fence.margin = {loaded.fence.margin:g} m: the drive stays {margin:g} m inside its room, so the fence would "
-            "stop it; give less"
+            f"fence.margin = {loaded.fence.margin:g} m: the drive stays {margin:g} m inside its room, so the fence "
+            "would stop it; give less"
         )
     fence = {"enabled": True, "length": room.length, "width": room.width, "frame": "start", "x": 0.0, "y": 0.0}
     case = replace(case, overrides=tuple((f"fence.{key}", value) for key, value in (fence | {"heading": 0.0}).items()))
@@ -238,10 +239,10 @@ def _limits(config: ControllerConfig, speed: float, yaw_rate: float) -> Trajecto
             option = "--speed" if name == "v" else "--yaw-rate"
             limit = getattr(limits, name)
             raise ConfigError(
-                f"{option} {asked:g}: with limits.{name} = {limit:g} {unit} give up to {most:g} {unit}; the rest is for "
-                "tracking"
+                f"{option} {asked:g}: with limits.{name} = {limit:g} {unit} give up to {most:g} {unit}; the rest is "
+                "for tracking"
             )
-    slew = settings.slew_share
+    slew = model_excitation_settings().slew_share
     return TrajectoryLimits(speed, yaw_rate, slew * limits.v_slew, slew * limits.omega_slew)
 
 

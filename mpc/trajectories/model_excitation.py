@@ -40,6 +40,7 @@ class ModelExcitationSettings(StrictModel):
     tick: Positive
     margin: Positive
     least_reach: Positive
+    slew_share: float = Field(gt=0, lt=1)
     calm: Positive
     moves: int = Field(ge=2)
     holds: tuple[Positive, Positive]
@@ -133,7 +134,10 @@ def model_excitation(room: Room, seconds: float, limits: TrajectoryLimits, worth
     least = 2 * settings.holds[1] + 2 * settings.calm
     if not (math.isfinite(seconds) and seconds >= least):
         raise ConfigError(f"{seconds:g} s: a drive that tells lags and dead times takes {least:g} s or more")
-    families = {"steps": _Steps(room, seconds, limits), "multi-sine": _Sines(room, seconds, limits)}
+    families: dict[str, _Steps | _Sines] = {
+        "steps": _Steps(room, seconds, limits),
+        "multi-sine": _Sines(room, seconds, limits),
+    }
     found = {name: _best(family, worth, seed) for name, family in families.items()}
     values = {name: worth(twists) for name, twists in found.items()}
     best = max(values, key=lambda name: values[name])
