@@ -26,6 +26,7 @@ import casadi as ca
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.estimation.slip import Slip
@@ -38,7 +39,7 @@ _TOLERANCE = 1e-8
 _DRIVEN = "Solve_Succeeded", "Solved_To_Acceptable_Level"
 
 
-class NotDrivableError(RuntimeError):
+class NotDrivableError(DiffdriveMpcError, RuntimeError):
     """The solver found no such path; says why."""
 
 
