@@ -113,10 +113,11 @@ def nearest_drivable(reference: Reference, slip: Slip, config: ControllerConfig,
     Raises
     ------
     NotDrivableError
-        If the solver finds none.
+        If the solver finds none, or the reference is shorter than three ticks.
     """
-    settings = config.drivable
-    count = max(int(np.ceil(reference.duration / (_TICKS * config.sample_time))), 2)
+    count = int(np.ceil(reference.duration / (_TICKS * config.sample_time)))
+    if count < 2:
+        raise NotDrivableError(f"{reference.duration:g} s leave nothing to plan")
     times = np.linspace(0.0, reference.duration, count + 1)
     given, floor = reference.sample(times), replace(slip, v_offset=0.0)
     # Seen from its start: far from the origin of a map nothing is lost to rounding.
@@ -128,7 +129,7 @@ def nearest_drivable(reference: Reference, slip: Slip, config: ControllerConfig,
         "ipopt.sb": "yes",
         "ipopt.tol": _TOLERANCE,
         "ipopt.mu_strategy": "adaptive",  # less than half the iterations where limits press
-        "ipopt.max_iter": settings.iterations,
+        "ipopt.max_iter": config.drivable.iterations,
     }
     solver = ca.nlpsol("drivable", "ipopt", problem.program(), options)
     found = np.array(solver(**problem.bounds(), x0=problem.guess)["x"]).ravel()

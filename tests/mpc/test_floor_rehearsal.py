@@ -163,6 +163,9 @@ def test_where_nothing_is_to_be_tracked_the_reference_is_as_given(settings, word
 def test_a_solver_that_fails_says_so():
     with pytest.raises(NotDrivableError, match="iterations"):
         planned("p4_concrete", config=load_config("ssm", {"drivable.iterations": 1}))
+    blink = lay_segments([Segment(v=0.0, omega=0.0, duration=0.01)], TrajectoryLimits.of_robot(), name="blink")
+    with pytest.raises(NotDrivableError, match="nothing to plan"):
+        planned("p4_concrete", blink)
 
 
 def lap(by, floor, reference, seed=0):
