@@ -29,7 +29,7 @@ def lateral_slip(records: Sequence[Record]) -> ParameterEstimate | None:
         return None
     table = np.array(rows)
     terms, moved = table[:, :2], table[:, 2]
-    values = np.linalg.lstsq(terms, moved, rcond=None)[0]
+    values = np.asarray(np.linalg.lstsq(terms, moved, rcond=None)[0], dtype=float)
     left = moved - terms @ values
     scale = float(np.sqrt(np.mean(left**2))) + np.finfo(float).tiny
     covariance = sandwich([terms[:, None, :] / scale], [left[:, None] / scale]).covariance
@@ -38,7 +38,7 @@ def lateral_slip(records: Sequence[Record]) -> ParameterEstimate | None:
 
 def _windows(record: Record) -> list[FloatArray]:
     """(3,) for each window of the settings: integrals of -v omega and a omega [m/s, m/s^2], way to the left [m]."""
-    if record.pose is None or record.twist is None or record.yaw_rate is None:
+    if record.pose is None or record.twist is None or record.yaw_rate is None or record.fresh_pose is None:
         return []
     dt, span = record.dt, max(2, round(identification_settings().pose_window / record.dt))
     v, omega = record.twist[:, 0], record.yaw_rate
