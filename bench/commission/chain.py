@@ -58,7 +58,7 @@ def excite(folder: Path, config: str, room: Room, asked: DriveSettings, seed: in
         CHANNELS, lambda values: np.array([values[1] + values[2], values[4] + values[5]])
     ).standard_deviation
     gain = [expected.deviation(f"{channel}.gain") for channel in CHANNELS]
-    passed = max(late) <= gates.delay_deviation and max(gain) <= gates.gain_deviation
+    passed = bool(max(late) <= gates.delay_deviation and max(gain) <= gates.gain_deviation)
     words = (
         f"a drive of {asked.seconds:g} s in {room.length:g} by {room.width:g} m, up to {asked.speed:g} m/s, will tell "
         f"how late v and omega answer to {1e3 * late[0]:.1f} and {1e3 * late[1]:.1f} ms, and their gains to "
@@ -74,7 +74,9 @@ def record(folder: Path, config: str, room: Room, drive: Path, plant: str, seed:
         check_drive(run, room)
     except ValueError as error:
         return Gate(False, f"{error}")
-    write_log(run, folder / LOG)
+    # How long a step took differs when it is driven again, and what follows would be done again, too.
+    unknown = np.full(len(run.time), np.nan)
+    write_log(run.with_step_time(unknown, unknown), folder / LOG)
     inside = float((0.5 * np.array([room.length, room.width]) - np.abs(run.true_pose[:, :2]).max(axis=0)).min())
     return Gate(True, f"{len(run.time)} rows; the robot stayed {inside:.2f} m inside the room")
 
