@@ -11,7 +11,7 @@ from diffdrive_mpc.bench.commands.excite import read_room
 from diffdrive_mpc.bench.commands.one_line_errors import FAILED
 from diffdrive_mpc.bench.commands.options import Jobs, Mapping, file_option, out_option
 
-EXAMPLE = "Example: diffdrive-mpc commission heavy --inside 5x4 --out my_robot --no-tune --runs 40"
+EXAMPLE = "Example: diffdrive-mpc commission heavy --inside 5x4 --out my_robot --quick"
 
 
 def commission(
@@ -45,6 +45,9 @@ def commission(
         int | None,
         typer.Option(min=0, help="Commission a robot that is drawn from this seed, and compare.", show_default=False),
     ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Short drives, few runs, no tuning: to see that it works.")
+    ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of searches, and of the noise of the drives.")] = 0,
     jobs: Jobs = None,
 ) -> None:
@@ -77,8 +80,10 @@ def commission(
         jobs=jobs,
         runs=commission_settings().proof.runs if runs is None else runs,
     )
+    if quick and (runs is not None or plan is not None):
+        raise ValueError("--quick has runs of its own and does not tune; leave --runs and --plan out")
     try:
-        passed = commission_into(asked, out, one=step, drawn=drawn)
+        passed = commission_into(asked.quick() if quick else asked, out, one=step, drawn=drawn)
     except NeedsAPersonError as need:
         typer.echo(f"Next: {need}.")
         return

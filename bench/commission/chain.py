@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from diffdrive_mpc.bench.studies.identification.first_drive import FIRST_CIRCLE,
 from diffdrive_mpc.bench.studies.identification.trial_drives import trial_doubts, trial_drives
 from diffdrive_mpc.bench.studies.twin.study import twin_into
 from diffdrive_mpc.bench.study import carry_out
+from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.identification import Identification, identify
 from diffdrive_mpc.models.identification.configuration import MODEL_FILE, Setting
 from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE
@@ -36,6 +38,7 @@ from diffdrive_mpc.sim.log_csv import write_log
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 
 DRIVE, LOG = "drive.yaml", "log.csv"
+_TUNING = "diffdrive_mpc.bench.tune.study"
 _MOST = {"side_slip": 0.3, "load_shift": 0.2}
 """Of what a log may say of sideways slip [s, s^2]: more is poses that are wrong."""
 
@@ -213,9 +216,18 @@ def _with_slip(found: Identification, logs: Logs) -> Identification:
     return replace(found, configuration=whole, config=whole.mapping())
 
 
+def check_tuning() -> None:
+    """Raise MissingPackageError where this installation cannot tune."""
+    try:
+        import_module(_TUNING)
+        import_module("optuna")
+    except ImportError as error:
+        raise MissingPackageError(
+            f"no tuning in this installation ({error.name} is missing): give --no-tune, or install diffdrive-mpc[tune]"
+        ) from error
+
+
 def tuned(folder: Path, config: Path, plant: Path, plan: str | None, jobs: int | None) -> Gate:
     """Tune on the twin; what is no better leaves the configuration as it was."""
-    from diffdrive_mpc.bench.tune.study import tune  # noqa: PLC0415 - needs the extra `tune`
-
-    found = tune(config, folder, plan=plan, plant=plant, workers=jobs)
-    return Gate(True, found.sentence)
+    found = import_module(_TUNING).tune(config, folder, plan=plan, plant=plant, workers=jobs)
+    return Gate(True, str(found.sentence))

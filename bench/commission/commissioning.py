@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,8 @@ from diffdrive_mpc.sim.plants.simulated_robot import ROBOTS, load_simulated_robo
 
 RESULT = "robot"
 """Folder of what is to be used: model, configuration, twin, proof, report."""
+RECORDED = ("record-slow", "record")
+"""Steps for which the robot drives."""
 TWIN_FILE, REPORT = "twin.yaml", "report.md"
 
 
@@ -80,10 +82,17 @@ class Asked:
     seed: int = 0
     jobs: int | None = None
 
-    @property
-    def plant(self) -> str:
-        """The simulated robot."""
-        return f"mujoco:{self.robot}"
+    def quick(self) -> Asked:
+        """The same in the short form, without tuning: it shows that the chain works, and proves little."""
+        short = commission_settings().quick
+        return replace(
+            self,
+            slow=self.slow.model_copy(update={"seconds": short.slow}),
+            full=self.full.model_copy(update={"seconds": short.full}),
+            twin_seconds=short.twin,
+            runs=short.runs,
+            tuned=False,
+        )
 
 
 @dataclass(frozen=True)
@@ -131,13 +140,17 @@ def commission(
     """
     if asked.robot is not None:
         load_simulated_robot(asked.robot)
-    ledger = Ledger(out)
-    for step in _steps(asked, out, ledger):
+    if asked.tuned:
+        chain.check_tuning()
+    ledger, fresh = Ledger(out), list(asked.logs)
+    for step in _steps(asked, out, ledger, fresh):
         key = key_of(step.name, step.options | commission_settings().gates.model_dump(), step.inputs)
         done = ledger.valid(step.name, key)
         new = done is None
         if done is None:
             done = ledger.carry_out(step.name, key, step.act, kept=step.kept)
+            if step.name in RECORDED:
+                fresh.clear()  # a log is of one drive
         on_step(step.name, done, new)
         if not done.passed:
             return False
@@ -147,7 +160,7 @@ def commission(
     return True
 
 
-def _steps(asked: Asked, out: Path, ledger: Ledger) -> Iterator[Step]:
+def _steps(asked: Asked, out: Path, ledger: Ledger, fresh: list[Path]) -> Iterator[Step]:
     """The steps in order; each is made when those before are done."""
     size = {"room": [asked.room.length, asked.room.width], "seed": asked.seed}
     start = () if asked.config in MODEL_NAMES else (Path(asked.config),)
@@ -160,7 +173,7 @@ def _steps(asked: Asked, out: Path, ledger: Ledger) -> Iterator[Step]:
         start,
         partial(chain.excite, config=asked.config, room=asked.room, asked=asked.slow, seed=asked.seed),
     )
-    yield _recorded("record-slow", asked, out / "excite-slow" / DRIVE, asked.config, start, ledger)
+    yield _recorded("record-slow", asked, out / "excite-slow" / DRIVE, asked.config, start, ledger, fresh)
     logs = _logs(slow, asked)
     yield Step("learn", named, (slow, *start), partial(chain.learn, logs=logs, config=asked.config))
     config = out / "learn" / CONFIG_FILE
@@ -170,7 +183,7 @@ def _steps(asked: Asked, out: Path, ledger: Ledger) -> Iterator[Step]:
         (out / "learn",),
         partial(chain.excite, config=str(config), room=asked.room, asked=asked.full, seed=asked.seed),
     )
-    yield _recorded("record", asked, out / "excite" / DRIVE, str(config), (out / "learn",), ledger)
+    yield _recorded("record", asked, out / "excite" / DRIVE, str(config), (out / "learn",), ledger, fresh)
     whole = _logs(full, asked)
     both = Logs((*whole.files, *logs.files), whole.mapping)
     yield Step("identify", {}, (slow, full), partial(chain.identify_all, logs=both))
@@ -200,7 +213,9 @@ def _steps(asked: Asked, out: Path, ledger: Ledger) -> Iterator[Step]:
     )
 
 
-def _recorded(name: str, asked: Asked, drive: Path, config: str, inputs: tuple[Path, ...], ledger: Ledger) -> Step:
+def _recorded(
+    name: str, asked: Asked, drive: Path, config: str, inputs: tuple[Path, ...], ledger: Ledger, fresh: list[Path]
+) -> Step:
     """The step that drives: on the simulated robot, or by a person, whose logs are taken once."""
     if asked.robot is not None:
         file = named_file("robot", ROBOTS, asked.robot)
@@ -210,14 +225,14 @@ def _recorded(name: str, asked: Asked, drive: Path, config: str, inputs: tuple[P
         return Step(name, {"seed": asked.seed}, (drive, file, *inputs), act)
     key_inputs = (drive,)
     taken = ledger.valid(name, key_of(name, commission_settings().gates.model_dump(), key_inputs))
-    if taken is None and not asked.logs:
+    if taken is None and not fresh:
         length, width = f"{asked.room.length:g}", f"{asked.room.width:g}"
         raise NeedsAPersonError(
             f"drive {drive} on the robot, with the configuration {config} and in it fence: {{enabled: true, length: "
             f"{length}, width: {width}, frame: start}}; it begins in the middle of the room, its length ahead. Record "
             "commands, encoders, gyro and poses, and call again with --log LOG"
         )
-    logs = Logs(asked.logs, asked.mapping)
+    logs = Logs(tuple(fresh), asked.mapping)
     return Step(name, {}, key_inputs, partial(chain.take, logs=logs))
 
 

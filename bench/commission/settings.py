@@ -38,12 +38,22 @@ class ProofSettings(StrictModel):
     spread: dict[str, tuple[Positive, Positive]]
 
 
+class QuickSettings(StrictModel):
+    """The short form: seconds of the drives and of the log that the twin is fitted to, runs of the proof."""
+
+    slow: Positive
+    full: Positive
+    twin: Positive
+    runs: int = Field(ge=1)
+
+
 class CommissionSettings(StrictModel):
     """All of it."""
 
     slow: DriveSettings
     full: DriveSettings
     twin_seconds: Positive
+    quick: QuickSettings
     gates: Gates
     proof: ProofSettings
 

@@ -2,6 +2,8 @@
 
 import json
 import shutil
+from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, settings
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.commission import chain
 from diffdrive_mpc.bench.commission.commissioning import Asked, NeedsAPersonError, commission
 from diffdrive_mpc.bench.commission.drawn_robot import drawn_robot, write_drawn_robot
 from diffdrive_mpc.bench.commission.ledger import Gate, Ledger, key_of
@@ -20,14 +23,6 @@ from diffdrive_mpc.mpc.trajectories.model_excitation import Room
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 
 STEPS = ["excite-slow", "record-slow", "learn", "excite", "record", "identify", "twin", "prove"]
-QUICK = {
-    "slow": DriveSettings(seconds=12.0, speed=0.3, yaw_rate=0.6),
-    "full": DriveSettings(seconds=20.0, speed=0.8, yaw_rate=1.3),
-    "twin_seconds": 5.0,
-    "runs": 2,
-    "tuned": False,
-    "jobs": 1,
-}
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -43,7 +38,7 @@ def quick_search():
 def commissioned(tmp_path_factory):
     """One robot, commissioned in the shortest form, with what was said of each step."""
     out, said = tmp_path_factory.mktemp("commission"), []
-    asked = Asked(Room(5.0, 4.0), "wide", **QUICK)
+    asked = replace(Asked(Room(5.0, 4.0), "wide", jobs=1).quick(), runs=2)
     assert commission(asked, out, on_step=lambda name, done, new: said.append((name, done, new)))
     return asked, out, said
 
@@ -89,20 +84,44 @@ def test_what_is_done_is_not_done_again(commissioned):
     assert repeated(asked, out) == ["record"]
 
 
+def test_what_was_tuned_is_proven_and_delivered(commissioned, monkeypatch):
+    """A tuning that writes a configuration of its own, which names the model from its place."""
+    asked, out, said = commissioned
+
+    def tune(config, folder, *, plan, plant, workers):
+        assert plan is None
+        assert workers == 1
+        assert plant == out / "twin" / "plant.yaml"
+        words = config.read_text().replace("model: model.yaml", "model: ../identify/model.yaml")
+        (folder / "config.yaml").write_text(words + "weights: {across: 777.0}\n")
+        return SimpleNamespace(sentence="the objective is lower", improved=True)
+
+    real = chain.import_module
+    monkeypatch.setattr(
+        chain, "import_module", lambda name: SimpleNamespace(tune=tune) if "tune" in name else real(name)
+    )
+    assert repeated(replace(asked, tuned=True), out) == ["tune", "prove"]
+    config = load_config(out / "robot" / "config.yaml")
+    assert config.weights.across == 777.0
+    assert config.model == str(out / "robot" / "model.yaml")
+    assert "the objective is lower." in (out / "robot" / "report.md").read_text()
+
+
 def test_a_person_drives(commissioned, tmp_path):
-    """The same logs, taken as those of a person: first the command asks for one, then it goes on by single steps."""
+    """The same logs, taken as those of a person: the command asks for one, then for the next."""
     _, out, _ = commissioned
-    mine = Asked(Room(5.0, 4.0), **QUICK)
+    mine = Asked(Room(5.0, 4.0), jobs=1).quick()
+    assert commission(mine, tmp_path, one=True)
     with pytest.raises(NeedsAPersonError, match=r"drive .*excite-slow/drive.yaml on the robot"):
-        commission(mine, tmp_path)
+        commission(mine, tmp_path, one=True)
     log = tmp_path / "my_log.csv"
     shutil.copy2(out / "record-slow" / "log.csv", log)
-    with_log = Asked(Room(5.0, 4.0), logs=(log,), **QUICK)
-    assert commission(with_log, tmp_path, one=True)
+    with_log = replace(mine, logs=(log,))
+    # A log is of one drive: it goes on to the next one that a person has to drive, and does not take it for that.
+    with pytest.raises(NeedsAPersonError, match=r"excite/drive.yaml on the robot"):
+        commission(with_log, tmp_path)
     assert (tmp_path / "record-slow" / "my_log.csv").is_file()
     log.unlink()
-    assert commission(mine, tmp_path, one=True)
-    assert commission(mine, tmp_path, one=True)
     with pytest.raises(NeedsAPersonError, match=r"excite/drive.yaml on the robot"):
         commission(mine, tmp_path)
     assert list(json.loads((tmp_path / "commission.json").read_text())["steps"]) == STEPS[:4]
@@ -112,7 +131,7 @@ def test_a_gate_that_does_not_open_ends_it(tmp_path):
     """In so little time and with so little speed the first drive cannot promise enough."""
     said = []
     slow = DriveSettings(seconds=8.0, speed=0.01, yaw_rate=0.01)
-    asked = Asked(Room(5.0, 4.0), "heavy", **{**QUICK, "slow": slow})
+    asked = replace(Asked(Room(5.0, 4.0), "heavy").quick(), slow=slow)
     assert not commission(asked, tmp_path, on_step=lambda name, done, _: said.append((name, done)))
     assert [name for name, _ in said] == ["excite-slow"]
     assert said[0][1].sentence.endswith("too little; give more room or time")
@@ -163,8 +182,8 @@ def test_every_drawn_robot_is_one(tmp_path_factory, seed):
         (["heavy", "--drawn", "3"], "--drawn 3: it draws the robot"),
         (["heavy", "--log", "a.csv"], "--log: the simulated robot is driven here"),
         (["--inside", "5", "heavy"], "give length and width in metres"),
-        (["nothing"], "nothing"),
-        (["heavy", "--config", "none.yaml"], "none.yaml"),
+        (["nothing", "--no-tune"], "nothing"),
+        (["heavy", "--no-tune", "--config", "none.yaml"], "none.yaml"),
     ],
 )
 def test_bad_input_is_one_line(tmp_path, words, said):
