@@ -18,6 +18,7 @@ from diffdrive_mpc.bench.commission.report import report_text
 from diffdrive_mpc.bench.commission.settings import DriveSettings, commission_settings
 from diffdrive_mpc.bench.studies.identification.first_drive import FIRST_CIRCLE
 from diffdrive_mpc.bench.studies.twin.report import PLANT
+from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.identification.configuration import MODEL_FILE
 from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE
 from diffdrive_mpc.models.load import MODEL_NAMES
@@ -106,7 +107,7 @@ class Step:
     kept: bool = False
 
 
-class NeedsAPersonError(Exception):
+class NeedsAPersonError(DiffdriveMpcError):
     """The robot has to be driven before the next step; the message says how."""
 
 

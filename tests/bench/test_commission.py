@@ -86,7 +86,7 @@ def test_what_is_done_is_not_done_again(commissioned):
 
 def test_what_was_tuned_is_proven_and_delivered(commissioned, monkeypatch):
     """A tuning that writes a configuration of its own, which names the model from its place."""
-    asked, out, said = commissioned
+    asked, out, _said = commissioned
 
     def tune(config, folder, *, plan, plant, workers):
         assert plan is None
