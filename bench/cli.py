@@ -16,6 +16,7 @@ from diffdrive_mpc.bench.commands import (
     real_logs,
     ros,
     studies,
+    tune,
     twin,
 )
 from diffdrive_mpc.bench.commands.config import config_app
@@ -42,6 +43,7 @@ app.command("robustness", epilog=studies.EXAMPLES["robustness"])(studies.robustn
 app.command("campaign", epilog=campaign.EXAMPLE)(campaign.campaign)
 app.command("prove", epilog=prove.EXAMPLE)(prove.prove)
 app.command("commission", epilog=commission.EXAMPLE)(commission.commission)
+app.command("tune", epilog=tune.EXAMPLE)(tune.tune)
 app.command("speed", epilog=studies.EXAMPLES["speed"])(studies.speed)
 app.command("loop-speed", epilog=studies.EXAMPLES["loop-speed"])(studies.loop_speed)
 app.command("excite", epilog=excite.EXAMPLE)(excite.excite)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,6 @@ from diffdrive_mpc.bench.studies.identification.first_drive import FIRST_CIRCLE,
 from diffdrive_mpc.bench.studies.identification.trial_drives import trial_doubts, trial_drives
 from diffdrive_mpc.bench.studies.twin.study import twin_into
 from diffdrive_mpc.bench.study import carry_out
-from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.identification import Identification, identify
 from diffdrive_mpc.models.identification.configuration import MODEL_FILE, Setting
 from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE
@@ -38,7 +36,6 @@ from diffdrive_mpc.sim.log_csv import write_log
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 
 DRIVE, LOG = "drive.yaml", "log.csv"
-_TUNING = "diffdrive_mpc.bench.tune.study"
 _MOST = {"side_slip": 0.3, "load_shift": 0.2}
 """Of what a log may say of sideways slip [s, s^2]: more is poses that are wrong."""
 
@@ -216,18 +213,8 @@ def _with_slip(found: Identification, logs: Logs) -> Identification:
     return replace(found, configuration=whole, config=whole.mapping())
 
 
-def check_tuning() -> None:
-    """Raise MissingPackageError where this installation cannot tune."""
-    try:
-        import_module(_TUNING)
-        import_module("optuna")
-    except ImportError as error:
-        raise MissingPackageError(
-            f"no tuning in this installation ({error.name} is missing): give --no-tune, or install diffdrive-mpc[tune]"
-        ) from error
-
-
 def tuned(folder: Path, config: Path, plant: Path, plan: str | None, jobs: int | None) -> Gate:
     """Tune on the twin; what is no better leaves the configuration as it was."""
-    found = import_module(_TUNING).tune(config, folder, plan=plan, plant=plant, workers=jobs)
-    return Gate(True, str(found.sentence))
+    from diffdrive_mpc.bench.tune import study  # noqa: PLC0415 - needs the extra `tune`
+
+    return Gate(True, study.tune(config, folder, plan=plan, plant=plant, workers=jobs).sentence)

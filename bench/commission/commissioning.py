@@ -18,6 +18,7 @@ from diffdrive_mpc.bench.commission.report import report_text
 from diffdrive_mpc.bench.commission.settings import DriveSettings, commission_settings
 from diffdrive_mpc.bench.studies.identification.first_drive import FIRST_CIRCLE
 from diffdrive_mpc.bench.studies.twin.report import PLANT
+from diffdrive_mpc.bench.tune.optuna_study import needs_optuna
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.identification.configuration import MODEL_FILE
 from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE
@@ -142,7 +143,7 @@ def commission(
     if asked.robot is not None:
         load_simulated_robot(asked.robot)
     if asked.tuned:
-        chain.check_tuning()
+        needs_optuna()
     ledger, fresh = Ledger(out), list(asked.logs)
     for step in _steps(asked, out, ledger, fresh):
         key = key_of(step.name, step.options | commission_settings().gates.model_dump(), step.inputs)

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.commission import chain
 from diffdrive_mpc.bench.commission.commissioning import Asked, NeedsAPersonError, commission
 from diffdrive_mpc.bench.commission.drawn_robot import drawn_robot, write_drawn_robot
 from diffdrive_mpc.bench.commission.ledger import Gate, Ledger, key_of
@@ -96,10 +95,7 @@ def test_what_was_tuned_is_proven_and_delivered(commissioned, monkeypatch):
         (folder / "config.yaml").write_text(words + "weights: {across: 777.0}\n")
         return SimpleNamespace(sentence="the objective is lower", improved=True)
 
-    real = chain.import_module
-    monkeypatch.setattr(
-        chain, "import_module", lambda name: SimpleNamespace(tune=tune) if "tune" in name else real(name)
-    )
+    monkeypatch.setattr("diffdrive_mpc.bench.tune.study.tune", tune)
     assert repeated(replace(asked, tuned=True), out) == ["tune", "prove"]
     config = load_config(out / "robot" / "config.yaml")
     assert config.weights.across == 777.0
