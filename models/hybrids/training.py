@@ -7,6 +7,8 @@ of runs from the commands alone, cut into segments that are run side by side.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,11 +20,15 @@ from diffdrive_mpc.models.hybrids.equations import gate, network
 from diffdrive_mpc.models.hybrids.hybrid_model import Correction
 from diffdrive_mpc.models.hybrids.settings import HybridSettings
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.output_error.linear_system import LinearSystem, StateResponse, settled_start
 
 _FORGOTTEN = 0.01
 """What is left of a start by the linear model when errors of a segment begin to count [-]."""
 _SEGMENT = 4
 """Length of a segment over the time in which its start is forgotten."""
+_MULTIPLE = 16
 _NARROWEST = 1e-4
 """Least variance of the features in any direction [-]."""
 
@@ -38,6 +44,14 @@ class Run(NamedTuple):
     """(K, 2) readings less the sensors' offsets"""
     counts: FloatArray
     """(K, 2) 1 where a reading counts, else 0"""
+    sent: FloatArray
+    """(K, 2) commands, within the levels at which the robot clips them"""
+    before: FloatArray
+    """(memory, 2) commands before them"""
+
+    def answer(self, model: NonlinearModel) -> FloatArray:
+        """(K, 2) v and omega by a model with the same states, from the commands alone."""
+        return model.simulate(self.sent, self.states[0], self.before)
 
 
 class Segments(NamedTuple):
@@ -55,7 +69,20 @@ class Segments(NamedTuple):
     """(S, L, 2) of squared errors; 0 where none counts"""
 
 
-def around(runs: Sequence[Run], settings: HybridSettings) -> Correction:
+def runs_of(linear: DiscreteModel, system: LinearSystem, experiments: Sequence[Experiment]) -> list[Run]:
+    """The experiments, each after rest in the settled state that gives its first readings; `linear` is of `system`."""
+    found = []
+    for one in experiments:
+        start, held = settled_start(system, one.first_readings)
+        before, sent = np.tile(held, (linear.memory, 1)), np.clip(one.inputs, -system.limit, system.limit)
+        recent, older = linear.effective_inputs(sent, before)
+        drive = recent @ linear.B0.T + older @ linear.B1.T
+        states = StateResponse(linear.A)(drive.T[:, None], start[:, None])[:, 0].T
+        found.append(Run(states, recent, one.outputs - system.offset, one.counts.astype(float), sent, before))
+    return found
+
+
+def silent(runs: Sequence[Run], settings: HybridSettings) -> Correction:
     """A correction that is silent yet, for the features of `runs`.
 
     Their covariance is about rest: as the network is odd, what was seen in one direction is known in the other.
@@ -66,12 +93,13 @@ def around(runs: Sequence[Run], settings: HybridSettings) -> Correction:
     shape = np.linalg.inv(z.T @ z / len(z) + _NARROWEST * np.eye(len(scale)))
     full = float(np.quantile(np.einsum("ki,ij,kj->k", z, shape, z), settings.full))
     n = runs[0].states.shape[1]
+    # Silent by what leads out: what leads in has to differ from unit to unit.
     inward = np.random.default_rng(settings.seed).normal(size=(n + 2, settings.units)) / np.sqrt(n + 2)
     return Correction(scale, inward, np.zeros((settings.units, n)), shape, full, settings.reach**2 * full)
 
 
-def train(
-    linear: DiscreteModel, runs: Sequence[Run], decays: Sequence[float], start: Correction, settings: HybridSettings
+def trained(
+    linear: DiscreteModel, runs: Sequence[Run], decays: Sequence[float], settings: HybridSettings
 ) -> list[Correction]:
     """The network with which the mean squared error is least, for each penalty of squared weights in turn.
 
@@ -82,30 +110,34 @@ def train(
     models.errors.MissingPackageError
         If JAX is not installed.
     """
-    jax = libraries()
-    found = []
+    jax, start, given = libraries(), silent(runs, settings), segments(linear, runs)
+    fixed = (start.scale, start.shape, start.full, start.least)
+    cut, found = start.inward.size, []
+
+    def apart(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return p[:cut].reshape(start.inward.shape), p[cut:].reshape(start.outward.shape)
+
+    def cost(p: FloatArray, decay: float) -> tuple[float, FloatArray]:
+        value, gradient = _compiled()(apart(p), decay, given, linear.A, linear.C, fixed)
+        return float(value), np.concatenate([np.ravel(np.asarray(part)) for part in gradient])
+
+    p = np.concatenate([start.inward.ravel(), start.outward.ravel()])
     with jax.experimental.enable_x64():
-        cost = _cost(linear, start, segments(linear, runs))
-        p = np.concatenate([start.inward.ravel(), start.outward.ravel()])
-        cut = start.inward.size
         for decay in decays:
-            result = minimize(
-                lambda p, decay=decay: cost(p, decay),
-                p,
-                jac=True,
-                method="L-BFGS-B",
-                options={"maxiter": settings.most_steps, "maxfun": 2 * settings.most_steps},
-            )
-            p = result.x
-            inward, outward = p[:cut].reshape(start.inward.shape), p[cut:].reshape(start.outward.shape)
-            found.append(Correction(start.scale, inward, outward, start.shape, start.full, start.least))
+            most = {"maxiter": settings.most_steps, "maxfun": 2 * settings.most_steps}
+            p = minimize(cost, p, args=(decay,), jac=True, method="L-BFGS-B", options=most).x
+            inward, outward = apart(p)
+            found.append(replace(start, inward=inward, outward=outward))
     return found
 
 
 def segments(linear: DiscreteModel, runs: Sequence[Run]) -> Segments:
-    """Runs cut into segments of equal length, each with a time before it in which its start is forgotten."""
+    """Runs cut into segments of equal length, each with a time before it in which its start is forgotten.
+
+    Length and number are whole multiples, the last segments weighing nothing: what is compiled for one serves others.
+    """
     radius = float(np.abs(np.linalg.eigvals(linear.A)).max())
-    before = max(1, int(np.ceil(np.log(_FORGOTTEN) / np.log(radius))))
+    before = _whole(np.log(_FORGOTTEN) / np.log(radius))
     parts: list[tuple[FloatArray, ...]] = []
     left = np.concatenate([(run.counts * (run.outputs - run.states @ linear.C.T)) for run in runs])
     power = np.maximum((left**2).sum(axis=0), 1e-12)
@@ -126,7 +158,13 @@ def segments(linear: DiscreteModel, runs: Sequence[Run]) -> Segments:
                     run.counts[inside] * here[:, None] / power / 2.0,
                 )
             )
+    parts += [(*parts[0][:-1], np.zeros_like(parts[0][-1]))] * (_whole(len(parts)) - len(parts))
     return Segments(*(np.array(column) for column in zip(*parts, strict=True)))
+
+
+def _whole(count: float) -> int:
+    """The next multiple."""
+    return _MULTIPLE * max(1, int(np.ceil(count / _MULTIPLE)))
 
 
 def libraries() -> Any:  # noqa: ANN401 - JAX is optional
@@ -139,32 +177,24 @@ def libraries() -> Any:  # noqa: ANN401 - JAX is optional
     return jax
 
 
-def _cost(
-    linear: DiscreteModel, start: Correction, given: Segments
-) -> Callable[[FloatArray, float], tuple[float, FloatArray]]:
-    """Cost and its gradient by the weights, for weights and penalty; the linear model alone costs 1."""
+@cache
+def _compiled() -> Callable[..., Any]:
+    """Cost and its gradient by the weights in and out, for penalty, segments, linear model and gate."""
     jax = libraries()
-    jnp, n, cut = jax.numpy, linear.order, start.inward.size
-    A, C, scale, shape = (jnp.asarray(value) for value in (linear.A, linear.C, start.scale, start.shape))
+    jnp = jax.numpy
 
-    def error(inward: Any, outward: Any, one: Segments) -> Any:  # noqa: ANN401 - arrays of JAX
-        def advance(x: Any, sample: Any) -> Any:  # noqa: ANN401
+    def cost(weights: Any, decay: Any, given: Segments, A: Any, C: Any, fixed: Any) -> Any:  # noqa: ANN401
+        (inward, outward), (scale, shape, full, least) = weights, fixed
+
+        def advance(x: Any, sample: Any) -> Any:  # noqa: ANN401 - arrays of JAX
             command, drive, output, weight = sample
             z = jnp.concatenate([x, command]) / scale
-            says = network(jnp, z, inward, outward) * gate(jnp, z, shape, start.full, start.least)
-            return A @ x + drive + scale[:n] * says, weight @ (C @ x - output) ** 2
+            says = network(jnp, z, inward, outward) * gate(jnp, z, shape, full, least)
+            return A @ x + drive + scale[: len(x)] * says, weight @ (C @ x - output) ** 2
 
-        return jnp.sum(jax.lax.scan(advance, one.starts, one[1:])[1])
+        def error(one: Segments) -> Any:  # noqa: ANN401
+            return jnp.sum(jax.lax.scan(advance, one.starts, one[1:])[1])
 
-    def cost(p: Any, decay: Any) -> Any:  # noqa: ANN401
-        inward, outward = p[:cut].reshape(start.inward.shape), p[cut:].reshape(start.outward.shape)
-        errors = jax.vmap(error, (None, None, 0))(inward, outward, Segments(*map(jnp.asarray, given)))
-        return jnp.sum(errors) + decay * jnp.sum(p**2)
+        return jnp.sum(jax.vmap(error)(given)) + decay * (jnp.sum(inward**2) + jnp.sum(outward**2))
 
-    both = jax.jit(jax.value_and_grad(cost))
-
-    def evaluated(p: FloatArray, decay: float) -> tuple[float, FloatArray]:
-        value, gradient = both(p, decay)
-        return float(value), np.asarray(gradient, dtype=float)
-
-    return evaluated
+    return jax.jit(jax.value_and_grad(cost))  # type: ignore[no-any-return]
