@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -9,6 +13,21 @@ from diffdrive_mpc.models.interface import FloatArray
 
 POLYNOMIAL = tuple(f"a{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3))
 """Names of the nine coefficients of `polynomial_twist`, row by row."""
+
+# The least value under the root of a track that shrinks: below zero the law has no solution, and at zero no slope.
+_LEAST_ROOT = 0.04
+
+
+class _Functions(NamedTuple):
+    """What the text of the growing track needs of NumPy or CasADi beside their operators."""
+
+    sqrt: Callable[[Any], Any]
+    absolute: Callable[[Any], Any]
+    larger: Callable[[Any, Any], Any]
+
+
+_NUMERIC = _Functions(np.sqrt, np.abs, np.maximum)
+_SYMBOLIC = _Functions(ca.sqrt, ca.fabs, ca.fmax)
 
 
 def polynomial_twist(coefficients: ArrayLike, wheels: ArrayLike) -> FloatArray:
@@ -35,6 +54,31 @@ def polynomial_twist(coefficients: ArrayLike, wheels: ArrayLike) -> FloatArray:
     return np.asarray(np.stack([v, np.zeros_like(v), omega], axis=-1) + terms @ rows.T)
 
 
+def _widening(functions: _Functions, settled: Any, growth: Any) -> Any:  # noqa: ANN401 - numbers, arrays or symbols
+    """By what factor the track is wider than at rest: the one text of P3's law, for numbers and for symbols.
+
+    i = p1 |omega| + p0 is k = 1 + growth |omega| with growth = p1 / p0 and omega = settled / k, quadratic in k; this is
+    the solution that is 1 for a track that does not grow. A track that shrinks ends where the faster turn would have
+    no solution.
+    """
+    return 0.5 * (1 + functions.sqrt(functions.larger(1 + 4 * growth * functions.absolute(settled), _LEAST_ROOT)))
+
+
+def track_widening(settled: ca.SX, growth: ca.SX) -> ca.SX:
+    """CasADi expression of the track over that at rest [-], for a robot whose track grows with its yaw rate.
+
+    Source: Botta et al., Appl. Sci. 2021, 11(4), 1594 (P3), see `virtual_track_yaw_rate`.
+
+    Parameters
+    ----------
+    settled
+        Yaw rate that the robot would have with the track at rest [rad/s]; it has this over the widening.
+    growth
+        By what share of itself the track grows for each rad/s of the robot's own yaw rate [s/rad], p1 / p0.
+    """
+    return ca.SX(_widening(_SYMBOLIC, settled, growth))
+
+
 def virtual_track_yaw_rate(difference: ArrayLike, p0: float, p1: float) -> FloatArray:
     """Yaw rate of a robot whose track grows with it, i = p1 |yaw rate| + p0.
 
@@ -53,7 +97,5 @@ def virtual_track_yaw_rate(difference: ArrayLike, p0: float, p1: float) -> Float
     FloatArray
         (...) yaw rate [rad/s].
     """
-    difference = np.asarray(difference, dtype=float)
-    # Below the root's range the law has no solution; its edge keeps a search finite.
-    root = np.sqrt(np.maximum(p0**2 + 4 * p1 * np.abs(difference), 0.0))
-    return np.asarray(2 * difference / (p0 + root))
+    settled = np.asarray(difference, dtype=float) / p0
+    return np.asarray(settled / _widening(_NUMERIC, settled, p1 / p0))

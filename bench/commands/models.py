@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.bench.commands.options import Mapping
+
 models_app = typer.Typer(no_args_is_help=True, help="List, show and check velocity models.")
 
 
@@ -141,7 +143,7 @@ def calibrate(
 @models_app.command(epilog="Example: diffdrive-mpc models compare drive.csv --mapping mine.yaml")
 def compare(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="CSV files or bags, all of one robot.")],
-    mapping: Annotated[str | None, typer.Option(help="Shipped mapping or mapping file.", show_default=False)] = None,
+    mapping: Mapping = None,
     kinds: Annotated[
         str,
         typer.Option(

@@ -6,14 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from diffdrive_mpc.models.drives.drive_file import DRIVE_FILES, Chassis, ExperimentalFile, PhysicalFile
-from diffdrive_mpc.models.drives.fitting import ACTUATOR_LAG, DriveFit
+from diffdrive_mpc.models.drives.fitting import DriveFit
 from diffdrive_mpc.models.drives.settings import fit_settings
 from diffdrive_mpc.models.logs.geometry import WheelGeometry
 from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.structures.identified import rounded
 from diffdrive_mpc.models.velocity_model import CHANNELS
-
-_FRICTION = 35e-7
-"""The paper's K [N m s/rad]."""
 
 
 def drive_content(
@@ -49,7 +47,7 @@ def _channel(fit: DriveFit, row: int) -> dict[str, float]:
     return {
         "dead_samples": fit.dead_samples[row],
         "still": fit_settings().still[row],
-        **{key: _rounded(fit.values[row][key]) for key in fit.values[row] if key in keys},
+        **{key: rounded(fit.values[row][key]) for key in fit.values[row] if key in keys},
     }
 
 
@@ -65,17 +63,13 @@ def _physical(fit: DriveFit, geometry: WheelGeometry | None) -> dict[str, dict[s
         wheel_radius=radius,
         track=track,
         centre_ahead=0.0,
-        yaw_inertia=_rounded(apart / 2 * track**2 / radius**2),
+        yaw_inertia=rounded(apart / 2 * track**2 / radius**2),
         wheel_inertia=0.0,
     )
     drive = {
-        "proportional_gain": _rounded(forward * (chassis.own + chassis.other)),
-        "integral_time": _rounded(fit.values[0]["integral_time"]),
-        "actuator_lag": ACTUATOR_LAG,
-        "friction": _FRICTION,
+        "proportional_gain": rounded(forward * (chassis.own + chassis.other)),
+        "integral_time": rounded(fit.values[0]["integral_time"]),
+        "actuator_lag": fit_settings().actuator_lag,
+        "friction": fit_settings().friction,
     }
     return {"chassis": chassis.model_dump(), "wheel_drive": drive}
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.5g}")

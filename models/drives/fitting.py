@@ -20,8 +20,6 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import Experiment, YawSource, joined, parted, twist_experiments
 
-ACTUATOR_LAG = 1.1e-3
-"""The paper's T_A [s]; far below every sample time, so it is not fitted."""
 _COARSE, _CLOSE = 1e-3, 1e-4
 """Relative change of cost or numbers at which a search ends: while dead times are compared, and at last."""
 
@@ -78,9 +76,8 @@ def step_coefficients(kind: Kind, values: dict[str, float], dt: float) -> FloatA
     shared = [values["gain"], values["quicker"], values["slower"]]
     if kind == "drive_experimental":
         return np.array([*shared, values["lag"], values["threshold"], values["threshold_by_slope"]])
-    response = wheel_response(
-        values["stiffness"], values.get("friction", 0.0), values["integral_time"], ACTUATOR_LAG, dt
-    )
+    lag = fit_settings().actuator_lag
+    response = wheel_response(values["stiffness"], values.get("friction", 0.0), values["integral_time"], lag, dt)
     return np.array([*shared, *response.T.ravel()])
 
 

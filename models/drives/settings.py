@@ -26,6 +26,8 @@ class FitSettings(StrictModel):
     most_dead_time: Positive = Field(description="[s]")
     most_steps: Annotated[int, Field(ge=1)] = Field(description="of one least-squares search [-]")
     still: tuple[Positive, Positive] = Field(description="speed below which a robot stands [m/s], [rad/s]")
+    actuator_lag: Positive = Field(description="of the physical model, not searched [s]")
+    friction: Positive = Field(description="viscous, of the physical model, not searched [N m s/rad]")
     bounds: dict[str, Range]
     starts: tuple[dict[str, float], ...]
     priors: dict[str, float] = Field(description="of numbers that a log need not tell")

@@ -26,6 +26,7 @@ from typing import Any
 import casadi as ca
 
 from diffdrive_mpc.models.pose import arc_displacement
+from diffdrive_mpc.models.slip_laws import track_widening
 from diffdrive_mpc.mpc.estimation.slip import FLAT_SLIPS, SLIPS
 
 TERM_INPUTS: Mapping[str, int] = {"pose": 3, "twist": 2, "command": 2, "reference": 4}
@@ -48,23 +49,14 @@ _SHAPES = {
 
 SLOW = 0.1
 """Slower than this a robot cannot make up for a lateral speed by its heading [m/s]."""
-# Rounds in which curved slip is undone; the least value under the root of a track that shrinks.
-_ROUNDS, _LEAST_ROOT = 3, 0.04
+# Rounds in which curved slip is undone.
+_ROUNDS = 3
 
 
 def _named(slip: ca.SX) -> SimpleNamespace:
     """Slip by its names; what a shorter column does not hold is zero."""
     given = ca.vertsplit(slip)
     return SimpleNamespace(**dict(zip(SLIPS, [*given, *[ca.SX(0)] * (len(SLIPS) - len(given))], strict=True)))
-
-
-def _widening(settled: ca.SX, growth: ca.SX) -> ca.SX:
-    """By what factor the track of a turning robot is wider than at rest: k = 1 + growth |omega|, omega = settled / k.
-
-    The finite solution of P3's virtual track i = p1 |omega| + p0, growth = p1 / p0 (Botta et al., Appl. Sci. 2021,
-    11(4), 1594). A track that shrinks ends where the faster turn would have no solution.
-    """
-    return 0.5 * (1 + ca.sqrt(ca.fmax(1 + 4 * growth * ca.fabs(settled), _LEAST_ROOT)))
 
 
 def _flat_twist(wheels: ca.SX, turn: ca.SX, s: SimpleNamespace) -> ca.SX:
@@ -77,7 +69,7 @@ def _curved(flat: ca.SX, wheels: ca.SX, turn: ca.SX, s: SimpleNamespace) -> ca.S
     """The same with what curves it: veer and couplings, which are a31, a13 and a33 of P4, and a track that widens."""
     product = wheels * s.omega_gain * turn
     v = flat[0] + s.forward_coupling * product
-    omega = flat[1] / _widening(flat[1], s.track_growth) + s.veer * wheels + s.yaw_coupling * product
+    omega = flat[1] / track_widening(flat[1], s.track_growth) + s.veer * wheels + s.yaw_coupling * product
     return ca.SX(ca.vertcat(v, omega))
 
 
@@ -107,7 +99,7 @@ def wheel_twist(twist: ca.SX, slip: ca.SX) -> ca.SX:
     gain = s.omega_gain * s.yaw_gain
     v, turn = (twist[0] - s.turn_left * twist[1]) / s.longitudinal_gain, twist[1] / gain
     for _ in range(0 if slip.numel() == len(FLAT_SLIPS) else _ROUNDS):
-        widening = _widening(gain * turn, s.track_growth)
+        widening = track_widening(gain * turn, s.track_growth)
         turn = (twist[1] - s.veer * v) / (gain / widening + s.yaw_coupling * s.omega_gain * v)
         v = (twist[0] - s.turn_left * gain * turn) / (s.longitudinal_gain + s.forward_coupling * s.omega_gain * turn)
     return ca.SX(ca.vertcat(v, turn))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import duckdb
 import pandas as pd
+import polars as pl
 import pytest
 from bench_parts import quick_case
 from typer.testing import CliRunner
@@ -98,7 +99,7 @@ def test_a_file_that_was_cut_off_is_driven_again(campaign: Path, tmp_path: Path)
     assert read_table(out / "results.parquet", times=False).equals(expected)
 
 
-def test_pandas_and_duckdb_read_the_table(campaign: Path, tmp_path: Path) -> None:
+def test_pandas_polars_and_duckdb_read_the_table(campaign: Path, tmp_path: Path) -> None:
     call("campaign", campaign, "--out", tmp_path / "out", "--jobs", "1")
     path = tmp_path / "out" / "results.parquet"
     frame = pd.read_parquet(path)
@@ -112,6 +113,8 @@ def test_pandas_and_duckdb_read_the_table(campaign: Path, tmp_path: Path) -> Non
     ).fetchall()[0]
     chosen = frame[frame["completed"] & (frame["sensors.pose.latency"] < 0.05)]
     assert (counted, worst) == (len(chosen), chosen["position_rmse_m"].max())
+    few = pl.scan_parquet(path).filter(pl.col("completed") & (pl.col("sensors.pose.latency") < 0.05)).collect()
+    assert (few.height, few["position_rmse_m"].max()) == (counted, worst)
 
 
 def test_what_a_run_gives_is_what_simulate_gives() -> None:

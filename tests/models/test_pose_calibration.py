@@ -17,6 +17,7 @@ from diffdrive_mpc.models.identification.pose_calibration import (
 )
 from diffdrive_mpc.models.identification.poses import rotation_centre
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.slip_laws import virtual_track_yaw_rate
 
 RADIUS, TRACK = 0.07, 0.4
 
@@ -72,6 +73,14 @@ def test_the_virtual_track_solves_its_equation(p1, left, right):
     """yaw rate times (p1 |yaw rate| + p0) is the difference of the rim speeds."""
     rate = VirtualTrack(RADIUS, TRACK).twist(np.array([RADIUS, 0.5, p1, 0.0]), np.array([left, right]))[2]
     assert rate * (p1 * abs(rate) + 0.5) == pytest.approx(RADIUS * (right - left), abs=1e-9)
+
+
+@given(p1=st.floats(-0.5, 0.5), one=st.floats(-3, 3), other=st.floats(-3, 3))
+def test_a_robot_on_a_virtual_track_turns_faster_the_more_its_wheels_differ(p1, one, other):
+    """Where a track that shrinks leaves no solution too: a search may come there."""
+    slow, fast = virtual_track_yaw_rate([min(one, other), max(one, other)], 0.5, p1)
+    assert slow <= fast
+    assert virtual_track_yaw_rate(-one, 0.5, p1) == -virtual_track_yaw_rate(one, 0.5, p1)
 
 
 def test_without_growth_the_virtual_track_is_constant():

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from diffdrive_mpc.models import integrate_pose
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.pose import linearised_arc
-from diffdrive_mpc.models.slip_laws import polynomial_twist, virtual_track_yaw_rate
+from diffdrive_mpc.models.slip_laws import polynomial_twist
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.core.generate import generate, generate_formulas
 from diffdrive_mpc.mpc.estimation.slip import CURVED_SLIPS, FLAT_SLIPS, SLIPS, Slip
@@ -239,12 +239,20 @@ def test_the_terms_of_p4_are_those_of_its_polynomial(coefficients, v, omega, the
     assert [forward, left - beyond, moved[2] / dt] == pytest.approx(expected, abs=1e-6)
 
 
-@given(st.floats(0.1, 0.8), st.floats(-0.02, 0.2), st.floats(-2, 2))
-def test_a_track_that_grows_is_that_of_p3(p0, p1, omega):
-    (_, found), _ = call(FORMULAS["twist_curved"], [[0.3, omega], curved(track_growth=p1 / p0)])
-    if p0 / abs(p1 or 1e-9) > 5 * abs(omega):
-        assert found == pytest.approx(virtual_track_yaw_rate(p0 * omega, p0, p1), abs=1e-12)
-        assert found * (p0 + p1 * abs(found)) == pytest.approx(p0 * omega, abs=1e-9)
+@given(st.floats(-0.2, 2), st.floats(-1, 1), st.floats(-2, 2))
+def test_the_wheels_have_to_roll_the_track_that_the_turning_robot_has(growth, v, omega):
+    """P3: i = p1 |yaw rate| + p0, and rims that differ by i times the yaw rate; turned the other way, the same."""
+    slip = curved(track_growth=growth)
+    (forward, found), _ = call(FORMULAS["twist_curved"], [[v, omega], slip])
+    _, mirrored = call(FORMULAS["twist_curved"], [[v, -omega], slip])[0]
+    if growth * abs(omega) > -0.2:
+        assert found * (1 + growth * abs(found)) == pytest.approx(omega, abs=1e-9)
+    assert mirrored == -found
+    assert forward == v
+    # What it takes of the wheels to turn so, they have.
+    (y,) = call(FORMULAS["feed_forward_curved"], [[forward, found], slip, [1, 0, 0, 1]])
+    if growth >= 0 and growth * abs(omega) < 0.3:
+        assert y == pytest.approx([v, omega], abs=0.02)
 
 
 @given(arguments(FORMULAS["errors"]))

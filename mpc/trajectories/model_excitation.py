@@ -1,0 +1,290 @@
+"""A drive that tells most of a velocity model, inside a room: for `diffdrive-mpc excite --for model`.
+
+Two families of twists over time: moves that are held, and sums of sines. Of each, the one that tells most is looked for
+by differential evolution (Storn, Price, Journal of Global Optimization 1997, 11, 341-359; `scipy.optimize`); the better
+of the two is the drive. What "tells" means comes from outside, as a function of commands: see
+`models.identification.information`. Every member of a family keeps to the room and to the limits by its construction,
+so the search has no constraints.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import yaml
+from pydantic import Field
+
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.models.robot import Positive
+from diffdrive_mpc.models.whole_file import whole_file
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+
+Worth = Callable[[FloatArray], float]
+"""Of twists (K, 2), one a tick: the more, the better."""
+
+# A twist that changes by less than this from one tick to the next, m/s and rad/s, is the same.
+_SAME = 1e-9
+
+
+class ModelExcitationSettings(StrictModel):
+    """How a drive is looked for."""
+
+    tick: Positive
+    margin: Positive
+    least_reach: Positive
+    slew_share: float = Field(gt=0, lt=1)
+    calm: Positive
+    moves: int = Field(ge=2)
+    holds: tuple[Positive, Positive]
+    sines: int = Field(ge=1)
+    frequencies: tuple[Positive, Positive]
+    population: int = Field(ge=5)
+    generations: int = Field(ge=1)
+
+
+@cache
+def model_excitation_settings() -> ModelExcitationSettings:
+    """Read the settings; raises ConfigError on a mistake in them."""
+    return load_checked(ModelExcitationSettings, Path(__file__).with_suffix(".yaml"))
+
+
+@dataclass(frozen=True)
+class Room:
+    """A rectangle; the robot begins in its middle, its length straight ahead.
+
+    Attributes
+    ----------
+    length, width
+        [m].
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If there is no room to drive.
+    """
+
+    length: float
+    width: float
+
+    def __post_init__(self) -> None:
+        """Check."""
+        settings = model_excitation_settings()
+        least = 2 * (settings.margin + settings.least_reach)
+        if not (math.isfinite(self.length) and math.isfinite(self.width) and min(self.length, self.width) >= least):
+            raise ConfigError(
+                f"a room of {self.length:g} by {self.width:g} m: a path that stays {settings.margin:g} m inside needs "
+                f"{least:g} m each way"
+            )
+
+    @property
+    def reach(self) -> FloatArray:
+        """(2,) how far the path may go from the middle, along and across [m]."""
+        return 0.5 * np.array([self.length, self.width]) - model_excitation_settings().margin
+
+
+@dataclass(frozen=True)
+class ModelDrive:
+    """Twists that tell most.
+
+    Attributes
+    ----------
+    family
+        "steps" or "multi-sine".
+    twists
+        (K, 2) v [m/s] and omega [rad/s], each for `tick`; the robot comes from rest and ends at rest.
+    worth
+        What the best of each family is worth.
+    """
+
+    family: str
+    twists: FloatArray
+    worth: dict[str, float]
+
+
+def model_excitation(room: Room, seconds: float, limits: TrajectoryLimits, worth: Worth, seed: int = 0) -> ModelDrive:
+    """Look for the twists that are worth most.
+
+    Parameters
+    ----------
+    room
+        Where they stay, from its middle.
+    seconds
+        How long the drive is [s].
+    limits
+        Speeds and accelerations of it.
+    worth
+        What is made large.
+    seed
+        Of the search; the same seed finds the same drive.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the time is too short, or no drive of either family tells anything.
+    """
+    settings = model_excitation_settings()
+    least = 2 * settings.holds[1] + 2 * settings.calm
+    if not (math.isfinite(seconds) and seconds >= least):
+        raise ConfigError(f"{seconds:g} s: a drive that tells lags and dead times takes {least:g} s or more")
+    families: dict[str, _Steps | _Sines] = {
+        "steps": _Steps(room, seconds, limits),
+        "multi-sine": _Sines(room, seconds, limits),
+    }
+    found = {name: _best(family, worth, seed) for name, family in families.items()}
+    values = {name: worth(twists) for name, twists in found.items()}
+    best = max(values, key=lambda name: values[name])
+    if not math.isfinite(values[best]):
+        raise ConfigError("no drive tells all of the model's parameters; give more time, room or speed")
+    return ModelDrive(best, found[best], values)
+
+
+def drives_tried() -> int:
+    """How many drives a search asks the worth of."""
+    settings = model_excitation_settings()
+    return 2 * (settings.population * (settings.generations + 1) + 1)
+
+
+def path_of(twists: FloatArray, tick: float) -> FloatArray:
+    """(K + 1, 3) poses from (0, 0, 0), each of twists (K, 2) held for `tick` [s]: exact arcs."""
+    theta = np.concatenate([[0.0], np.cumsum(twists[:, 1]) * tick])
+    ahead = integrate_pose(np.column_stack([np.zeros((len(twists), 2)), theta[:-1]]), twists[:, 0], twists[:, 1], tick)
+    return np.column_stack([np.vstack([np.zeros(2), np.cumsum(ahead[:, :2], axis=0)]), theta])
+
+
+def write_model_drive(path: str | Path, drive: ModelDrive, tick: float) -> None:
+    """Write a trajectory file that `load_trajectory` reads; raises ConfigError if it cannot be written."""
+    lines = [
+        "# Written by `diffdrive-mpc excite --for model`. v [m/s], omega [rad/s], duration [s].",
+        f"name: model excitation, {drive.family}",
+        "timing: commanded",
+        "segments:",
+    ]
+    for twist, ticks in _held(drive.twists):
+        held = {"v": round(twist[0], 4), "omega": round(twist[1], 4), "duration": round(ticks * tick, 4)}
+        lines.append("- " + yaml.safe_dump(held, sort_keys=False, default_flow_style=True).strip())
+    with whole_file(path) as draft:
+        draft.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _held(twists: FloatArray) -> list[tuple[tuple[float, float], int]]:
+    """Twists and for how many ticks they hold."""
+    rows = [tuple(map(float, np.round(row, 4))) for row in twists]
+    return [((row[0], row[1]), len(list(group))) for row, group in itertools.groupby(rows)]
+
+
+def _best(family: _Steps | _Sines, worth: Worth, seed: int) -> FloatArray:
+    """The twists of the family's best member."""
+    from scipy import optimize  # noqa: PLC0415 - loads slowly
+
+    settings = model_excitation_settings()
+    stream = np.random.default_rng(seed)
+
+    def cost(genes: FloatArray) -> float:
+        value = worth(family.twists(genes))
+        return -value if math.isfinite(value) else math.inf
+
+    result = optimize.differential_evolution(
+        cost,
+        [(0.0, 1.0)] * family.genes,
+        init=stream.uniform(size=(settings.population, family.genes)),
+        maxiter=settings.generations,
+        tol=0.0,
+        polish=False,
+        seed=seed,
+    )
+    return family.twists(result.x)
+
+
+class _Sines:
+    """Sums of sines in v and omega, which swell from rest; v is made smaller until the path fits the room."""
+
+    def __init__(self, room: Room, seconds: float, limits: TrajectoryLimits) -> None:
+        settings = model_excitation_settings()
+        self._reach, self._tick, self._sines = room.reach, settings.tick, settings.sines
+        self._most = np.array([limits.v, limits.omega])
+        self._slope = np.array([limits.v_acceleration, limits.omega_acceleration])
+        self._times = settings.tick * (np.arange(round(seconds / settings.tick)) + 0.5)
+        edge = np.minimum(self._times, seconds - self._times) / settings.calm
+        self._swell = np.sin(0.5 * np.pi * np.clip(edge, 0.0, 1.0)) ** 2
+        self._low, self._high = np.log(settings.frequencies)
+        self.genes = 6 * settings.sines
+
+    def twists(self, genes: FloatArray) -> FloatArray:
+        """(K, 2)."""
+        frequency, amplitude, phase = genes.reshape(3, 2, self._sines)
+        angle = 2 * np.pi * np.exp(self._low + (self._high - self._low) * frequency)[..., None] * self._times
+        rows = np.sum(amplitude[..., None] * np.sin(angle + 2 * np.pi * phase[..., None]), axis=1) * self._swell
+        steps = np.abs(np.diff(np.pad(rows, ((0, 0), (1, 1))))).max(axis=1) / (self._slope * self._tick)
+        rows /= np.maximum(np.maximum(np.abs(rows).max(axis=1) / self._most, steps), _SAME)[:, None]
+        # The headings do not change with v, so the path shrinks as v does.
+        share = float((np.abs(path_of(rows.T, self._tick)[:, :2]) / self._reach).max())
+        rows[0] /= max(share, 1.0)
+        return np.ascontiguousarray(rows.T)
+
+
+class _Steps:
+    """Moves that are held, with ramps between them; each goes forwards or backwards as the room allows."""
+
+    def __init__(self, room: Room, seconds: float, limits: TrajectoryLimits) -> None:
+        settings = model_excitation_settings()
+        self._reach, self._tick = room.reach, settings.tick
+        self._most = np.array([limits.v, limits.omega])
+        self._step = settings.tick * np.array([limits.v_acceleration, limits.omega_acceleration])
+        self._count = round(seconds / settings.tick)
+        self._holds = settings.holds
+        self._moves = settings.moves
+        self.genes = 3 * settings.moves
+
+    def twists(self, genes: FloatArray) -> FloatArray:
+        """(K, 2)."""
+        levels = (2 * genes.reshape(3, self._moves)[:2].T - 1) * self._most
+        shortest, longest = self._holds
+        holds = shortest * (longest / shortest) ** genes.reshape(3, self._moves)[2]
+        pose, twist = np.zeros(3), np.zeros(2)
+        rows: list[FloatArray] = []
+        stop = int(np.ceil((self._most / self._step).max()))
+        left = self._count - stop
+        for k in itertools.count():
+            if left <= 0:
+                break
+            level = levels[k % self._moves] * (1.0, 1.0 if k // self._moves % 2 == 0 else -1.0)
+            ticks = min(max(1, round(holds[k % self._moves] / self._tick)), left)
+            move = self._move(pose, twist, level, ticks, stop)
+            rows.append(move)
+            pose, twist, left = self._end(pose, move), move[-1], left - len(move)
+        rows.append(self._ramp(twist, np.zeros(2), stop))
+        return np.vstack(rows)
+
+    def _move(self, pose: FloatArray, twist: FloatArray, level: FloatArray, ticks: int, stop: int) -> FloatArray:
+        """Twists of the first way to drive a move from which the robot can still stop inside."""
+        v, omega = level
+        for target in ((v, omega), (-v, omega), (v, -omega), (-v, -omega)):
+            move = self._ramp(twist, np.array(target), ticks)
+            way = self._way(pose, np.vstack([move, self._ramp(move[-1], np.zeros(2), stop)]))
+            if (np.abs(way[:, :2]) <= self._reach).all():
+                return move
+        # Slowing down is always inside: what came before made sure of it.
+        return self._ramp(twist, np.array([0.0, 0.0]), max(ticks, 1))
+
+    def _ramp(self, twist: FloatArray, target: FloatArray, ticks: int) -> FloatArray:
+        """(ticks, 2) from a twist to another within the accelerations, and held there."""
+        steps = np.arange(1, ticks + 1)[:, None] * self._step
+        return np.asarray(twist + np.clip(target - twist, -steps, steps))
+
+    def _way(self, pose: FloatArray, twists: FloatArray) -> FloatArray:
+        """Poses along twists (K, 2) from `pose`."""
+        path = path_of(twists, self._tick)
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        points = pose[:2] + path[:, :2] @ np.array([[c, s], [-s, c]])
+        return np.column_stack([points, pose[2] + path[:, 2]])
+
+    def _end(self, pose: FloatArray, twists: FloatArray) -> FloatArray:
+        return np.asarray(self._way(pose, twists)[-1])
