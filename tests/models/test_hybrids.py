@@ -219,7 +219,7 @@ def quick(monkeypatch):
 
 
 def test_it_learns_what_no_linear_model_can_say(quick):
-    data = data_of(slewing(1, 40.0), slewing(2, 40.0))
+    data = data_of(slewing(1, 60.0), slewing(2, 60.0))
     found = compare_models(data, ["sm", "hybrid"], parts=2)
     linear, hybrid = found.scores[1:]
     assert hybrid.states == linear.states == 4
