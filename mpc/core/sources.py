@@ -15,6 +15,7 @@ _PACKAGE = CORE.parents[1]
 # What the generated part comes from.
 _FORMULAS = (
     "models/pose.py",
+    "models/slip_laws.py",
     "models/networks/equations.py",
     "mpc/problem/formulas.py",
     "mpc/problem/network_formulas.py",
