@@ -143,7 +143,7 @@ def draw_slip_scatter(results: Sequence[SlipScatter], path: Path) -> None:
             learned.set_xlabel("along [mm]")
         for axes, label in zip(rows[:, 0], ("y [m]", "no slip: left [mm]", "learned: left [mm]"), strict=True):
             axes.set_ylabel(label)
-        rows[0, 0].legend(loc="best", fontsize=7.0)
+        figure.legend(*rows[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
         figure.legend(*rows[2, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
 
 

@@ -242,9 +242,8 @@ def slip_scatter_tables(results: Sequence[SlipScatter], horizon: float) -> list[
         if truth is not None:
             found = np.mean([one.coefficients for one in group], axis=0)
             sure = np.sqrt(np.mean([one.deviations**2 for one in group], axis=0))
-            terms += (
-                [(floor, "true", *(f"{1e3 * value:.1f}" for value in truth))] if drifts == results[0].drifts else []
-            )
+            if drifts == results[0].drifts:
+                terms.append((floor, "true", *(f"{1e3 * value:.1f}" for value in truth)))
             cells = (f"{1e3 * mean:.1f} ± {1e3 * one:.1f}" for mean, one in zip(found, sure, strict=True))
             terms.append((floor, f"learned, drifts {_times(drifts)}", *cells))
     shares = ("inside [%]", "NEES")
@@ -256,12 +255,12 @@ def slip_scatter_tables(results: Sequence[SlipScatter], horizon: float) -> list[
         ),
         tuple(rows),
         text_columns=2,
-        note=f"Pose {horizon:g} s ahead, from the commands that were sent: true less foreseen, along and to the left of "
-        "the foreseen heading [mm] and in heading [mrad]; all drives together. Foreseen: root mean square of the filter's "
-        "own deviations; of that by slip: what is not known of slip. Scaled: times the factors by which they were wrong "
-        f"in the time before. Inside: of the places, in the ellipse that should hold {100 * _INSIDE:.0f} %. NEES: of all "
-        "three, 1 where the covariance is right, less where the filter is too modest. P4 has this in its Figures 12 to "
-        "14, without numbers.",
+        note=f"Pose {horizon:g} s ahead, from the commands that were sent: true less foreseen, along and to the left "
+        "of the foreseen heading [mm] and in heading [mrad]; all drives together. Foreseen: root mean square of the "
+        "filter's own deviations; of that by slip: what is not known of slip. Scaled: times the factors by which they "
+        "were wrong in the time before. Inside: of the places, in the ellipse that should hold "
+        f"{100 * _INSIDE:.0f} %. NEES: of all three, 1 where the covariance is right, less where the filter is too "
+        "modest. P4 has this in its Figures 12 to 14, without numbers.",
     )
     note = "Times 1e-3, after the whole drive: mean over drives, and the filter's own standard deviation."
     return [

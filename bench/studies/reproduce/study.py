@@ -163,7 +163,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         repetitions = ", ".join(map(str, self.settings.repetitions))
         where = f"plant mujoco, surface default, sensors default, repetitions {repetitions}"
         return Report(
-            counted=f"{len(results.ssm) + len(results.mbm_sm) + len(results.lstm)} repetitions",
+            counted=f"{len(parts)} parts",
             meta={"parts": parts},
             content={
                 "findings": [plain(finding) | {"verdict": finding.verdict} for finding in findings],
