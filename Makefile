@@ -9,11 +9,13 @@ EDGE_OUT ?= out/edge
 PEERS_OUT ?= out/peers
 ROBUSTNESS_OUT ?= out/robustness
 PROVE_OUT ?= out/prove
+TUNE_OUT ?= out/tune
 # Options of the studies: make tracking TRACKING=--quick
 TRACKING ?=
 REPRODUCE ?=
 SPEED ?=
 PROVE ?=
+TUNE ?=
 # Options of pytest: make test TEST="tests/mpc -x"
 TEST ?=
 BIN := $(VENV)/bin
@@ -23,7 +25,7 @@ READY := $(VENV)/.ready
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench edge peers robustness prove tracking reproduce speed test lint types format models calibrate readme requirements clean
+.PHONY: help bench edge peers robustness prove tune tracking reproduce speed test lint types format models calibrate readme requirements clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -52,6 +54,9 @@ robustness: $(READY) ## every controller on other robots, floors, loads and sens
 
 prove: $(READY) ## how often the controller fails on many plants, paths and faults, and where it stops to hold: out/prove
 	$(BIN)/diffdrive-mpc prove ssm --out $(PROVE_OUT) $(PROVE)
+
+tune: $(READY) ## search for a better configuration, and hold it against the shipped one on other seeds: out/tune
+	$(BIN)/diffdrive-mpc tune ssm --out $(TUNE_OUT) $(TUNE)
 
 tracking: $(READY) ## what the tracking reaches, what each part is worth, how much is left: tables and figures in out/tracking
 	$(BIN)/diffdrive-mpc tracking --out $(TRACKING_OUT) $(TRACKING)

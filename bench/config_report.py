@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal, get_args, get_origin
 
@@ -60,20 +60,21 @@ def schema_rows(schema: type[BaseModel] = ControllerConfig, prefix: str = "") ->
     return rows
 
 
-def commented_yaml(config: BaseModel) -> str:
-    """A configuration with all its values as YAML, each with its meaning as a comment."""
-    return "\n".join(_yaml_lines(config, "")) + "\n"
+def commented_yaml(config: BaseModel, notes: Mapping[str, str] | None = None) -> str:
+    """A configuration with all its values as YAML, each with its meaning as a comment, and before it a note by key."""
+    return "\n".join(_yaml_lines(config, "", notes or {})) + "\n"
 
 
-def _yaml_lines(config: BaseModel, indent: str) -> Iterator[str]:
+def _yaml_lines(config: BaseModel, prefix: str, notes: Mapping[str, str]) -> Iterator[str]:
+    indent = "  " * prefix.count(".")
     for name, field in type(config).model_fields.items():
-        value = getattr(config, name)
+        value, key = getattr(config, name), f"{prefix}{name}"
         if isinstance(value, BaseModel):
             yield f"{indent}{name}:"
-            yield from _yaml_lines(value, indent + "  ")
+            yield from _yaml_lines(value, f"{key}.", notes)
         else:
-            comment = f"  # {field.description}" if field.description else ""
-            yield f"{indent}{name}: {_scalar(value)}{comment}"
+            comment = "; ".join(filter(None, (notes.get(key, ""), field.description)))
+            yield f"{indent}{name}: {_scalar(value)}" + (f"  # {comment}" if comment else "")
 
 
 def _scalar(value: object) -> str:

@@ -65,8 +65,9 @@ ROBUSTNESS = ShownReport("robustness", ("ratios.png",), (), "robustness.md")
 PROVE = ShownReport(
     "prove", ("errors.png", "map-dead-time-and-friction.png", "map-mass-and-latency.png"), (), "prove.md"
 )
+TUNE = ShownReport("tune", ("front.png", "search.png"), (), "tune.md")
 LOOP_SPEED = ShownReport("loop-speed", (), (), "performance.md")
-SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, LOOP_SPEED, PEERS, EDGE, ROBUSTNESS, PROVE)
+SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, LOOP_SPEED, PEERS, EDGE, ROBUSTNESS, PROVE, TUNE)
 
 
 def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:

@@ -34,6 +34,7 @@ _TITLES = {
     "reentry": "Re-entry",
     "finish": "Finish",
     "rehearsal": "Rehearsal, when the same reference is started again",
+    "drivable": "The path that can be driven, for rehearsal by floor",
     "online_dead_time": "Dead time learned while driving",
 }
 

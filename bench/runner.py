@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TypeVar
 
 from joblib import Parallel, delayed, parallel_config
@@ -15,11 +17,28 @@ from diffdrive_mpc.bench.errors import WorkerDiedError
 
 T = TypeVar("T")
 OnDone = Callable[[], None]
+_LASTING: ContextVar[bool] = ContextVar("processes last", default=False)
 
 
 def available_cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def lasting_processes() -> Iterator[None]:
+    """Processes that `run_tasks` starts within wait for its next call, and end with this."""
+    before = _LASTING.set(True)
+    try:
+        yield
+    finally:
+        _LASTING.reset(before)
+        _end_processes(at_once=False)
+
+
+def processes_last() -> bool:
+    """Whether a process that is started serves several calls of `run_tasks`."""
+    return _LASTING.get()
 
 
 def run_tasks(tasks: Sequence[Callable[[], T]], jobs: int, on_done: OnDone) -> list[T]:
@@ -48,8 +67,13 @@ def run_tasks(tasks: Sequence[Callable[[], T]], jobs: int, on_done: OnDone) -> l
         raise WorkerDiedError(f"one of {jobs} processes was ended from outside; try a smaller --jobs") from error
     finally:
         # Workers that idle would disturb what is timed afterwards; those of a study that failed are not waited for.
-        pool = get_reusable_executor(reuse=True, kill_workers=not finished)
-        pool.shutdown(wait=True, kill_workers=not finished)
+        if not (finished and processes_last()):
+            _end_processes(at_once=not finished)
+
+
+def _end_processes(*, at_once: bool) -> None:
+    pool = get_reusable_executor(reuse=True, kill_workers=at_once)
+    pool.shutdown(wait=True, kill_workers=at_once)
 
 
 def _call(task: Callable[[], T]) -> T:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.dead_time import DeadTime, online_dead_time
 from diffdrive_mpc.mpc.estimation.belief import Belief
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
+from diffdrive_mpc.mpc.floor_rehearsal import FloorRehearsal
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import Words
 from diffdrive_mpc.mpc.problem.build import chosen_model, sampled_model
@@ -130,7 +131,7 @@ class Controller:
         self._t0 = 0.0
         self._result: StepResult | None = None
         self._blocked_for = 0.0
-        self._rehearsal = Rehearsal(config) if config.rehearsal.enabled else None
+        self._rehearsal = self._make_rehearsal(config)
         self._set_defaults()
         # Looked up once: each look into a library costs as much as a small sum.
         self._step, self._c, self._c_result = self._tick.lib.ddmpc_step, self._tick.c, self._tick.result
@@ -142,6 +143,12 @@ class Controller:
 
     def _make_backend(self, config: ControllerConfig) -> Backend:
         return BACKENDS[config.solver.backend](config.horizon, self._kinds, config.solver, config.weights)
+
+    def _make_rehearsal(self, config: ControllerConfig) -> Rehearsal | FloorRehearsal | None:
+        if not config.rehearsal.enabled:
+            return None
+        by_floor = config.rehearsal.by == "floor"
+        return FloorRehearsal(config, self._predicted.feed_forward.inverse_gain) if by_floor else Rehearsal(config)
 
     def _set_defaults(self) -> None:
         defaults = [value for term in self._terms for value in term.defaults]
@@ -185,8 +192,8 @@ class Controller:
         return self._reference
 
     @property
-    def rehearsal(self) -> Rehearsal | None:
-        """What was learned of a reference that is driven again; None unless `rehearsal.enabled`."""
+    def rehearsal(self) -> Rehearsal | FloorRehearsal | None:
+        """What was learned of a reference that is driven again, or of the floor; None unless `rehearsal.enabled`."""
         return self._rehearsal
 
     @property
@@ -250,6 +257,7 @@ class Controller:
             raise ValueError(f"t0 = {t0}: the start time must be finite")
         check_speeds(reference, self._config.limits, self._config.sample_time, self.model.dc_gain)
         tracked = reference if self._rehearsal is None else self._rehearsal.begin(reference, t0)
+        self._begin_with_learned()
         native = NativeReference(tracked)
         self._tick.lib.ddmpc_start(self._c, native.struct, t0)
         # C reads it from now on.
@@ -263,9 +271,15 @@ class Controller:
         self._pursuit.restart()
         if self._rehearsal is not None:
             self._rehearsal.forget()
+            self._begin_with_learned()
         if self._dead_time is not None:
             self._dead_time.forget()
         self._result = None
+
+    def _begin_with_learned(self) -> None:
+        """Slip that was learned of the floor is what the next estimate begins with."""
+        if isinstance(self._rehearsal, FloorRehearsal):
+            self._tick.begin_with(astuple(self._rehearsal.slip))
 
     def update(
         self, weights: Mapping[str, float] | None = None, limits: Mapping[str, float] | None = None
@@ -399,6 +413,9 @@ class Controller:
         self._config, self._backend, self._pending = prepared.config, prepared.backend, None
         self._predicted = prepared.predicted
         self._tick.configure(prepared.constants, prepared.sizes)
+        if isinstance(self._rehearsal, FloorRehearsal):
+            self._rehearsal.config = prepared.config
+        self._begin_with_learned()
         if self._dead_time is not None:
             self._dead_time.used = self._predicted.dead_time
         self._words.configure(prepared.config)

@@ -32,7 +32,8 @@ from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 _FIRST_TRUST = 0.5
 # Over how much time power and variance are averaged, in times of smoothing.
 _POWER, _VARIANCE = 6, 20
-_SAME = 1e-6
+# References count as the same: less than this apart, at instants so far from each other [s].
+_SAME, _INSTANT = 1e-6, 0.02
 _ON_ITS_WAY = (Mode.TRACKING, Mode.REUSED_PLAN, Mode.FINISHED)
 
 
@@ -99,7 +100,7 @@ class Rehearsal:
             What to track: `reference` moved by the correction, or itself where nothing is learned of it. The same path
             and times elsewhere are the same reference.
         """
-        if self._reference is not None and self._is_same(self._reference, reference):
+        if self._reference is not None and same_motion(self._reference, reference):
             self._learn(reference)
         else:
             count = max(int(np.ceil(reference.duration / self._dt)), 1) + 1
@@ -128,12 +129,6 @@ class Rehearsal:
         """Whether a pose is no outlier, which the estimator rejects, too; False where it is not finite."""
         distance = np.asarray(seen, dtype=float) - believed
         return bool(np.hypot(*distance[:2]) < self._most_jump) and bool(np.isfinite(distance).all())
-
-    def _is_same(self, one: Reference, other: Reference) -> bool:
-        """Whether both are the same motion, be it in another place."""
-        return abs(one.duration - other.duration) < _SAME and bool(
-            np.allclose(one.sample(self.time).twist, other.sample(self.time).twist, rtol=0.0, atol=_SAME)
-        )
 
     def _learn(self, reference: Reference) -> None:
         """One step of the law above, or back to nothing where it did harm or the floor is another one."""
@@ -219,6 +214,14 @@ class Rehearsal:
         # Along the moved path; a robot that stands or turns on the spot cannot follow to the side.
         turned = np.gradient(moved[:, 1], step) * v / (v**2 + SLOW**2)
         return np.column_stack([moved, np.clip(turned, -settings.largest_heading, settings.largest_heading)])
+
+
+def same_motion(one: Reference, other: Reference) -> bool:
+    """Whether both are the same motion, be it in another place."""
+    times = np.linspace(0.0, one.duration, max(int(one.duration / _INSTANT), 1) + 1)
+    return abs(one.duration - other.duration) < _SAME and bool(
+        np.allclose(one.sample(times).twist, other.sample(times).twist, rtol=0.0, atol=_SAME)
+    )
 
 
 def corrected(reference: Reference, time: FloatArray, correction: FloatArray) -> SplineTrajectory:

@@ -9,10 +9,10 @@ from pathlib import Path
 from diffdrive_mpc.bench.campaign.store import Store
 from diffdrive_mpc.bench.campaign.task import Task, do
 from diffdrive_mpc.bench.errors import WorkerDiedError
-from diffdrive_mpc.bench.runner import OnDone, run_tasks
+from diffdrive_mpc.bench.runner import OnDone, processes_last, run_tasks
 
 _WORTH = 8
-"""A process that starts costs as much as so many runs."""
+"""A process that starts, and ends with the runs, costs as much as so many of them."""
 _TRIES = 3
 """So many pools in a row may break without a run done in between."""
 
@@ -26,7 +26,7 @@ def drive_here(tasks: Iterable[Task], folder: Path, jobs: int, on_done: OnDone) 
     left, tries = list(tasks), 0
     while left:
         try:
-            processes = min(jobs, max(1, len(left) // _WORTH))
+            processes = min(jobs, max(1, len(left) // (1 if processes_last() else _WORTH)))
             run_tasks([partial(_keep, task, folder) for task in left], processes, on_done)
             return
         except WorkerDiedError:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,9 @@ class Store:
         except OSError as error:
             raise ConfigError(f"--out {folder}: cannot be written to ({reason(error)}); give a folder") from error
         for draft in self._folder.glob("*/.unfinished-*"):
-            if time.time() - draft.stat().st_mtime > _LEFT_OVER:
-                shutil.rmtree(draft, ignore_errors=True)
+            with suppress(FileNotFoundError):  # another process has just put its file in place
+                if time.time() - draft.stat().st_mtime > _LEFT_OVER:
+                    shutil.rmtree(draft, ignore_errors=True)
 
     def keys(self) -> set[str]:
         """Of all runs that are there."""

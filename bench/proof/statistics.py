@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,6 +72,15 @@ class Estimate:
             random_state=np.random.default_rng(_SEED),
         ).confidence_interval
         return cls(value, float(found.low), float(found.high))
+
+    @classmethod
+    def of_same_runs(cls, tables: Sequence[FloatArray], figure: Callable[..., FloatArray]) -> Estimate:
+        """`figure(*tables)` of tables (..., n) of the same n runs, which are drawn together; along the last axis."""
+
+        def drawn(runs: ArrayLike, axis: int = -1) -> FloatArray:
+            return figure(*(table[..., np.moveaxis(np.asarray(runs), axis, -1).astype(int)] for table in tables))
+
+        return cls.of_runs(np.arange(tables[0].shape[-1], dtype=float), drawn)
 
 
 def mean(values: FloatArray, axis: int = -1) -> FloatArray:

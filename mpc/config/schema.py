@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.robot import SampleTime, load_robot
 from diffdrive_mpc.mpc.config.group import Group, NotNegative, Positive
+from diffdrive_mpc.mpc.config.rehearsal import Drivable, Rehearsal
 from diffdrive_mpc.mpc.config.solver import Solver
 
 # Limits and sample time default to those of the shipped robot file.
@@ -299,30 +300,6 @@ class Finish(Group):
     )
 
 
-class Rehearsal(Group):
-    """What the errors of laps become when the same reference is started again; see docs/rehearsal.md."""
-
-    enabled: bool = Field(False, description="correct a reference driven again by the errors of its last laps [-]")
-    gain: Annotated[float, Field(gt=0, le=1)] = Field(
-        0.3, description="least share of a lap's error that enters the correction; the first laps count alike [-]"
-    )
-    forgetting: Annotated[float, Field(ge=0, le=1)] = Field(
-        0.0, description="share of the correction that is lost at each lap [-]"
-    )
-    smoothing: Annotated[float, Field(ge=0.02, le=5)] = Field(
-        0.1, description="time over which errors and the correction are averaged, without delay [s]"
-    )
-    largest: Positive = Field(0.03, description="largest correction of the position [m]")
-    largest_heading: Positive = Field(0.1, description="largest correction of the heading [rad]")
-    largest_speed: Positive = Field(0.1, description="largest rate of the correction of the position [m/s]")
-    floor_change: Positive = Field(
-        0.1, description="change of the gains of slip, averaged over a lap, at which what was learned is forgotten [-]"
-    )
-    worse: Positive = Field(
-        1.2, description="error of a lap over that of the first at which what was learned is forgotten [-]"
-    )
-
-
 class OnlineDeadTime(Group):
     """The delay between command and answer, learned while driving; see docs/tuning.md."""
 
@@ -390,5 +367,6 @@ class ControllerConfig(Group):
     reentry: Reentry = Reentry()
     finish: Finish = Finish()
     rehearsal: Rehearsal = Rehearsal()
+    drivable: Drivable = Drivable()
     online_dead_time: OnlineDeadTime = OnlineDeadTime()
     terms: list[TermConfig] = Field([], description="functions of the user in cost and soft limits [-]")

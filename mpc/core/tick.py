@@ -111,6 +111,11 @@ class Tick:
             raise ValueError("delays or lags are larger than at first")
         self._constants = prepared
 
+    def begin_with(self, slip: Sequence[float]) -> None:
+        """Let the estimate begin with this `slip` (13) at the next start, until other constants are used."""
+        for i, value in enumerate(slip):
+            self._constants[0].prior[i] = value
+
     def view(self, address: Any, shape: tuple[int, ...]) -> FloatArray:  # noqa: ANN401 - cffi has no types
         """The numbers at an address of C as an array, without a copy."""
         count = int(np.prod(shape))

@@ -149,8 +149,7 @@ class Problem:
         slips = (*SLIPS, "gyro_bias")
         uncertainty = estimated * np.array([getattr(s, f"{name}_uncertainty") for name in slips])
         drift = estimated * np.array([getattr(s, f"{name}_drift") for name in slips])
-        flat = Slip(side_slip=s.side_slip, load_shift=s.load_shift) if on.side_slip else Slip()
-        prior = replace(flat, **{name: getattr(s, name) for name in CURVED_SLIPS})
+        prior = configured_slip(self.config)
         # Gains have bounds of their own; what curves is not believed beyond what was thought possible.
         far = np.full(len(SLIPS), np.inf)
         far[-len(CURVED_SLIPS) :] = _POSSIBLE * uncertainty[len(FLAT_SLIPS) : -1]
@@ -294,6 +293,13 @@ class Problem:
             "fence_middle": [fence.x, fence.y, fence.heading],
             "fence_reach": [0.5 * fence.length - fence.margin, 0.5 * fence.width - fence.margin],
         }
+
+
+def configured_slip(config: ControllerConfig) -> Slip:
+    """What the estimate begins with where nothing else was learned."""
+    s = config.estimator
+    flat = Slip(side_slip=s.side_slip, load_shift=s.load_shift) if config.compensation.side_slip else Slip()
+    return replace(flat, **{name: getattr(s, name) for name in CURVED_SLIPS})
 
 
 def padded(count: int) -> int:

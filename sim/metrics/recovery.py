@@ -37,6 +37,9 @@ class Recovery:
         Largest |lateral| of the run.
     command_energy_v, command_energy_omega
         Integral of the squared command over the counted ticks, each held for one sample [m^2/s], [rad^2/s].
+    command_rate_v, command_rate_omega
+        Root mean square of the command's change from tick to tick over the sample time [m/s^2], [rad/s^2]; NaN for a
+        run of one tick.
     """
 
     recovery_time_s: float
@@ -44,6 +47,8 @@ class Recovery:
     lateral_max_m: float
     command_energy_v: float
     command_energy_omega: float
+    command_rate_v: float
+    command_rate_omega: float
 
     def __str__(self) -> str:
         """A table: "-" where there is none, "inf" where the robot did not come back."""
@@ -53,6 +58,8 @@ class Recovery:
             ("largest |lateral| [m]", self.lateral_max_m),
             ("energy of v_ref [m^2/s]", self.command_energy_v),
             ("energy of omega_ref [rad^2/s]", self.command_energy_omega),
+            ("rate of v_ref, RMS [m/s^2]", self.command_rate_v),
+            ("rate of omega_ref, RMS [rad/s^2]", self.command_rate_omega),
         )
         cells = tuple((name, "-" if math.isnan(value) else f"{value:.4g}") for name, value in rows)
         return str(Table("", ("recovery", "value"), cells))
@@ -95,7 +102,9 @@ def compute_recovery(
             recovery_time = math.inf if lost else _recovery_time(time, outside, end)
         overshoot = _overshoot(time, lateral, outside, begin, end if math.isfinite(end) else begin)
     energy = sample_time * np.sum(np.square(command), axis=0)
-    return Recovery(recovery_time, overshoot, float(np.max(np.abs(lateral))), float(energy[0]), float(energy[1]))
+    changes = np.diff(command, axis=0) / sample_time
+    rate = np.sqrt(np.mean(np.square(changes), axis=0)) if len(changes) else np.full(2, math.nan)
+    return Recovery(recovery_time, overshoot, float(np.max(np.abs(lateral))), *energy.tolist(), *rate.tolist())
 
 
 def _recovery_time(time: FloatArray, outside: NDArray[np.bool_], end: float) -> float:

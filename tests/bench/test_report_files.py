@@ -143,8 +143,8 @@ def test_a_swept_value_is_added_to_its_row(outcome: Outcome) -> None:
 
 def test_a_scenario_is_added_to_its_row_only_where_scenarios_were_asked_for(outcome: Outcome) -> None:
     added = [name for name in row(outcome, silent=("timing",)) if name not in FIELDS]
-    recovery = ["recovery_time_s", "overshoot_m", "command_energy_v", "command_energy_omega"]
-    assert added == ["scenario", "ended", "disturbance_s", *recovery]
+    command = ["command_energy_v", "command_energy_omega", "command_rate_v", "command_rate_omega"]
+    assert added == ["scenario", "ended", "disturbance_s", "recovery_time_s", "overshoot_m", *command]
 
 
 def test_what_lasts_has_no_end_and_no_recovery_in_its_row(outcome: Outcome) -> None:

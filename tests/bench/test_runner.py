@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.errors import WorkerDiedError
-from diffdrive_mpc.bench.runner import run_tasks
+from diffdrive_mpc.bench.runner import lasting_processes, run_tasks
 
 
 def slow_square(number: int) -> int:
@@ -41,6 +41,17 @@ def test_results_come_in_the_order_of_the_tasks(jobs: int) -> None:
 
 def test_every_process_has_one_thread() -> None:
     assert run_tasks([threads, threads], 2, lambda: None) == ["1", "1"]
+
+
+def test_processes_last_where_that_is_asked_for() -> None:
+    def twice() -> list[set[int]]:
+        return [set(run_tasks([os.getpid] * 8, 2, lambda: None)) for _ in range(2)]
+
+    with lasting_processes():
+        first, second = twice()
+    assert len(first | second) <= 2
+    first, second = twice()
+    assert not first & second
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

@@ -64,7 +64,7 @@ def metrics(**changes: float) -> Metrics:
 def recovery(
     time: float = math.nan, overshoot: float = math.nan, energy_v: float = math.nan, energy_omega: float = math.nan
 ) -> Recovery:
-    return Recovery(time, overshoot, 0.001, energy_v, energy_omega)
+    return Recovery(time, overshoot, 0.001, energy_v, energy_omega, 0.0, 0.0)
 
 
 def row(

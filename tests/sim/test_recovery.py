@@ -119,6 +119,15 @@ def test_energy_is_the_integral_of_the_squared_command() -> None:
     assert figures.command_energy_omega == pytest.approx(4 * (0.5 * 10 + 0.25 * math.sin(20)), abs=5 * DT)
 
 
+def test_rate_is_that_of_the_command_over_time() -> None:
+    command = np.column_stack([0.3 * np.sin(2.0 * TIME), np.where(TIME < 5.0, 0.0, 1.0)])
+    figures = _recovery(np.zeros(len(TIME)), (0.0, 0.0), command)
+    # The mean square of 0.6 cos(2 t) over 10 s.
+    assert figures.command_rate_v**2 == pytest.approx(0.18 * (1.0 + math.sin(40.0) / 40.0), rel=0.01)
+    # One jump of 1 rad/s in n - 1 changes.
+    assert figures.command_rate_omega == pytest.approx(1.0 / DT / math.sqrt(len(TIME) - 1))
+
+
 def test_a_robot_far_behind_its_reference_is_charged_its_distance_from_the_path_only() -> None:
     """1.2 m late and 0.1 m to the left, on a circle: far outside the window around the reference."""
     circle = ConstantTwist(v=0.5, omega=0.5, duration=12.0)

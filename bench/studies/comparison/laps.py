@@ -20,6 +20,7 @@ from diffdrive_mpc.bench.studies.comparison.single import asked_case, draw, log_
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import Controller
+from diffdrive_mpc.mpc.floor_rehearsal import FloorRehearsal
 from diffdrive_mpc.mpc.rehearsal import Rehearsal
 from diffdrive_mpc.sim import Run, simulate
 from diffdrive_mpc.sim.laps import lap_parts
@@ -33,7 +34,7 @@ class Laps:
     """Runs along one reference, in order, and what was learned before the last."""
 
     runs: tuple[Run, ...]
-    rehearsal: Rehearsal | None
+    rehearsal: Rehearsal | FloorRehearsal | None
 
 
 def drive_laps(
