@@ -6,7 +6,19 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.commands import campaign, excite, export, identify, prove, real_logs, ros, studies, tune, twin
+from diffdrive_mpc.bench.commands import (
+    campaign,
+    commission,
+    excite,
+    export,
+    identify,
+    prove,
+    real_logs,
+    ros,
+    studies,
+    tune,
+    twin,
+)
 from diffdrive_mpc.bench.commands.config import config_app
 from diffdrive_mpc.bench.commands.models import models_app
 from diffdrive_mpc.bench.commands.one_line_errors import OneLineErrors
@@ -30,6 +42,7 @@ app.command("peers", epilog=studies.EXAMPLES["peers"])(studies.peers)
 app.command("robustness", epilog=studies.EXAMPLES["robustness"])(studies.robustness)
 app.command("campaign", epilog=campaign.EXAMPLE)(campaign.campaign)
 app.command("prove", epilog=prove.EXAMPLE)(prove.prove)
+app.command("commission", epilog=commission.EXAMPLE)(commission.commission)
 app.command("tune", epilog=tune.EXAMPLE)(tune.tune)
 app.command("speed", epilog=studies.EXAMPLES["speed"])(studies.speed)
 app.command("loop-speed", epilog=studies.EXAMPLES["loop-speed"])(studies.loop_speed)

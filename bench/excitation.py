@@ -23,7 +23,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import MODEL_NAMES, load_linear_model
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
-from diffdrive_mpc.mpc import ControllerConfig, Trajectory, load_config, load_trajectory
+from diffdrive_mpc.mpc import ControllerConfig, load_config, load_trajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.model_excitation import (
     ModelDrive,
@@ -67,21 +67,7 @@ class Excitation:
 
     def run(self, trajectory: Path, plant: str, seed: int, on_tick: Callable[[int, int], None] | None = None) -> Run:
         """Drive the written trajectory on a plant, in the fence; raises ConfigError if there is no such plant."""
-        return _driven(replace(self.case, plant=plant, seed=seed), load_trajectory(trajectory), on_tick)
-
-    def check(self, run: Run) -> None:
-        """Raise ConfigError where a run did not come to its end, or the robot left the room."""
-        if run.ended:
-            raise ConfigError(f"the drive broke off after {run.time[-1]:.1f} s: {run.ended}")
-        half = 0.5 * np.array([self.room.length, self.room.width])
-        out = np.flatnonzero((np.abs(run.true_pose[:, :2]) > half).any(axis=1))
-        if out.size:
-            raise ConfigError(
-                f"the robot left its room after {run.time[out[0]]:.1f} s; give a larger one, or less --speed"
-            )
-        stood = next((word for mode, word in zip(run.modes, run.messages, strict=True) if mode == "STOPPED"), None)
-        if stood is not None:
-            raise ConfigError(f"the controller stopped on the way ({stood}); give a larger room, or less --speed")
+        return driven(replace(self.case, plant=plant, seed=seed), trajectory, on_tick)
 
     def lines(self, out: Path) -> list[str]:
         """What was found, and what goes into the configuration of the node, in words."""
@@ -150,7 +136,7 @@ def excite_model(
         If there is no such configuration, its model is not linear, the robot cannot drive so fast, or room or time do
         not suffice.
     """
-    case = case_of(config)
+    case = in_room(config, room)
     loaded = controller_config(case.model, case.config)
     margin = model_excitation_settings().margin
     if loaded.fence.margin >= margin:
@@ -158,8 +144,6 @@ def excite_model(
             f"fence.margin = {loaded.fence.margin:g} m: the drive stays {margin:g} m inside its room, so the fence "
             "would stop it; give less"
         )
-    fence = {"enabled": True, "length": room.length, "width": room.width, "frame": "start", "x": 0.0, "y": 0.0}
-    case = replace(case, overrides=tuple((f"fence.{key}", value) for key, value in (fence | {"heading": 0.0}).items()))
     model = _believed(loaded)
     estimator = loaded.estimator
     information = DriveInformation(model, (estimator.wheel_speed_noise, estimator.yaw_rate_noise))
@@ -179,7 +163,7 @@ def excite_model(
         write_model_drive(path, drive, tick)
         late = float(np.mean([loaded.extra_dead_time.v, loaded.extra_dead_time.omega]))
         plant = f"model:{loaded.model}" + (f"+{late:g}" if late else "")
-        run = _driven(replace(case, plant=plant, seed=seed), load_trajectory(path))
+        run = driven(replace(case, plant=plant, seed=seed), path)
     rows = round(identification_settings().fit_share * len(run.command))
     return Excitation(case, room, drive, information.parameters(run.command[:rows], run.sample_time))
 
@@ -209,12 +193,38 @@ def excite_into(
             if draft is not None:
                 bar.begin("driving", 1)
                 run = excitation.run(out, plant, seed, bar.at)
-                excitation.check(run)
+                check_drive(run, room)
                 write_rows(run, draft)
     console.print(excitation.table().rich())
     for line in excitation.lines(out):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     return excitation
+
+
+def in_room(config: str, room: Room) -> Case:
+    """The controller of a configuration in the fence of a room; raises ConfigError if there is none."""
+    case = case_of(config)
+    fence = {"enabled": True, "length": room.length, "width": room.width, "frame": "start", "x": 0.0, "y": 0.0}
+    changes = tuple((f"fence.{key}", value) for key, value in (fence | {"heading": 0.0}).items())
+    return replace(case, overrides=changes)
+
+
+def driven(case: Case, trajectory: Path, on_tick: Callable[[int, int], None] | None = None) -> Run:
+    """One run along a trajectory file; raises ConfigError if it or the plant cannot be used."""
+    return simulate(make_controller(case), build_plant(case), load_trajectory(trajectory), on_tick=on_tick)
+
+
+def check_drive(run: Run, room: Room) -> None:
+    """Raise ConfigError where a run did not come to its end, or the robot left the room."""
+    if run.ended:
+        raise ConfigError(f"the drive broke off after {run.time[-1]:.1f} s: {run.ended}")
+    half = 0.5 * np.array([room.length, room.width])
+    out = np.flatnonzero((np.abs(run.true_pose[:, :2]) > half).any(axis=1))
+    if out.size:
+        raise ConfigError(f"the robot left its room after {run.time[out[0]]:.1f} s; give a larger one, or less --speed")
+    stood = next((word for mode, word in zip(run.modes, run.messages, strict=True) if mode == "STOPPED"), None)
+    if stood is not None:
+        raise ConfigError(f"the controller stopped on the way ({stood}); give a larger room, or less --speed")
 
 
 def case_of(config: str) -> Case:
@@ -244,7 +254,3 @@ def _limits(config: ControllerConfig, speed: float, yaw_rate: float) -> Trajecto
             )
     slew = model_excitation_settings().slew_share
     return TrajectoryLimits(speed, yaw_rate, slew * limits.v_slew, slew * limits.omega_slew)
-
-
-def _driven(case: Case, reference: Trajectory, on_tick: Callable[[int, int], None] | None = None) -> Run:
-    return simulate(make_controller(case), build_plant(case), reference, on_tick=on_tick)

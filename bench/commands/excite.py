@@ -71,7 +71,7 @@ def excite(
         return
     if inside is None:
         raise ConfigError(f"--for {_MODEL} needs --inside, the room in metres, such as --inside 4x3")
-    _model(config or "ssm", out, _room(inside), seconds or _SECONDS, speed, yaw_rate, log, plant, seed)
+    _model(config or "ssm", out, read_room(inside), seconds or _SECONDS, speed, yaw_rate, log, plant, seed)
 
 
 def _slip(out: Path, side: float, seconds: float, speed: float, yaw_rate: float) -> None:
@@ -86,7 +86,8 @@ def _slip(out: Path, side: float, seconds: float, speed: float, yaw_rate: float)
     )
 
 
-def _room(text: str) -> tuple[float, float]:
+def read_room(text: str) -> tuple[float, float]:
+    """Length and width [m] of `4x3`; raises ValueError for anything else."""
     found = re.fullmatch(r"\s*([0-9.]+)\s*[x,]\s*([0-9.]+)\s*", text)
     try:
         if found:

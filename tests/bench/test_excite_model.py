@@ -8,7 +8,7 @@ import yaml
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.excitation import excite_model
+from diffdrive_mpc.bench.excitation import check_drive, excite_model
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.mpc.trajectories import model_excitation as searched
@@ -39,7 +39,7 @@ def test_it_stays_in_its_room_on_robots_of_other_gains(tmp_path):
     found.write(tmp_path / "drive.yaml")
     for gain, dead_time in ((0.7, 0.1), (1.3, 0.02)):
         run = found.run(tmp_path / "drive.yaml", robot(tmp_path / "other.yaml", gain, dead_time), 1)
-        found.check(run)
+        check_drive(run, found.room)
         assert (np.abs(run.true_pose[:, :2]) <= (1.5 - 0.1, 1.0 - 0.1)).all()
 
 
@@ -48,7 +48,7 @@ def test_a_robot_that_leaves_is_said(tmp_path):
     found.write(tmp_path / "drive.yaml")
     run = found.run(tmp_path / "drive.yaml", robot(tmp_path / "other.yaml", 1.0, 0.04), 1)
     with pytest.raises(ConfigError, match=r"the robot left its room after \d+\.\d s"):
-        found.check(replace(run, true_pose=run.true_pose + [3.0, 0.0, 0.0]))
+        check_drive(replace(run, true_pose=run.true_pose + [3.0, 0.0, 0.0]), found.room)
 
 
 def test_drive_and_log_of_the_command(tmp_path):

@@ -1,0 +1,139 @@
+"""Which steps are done, from what, and with what result: a step of the same inputs is not done again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import resource
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import redirect_stdout
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from joblib.externals.loky import get_reusable_executor
+
+from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.campaign.identity import environment
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.whole_file import whole_file
+
+FILE = "commission.json"
+SAID = "said.txt"
+"""What a step printed."""
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Whether the next step may begin, in one sentence; without a full stop."""
+
+    passed: bool
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Done:
+    """A finished step.
+
+    Attributes
+    ----------
+    key
+        Hash of its inputs.
+    passed, sentence
+        Its gate.
+    processor_s
+        What it cost, processes that it started included [s].
+    files
+        Hash of each file that it left, by name.
+    """
+
+    key: str
+    passed: bool
+    sentence: str
+    processor_s: float
+    files: dict[str, str]
+
+
+class Ledger:
+    """The steps of one folder.
+
+    Parameters
+    ----------
+    folder
+        Of the commissioning; each step has a folder of its own name there.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If its file was not written by this command.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._path = folder / FILE
+        try:
+            data = json.loads(self._path.read_text(encoding="utf-8")) if self._path.exists() else {}
+            self.steps = {str(name): Done(**step) for name, step in dict(data.get("steps", {})).items()}
+        except (OSError, ValueError, TypeError, AttributeError) as error:
+            raise ConfigError(f"{self._path}: not written by this command; move it away") from error
+
+    def valid(self, name: str, key: str) -> Done | None:
+        """The step, where it was done with these inputs and its files are as it left them."""
+        done = self.steps.get(name)
+        if done is None or done.key != key:
+            return None
+        place = self.folder / name
+        same = all((place / file).is_file() and digest(place / file) == hash_ for file, hash_ in done.files.items())
+        return done if same else None
+
+    def carry_out(self, name: str, key: str, step: Callable[[Path], Gate], *, kept: bool = False) -> Done:
+        """Do a step in its folder, which holds all of its files or those of before, and write down what came of it.
+
+        A step that is `kept` writes into its folder directly, as one does that goes on where it was interrupted.
+        What it prints goes into `SAID` beside its files.
+        """
+        before, place = _processor_time(), self.folder / name
+        if kept:
+            place.mkdir(parents=True, exist_ok=True)
+            gate = _quietly(step, place)
+        else:
+            with staged(place) as folder:
+                gate = _quietly(step, folder)
+        files = {str(path.relative_to(place)): digest(path) for path in _files(place)}
+        done = Done(key, gate.passed, gate.sentence, round(_processor_time() - before, 2), files)
+        self.steps[name] = done
+        content = {"steps": {one: asdict(step_) for one, step_ in self.steps.items()}}
+        with whole_file(self._path) as draft:
+            draft.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        return done
+
+
+def key_of(name: str, options: Mapping[str, Any], inputs: Iterable[Path]) -> str:
+    """The hash of a step's inputs: its name and options, the content of files and folders, product and libraries."""
+    contents = {str(k): [digest(file) for file in _files(path)] for k, path in enumerate(inputs)}
+    text = json.dumps([name, dict(options), contents, environment()], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def digest(path: Path) -> str:
+    """Hash of a file's content."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _files(path: Path) -> list[Path]:
+    """A file, or the files of a folder; the rows of driven runs are a store of their own."""
+    if path.is_file():
+        return [path]
+    return sorted(one for one in path.rglob("*") if one.is_file() and "runs" not in one.relative_to(path).parts)
+
+
+def _quietly(step: Callable[[Path], Gate], folder: Path) -> Gate:
+    with (folder / SAID).open("w", encoding="utf-8") as said, redirect_stdout(said):
+        return step(folder)
+
+
+def _processor_time() -> float:
+    """Of this process and of those that it started [s], which are ended: only then the system counts them."""
+    get_reusable_executor(reuse=True).shutdown(wait=True)
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
