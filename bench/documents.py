@@ -55,7 +55,9 @@ BENCH = ShownReport(
     brief=True,
 )
 TRACKING = ShownReport("tracking", ("ablation.png", "error-sources.png"), (), "tracking.md")
-REPRODUCE = ShownReport("reproduce", ("odometry.png", "orders.png", "virtual-track.png"), (), "reproduce.md")
+REPRODUCE = ShownReport(
+    "reproduce", ("odometry.png", "orders.png", "virtual-track.png", "slip-scatter.png"), (), "reproduce.md"
+)
 SPEED = ShownReport("speed", ("horizon.png", "tail.png"), ("speed.json",), "performance.md")
 PEERS = ShownReport("peers", (), (), "peers.md")
 EDGE = ShownReport("edge", ("overview.png",), (), "peers.md", study="bench")

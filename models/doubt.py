@@ -87,6 +87,7 @@ VERDICTS: Mapping[str, Verdict] = {
     "unseen effects": _no("the model of what the encoders see is complete"),
     "unknown track": _no("the model around it is complete"),
     "effects left out": _no("the plain model is as good"),
+    "network left out": _no("the linear model is as good"),
     # Of scores, and of what a log does not have.
     "low FIT": _yes("the controller would trust a poor prediction"),
     "FIT falls": _yes("on another drive it may be worse still"),

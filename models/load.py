@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
@@ -20,6 +20,9 @@ DRIVES: Mapping[str, Literal["drive_experimental", "drive_physical"]] = {
     "p2_physical": "drive_physical",
 }
 """Shipped drive models, and their structures."""
+HYBRID = "hybrid"
+"""Structure of a linear model with a network on what it leaves; none ships."""
+_FUNCTIONS = (NETWORK, *DRIVES.values(), HYBRID)
 PARAMETERS = Path(__file__).parent / "parameters"
 MODEL_NAMES = (*(name for name in STRUCTURES if (PARAMETERS / f"{name}.yaml").is_file()), NETWORK, *DRIVES, "kinematic")
 """Shipped models: one of each structure that ships one, the network, the drives, the one to hold them against."""
@@ -29,7 +32,7 @@ ROBOT_NAMES = shipped_names(ROBOTS)
 
 
 def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
-    """Load a velocity model: a linear one, a network on past commands, or a drive.
+    """Load a velocity model: a linear one, a network on past commands, a drive, or a hybrid.
 
     Parameters
     ----------
@@ -47,18 +50,26 @@ def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
     path = model_path(name)
     data = read_yaml(path)
     try:
-        if _structure(data) == NETWORK:
-            # Imported late: CasADi's graphs are not for everybody who loads a few matrices.
-            from diffdrive_mpc.models.networks.network_file import load_network  # noqa: PLC0415
-
-            return load_network(path, data)
-        if _structure(data) in DRIVES.values():
-            from diffdrive_mpc.models.drives.drive_file import load_drive  # noqa: PLC0415 - as above
-
-            return load_drive(path, data)
+        if _structure(data) in _FUNCTIONS:
+            return _load_function(path, data)
         return build_model(_checked(path, data))
     except ModelError as error:
         raise ModelError(f"{path.name}: {error}") from error
+
+
+def _load_function(path: Path, data: Any) -> NonlinearModel:  # noqa: ANN401 - what a YAML file may hold
+    """As the `load_...` of its kind; imported late: CasADi's graphs are not for who only loads a few matrices."""
+    if data["structure"] == NETWORK:
+        from diffdrive_mpc.models.networks.network_file import load_network  # noqa: PLC0415
+
+        return load_network(path, data)
+    if data["structure"] == HYBRID:
+        from diffdrive_mpc.models.hybrids.hybrid_file import load_hybrid  # noqa: PLC0415
+
+        return load_hybrid(path, data)
+    from diffdrive_mpc.models.drives.drive_file import load_drive  # noqa: PLC0415
+
+    return load_drive(path, data)
 
 
 def load_linear_model(name: str | Path) -> VelocityModel:
@@ -73,7 +84,7 @@ def load_base_effects(name: str | Path) -> BaseEffects:
     """Load what a model file says about the base around its model; raises ConfigError as `load_model`."""
     path = model_path(name)
     data = read_yaml(path)
-    return BaseEffects() if _structure(data) in (NETWORK, *DRIVES.values()) else _checked(path, data).base_effects
+    return BaseEffects() if _structure(data) in _FUNCTIONS else _checked(path, data).base_effects
 
 
 def model_path(name: str | Path) -> Path:
@@ -96,6 +107,6 @@ def _checked(path: str | Path, data: object) -> ModelFile:
     name = _structure(data)
     structure = STRUCTURES.get(name) if isinstance(name, str) else None
     if structure is None:
-        known = ", ".join((*STRUCTURES, NETWORK, *DRIVES.values()))
+        known = ", ".join((*STRUCTURES, *_FUNCTIONS))
         raise ConfigError(f"{path}: structure: expected one of {known}, found {name!r}")
     return check(structure.file, data, str(path))

@@ -25,6 +25,7 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.core.functions import compile_functions
 from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.dead_time import DeadTime, online_dead_time
+from diffdrive_mpc.mpc.estimation.belief import Belief
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.floor_rehearsal import FloorRehearsal
 from diffdrive_mpc.mpc.hold import Hold
@@ -194,6 +195,51 @@ class Controller:
     def rehearsal(self) -> Rehearsal | FloorRehearsal | None:
         """What was learned of a reference that is driven again, or of the floor; None unless `rehearsal.enabled`."""
         return self._rehearsal
+
+    @property
+    def belief(self) -> Belief:
+        """All that the filter believes at the tick of the last step, as a copy.
+
+        Raises
+        ------
+        RuntimeError
+            If there is no estimate: no step was taken, or none since the last `start` had a pose.
+        """
+        found = self._tick.believed()
+        if found is None:
+            raise RuntimeError("nothing is believed yet: call step with a pose first")
+        return Belief(*found, self._tick.layout.slip.start)
+
+    def foresee(self, belief: Belief, commands: ArrayLike) -> Belief:
+        """What the filter will believe if nothing is measured meanwhile.
+
+        The estimator's own prediction, noise and drifts included: where the robot will be, and how surely.
+
+        Parameters
+        ----------
+        belief
+            Where it begins; it may be of an earlier tick, or changed.
+        commands
+            (K, 2) v_ref [m/s], omega_ref [rad/s] sent from the belief's tick on, one at each sample.
+
+        Returns
+        -------
+        Belief
+            K samples later.
+
+        Raises
+        ------
+        ValueError
+            If the commands are not finite, or not pairs.
+        """
+        given = np.asarray(commands, dtype=float)
+        if given.ndim != 2 or given.shape[1] != 2 or not np.isfinite(given).all():
+            raise ValueError(
+                f"commands of shape {given.shape}: give finite pairs (K, 2) of v_ref [m/s], omega_ref [rad/s]"
+            )
+        line = np.vstack([belief.sent, given])
+        mean, covariance = self._tick.foresee(belief.mean, belief.covariance, line)
+        return replace(belief, mean=mean, covariance=covariance, sent=line[len(given) :])
 
     def start(self, reference: Reference, t0: float) -> None:
         """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`.

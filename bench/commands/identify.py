@@ -20,7 +20,7 @@ def identify(
     structure: Annotated[
         str | None,
         typer.Option(
-            help="Structure of the model: mbm, sm, ssm; p2_experimental or p2_physical, a drive; lstm, a network.",
+            help="mbm, sm, ssm; p2_experimental or p2_physical, a drive; lstm, a network; hybrid, sm and network.",
             show_default=_DEFAULT_STRUCTURE,
         ),
     ] = None,

@@ -147,7 +147,9 @@ def compare(
     kinds: Annotated[
         str,
         typer.Option(
-            metavar="LIST", help="Kinds to compare, with commas between, or all.", show_default="all but the slow lstm"
+            metavar="LIST",
+            help="Kinds to compare, with commas between, or all.",
+            show_default="all but hybrid and lstm",
         ),
     ] = "",
     parts: Annotated[int, typer.Option(min=2, help="Parts of the log that are held out in turn.")] = 3,

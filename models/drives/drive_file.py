@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import yaml
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, check
@@ -14,8 +13,9 @@ from diffdrive_mpc.models.drives.drive_model import DriveModel, drive_model
 from diffdrive_mpc.models.drives.equations import wheel_response
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import NotNegative, Positive
-from diffdrive_mpc.models.structures.model_file import ChannelFit, CommandLimits, Provenance
+from diffdrive_mpc.models.structures.model_file import FunctionFile, write_parameters
 
+_HEAD = "A drive model: dead time in samples, slopes [m/s^2, rad/s^2], times [s], SI units elsewhere."
 Samples = Annotated[int, Field(ge=0, le=100)]
 
 
@@ -75,17 +75,7 @@ class WheelDrive(StrictModel):
     friction: NotNegative = Field(description="K, viscous [N m s/rad]")
 
 
-class _DriveFile(StrictModel):
-    name: str
-    provenance: Provenance
-    fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of the stated experiments")
-    validation_fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of records held out")
-    limits: CommandLimits | None = Field(default=None, description="levels at which the robot clips a command")
-    warnings: list[str] = Field(default_factory=list, description="what the identification did not trust")
-    sample_time: Positive = Field(description="of commands and outputs [s]")
-
-
-class ExperimentalFile(_DriveFile):
+class ExperimentalFile(FunctionFile):
     """The parameter file of an experimental drive model."""
 
     structure: Literal["drive_experimental"]
@@ -100,7 +90,7 @@ class ExperimentalFile(_DriveFile):
         ]
 
 
-class PhysicalFile(_DriveFile):
+class PhysicalFile(FunctionFile):
     """The parameter file of a physical drive model."""
 
     structure: Literal["drive_physical"]
@@ -159,18 +149,10 @@ def drive_of(content: ExperimentalFile | PhysicalFile) -> DriveModel:
         [one.dead_samples for one in channels],
         [one.still for one in channels],
         content.coefficients(),
-        content.provenance.model_dump() | {"warnings": content.warnings},
+        content.origins,
     )
 
 
 def write_drive(path: Path, content: ExperimentalFile | PhysicalFile) -> None:
     """Write a parameter file; raises OSError where that cannot be done."""
-    text = yaml.safe_dump(
-        content.model_dump(exclude_none=True, exclude_defaults=True) | {"structure": content.structure},
-        sort_keys=False,
-        allow_unicode=True,
-        width=120,
-        default_flow_style=None,
-    )
-    head = "# A drive model: dead time in samples, slopes [m/s^2, rad/s^2], times [s], SI units elsewhere.\n"
-    path.write_text(head + text, encoding="utf-8")
+    write_parameters(path, _HEAD, content)

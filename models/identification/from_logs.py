@@ -143,8 +143,8 @@ def identify(
         What their columns or topics are: the name of a shipped mapping or the path of a mapping file; None for logs of
         `diffdrive-mpc simulate --log`, and for bags with the usual topics.
     structure
-        "mbm", "sm", "ssm"; "p2_experimental" or "p2_physical", a drive; or "lstm", a network trained on the logs, which
-        needs the extra `learn` and minutes.
+        "mbm", "sm", "ssm"; "p2_experimental" or "p2_physical", a drive; "lstm", a network trained on the logs; or
+        "hybrid", an sm with a small network on what it leaves: both need the extra `learn` and minutes.
     effects
         Whether to look for what the base does around an sm: slew, steps, tyres, veer. Takes minutes.
     validate

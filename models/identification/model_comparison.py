@@ -47,6 +47,7 @@ KINDS = (
     Kind("p2_physical", predictor="p2_physical"),
     Kind("p2_experimental", predictor="p2_experimental"),
     Kind("sm+effects", effects=True),
+    Kind("hybrid", predictor="hybrid", slow=True),
     Kind("lstm", predictor="lstm", slow=True),
 )
 """What is compared, the simplest first. A later one has to predict better by more than chance."""

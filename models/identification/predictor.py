@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.load import DRIVES
+from diffdrive_mpc.models.load import DRIVES, HYBRID
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.networks.network import NETWORK
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
@@ -97,6 +97,14 @@ def _network() -> Finder:
     return find_network
 
 
+def _hybrid() -> Finder:
+    from diffdrive_mpc.models.hybrids.training import libraries  # noqa: PLC0415 - as above
+    from diffdrive_mpc.models.identification.hybrid import find_hybrid  # noqa: PLC0415
+
+    libraries()
+    return find_hybrid
+
+
 def _drive(structure: str) -> Callable[[], Finder]:
     def finder() -> Finder:
         from diffdrive_mpc.models.identification.drive import drive_finder  # noqa: PLC0415 - loads CasADi
@@ -106,7 +114,11 @@ def _drive(structure: str) -> Callable[[], Finder]:
     return finder
 
 
-finders: Mapping[str, Callable[[], Finder]] = {NETWORK: _network, **{name: _drive(name) for name in DRIVES}}
+finders: Mapping[str, Callable[[], Finder]] = {
+    NETWORK: _network,
+    HYBRID: _hybrid,
+    **{name: _drive(name) for name in DRIVES},
+}
 """By what `--structure` calls them. Each raises MissingPackageError where what it needs is not installed."""
 
 

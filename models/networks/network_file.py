@@ -6,32 +6,24 @@ import hashlib
 import io
 import zipfile
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-import yaml
 from pydantic import Field
 
-from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check
+from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.models.networks.network import NETWORK, Architecture, Network
 from diffdrive_mpc.models.networks.network_model import NetworkModel, network_model
-from diffdrive_mpc.models.structures.model_file import ChannelFit, CommandLimits, Provenance
+from diffdrive_mpc.models.structures.model_file import FunctionFile, write_parameters
 
-_HEAD = "# A network on past commands; its weights lie in the file that it names. Times [s].\n"
+_HEAD = "A network on past commands; its weights lie in the file that it names. Times [s]."
 _FIRST_DAY = (1980, 1, 1, 0, 0, 0)
 
 
-class NetworkFile(StrictModel):
+class NetworkFile(FunctionFile):
     """What the parameter file of a network says."""
 
-    name: str
     structure: Literal["lstm"]
-    provenance: Provenance
-    fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of the stated experiments")
-    validation_fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of records held out")
-    limits: CommandLimits | None = Field(default=None, description="levels at which the robot clips a command")
-    warnings: list[str] = Field(default_factory=list, description="what the identification did not trust")
-    sample_time: Annotated[float, Field(gt=0)] = Field(description="of commands and outputs [s]")
     architecture: Architecture
     weights: str = Field(description="name of the file with the weights, beside this one")
     sha256: str = Field(description="of that file")
@@ -62,8 +54,7 @@ def load_network(path: Path, data: Any) -> NetworkModel:  # noqa: ANN401 - what 
             network = Network(content.architecture, {name: arrays[name] for name in arrays.files})
     except (ValueError, zipfile.BadZipFile) as error:
         raise ConfigError(f"{path}: {error}") from error
-    provenance = content.provenance.model_dump() | {"warnings": content.warnings}
-    return network_model(content.name, network, content.sample_time, provenance)
+    return network_model(content.name, network, content.sample_time, content.origins)
 
 
 def network_content(network: Network, **fields: Any) -> NetworkFile:  # noqa: ANN401 - fields of NetworkFile
@@ -88,14 +79,8 @@ def write_network(path: Path, network: Network, content: NetworkFile) -> None:
         If a file cannot be written.
     """
     weights = path.with_suffix(".npz")
-    data = content.model_dump(exclude_none=True, exclude_defaults=True)
-    data |= {"architecture": network.architecture.model_dump(), "weights": weights.name}
-    first = ("name", "structure", "provenance", "fit_percent", "validation_fit_percent", "limits", "warnings")
-    ordered = {key: data[key] for key in first if key in data}
-    ordered |= {key: value for key, value in data.items() if key not in first}
     weights.write_bytes(_packed(network))
-    text = yaml.safe_dump(ordered, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
-    path.write_text(_HEAD + text, encoding="utf-8")
+    write_parameters(path, _HEAD, content, architecture=network.architecture.model_dump(), weights=weights.name)
 
 
 def _packed(network: Network) -> bytes:

@@ -68,6 +68,11 @@ class Experiment:
         """Number of samples K."""
         return len(self.inputs)
 
+    @property
+    def first_readings(self) -> FloatArray:
+        """(p,) the first reading of each output."""
+        return np.array([self.outputs[np.argmax(counts), row] for row, counts in enumerate(self.counts.T)])
+
     def channel(self, inputs: int, outputs: int) -> Experiment:
         """One input and one output of this experiment."""
         i, o = slice(inputs, inputs + 1), slice(outputs, outputs + 1)
@@ -153,8 +158,11 @@ def _chained(experiments: Sequence[Experiment], records: Sequence[Record]) -> li
     for (one, earlier), (other, later) in pairwise(zip(experiments, records, strict=True)):
         near = earlier.dt == later.dt and abs(later.start - earlier.end - later.dt) < 0.5 * later.dt
         last = np.array([one.outputs[np.flatnonzero(c)[-1], i] for i, c in enumerate(one.counts.T)])
-        first = np.array([other.outputs[np.argmax(c), i] for i, c in enumerate(other.counts.T)])
-        chained.append(replace(other, follows=near and bool(np.all(np.abs(first - last) <= _JUMP * np.array(usual)))))
+        chained.append(
+            replace(
+                other, follows=near and bool(np.all(np.abs(other.first_readings - last) <= _JUMP * np.array(usual)))
+            )
+        )
     return chained
 
 

@@ -206,9 +206,8 @@ def simulate_records(system: LinearSystem, records: Sequence[Record], yaw: YawSo
 
 def simulate_experiment(system: LinearSystem, experiment: Experiment) -> FloatArray:
     """(K, p) outputs from the inputs alone, after rest in the settled state that gives each output's first reading."""
-    first = np.array([experiment.outputs[np.argmax(counts), row] for row, counts in enumerate(experiment.counts.T)])
     sampled = sample(system, experiment.dt)
-    start, before = settled_start(system, first)
+    start, before = settled_start(system, experiment.first_readings)
     recent, older = delayed(np.clip(experiment.inputs, -system.limit, system.limit), sampled.delay, before)
     drive = sampled.B0 @ recent + sampled.B1 @ older
     states = StateResponse(sampled.A)(drive[:, None, :], start[:, None])[:, 0]

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from diffdrive_mpc.models.doubt import Doubt, lines
 from diffdrive_mpc.models.interface import FloatArray
@@ -17,14 +16,14 @@ from diffdrive_mpc.models.output_error.experiment import YawSource
 from diffdrive_mpc.models.output_error.linear_system import LinearSystem
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit
-from diffdrive_mpc.models.structures.model_file import ModelFile, build_model, structure_name
+from diffdrive_mpc.models.structures.model_file import ModelFile, build_model, structure_name, write_parameters
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 
 # The file carries this many digits: far finer than any standard deviation.
 _DIGITS = 8
 _HEAD = (
-    "# Identified from a log. Gains and damping [-], frequencies and poles [rad/s], times [s], lengths [m], "
-    "twists [m/s, rad/s].\n"
+    "Identified from a log. Gains and damping [-], frequencies and poles [rad/s], times [s], lengths [m], "
+    "twists [m/s, rad/s]."
 )
 _PERCENT_DIGITS = 2
 _CORRELATION_DIGITS = 4
@@ -157,13 +156,7 @@ def model_file(
 
 def write_model_file(path: Path, content: ModelFile) -> None:
     """Write a parameter file; raises OSError if it cannot be written."""
-    data = content.model_dump(exclude_none=True, exclude_defaults=True)
-    first = ("name", "structure", "provenance", "fit_percent", "validation_fit_percent", "limits", "warnings")
-    ordered = {key: data[key] for key in first if key in data}
-    ordered |= {key: value for key, value in data.items() if key not in (*first, "uncertainty")}
-    ordered |= {key: data[key] for key in ("uncertainty",) if key in data}
-    text = yaml.safe_dump(ordered, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
-    path.write_text(_HEAD + text, encoding="utf-8")
+    write_parameters(path, _HEAD, content)
 
 
 def uncertainty(estimate: ParameterEstimate) -> Mapping[str, Any]:

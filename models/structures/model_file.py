@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal, get_args
 
+import yaml
 from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.base_effects import BaseEffects
@@ -70,8 +72,8 @@ class DeadTime(StrictModel):
     omega: Seconds = 0.0
 
 
-class ModelFile(StrictModel):
-    """What every model parameter file has. A structure narrows `structure` to its name, as a Literal."""
+class ParameterFile(StrictModel):
+    """What every parameter file of a velocity model has, of a linear one or of a function."""
 
     name: str
     structure: str
@@ -79,8 +81,24 @@ class ModelFile(StrictModel):
     fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of the stated experiments")
     validation_fit_percent: ChannelFit | None = Field(default=None, description="simulation FIT of records held out")
     limits: CommandLimits | None = Field(default=None, description="levels at which the robot clips a command")
-    uncertainty: Uncertainty | None = Field(default=None, description="how well the identified parameters are known")
     warnings: list[str] = Field(default_factory=list, description="what the identification did not trust")
+
+    @property
+    def origins(self) -> dict[str, object]:
+        """Provenance and warnings, as a model carries them."""
+        return self.provenance.model_dump() | {"warnings": self.warnings}
+
+
+class FunctionFile(ParameterFile):
+    """What every file of a model that is a function of samples has."""
+
+    sample_time: Annotated[float, Field(gt=0, allow_inf_nan=False)] = Field(description="of commands and outputs [s]")
+
+
+class ModelFile(ParameterFile):
+    """What every file of a linear model has. A structure narrows `structure` to its name, as a Literal."""
+
+    uncertainty: Uncertainty | None = Field(default=None, description="how well the identified parameters are known")
     dead_time: DeadTime = DeadTime()
     base_effects: BaseEffects = Field(default=BaseEffects(), description="what the base does around the linear model")
 
@@ -99,8 +117,22 @@ def build_model(data: ModelFile) -> VelocityModel:
         B=B,
         C=C,
         dead_time=[data.dead_time.v, data.dead_time.omega],  # type: ignore[arg-type]  # converted on construction
-        provenance=data.provenance.model_dump() | {"warnings": data.warnings},
+        provenance=data.origins,
     )
+
+
+def write_parameters(path: Path, head: str, content: ParameterFile, **more: object) -> None:
+    """Write a parameter file: a line of comment, what it is and where it comes from, its numbers, `more`.
+
+    What is at its default is left out. Raises OSError if the file cannot be written.
+    """
+    data = content.model_dump(exclude_none=True, exclude_defaults=True) | more
+    first = list(ParameterFile.model_fields)
+    ordered = {key: data[key] for key in first if key in data}
+    ordered |= {key: value for key, value in data.items() if key not in (*first, "uncertainty")}
+    ordered |= {key: data[key] for key in ("uncertainty",) if key in data}
+    text = yaml.safe_dump(ordered, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+    path.write_text(f"# {head}\n{text}", encoding="utf-8")
 
 
 def structure_name(schema: type[ModelFile]) -> str:

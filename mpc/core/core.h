@@ -349,6 +349,13 @@ const ddmpc_result *ddmpc_result_of(const ddmpc_controller *controller);
 real *ddmpc_parameters(ddmpc_controller *controller);
 /* How the estimate lies to a pose (3) with twist (2); only with an estimate. */
 ddmpc_stray ddmpc_stray_from(const ddmpc_controller *controller, const real *pose, const real *twist);
+/* The filter's belief at the newest tick: mean (n+S+4) and covariance (n+S+4, n+S+4), and the commands (W, 2) that were on
+   their way before that tick's own, oldest first. Returns 0, and writes nothing, if there is no estimate. */
+int ddmpc_believed(const ddmpc_controller *controller, real *mean, real *covariance, real *on_their_way);
+/* A belief one sample later, if nothing is measured meanwhile; of `commands` (W+1, 2) the last is sent as the sample
+   begins. Nothing may lie where something else does. */
+void ddmpc_foresee(const ddmpc_controller *controller, const real *commands, real *mean, real *covariance,
+                   real *mean_after, real *covariance_after);
 /* The last command sent, and the commands (W, 2) on their way, oldest first. */
 const real *ddmpc_last_command(const ddmpc_controller *controller);
 const real *ddmpc_commands(const ddmpc_controller *controller);

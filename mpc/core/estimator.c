@@ -288,3 +288,23 @@ void ddmpc_estimator_estimate(ddmpc_controller *c)
     ddmpc_filter_twist_deviation(c, belief, estimate->twist_deviation);
     memcpy(estimate->innovations, c->estimator.innovations, sizeof c->estimator.innovations);
 }
+
+int ddmpc_believed(const ddmpc_controller *c, real *mean, real *covariance, real *on_their_way)
+{
+    if (!(ddmpc_estimator_state(c) & READY))
+        return 0;
+    const ddmpc_belief *belief = &newest(c)->posterior;
+    const int Z = BELIEF(c), W = WINDOW(c);
+    memcpy(mean, belief->mean, (size_t)Z * sizeof(real));
+    memcpy(covariance, belief->covariance, (size_t)(Z * Z) * sizeof(real));
+    memcpy(on_their_way, sent(c, W), (size_t)(2 * W) * sizeof(real));
+    return 1;
+}
+
+void ddmpc_foresee(const ddmpc_controller *c, const real *commands, real *mean, real *covariance, real *mean_after,
+                   real *covariance_after)
+{
+    const ddmpc_belief before = {mean, covariance, {0}};
+    ddmpc_belief after = {mean_after, covariance_after, {0}};
+    ddmpc_filter_predict(c, &before, commands + 2 * WINDOW(c), &after);
+}

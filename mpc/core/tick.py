@@ -127,6 +127,24 @@ class Tick:
         shape = (self._sizes["steps"] + 1, self._sizes["parameters"])
         return self.view(self.lib.ddmpc_parameters(self.c), shape) if shape[1] else np.zeros(shape)
 
+    def believed(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """The filter's belief at the newest tick: mean (Z,), covariance (Z, Z), commands (W, 2) sent before; copies."""
+        size = self._sizes["states"] + self._sizes["slips"] + 4
+        mean, covariance, sent = np.zeros(size), np.zeros((size, size)), np.zeros((self._sizes["window"], 2))
+        arrays = (mean, covariance, sent)
+        found = self.lib.ddmpc_believed(self.c, *(self._address("real *", array) for array in arrays))
+        return arrays if found else None
+
+    def foresee(self, mean: FloatArray, covariance: FloatArray, commands: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean and covariance after the samples that begin with each of `commands` (W + K, 2) but the first W."""
+        commands, window = np.ascontiguousarray(commands, dtype=float), self._sizes["window"]
+        now, after = [np.array(mean), np.array(covariance)], [np.empty_like(mean), np.empty_like(covariance)]
+        for first in range(len(commands) - window):
+            arrays = (commands[first : first + window + 1], *now, *after)
+            self.lib.ddmpc_foresee(self.c, *(self._address("real *", array) for array in arrays))
+            now, after = after, now
+        return now[0], now[1]
+
     def stray(self, pose: FloatArray, twist: FloatArray) -> Any:  # noqa: ANN401 - cffi has no types
         """How the estimate lies to a reference pose (3,) with twist (2,): the fields of `ddmpc_stray`."""
         pose, twist = np.ascontiguousarray(pose), np.ascontiguousarray(twist)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -103,6 +103,13 @@ class Slip:
                 *(self.veer, turning - 1, self.yaw_coupling),
             ]
         )
+
+    @property
+    def polynomial_gradient(self) -> FloatArray:
+        """(9, 13) gradient of `polynomial` by what slip consists of, in the order of `SLIPS`."""
+        # Each coefficient is linear in each of them by itself: a difference over one is the slope.
+        columns = [replace(self, **{name: getattr(self, name) + 1.0}).polynomial for name in SLIPS]
+        return np.stack(columns, axis=1) - self.polynomial[:, None]
 
     @property
     def gains(self) -> FloatArray:

@@ -13,6 +13,7 @@ from diffdrive_mpc.bench.studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM
 from diffdrive_mpc.bench.studies.reproduce.networks import NetworkResult, NetworkRow, NetworkRows
 from diffdrive_mpc.bench.studies.reproduce.published import load_published
 from diffdrive_mpc.bench.studies.reproduce.settings import load_study
+from diffdrive_mpc.bench.studies.reproduce.slip_scatter import LEARNED, NOMINAL, TRUE, Foresight, SlipScatter
 from diffdrive_mpc.bench.studies.reproduce.state_space import (
     IDENTIFIED,
     PRINTED,
@@ -100,6 +101,26 @@ def cost(mbm: float = 4e-6, sm: float = 3e-6, one: float = 2e-7) -> dict[str, Co
     }
 
 
+def scatter(floor: str = "p4_grass", drifts: float = 1.0, *, modest: float = 1.0, nominal: float = 10.0) -> SlipScatter:
+    """Errors of one millimetre, foreseen `modest` times as large; without slip `nominal` times as large."""
+    random = np.random.default_rng(0)
+    errors = 1e-3 * random.normal(size=(400, 3))
+    foreseen = Foresight(errors, np.tile(1e-6 * modest**2 * np.eye(3), (400, 1, 1)))
+    straight = np.column_stack([np.linspace(0.0, 1.0, 5)] * 2)
+    return SlipScatter(
+        floor,
+        drifts,
+        nominal=Foresight(nominal * errors, foreseen.covariances),
+        learned=foreseen,
+        scaled=foreseen.scaled(np.full(3, 1 / modest)),
+        by_slip=np.full(3, 1e-4),
+        coefficients=np.full(9, 0.01),
+        deviations=np.full(9, 0.001),
+        truth=np.full(9, 0.01) if floor.startswith("p4_") else None,
+        paths=dict.fromkeys((TRUE, NOMINAL, LEARNED), straight),
+    )
+
+
 def made_up(repetitions: int = 2) -> ReproduceResults:
     return ReproduceResults(
         mbm_sm=tuple(mbm_sm(k) for k in range(1, repetitions + 1)),
@@ -108,6 +129,7 @@ def made_up(repetitions: int = 2) -> ReproduceResults:
         rows=(network_rows(),),
         cost=cost(),
         virtual_track=check_virtual_track(load_published().virtual_track, certain=2.0),
+        slip_scatter=(scatter(), scatter("mujoco default"), scatter(drifts=0.001), scatter("mujoco default", 0.001)),
     )
 
 

@@ -13,6 +13,7 @@ from hypothesis.extra.numpy import arrays
 from diffdrive_mpc.bench.outcomes import plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.studies.reproduce.cost import measure_cost
+from diffdrive_mpc.bench.studies.reproduce.driven_track import drive_tests
 from diffdrive_mpc.bench.studies.reproduce.drives import (
     RobotLogs,
     Spread,
@@ -168,16 +169,21 @@ SMALL = SsmStudy(
 
 
 def test_results_depend_on_the_repetition_and_not_on_the_processes():
-    study = load_study(quick=True).model_copy(update={"ssm": SMALL, "repetitions": (31, 32)})
-    whole = ReproduceStudy(study, ["ssm"])
+    """A fit beside drives in two processes, and the same fit in this one; what another repetition is fitted to."""
+    track = load_study(quick=True).driven_track.model_copy(update={"duration": 1.5, "settling": 0.5})
+    study = load_study(quick=True).model_copy(update={"ssm": SMALL, "driven_track": track})
+    whole = ReproduceStudy(study, ["ssm", "virtual_track"])
     bar = CountingBar()
-    results = whole.run(whole.plan(), 2, bar).ssm
+    found = whole.run(whole.plan(), 2, bar)
     assert bar.done == bar.total == 2
-    assert plain(results[0]) == plain(compare_orders(SMALL, 31))
-    assert results[0].orders[1].test != results[1].orders[1].test
-    for result in results:
-        assert set(result.free_drives) == set(result.full_range) == {IDENTIFIED, PRINTED}
-        assert result.orders[1].train.fit_percent[1] > result.orders[0].train.fit_percent[1]
+    (result,) = found.ssm
+    assert plain(result) == plain(compare_orders(SMALL, result.repetition))
+    assert plain(found.driven_track[0]) == plain(drive_tests(track, "default"))
+    assert set(result.free_drives) == set(result.full_range) == {IDENTIFIED, PRINTED}
+    assert result.orders[1].train.fit_percent[1] > result.orders[0].train.fit_percent[1]
+    own, other = (RobotLogs(repetition).free(1, 2.0)[0] for repetition in (result.repetition, result.repetition + 1))
+    assert not np.array_equal(own.command, other.command)
+    assert not np.array_equal(own.yaw_rate[:20], other.yaw_rate[:20])
 
 
 def test_both_tracks_alone_tell_the_two_mbm_apart():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from reproduce_parts import cost, lstm, made_up, mbm_sm, network_rows, ssm
+from reproduce_parts import cost, lstm, made_up, mbm_sm, network_rows, scatter, ssm
 
 from diffdrive_mpc.bench.studies.reproduce.study import find
 from diffdrive_mpc.bench.studies.reproduce.virtual_track import VirtualTrackResult, fit_line
@@ -130,3 +130,19 @@ def test_the_best_of_the_nine_is_only_named_where_all_were_trained():
     assert verdict(replace(results, rows=(network_rows(best=7),)), "row 2 has the best test FIT") == "no"
     some = replace(network_rows(), rows=network_rows().rows[:3])
     assert not any("best test FIT of the nine" in claim for claim in verdicts(replace(results, rows=(some,))))
+
+
+def test_what_is_foreseen_is_judged_floor_by_floor():
+    results = made_up()
+    good, modest = scatter(), scatter("mujoco default", modest=5.0)
+    found = replace(results, slip_scatter=(good, modest))
+    assert verdict(found, "foreseen deviations are those") == "1 of 2"
+    assert verdict(found, "foreseen deviations, scaled") == "yes"
+    assert verdict(found, "ellipses for 95 %") == "yes"
+    worse = replace(results, slip_scatter=(good, scatter("mujoco default", nominal=0.5)))
+    assert verdict(worse, "with learned slip foreseen poses are nearer") == "1 of 2"
+    (finding,) = [one for one in find(found) if one.claim.startswith("foreseen deviations are those")]
+    first, second = finding.plant.removesuffix(" times as large").split("; ")
+    assert [5 * float(one) for one in first.split(", ")] == pytest.approx(
+        [float(one) for one in second.split(", ")], rel=0.02
+    )

@@ -14,7 +14,7 @@ from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.documents import REPRODUCE, sections
 
 runner = CliRunner()
-FIGURES = ("odometry.png", "orders.png", "virtual-track.png")
+FIGURES = ("odometry.png", "orders.png", "virtual-track.png", "slip-scatter.png")
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +41,8 @@ def test_every_table_is_filled_and_published_numbers_stand_beside_ours():
         "SSM and LSTM odometry",
         "Cost of a simulation",
         "Virtual track",
+        "Scatter of foreseen poses",
+        "Learned terms",
     ]
     for table in tables.values():
         assert table.rows
@@ -90,7 +92,7 @@ def test_every_table_and_figure_has_its_place_on_the_page(report: Path):
 
 
 def test_parts_that_were_not_run_leave_nothing(tmp_path: Path):
-    write_made_up(replace(made_up(), mbm_sm=(), ssm=(), lstm=(), rows=(), cost=None), tmp_path)
+    write_made_up(replace(made_up(), mbm_sm=(), ssm=(), lstm=(), rows=(), cost=None, slip_scatter=()), tmp_path)
     assert [path.name for path in (tmp_path / "figures").iterdir()] == ["virtual-track.png"]
     text = (tmp_path / "reproduce.md").read_text()
     assert [line for line in text.splitlines() if line.startswith("## ")] == ["## Findings", "## Virtual track"]
@@ -107,6 +109,6 @@ def test_the_command_writes_its_report(tmp_path: Path):
 def test_an_unknown_part_is_one_line_and_nothing_is_made(tmp_path: Path):
     result = runner.invoke(app, ["reproduce", "--out", str(tmp_path / "out"), "--only", "ssm,costs"])
     assert result.exit_code == 2
-    known = "mbm_sm, ssm, lstm, cost, virtual_track, drive_models"
+    known = "mbm_sm, ssm, lstm, cost, virtual_track, drive_models, slip_scatter"
     assert result.stderr == f"error: --only: unknown part 'costs'; known: {known}\n"
     assert not (tmp_path / "out").exists()

@@ -91,6 +91,8 @@ class Rules(StrictModel):
     certain: float
     told_apart_fit_percent: float
     chance: float
+    corresponds: float
+    inside: tuple[float, float]
 
 
 class Published(StrictModel):

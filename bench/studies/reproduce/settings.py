@@ -8,9 +8,9 @@ from typing import Annotated
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
-from diffdrive_mpc.models.robot import Positive
+from diffdrive_mpc.models.robot import NotNegative, Positive
 
-PARTS = ("mbm_sm", "ssm", "lstm", "cost", "virtual_track", "drive_models")
+PARTS = ("mbm_sm", "ssm", "lstm", "cost", "virtual_track", "drive_models", "slip_scatter")
 """Names of the parts, in the order of the report."""
 
 Count = Annotated[int, Field(ge=1)]
@@ -96,6 +96,36 @@ class TrackStudy(StrictModel):
     speeds: Annotated[tuple[Positive, ...], Field(min_length=3)] = Field(description="[m/s]")
 
 
+class ScatterFloor(StrictModel):
+    """A plant and what it drives on."""
+
+    plant: str = Field(description="as `make_plant` takes it")
+    surface: str
+
+    @property
+    def name(self) -> str:
+        """In tables."""
+        return self.surface if self.plant.startswith("model:") else f"{self.plant} {self.surface}"
+
+
+class ScatterStudy(StrictModel):
+    """P4's scatter of poses that are predicted over some time with the slip that was learned."""
+
+    floors: Annotated[tuple[ScatterFloor, ...], Field(min_length=1)]
+    drifts: Annotated[tuple[Positive, ...], Field(min_length=1)] = Field(
+        description="by what the configuration's drifts of slip are multiplied"
+    )
+    settling: NotNegative = Field(description="of the drive, before errors scale what is foreseen [s]")
+    learning: Positive = Field(description="of the drive, before errors count [s]")
+    duration: Positive = Field(description="of the drive [s]")
+    horizon: Positive = Field(description="how far ahead [s]")
+    path: Positive = Field(description="how long a path by commands alone is drawn [s]")
+    side: Positive = Field(description="of the square that is driven in [m]")
+    v: Positive = Field(description="largest speed [m/s]")
+    yaw_rate: Positive = Field(description="largest yaw rate [rad/s]")
+    estimator: dict[str, float] = Field(description="keys of `estimator` in the configuration")
+
+
 class ReproduceSettings(StrictModel):
     """All parts; a repetition has drives and noise of its own."""
 
@@ -106,6 +136,7 @@ class ReproduceSettings(StrictModel):
     cost: CostStudy
     drive_models: DriveStudy
     driven_track: TrackStudy
+    slip_scatter: ScatterStudy
 
 
 def load_study(*, quick: bool = False) -> ReproduceSettings:

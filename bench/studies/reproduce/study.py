@@ -42,6 +42,12 @@ from diffdrive_mpc.bench.studies.reproduce.networks import (
 )
 from diffdrive_mpc.bench.studies.reproduce.published import Finding, load_published
 from diffdrive_mpc.bench.studies.reproduce.settings import PARTS, ReproduceSettings
+from diffdrive_mpc.bench.studies.reproduce.slip_scatter import (
+    SlipScatter,
+    scatter_of,
+    slip_scatter_findings,
+    slip_scatter_tables,
+)
 from diffdrive_mpc.bench.studies.reproduce.state_space import (
     SsmResult,
     compare_orders,
@@ -58,7 +64,8 @@ from diffdrive_mpc.bench.studies.reproduce.virtual_track import (
 from diffdrive_mpc.bench.study import Draw, Report, Study, check_parts
 from diffdrive_mpc.bench.table import Table
 
-Task = Callable[[], SsmResult | MbmSmResult | NetworkResult | NetworkRows | DriveModelsResult | DrivenTrack]
+Result = SsmResult | MbmSmResult | NetworkResult | NetworkRows | DriveModelsResult | DrivenTrack | SlipScatter
+Task = Callable[[], Result]
 
 
 @dataclass(frozen=True)
@@ -79,6 +86,8 @@ class ReproduceResults:
         One for each repetition and each log.
     driven_track
         One for each floor.
+    slip_scatter
+        One for each floor, for each setting of the drifts, for each repetition.
     """
 
     mbm_sm: tuple[MbmSmResult, ...] = ()
@@ -89,6 +98,7 @@ class ReproduceResults:
     virtual_track: VirtualTrackResult | None = None
     drive_models: tuple[DriveModelsResult, ...] = ()
     driven_track: tuple[DrivenTrack, ...] = ()
+    slip_scatter: tuple[SlipScatter, ...] = ()
 
 
 class ReproduceStudy(Study[list[Task], ReproduceResults]):
@@ -117,6 +127,9 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
             if self._data:
                 tasks += [partial(compare_on_log, name, self._data) for name in s.drive_models.logs]
             tasks += [partial(compare_on_twin, s.drive_models, k) for k in s.repetitions[: s.drive_models.repetitions]]
+        if "slip_scatter" in only:
+            own = s.slip_scatter
+            tasks += [partial(scatter_of, own, f, d, k) for f in own.floors for d in own.drifts for k in s.repetitions]
         if "virtual_track" in only:
             tasks += [partial(drive_tests, s.driven_track, surface) for surface in s.driven_track.surfaces]
         return tasks + [partial(compare_mbm_and_sm, s.mbm_sm, k) for k in s.repetitions if "mbm_sm" in only]
@@ -135,6 +148,7 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
             rows=tuple(result for result in done if isinstance(result, NetworkRows)),
             drive_models=tuple(driven),
             driven_track=tuple(result for result in done if isinstance(result, DrivenTrack)),
+            slip_scatter=tuple(result for result in done if isinstance(result, SlipScatter)),
             cost=measure_cost(self.settings.cost, bar.advance) if timed else None,
             virtual_track=check_virtual_track(published.virtual_track, published.rules.certain) if tracked else None,
         )
@@ -143,13 +157,13 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         """Findings with their verdicts first; every result is written but paths, which would fill the file."""
         parts = [part for part in PARTS if getattr(results, part)]
         written = plain(results)
-        for result in written["mbm_sm"]:
+        for result in (*written["mbm_sm"], *written["slip_scatter"]):
             del result["paths"]
         findings = find(results)
         repetitions = ", ".join(map(str, self.settings.repetitions))
         where = f"plant mujoco, surface default, sensors default, repetitions {repetitions}"
         return Report(
-            counted=f"{len(results.ssm) + len(results.mbm_sm) + len(results.lstm)} repetitions",
+            counted="one part" if len(parts) == 1 else f"{len(parts)} parts",
             meta={"parts": parts},
             content={
                 "findings": [plain(finding) | {"verdict": finding.verdict} for finding in findings],
@@ -157,12 +171,12 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
                 **written,
             },
             facts=[f"Parts {', '.join(parts)} in {seconds} s; {where}."],
-            tables=report_tables(results, findings_table(findings, len(self.settings.repetitions))),
+            tables=report_tables(results, findings_table(findings, len(self.settings.repetitions)), self.settings),
             figures=_drawings(results),
         )
 
 
-def report_tables(results: ReproduceResults, findings: Table) -> list[Table]:
+def report_tables(results: ReproduceResults, findings: Table, settings: ReproduceSettings) -> list[Table]:
     """Those of the parts that were run, the findings first."""
     published = load_published()
     tables = [findings]
@@ -182,6 +196,8 @@ def report_tables(results: ReproduceResults, findings: Table) -> list[Table]:
         tables += driven_track_tables(results.driven_track, published)
     if results.drive_models:
         tables += drive_model_tables(results.drive_models, published)
+    if results.slip_scatter:
+        tables += slip_scatter_tables(results.slip_scatter, settings.slip_scatter.horizon)
     return tables
 
 
@@ -196,6 +212,8 @@ def _drawings(results: ReproduceResults) -> dict[str, Draw]:
         drawn["orders.png"] = partial(figures.draw_orders, results.ssm)
     if results.virtual_track is not None:
         drawn["virtual-track.png"] = partial(figures.draw_virtual_track, results.virtual_track)
+    if results.slip_scatter:
+        drawn["slip-scatter.png"] = partial(figures.draw_slip_scatter, results.slip_scatter)
     return drawn
 
 
@@ -218,6 +236,8 @@ def find(results: ReproduceResults) -> list[Finding]:
         findings += driven_track_findings(results.driven_track, published)
     if results.drive_models:
         findings += drive_model_findings(results.drive_models, published)
+    if results.slip_scatter:
+        findings += slip_scatter_findings(results.slip_scatter, published)
     return findings
 
 

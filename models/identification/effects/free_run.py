@@ -59,7 +59,7 @@ def free_run(point: Point, experiment: Experiment, *, smooth: bool = False) -> F
         Whether the steps of the wheel command are smoothed to their mean, which has slopes.
     """
     step = experiment.dt / PARTS
-    first = [experiment.outputs[np.argmax(counts), row] for row, counts in enumerate(experiment.counts.T)]
+    first = experiment.first_readings
     start = np.array([first[0] / point["gain.v"], first[1] / (point["gain.omega"] * point["encoders.yaw_ratio"])])
     asked = _asked(point, np.repeat(experiment.inputs, PARTS, axis=0), step, start, smooth)
     gains = np.array([point["gain.v"], point["gain.omega"]])

@@ -1,0 +1,88 @@
+"""What the filter believes as a whole, and what it foresees of where the robot will be."""
+
+from dataclasses import astuple
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from diffdrive_mpc import Controller, Measurement, load_config, load_trajectory
+from diffdrive_mpc.mpc.estimation.slip import SLIPS, Slip
+from diffdrive_mpc.sim import make_plant
+
+CURVED = {"estimator.crab_uncertainty": 0.03, "estimator.yaw_coupling_uncertainty": 0.1}
+
+
+def driven(settings=None, ticks=120, model="ssm"):
+    """A controller after some ticks on a floor, and its last step."""
+    controller, plant = Controller(load_config(model, settings or {})), make_plant("model:ssm", "p4_grass", seed=5)
+    controller.start(load_trajectory("s"), 0.0)
+    for _ in range(ticks):
+        step = controller.step(plant.time, plant.measure())
+        plant.advance(step.command)
+    return controller, plant, step
+
+
+@pytest.mark.parametrize("settings", [{}, CURVED])
+@pytest.mark.parametrize("model", ["ssm", "mbm"])
+def test_what_is_foreseen_is_what_the_filter_comes_to_believe_where_nothing_is_measured(settings, model):
+    controller, plant, step = driven(settings, model=model)
+    before, commands = controller.belief, [step.command]
+    for k in range(1, 13):
+        step = controller.step(plant.time + (k - 1) * plant.sample_time, Measurement())
+        commands.append(step.command)
+    after, foreseen = controller.belief, controller.foresee(before, commands[:-1])
+    assert np.array_equal(foreseen.mean, after.mean)
+    assert np.array_equal(foreseen.covariance, after.covariance)
+    assert np.array_equal(foreseen.sent, after.sent)
+    assert np.hypot(*(after.pose - before.pose)[:2]) > 0.02
+    assert np.trace(after.pose_covariance) > np.trace(before.pose_covariance)
+
+
+@pytest.mark.parametrize("settings", [{}, CURVED])
+def test_the_belief_is_that_of_the_estimate(settings):
+    controller, _, step = driven(settings)
+    belief, estimate = controller.belief, step.estimate
+    assert np.array_equal(belief.mean, estimate.mean)
+    assert np.sqrt(np.diag(belief.covariance)) == pytest.approx(estimate.deviation, rel=1e-12)
+    assert belief.covariance == pytest.approx(belief.covariance.T)
+    assert np.linalg.eigvalsh(belief.covariance).min() > -1e-12
+    assert belief.slip == estimate.slip
+    assert np.sqrt(np.diag(belief.slip_covariance)) == pytest.approx(astuple(estimate.slip_deviation))
+    # What is measured is a sum of the terms, so they are not known independently of each other.
+    assert np.abs(belief.polynomial_covariance - np.diag(np.diag(belief.polynomial_covariance))).max() > 1e-6
+
+
+def test_what_is_known_of_slip_is_a_part_of_the_scatter_that_adds_up():
+    """Covariance goes through linearly: what slip adds is more the less is known of it, and nothing where all is."""
+    controller, _, _ = driven()
+    belief, commands = controller.belief, np.tile([0.5, 0.8], (60, 1))
+    whole, certain = controller.foresee(belief, commands), controller.foresee(belief.with_slip(belief.slip), commands)
+    assert np.array_equal(whole.mean, certain.mean)
+    assert whole.pose_covariance[2, 2] > certain.pose_covariance[2, 2]
+    # Another slip turns the robot elsewhere.
+    other = controller.foresee(belief.with_slip(Slip()), commands)
+    assert abs(other.pose[2] - whole.pose[2]) > 0.1
+
+
+small = st.lists(st.floats(-0.3, 0.3), min_size=len(SLIPS), max_size=len(SLIPS))
+
+
+@given(small, small)
+def test_the_gradient_of_the_terms_is_their_slope(at, towards):
+    slip = Slip(*(np.array(astuple(Slip())) + at))
+    step = 1e-6 * np.array(towards)
+    moved = Slip(*(np.array(astuple(slip)) + step))
+    assert moved.polynomial - slip.polynomial == pytest.approx(slip.polynomial_gradient @ step, abs=1e-11)
+
+
+def test_what_cannot_be_foreseen_is_refused():
+    controller, _, _ = driven(ticks=5)
+    for commands in ([0.1, 0.2], [[0.1, np.nan]], np.zeros((3, 3))):
+        with pytest.raises(ValueError, match="finite pairs"):
+            controller.foresee(controller.belief, commands)
+    assert np.array_equal(controller.foresee(controller.belief, np.zeros((0, 2))).mean, controller.belief.mean)
+    controller.start(load_trajectory("s"), 0.0)
+    with pytest.raises(RuntimeError, match="call step with a pose first"):
+        _ = controller.belief
