@@ -26,7 +26,7 @@ from diffdrive_mpc.models.load import MODEL_NAMES
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.mpc.config.config_file import PARAMETERS
 from diffdrive_mpc.sim import Plant, Run, simulate
-from diffdrive_mpc.sim.plants.simulated_robot import ROBOTS
+from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, ROBOTS, load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import SURFACES
 from diffdrive_mpc.sim.sensing.sensor_set import SENSOR_SETS
 
@@ -116,12 +116,19 @@ def _with_files(definition: Definition, folder: Path) -> Any:  # noqa: ANN401 - 
         base = read_yaml(named_file("robot", ROBOTS, name)) if name else {}
         changed = _changed({"description": "drawn by a campaign"} | base, definition.robot)
         case = replace(case, plant=f"{_PHYSICS}:{_written(changed, folder / 'robot.yaml')}")
+    # A robot file may have a floor and sensors of its own in place of the default ones: they are what is changed.
+    kind, _, name = case.plant.partition(":")
+    own = load_simulated_robot(name) if kind == _PHYSICS and name else None
     if definition.surface:
-        changed = _changed(read_yaml(named_file("surface", SURFACES, case.surface)), definition.surface)
-        case = replace(case, surface=_written(changed, folder / "surface.yaml"))
+        base = read_yaml(named_file("surface", SURFACES, case.surface))
+        if own and own.friction and case.surface == DEFAULT:
+            base = base | {"friction": own.friction}
+        case = replace(case, surface=_written(_changed(base, definition.surface), folder / "surface.yaml"))
     if definition.sensors:
-        changed = _changed(read_yaml(named_file("sensor set", SENSOR_SETS, case.sensors)), definition.sensors)
-        case = replace(case, sensors=_written(changed, folder / "sensors.yaml"))
+        base = read_yaml(named_file("sensor set", SENSOR_SETS, case.sensors))
+        if own and case.sensors == DEFAULT:
+            base = own.sensors.model_dump(mode="json")
+        case = replace(case, sensors=_written(_changed(base, definition.sensors), folder / "sensors.yaml"))
     return case
 
 

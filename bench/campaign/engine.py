@@ -96,6 +96,7 @@ def drive_all(
     """
     tasks = list({task.key: task for task in map(Task.of, definitions)}.values())
     store = Store(place.folder)
+    store.clear_drafts()
     kept = store.keys()
     missing = [task for task in tasks if task.key not in kept or store.load(task.key) is None]
     check_definitions([task.definition for task in missing])

@@ -31,6 +31,9 @@ class Store:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ConfigError(f"--out {folder}: cannot be written to ({reason(error)}); give a folder") from error
+
+    def clear_drafts(self) -> None:
+        """Remove what writers left that were ended from outside."""
         for draft in self._folder.glob("*/.unfinished-*"):
             with suppress(FileNotFoundError):  # another process has just put its file in place
                 if time.time() - draft.stat().st_mtime > _LEFT_OVER:

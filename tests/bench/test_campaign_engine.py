@@ -8,9 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import duckdb
+import numpy as np
 import pandas as pd
 import polars as pl
 import pytest
+import yaml
 from bench_parts import quick_case
 from typer.testing import CliRunner
 
@@ -216,6 +218,29 @@ def test_values_of_robot_floor_and_sensors_reach_the_plant() -> None:
     # Coulomb: on ice it gains no more than friction times gravity, and a quick motor gains more elsewhere.
     assert max(icy[1:]) < 0.05 * 9.81 * 0.5 * 1.1
     assert max(usual[1:]) > 0.8
+
+
+def test_a_factor_changes_what_the_robot_has_and_nothing_else(tmp_path: Path) -> None:
+    """A robot file with sensors and a floor of its own, as a twin is: late poses do not make its gyro better."""
+    own = {"description": "noisy", "friction": 0.3, "sensors": {"gyro": {"noise_sd": 0.5, "bias_sd": 0.0}}}
+    path = tmp_path / "robot.yaml"
+    path.write_text(yaml.safe_dump(own), encoding="utf-8")
+
+    def reading_and_gain(**factors: float) -> tuple[float, float]:
+        named = {"plant": f"mujoco:{path}", "seed": 3} | factors
+        with built(Definition.of(named)) as (_, plant, _):
+            plant.reset(np.zeros(3))
+            speeds = []
+            for _ in range(30):
+                plant.advance([2.0, 0.0])
+                speeds.append(plant.true_twist[0])
+            yaw_rate = plant.measure().yaw_rate
+            assert yaw_rate is not None
+            return float(yaw_rate.value), max(speeds)
+
+    plain = reading_and_gain()
+    assert abs(plain[0]) > 0.02
+    assert reading_and_gain(**{"sensors.pose.latency": 0.1, "surface.slip.side_slip": 0.1}) == plain
 
 
 @pytest.mark.parametrize(
