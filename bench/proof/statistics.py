@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import binomtest, bootstrap
+from scipy.stats import DegenerateDataWarning, binomtest, bootstrap
 
 from diffdrive_mpc.models.interface import FloatArray
 
@@ -80,7 +81,10 @@ class Estimate:
         def drawn(runs: ArrayLike, axis: int = -1) -> FloatArray:
             return figure(*(table[..., np.moveaxis(np.asarray(runs), axis, -1).astype(int)] for table in tables))
 
-        return cls.of_runs(np.arange(tables[0].shape[-1], dtype=float), drawn)
+        with warnings.catch_warnings():
+            # Tables that are the same have an interval without width.
+            warnings.simplefilter("ignore", DegenerateDataWarning)
+            return cls.of_runs(np.arange(tables[0].shape[-1], dtype=float), drawn)
 
 
 def mean(values: FloatArray, axis: int = -1) -> FloatArray:
