@@ -6,6 +6,9 @@ from log_parts import drive, write_csv, write_mapping
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc.sim import make_plant, simulate
+from diffdrive_mpc.sim.log_csv import write_rows
 
 COLUMNS = drive()
 
@@ -233,3 +236,13 @@ def test_a_stretch_shorter_than_the_longest_lag_is_judged_by_what_it_has(tmp_pat
     log = read(tmp_path, {}, np.isin(np.arange(1000), np.arange(15, 15 + count)))  # the command changes every 25
     assert [len(record.command) for record in log.records] == [count]
     assert {finding.severity for finding in log.findings} <= {"note", "warning"}
+
+
+@pytest.mark.parametrize("plant", ["mujoco", "mujoco:slow_motors", "mujoco:long"])
+@pytest.mark.parametrize("trajectory", ["circle", "s", "square", "fast_circle", "spiral"])
+def test_nothing_is_wrong_with_a_short_drive_at_nearly_one_speed(tmp_path, trajectory, plant):
+    """Ten seconds of a path tell little; that must not be held against the robot."""
+    run = simulate(Controller(load_config("ssm")), make_plant(plant, seed=22), load_trajectory(trajectory))
+    write_rows(run, tmp_path / "drive.csv")
+    findings = read_log(tmp_path / "drive.csv", "simulate").findings
+    assert not [str(finding) for finding in findings if finding.severity == "error"]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from scipy import stats
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
@@ -89,8 +90,8 @@ def check_parts(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     changes: list[tuple[Relation, int, float]] = []
     steady: list[Relation] = []
     for relation in relations(streams, settings):
-        change = _change(np.log(relation.gains))
-        if change and abs(change[1]) > np.log(settings.scale_change) and abs(change[1]) > settings.certain * change[2]:
+        change = _change(np.log(relation.gains), settings.certain)
+        if change and abs(change[1]) > max(np.log(settings.scale_change), change[2]):
             changes.append((relation, change[0], change[1]))
         else:
             steady.append(relation)
@@ -117,8 +118,11 @@ def check_parts(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     return [Finding("scale change", "error", log, words)]
 
 
-def _change(values: FloatArray) -> tuple[int, float, float] | None:
-    """Where a row of values changes its level, by how much, and the deviation of that; None where it is too short."""
+def _change(values: FloatArray, certain: float) -> tuple[int, float, float] | None:
+    """Where a row of values changes its level, by how much, and what would be chance; None where it is too short.
+
+    Few values know their scatter badly: chance is as rare as `certain` standard deviations of a known one (Student).
+    """
     best: tuple[float, int, float, float] | None = None
     for at in range(2, len(values) - 1):
         left, right = values[:at], values[at:]
@@ -126,7 +130,10 @@ def _change(values: FloatArray) -> tuple[int, float, float] | None:
         deviation = np.sqrt(inside / (len(values) - 2) * (1 / len(left) + 1 / len(right)))
         if best is None or inside < best[0]:
             best = (inside, at, float(right.mean() - left.mean()), float(deviation))
-    return None if best is None else best[1:]
+    if best is None:
+        return None
+    _, at, change, deviation = best
+    return at, change, deviation * float(stats.t.isf(stats.norm.sf(certain), len(values) - 2))
 
 
 def compare(

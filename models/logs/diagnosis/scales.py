@@ -37,9 +37,12 @@ _WHAT = {
 
 @dataclass(frozen=True)
 class _Vote:
-    """How one stream stands to the command: steady gain, and correlation at the best lag; its sign is the gain's."""
+    """How one stream stands to the command: its size over that, and correlation at the best lag, with the size's sign.
 
-    gain: float
+    At one speed changes alone do not tell the sign: there are few.
+    """
+
+    size: float
     correlation: float
 
 
@@ -130,7 +133,7 @@ def check_units(log: str, streams: Streams, settings: CheckSettings) -> list[Fin
     findings: list[Finding] = []
     for channel in (0, 1):
         votes = _votes(streams, channel, settings)
-        sizes = {COMMAND: 1.0} | {name: abs(vote.gain) for name, vote in votes.items() if vote.gain}
+        sizes = {COMMAND: 1.0} | {name: abs(vote.size) for name, vote in votes.items() if vote.size}
         low, high = settings.gain_of_v if channel == 0 else settings.gain_of_omega
         while len(sizes) > 1:
             odd = _odd_one_out(sizes, low, high)
@@ -213,7 +216,7 @@ def _votes(streams: Streams, channel: int, settings: CheckSettings) -> dict[str,
     for name in streams.present(channel):
         found = answer(streams, *streams.pair(COMMAND, name, channel), settings)
         if found is not None:
-            votes[name] = _Vote(float(found.gain[0, 0]), float(found.correlation[0]))
+            votes[name] = _Vote(found.size, math.copysign(float(found.correlation[0]), found.size))
     return votes
 
 

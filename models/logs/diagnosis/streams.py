@@ -205,6 +205,8 @@ class Answer:
         (c, m) steady gains from c inputs to m outputs.
     correlation
         (m,) of each output with the best combination of the inputs; with one input its sign is that of the gain.
+    size
+        Of one output over one input, rest included: what a drive at one speed tells, where changes say little.
     """
 
     dead_time: float
@@ -212,6 +214,7 @@ class Answer:
     lag: float
     gain: FloatArray
     correlation: FloatArray
+    size: float
 
 
 def answer(
@@ -256,7 +259,9 @@ def answer(
         parts = [_strength(behind[a:b], y[a:b], low, high) for a, b in pairwise(edges)]
         peaks = [_peak(part, low) for part in parts if part is not None and part.max() > 0.5 * strength.max()]
         deviation = streams.dt * float(np.std(peaks) / np.sqrt(len(peaks))) if len(peaks) > 1 else np.nan
-    return Answer(streams.dt * _peak(strength, low), deviation, lag, gain, correlation)
+    before, after = (part[:, 0] for part in paired(behind, y, low + at))
+    size = float(before @ after) / max(float(before @ before), 1e-300)
+    return Answer(streams.dt * _peak(strength, low), deviation, lag, gain, correlation, size)
 
 
 def _with_heads(streams: Streams, u: FloatArray, y: FloatArray, settings: CheckSettings) -> tuple[FloatArray, Streams]:

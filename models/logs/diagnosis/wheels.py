@@ -63,7 +63,9 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
     gain = found.gain.T  # rows: wheels; columns: commanded left, right
     own = np.array([gain[i, i % 2] for i in range(len(names))])
     other = np.array([gain[i, 1 - i % 2] for i in range(len(names))])
-    if (np.abs(other) > 2 * np.abs(own)).all():
+    # On a circle what is commanded of one side is that of the other but for a factor: which it follows cannot be told.
+    told = not _one_motion(sides, settings)
+    if told and (np.abs(other) > 2 * np.abs(own)).all():
         if (other < 0).all():
             return None  # both sides exchanged and reversed: a robot that drives backwards, told by the sign of v
         streams.twist = streams.twist * [1.0, -1.0]
@@ -72,15 +74,23 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
             "the encoders, or of the commands"
         )
         return Finding("swapped sides", "error", log, words)
-    strong = np.abs(own) > np.abs(other)
-    reversed_ = strong & (own < 0)
+    strong = (np.abs(own) > np.abs(other)) | (not told)
+    # Where both sides move much alike, gains of both at once scatter widely; by its own side alone a wheel is told.
+    alone = np.array([_size_of_one(streams, sides[:, i % 2], i, settings) for i in range(len(names))])
+    reversed_ = strong & (alone < 0)
     if reversed_.any() and not reversed_.all():
         bad = " and ".join(f"'{name}'" for name, bad in zip(names, reversed_, strict=True) if bad)
         words = f"the wheel {bad} turns against its command, the others do not: give {bad} of the encoders `sign: -1`"
         streams.twist = streams.wheels = None
         return Finding("reversed wheel", "error", log, words)
-    lengths = np.abs(own)
-    if strong.all() and lengths.min() * settings.uneven_wheels < lengths.max():
+    # A command in another unit, too, makes sides look uneven: not in the gains of both at once, or else of all wheels.
+    lengths, (low, high) = np.abs(alone), settings.gain_of_v
+    apart = lengths.min() * settings.uneven_wheels < lengths.max()
+    if told:
+        apart &= np.abs(own).min() * settings.uneven_wheels < np.abs(own).max()
+    else:
+        apart &= ((low < lengths) & (lengths < high)).any()
+    if strong.all() and apart:
         odd = int(np.argmax(np.abs(np.log(lengths / np.median(lengths))))) if len(lengths) > 2 else _odd_side(found)
         rest = float(np.median(np.delete(lengths, odd)))
         words = (
@@ -91,6 +101,17 @@ def _each_wheel(log: str, streams: Streams, settings: CheckSettings) -> Finding 
         streams.twist = streams.wheels = None
         return Finding("uneven wheels", "error", log, words)
     return None
+
+
+def _size_of_one(streams: Streams, side: FloatArray, wheel: int, settings: CheckSettings) -> float:
+    assert streams.wheels is not None
+    found = answer(streams, side, streams.wheels[:, wheel], settings)
+    return np.nan if found is None else found.size
+
+
+def _one_motion(sides: FloatArray, settings: CheckSettings) -> bool:
+    present = sides[np.isfinite(sides).all(axis=1)]
+    return bool(abs(np.asarray(np.corrcoef(present.T))[0, 1]) > settings.collinear)
 
 
 def _odd_side(found: Answer) -> int:
