@@ -36,8 +36,6 @@ from diffdrive_mpc.sim.log_csv import write_log
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 
 DRIVE, LOG = "drive.yaml", "log.csv"
-_MOST = {"side_slip": 0.3, "load_shift": 0.2}
-"""Of what a log may say of sideways slip [s, s^2]: more is poses that are wrong."""
 
 
 @dataclass(frozen=True)
@@ -204,9 +202,10 @@ def _with_slip(found: Identification, logs: Logs) -> Identification:
     if slip is None:
         return found
     settings = []
-    for name, unit in (("side_slip", "s"), ("load_shift", "s^2")):
+    bounds = commission_settings().most_slip
+    for name, most, unit in (("side_slip", bounds.side_slip, "s"), ("load_shift", bounds.load_shift, "s^2")):
         value, deviation = slip.value(name), slip.deviation(name)
-        if deviation < value < _MOST[name]:
+        if deviation < value < most:
             reason = f"{unit}, from poses and gyro of the log; standard deviation {deviation:.2g}"
             settings.append(Setting(name, float(f"{value:.3g}"), reason))
     whole = replace(found.configuration, estimator=(*found.configuration.estimator, *settings))

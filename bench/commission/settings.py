@@ -47,12 +47,20 @@ class QuickSettings(StrictModel):
     runs: int = Field(ge=1)
 
 
+class MostSlip(StrictModel):
+    """Of what a log may say of sideways slip."""
+
+    side_slip: Positive
+    load_shift: Positive
+
+
 class CommissionSettings(StrictModel):
     """All of it."""
 
     slow: DriveSettings
     full: DriveSettings
     twin_seconds: Positive
+    most_slip: MostSlip
     quick: QuickSettings
     gates: Gates
     proof: ProofSettings
