@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 import yaml
 
 from diffdrive_mpc.bench.campaign.engine import Place, failed
+from diffdrive_mpc.bench.campaign.stated import stated
 from diffdrive_mpc.bench.commission.ledger import Gate
 from diffdrive_mpc.bench.commission.settings import DriveSettings, commission_settings
 from diffdrive_mpc.bench.excitation import Excitation, check_drive, driven, excite_model, in_room
@@ -33,7 +33,6 @@ from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.trajectories.model_excitation import Room
 from diffdrive_mpc.sim.log_csv import write_log
-from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 
 DRIVE, LOG = "drive.yaml", "log.csv"
 
@@ -153,8 +152,7 @@ def prove(folder: Path, config: Path, plant: Path, runs: int, jobs: int | None, 
 
 def twin_proof(plant: Path, runs: int, *, scaled: bool = False) -> Proof:
     """The shipped proof's paths, faults and pose sensors, on robots around a twin."""
-    settings, shipped, robot = commission_settings().proof, load_proof(None), load_simulated_robot(plant)
-    stated = robot.model_dump()
+    settings, shipped = commission_settings().proof, load_proof(None)
     factors: dict[str, Any] = {
         name: value for name, value in shipped.factors.items() if name.partition(".")[0] not in ("robot", "surface")
     }
@@ -162,8 +160,7 @@ def twin_proof(plant: Path, runs: int, *, scaled: bool = False) -> Proof:
     if scaled:
         factors["scaled"] = True
     for name, (low, high) in settings.spread.items():
-        group, _, key = name.partition(".")
-        value = robot.friction or 1.0 if group == "surface" else _at(stated, key)
+        value = stated(name, factors)
         factors[name] = {"uniform": [low * value, high * value]}
     told = {
         "description": "the fitted twin, robots around it, pose sensors and faults",
@@ -171,13 +168,6 @@ def twin_proof(plant: Path, runs: int, *, scaled: bool = False) -> Proof:
         "factors": factors,
     }
     return Proof.model_validate({"draw_seed": shipped.draw_seed, "sampler": shipped.sampler} | told)
-
-
-def _at(data: Mapping[str, Any], key: str) -> float:
-    value: Any = data
-    for part in key.split("."):
-        value = value[part]
-    return float(value)
 
 
 def _excitation(config: str, room: Room, asked: DriveSettings, seed: int) -> Excitation:

@@ -12,16 +12,10 @@ from pydantic import Field, model_validator
 from diffdrive_mpc.bench.campaign.campaign_file import Campaign, whole_paths
 from diffdrive_mpc.bench.campaign.definition import Definition, check_factor
 from diffdrive_mpc.bench.campaign.draws import Value
-from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, laid_over, load_checked, read_yaml
-from diffdrive_mpc.models.named_file import named_file
-from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.bench.campaign.stated import stated
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.sim import Metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery
-from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT as OWN
-from diffdrive_mpc.sim.plants.simulated_robot import ROBOTS
-from diffdrive_mpc.sim.plants.surface import load_surface
-from diffdrive_mpc.sim.plants.twin_parameters import load_firmware, load_twin_parameters
-from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 DEFAULT = Path(__file__).with_name("default.yaml")
 Count = Annotated[int, Field(ge=1, le=10_000)]
@@ -169,7 +163,7 @@ class TunePlan(StrictModel):
         """
         drawn = dict(self.factors) | dict(factors) | {"seed": {"each": of.first_seed}}
         for key, (low, high) in self.spread.items():
-            value = _stated(key, drawn)
+            value = stated(key, drawn)
             drawn[key] = {"uniform": sorted((low * value, high * value))}
         campaign = Campaign(description=self.description, runs=count, draw_seed=of.draw_seed, factors=drawn)
         return [one.changed(told) for one in campaign.definitions()]
@@ -185,32 +179,3 @@ def load_plan(path: Path | None = None) -> TunePlan:
 def _check_column(column: str) -> None:
     if column not in COLUMNS:
         raise ValueError(f"there is no column '{column}'; known: {', '.join(COLUMNS)}")
-
-
-def _stated(key: str, factors: Mapping[str, object]) -> float:
-    """The number behind a dotted key of robot, floor or sensors, as the files that `factors` name have it."""
-    group, _, rest = key.partition(".")
-    kind, _, name = str(factors.get("plant", "mujoco")).partition(":")
-    robot: dict[str, object] = {
-        "robot": load_robot().model_dump(),
-        "twin": load_twin_parameters().model_dump(),
-        "firmware": load_firmware().model_dump(),
-        "sensors": load_sensor_set(OWN).model_dump(),
-    }
-    if kind == "mujoco" and name:
-        robot = laid_over(robot, read_yaml(named_file("robot", ROBOTS, name)))
-    surface, sensors = str(factors.get("surface", OWN)), str(factors.get("sensors", OWN))
-    data: object = robot
-    if group == "surface":
-        data = load_surface(surface).model_dump()
-        if surface == OWN and "friction" in robot:
-            data = laid_over(data, {"friction": robot["friction"]})
-    elif group == "sensors":
-        data = robot["sensors"] if sensors == OWN else load_sensor_set(sensors).model_dump()
-    elif kind != "mujoco":
-        raise ConfigError(f"spread.{key}: the plant '{factors.get('plant')}' has no robot file; leave it out")
-    for part in rest.split("."):
-        data = data.get(part) if isinstance(data, Mapping) else None
-    if isinstance(data, bool) or not isinstance(data, (int, float)):
-        raise ConfigError(f"spread.{key}: there is no number there that could be spread")
-    return float(data)

@@ -45,6 +45,17 @@ class SimulatedRobot(StrictModel):
         return self
 
 
+def digital_twin() -> dict[str, object]:
+    """What a robot file leaves out, as data: the robot of the papers."""
+    parts = {
+        "robot": load_robot(),
+        "twin": load_twin_parameters(),
+        "firmware": load_firmware(),
+        "sensors": load_sensor_set(DEFAULT),
+    }
+    return {key: part.model_dump() for key, part in parts.items()}
+
+
 def load_simulated_robot(name: str | Path) -> SimulatedRobot:
     """Read a robot by shipped name or path; what its file leaves out is as in the digital twin.
 
@@ -53,11 +64,4 @@ def load_simulated_robot(name: str | Path) -> SimulatedRobot:
     models.checked_yaml.ConfigError
         If there is no such robot or its file has a mistake.
     """
-    parts = {
-        "robot": load_robot(),
-        "twin": load_twin_parameters(),
-        "firmware": load_firmware(),
-        "sensors": load_sensor_set(DEFAULT),
-    }
-    twin = {key: part.model_dump() for key, part in parts.items()}
-    return load_variation(SimulatedRobot, named_file("robot", ROBOTS, name), twin)
+    return load_variation(SimulatedRobot, named_file("robot", ROBOTS, name), digital_twin())
