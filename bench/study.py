@@ -147,8 +147,8 @@ def report_page(study: Study[P, R], report: Report, meta: Meta, figures: Path) -
     """The report as a page; where its own views do not stand for them, with the pictures in the folder `figures`."""
     drawn = tuple(report.figures) if report.shown.pictures else ()
     pictures = [Picture(Path(name).stem.replace("-", " "), picture(figures / name)) for name in drawn]
-    summary = (*report.shown.summary, *report.facts, *report.notes)
-    shown = replace(report.shown, summary=summary, views=(*report.shown.views, *pictures))
+    summary, notes = (*report.shown.summary, *report.facts), (*report.shown.notes, *report.notes)
+    shown = replace(report.shown, summary=summary, notes=notes, views=(*report.shown.views, *pictures))
     return Page(f"diffdrive-mpc {study.name}", study.title, shown, report.tables, origin(meta))
 
 

@@ -182,8 +182,8 @@ class Shown:
 
     Attributes
     ----------
-    summary
-        Sentences at the top: did it complete, how well, compared with what.
+    summary, notes
+        Sentences at the top: did it complete, how well, compared with what; and in small letters what words mean.
     key_figures
         The figures of the summary.
     toggles
@@ -199,6 +199,7 @@ class Shown:
     """
 
     summary: Sequence[str] = ()
+    notes: Sequence[str] = ()
     key_figures: Sequence[KeyFigure] = ()
     toggles: Sequence[Toggle] = ()
     views: Sequence[View] = ()

@@ -89,8 +89,8 @@ def _late(run: Run) -> str:
     misses = run.metrics.deadline_misses
     if not misses:
         return ""
-    worst = 1e3 * run.metrics.step_time_max_s
-    return f"{_ticks(misses)} took longer than the sample time of {1e3 * run.sample_time:.1f} ms; the longest {worst:.1f} ms."
+    worst, sample = 1e3 * run.metrics.step_time_max_s, 1e3 * run.sample_time
+    return f"{_ticks(misses)} took longer than the sample time of {sample:.1f} ms; the longest {worst:.1f} ms."
 
 
 def _poses_lost(run: Run, of: Remedies) -> str:

@@ -15,13 +15,25 @@ function draw(place, traces, made) {
   return Plotly.react(place, traces, made, CONFIG);
 }
 
-const axis = (of) => ({ ...GRID, title: { text: escaped(of.title), standoff: 8 }, type: of.type, ...(of.range ? { range: of.range } : {}) });
+// Labels of a logarithmic axis: 1, 2, 5 in each decade where there are few, else 1.
+function logTicks(values) {
+  const found = values.filter((value) => value > 0);
+  const decades = found.length ? Math.log10(Math.max(...found) / Math.min(...found)) : 1;
+  const steps = decades < 2.2 ? [1, 2, 5] : [1];
+  const tickvals = [...Array(15).keys()].flatMap((k) => steps.map((step) => Number(`${step}e${k - 8}`)));
+  return { tickvals, ticktext: tickvals.map(String) };
+}
+
+function axis(of, values) {
+  const named = { ...GRID, title: { text: escaped(of.title), standoff: 8 }, type: of.type };
+  return { ...named, ...(of.type === "log" ? logTicks(values) : {}), ...(of.range ? { range: of.range } : {}) };
+}
 
 function chartTrace(series) {
   const look = style(series.style);
   const common = { name: escaped(series.name), x: series.x, y: series.y, text: (series.text || []).map(escaped), hovertemplate: series.text ? "%{text}<extra></extra>" : undefined };
   if (series.kind === "bars") {
-    return { ...common, type: "bar", marker: { color: look.colour, pattern: { shape: ["", "/", "x", "-", "."][series.style % 5], fgcolor: "#fff", size: 5 } } };
+    return { ...common, type: "bar", marker: { color: look.colour, pattern: { shape: ["", "/", ".", "x", "-"][series.style % 5], fillmode: "overlay", fgcolor: "#fff", size: 6, solidity: 0.25 } } };
   }
   const between = series.low ? { type: "data", symmetric: false, array: series.high.map((v, i) => v - series.y[i]), arrayminus: series.low.map((v, i) => series.y[i] - v), thickness: 1.2 } : undefined;
   return {
@@ -37,7 +49,7 @@ function drawChart(chart, place) {
   const shapes = chart.marks.map((mark) => ({ type: "line", xref: "paper", x0: 0, x1: 1, y0: mark.value, y1: mark.value, line: { color: "#5a6875", dash: "dot", width: 1.5 } }));
   const annotations = chart.marks.map((mark) => ({ xref: "paper", x: 1, xanchor: "right", y: mark.value, yanchor: "bottom", text: escaped(mark.text), showarrow: false, font: { size: 11, color: "#5a6875" } }));
   return draw(place, traces, layout({
-    height: chart.height, xaxis: axis(chart.x), yaxis: axis(chart.y), shapes, annotations, hovermode: "closest", barmode: "group",
+    height: chart.height, xaxis: axis(chart.x, traces.flatMap((one) => one.x)), yaxis: axis(chart.y, traces.flatMap((one) => one.y)), shapes, annotations, hovermode: "closest", barmode: "group",
     showlegend: chart.series.length > 1, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0, font: { size: 11 } }, margin: { l: 56, r: 12, t: 30, b: 48 },
   }));
 }
@@ -49,7 +61,7 @@ function drawMap(map, place) {
     colorscale: "Cividis", reversescale: false, colorbar: { title: { text: escaped(map.unit), side: "right" }, thickness: 12 },
     hovertemplate: `${escaped(map.x.title)}: %{x}<br>${escaped(map.y.title)}: %{y}<br>%{z} ${escaped(map.unit)}<extra></extra>`, hoverongaps: false,
   };
-  return draw(place, [trace], layout({ height: 340, xaxis: axis(map.x), yaxis: axis(map.y), hovermode: "closest" }));
+  return draw(place, [trace], layout({ height: 340, xaxis: axis(map.x, map.x.values), yaxis: axis(map.y, map.y.values), hovermode: "closest" }));
 }
 
 const DRAWN = { chart: drawChart, map: drawMap };

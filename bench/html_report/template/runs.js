@@ -20,14 +20,15 @@ const stripOf = (what) => STRIP[what] || [what, "#000000", 6];
 const decoded = (column) => column.v.map((value) => (value === null ? null : value * column.s));
 const unpacked = (run) => ({ ...run, ...Object.fromEntries(Object.entries(run.columns).map(([name, column]) => [name, decoded(column)])) });
 
-// Layers: which columns each pane draws, and whether it is there at first with one run, and with several.
+// What each pane draws: columns, each with its layer; titles for one run and for several.
 const PANES = [
-  { title: "error [mm]: lateral solid, along dashed", size: 1.25, lines: [["lateral", "error"], ["along", "along"]] },
-  { title: "heading error [mrad]", size: 0.9, lines: [["heading", "error"]] },
-  { title: "v [m/s]: command solid, true dashed, reference dotted", size: 1.15, lines: [["reference_v", "reference"], ["v", "command"], ["true_v", "twist"]], limit: "limit_v" },
-  { title: "omega [rad/s]: likewise", size: 1.15, lines: [["reference_omega", "reference"], ["omega", "command"], ["true_omega", "twist"]], limit: "limit_omega" },
-  { title: "step time [ms]", size: 0.8, lines: [["step", "command"]] },
+  { title: ["error [mm]: lateral, along dashed", "lateral error [mm], along dotted"], size: 1.25, lines: [["lateral", "error"], ["along", "along"]] },
+  { title: ["heading error [mrad]", "heading error [mrad]"], size: 0.9, lines: [["heading", "error"]] },
+  { title: ["v [m/s]: command, true dashed", "command v [m/s]"], size: 1.15, lines: [["reference_v", "reference"], ["v", "command"], ["true_v", "twist"]], limit: "limit_v" },
+  { title: ["omega [rad/s]: command, true dashed", "command omega [rad/s]"], size: 1.15, lines: [["reference_omega", "reference"], ["omega", "command"], ["true_omega", "twist"]], limit: "limit_omega" },
+  { title: ["step time [ms]", "step time [ms]"], size: 0.8, lines: [["step", "command"]] },
 ];
+// Layers that can be shown and hidden; `several`: whether they are there at first where several runs are compared.
 const LAYERS = {
   reference: { name: "reference", several: true, look: [GREY, "dot"] },
   along: { name: "along error", several: false, look: ["#d55e00", "dash"] },
@@ -120,7 +121,7 @@ function linkedViews(view) {
   function timesLayout(all) {
     const { found, height } = domains(all.length);
     const made = { height, margin: { ...SVG_MARGIN, t: 0 }, annotations: [], xaxis: { ...GRID, title: { text: "time [s]", standoff: 6 }, anchor: `y${PANES.length + 1}` } };
-    const titles = [...PANES.map((pane) => pane.title), "way of the solver, and mode"];
+    const titles = [...PANES.map((pane) => pane.title[single ? 0 : 1]), "way of the solver, and mode"];
     titles.forEach((title, i) => {
       made[`yaxis${i ? i + 1 : ""}`] = { ...GRID, domain: found[i], automargin: false, nticks: 5, zeroline: i < 2 };
       made.annotations.push({ xref: "paper", yref: "paper", x: 0, y: found[i][1], xanchor: "left", yanchor: "bottom", text: `<b>${escaped(title)}</b>`, showarrow: false, font: { size: 12 } });

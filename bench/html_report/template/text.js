@@ -57,8 +57,8 @@ function writeText() {
   byId("command").textContent = content.command;
   byId("title").textContent = content.title;
   byId("key-figures").append(...content.key_figures.map(keyFigure));
-  byId("sentences").append(...content.summary.map((line) => element("p", {}, line)));
-  fill("views", "Views", content.views.length ? [element("h2", {}, "Views")] : []);
+  byId("sentences").append(...content.summary.map((line) => element("p", {}, line)), ...content.notes.map((line) => element("p", { class: "note" }, line)));
+  fill("views", "Views", content.views.length ? [""] : []);
   fill("tables", "Tables", content.tables.map(tableCard));
   const count = content.warnings.length;
   const fine = element("p", {}, "None: nothing was found that needs your attention.");

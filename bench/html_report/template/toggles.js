@@ -43,5 +43,5 @@ function toggleGroup(toggle) {
 }
 
 function writeToggles() {
-  byId("toggles").append(...content.toggles.map(toggleGroup));
+  byId("toggles")?.append(...content.toggles.map(toggleGroup));
 }

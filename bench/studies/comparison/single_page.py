@@ -70,8 +70,7 @@ def sentences(case: Case, run: Run) -> list[str]:
     return [
         f"{who_drives(case)} drove “{run.reference.name}” in {run.reference.duration:.1f} s ({', '.join(where)}, "
         f"seed {case.seed}). It {ending}: the robot was {_mm(of.lateral_rmse_m)} beside its path (RMSE) and "
-        f"{_mm(of.lateral_max_m)} at most.",
-        f"Errors: {STATISTICS}. The controller does not know the true pose. Lateral: to the path.",
+        f"{_mm(of.lateral_max_m)} at most."
     ]
 
 
@@ -82,6 +81,7 @@ def single_page(outcome: Outcome, tables: Sequence[Table], seconds: float) -> Pa
     series = run_series(run, who_drives(case), points=POINTS, config=config)
     shown = Shown(
         summary=sentences(case, run),
+        notes=[f"Errors: {STATISTICS}. The controller does not know the true pose. Lateral: to the path."],
         key_figures=key_figures(run),
         views=[Runs([series], _hint(run, POINTS))],
         warnings=run_warnings(run, config),
