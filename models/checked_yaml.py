@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -32,7 +33,10 @@ Schema = TypeVar("Schema", bound=BaseModel)
 
 
 class _UniqueKeyLoader(SafeLoader):
-    """Safe YAML loader that refuses a key given twice: the second would silently win."""
+    """Safe YAML loader that refuses a key given twice: the second would silently win.
+
+    1e-3 is a number, as in YAML 1.2 and for editors; YAML 1.1 takes it for a word.
+    """
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen: set[Hashable] = set()
@@ -44,6 +48,11 @@ class _UniqueKeyLoader(SafeLoader):
                 raise yaml.MarkedYAMLError(problem=f"key '{key}' is given twice", problem_mark=key_node.start_mark)
             seen.add(key)
         return super().construct_mapping(node, deep=deep)
+
+
+_UniqueKeyLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)
 
 
 def read_yaml(path: str | Path) -> Any:  # noqa: ANN401 - the schema that checks it gives it a type
