@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Hashable
 from typing import Any
 
@@ -22,7 +23,10 @@ _UNFIT = (LookupError, TypeError, AttributeError, ArithmeticError, ValueError)
 
 
 class _UniqueKeyLoader(SafeLoader):
-    """Safe YAML loader that refuses a key given twice: the second would silently win."""
+    """Safe YAML loader that refuses a key given twice: the second would silently win.
+
+    1e-3 is a number, as in YAML 1.2 and for editors; YAML 1.1 takes it for a word.
+    """
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen: set[Hashable] = set()
@@ -34,6 +38,11 @@ class _UniqueKeyLoader(SafeLoader):
                 raise yaml.MarkedYAMLError(problem=f"key '{key}' is given twice", problem_mark=key_node.start_mark)
             seen.add(key)
         return super().construct_mapping(node, deep=deep)
+
+
+_UniqueKeyLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)
 
 
 def parse_yaml(text: str) -> Any:  # noqa: ANN401 - the schema that checks it gives it a type
