@@ -1,4 +1,4 @@
-"""Runs as MCAP logs: the topics of node and robot, and `Run.columns` row by row, as `models.logs.drive_log` has them."""
+"""Runs as MCAP logs, as `models.logs.drive_log` has them: topics of node and robot, and `Run.columns` row by row."""
 
 from __future__ import annotations
 
@@ -57,8 +57,12 @@ def _rows(run: Run) -> Iterator[dict[str, Cell]]:
     """What is known at each tick: its row of the columns, and what else the measurement says."""
     columns = {name: column.tolist() for name, column in run.columns.items()}
     for cells, measurement in zip(zip(*columns.values(), strict=True), run.measurements, strict=True):
-        row = {name: cell for name, cell in zip(columns, cells, strict=True) if cell == cell}
+        row = {name: cell for name, cell in zip(columns, cells, strict=True) if not _missing(cell)}
         yield {**row, **measured_cells(measurement)}
+
+
+def _missing(cell: Cell) -> bool:
+    return isinstance(cell, float) and math.isnan(cell)
 
 
 def _stamp(time: Cell) -> int:

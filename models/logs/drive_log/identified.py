@@ -51,4 +51,4 @@ def _cut(log: DriveLog) -> tuple[Finding, ...]:
     if not log.cut:
         return ()
     words = f"the file was cut off; its {len(log.rows)} ticks are used, `mcap recover` makes it whole for other tools"
-    return (Finding("cut file", "warning", log.path.name, words),)
+    return (Finding("cut file", "note", log.path.name, words),)

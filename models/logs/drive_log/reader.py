@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,8 @@ from diffdrive_mpc.models.logs.drive_log import ros_messages as ros
 from diffdrive_mpc.models.logs.drive_log import topics as topic
 from diffdrive_mpc.models.logs.drive_log.tick import TickRow, measurement_of, tick_schema
 
-MAGIC = b"\x89MCAP0\r\n"
-"""First and last bytes of an MCAP file."""
+if TYPE_CHECKING:
+    from mcap.records import Channel, McapRecord, Message, Metadata
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def is_drive_log(path: Path) -> bool:
     from mcap.records import Channel  # noqa: PLC0415 - only who reads such files needs it
 
     try:
-        return any(isinstance(record, Channel) and record.topic == topic.TICK for record in _first(path))
+        return any(isinstance(record, Channel) and record.topic == topic.STATE for record in _first(path))
     except _broken():
         return False
 
@@ -116,41 +116,51 @@ def read_drive_log(path: str | Path, *, plans: bool = False) -> DriveLog:
         if not found.rows:
             raise ConfigError(f"{path}: is no MCAP file of a drive ({_words(error)})") from error
     if not found.rows:
-        raise ConfigError(f"{path}: no tick in it: there is no message on {topic.TICK}")
+        raise ConfigError(f"{path}: no tick in it: there is no message on {topic.STATE}")
     rows = tuple(row for _, row in found.rows)
     kept = tuple(found.plans.get(now) for now, _ in found.rows) if plans else ()
     return DriveLog(path, found.metadata, rows, kept, found.cut)
 
 
-def _take(record: Any, found: _Found, *, plans: bool) -> None:  # noqa: ANN401 - a record of mcap
-    from mcap.records import Metadata  # noqa: PLC0415
+def messages(path: Path) -> Iterator[tuple[str, Channel, Message]]:
+    """Every message with the name of its type and its channel, in the order of the file, as far as it goes."""
+    try:
+        yield from (record for record in _records(path) if isinstance(record, tuple))
+    except _broken():
+        return
 
-    if isinstance(record, Metadata):
+
+def _take(record: Metadata | tuple[str, Channel, Message], found: _Found, *, plans: bool) -> None:
+    if not isinstance(record, tuple):
         found.metadata[record.name] = dict(record.metadata)
         return
-    channel, message = record
-    if channel.topic == topic.TICK:
+    _, channel, message = record
+    if channel.topic == topic.STATE:
         found.rows.append((message.log_time, json.loads(message.data)))
     elif plans and channel.topic == topic.PLAN:
         path = ros.decoded(topic.KINDS[topic.PLAN], message.data)
         found.plans[message.log_time] = np.array([ros.planar(place.pose) for place in path.poses])
 
 
-def _records(path: Path) -> Iterator[Any]:
-    """Metadata, and messages with their channels, in the order of the file, as far as it goes."""
-    from mcap.records import Channel, Message, Metadata  # noqa: PLC0415
+def _records(path: Path) -> Iterator[Metadata | tuple[str, Channel, Message]]:
+    """Metadata, and messages as `messages` has them; raises where the file ends before its end."""
+    from mcap.records import Channel, Message, Metadata, Schema  # noqa: PLC0415 - only who reads such files needs it
 
-    channels: dict[int, Any] = {}
+    kinds: dict[int, str] = {}
+    channels: dict[int, Channel] = {}
     for record in _first(path):
-        if isinstance(record, Channel):
+        if isinstance(record, Schema):
+            kinds[record.id] = record.name
+        elif isinstance(record, Channel):
             channels[record.id] = record
         elif isinstance(record, Message):
-            yield channels[record.channel_id], record
+            channel = channels[record.channel_id]
+            yield kinds.get(channel.schema_id, ""), channel, record
         elif isinstance(record, Metadata):
             yield record
 
 
-def _first(path: Path) -> Iterator[Any]:
+def _first(path: Path) -> Iterator[McapRecord]:
     """The records of the data section, from the first on."""
     from mcap.records import DataEnd  # noqa: PLC0415
     from mcap.stream_reader import StreamReader  # noqa: PLC0415

@@ -8,7 +8,9 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from diffdrive_mpc.models.interface import FloatArray, Stamped
 from diffdrive_mpc.models.logs.drive_log.topics import BASE, IMU_LINK, MAP, ODOM, WHEELS
 
 _NANO = 10**9
@@ -51,51 +53,54 @@ def true_twist(now: int, twist: Numbers) -> Message:
     return _make("geometry_msgs/msg/TwistStamped", header=_header(now, BASE), twist=_twist(*twist))
 
 
-def odometry(stamp: int, pose: Numbers | None, twist: Numbers, covariance: Numbers | None) -> Message:
-    """Odometry: twist of the wheels, with the covariance (4,) of v, omega; pose (3,) in odom.
+def odometry(stamp: int, pose: ArrayLike | None, twist: Stamped) -> Message:
+    """Odometry: twist of the wheels (2,), pose (3,) in odom.
 
     A covariance of zeros means that none is known, as usual in ROS; that of a summed pose never is.
     """
+    v, omega = _list(twist.value)
     twisted = _make(
         "geometry_msgs/msg/TwistWithCovariance",
-        twist=_twist(twist[0], 0.0, twist[1]),
-        covariance=_covariance(covariance, _FORWARD),
+        twist=_twist(v, 0.0, omega),
+        covariance=_covariance(twist.covariance, _FORWARD),
     )
     return _make(
         "nav_msgs/msg/Odometry",
         header=_header(stamp, ODOM),
         child_frame_id=BASE,
-        pose=_with_covariance(pose or (0.0, 0.0, 0.0), None),
+        pose=_with_covariance((0.0, 0.0, 0.0) if pose is None else pose, None),
         twist=twisted,
     )
 
 
-def imu(stamp: int, yaw_rate: float, variance: float | None) -> Message:
-    """Imu with a yaw rate [rad/s]; orientation and acceleration are marked as not measured."""
+def imu(stamp: int, yaw_rate: Stamped) -> Message:
+    """Imu with a yaw rate (); orientation and acceleration are marked as not measured."""
     none, turning = np.zeros(9), np.zeros(9)
-    none[0], turning[8] = -1.0, variance or 0.0
+    none[0] = -1.0
+    if yaw_rate.covariance is not None:
+        turning[8] = np.ravel(yaw_rate.covariance)[0]
     return _make(
         "sensor_msgs/msg/Imu",
         header=_header(stamp, IMU_LINK),
         orientation=_rotation(0.0),
         orientation_covariance=none,
-        angular_velocity=_vector(0.0, 0.0, yaw_rate),
+        angular_velocity=_vector(0.0, 0.0, float(np.asarray(yaw_rate.value))),
         angular_velocity_covariance=turning,
         linear_acceleration=_vector(0.0, 0.0, 0.0),
         linear_acceleration_covariance=none,
     )
 
 
-def sensed_pose(stamp: int, pose: Numbers, covariance: Numbers | None) -> Message:
-    """PoseWithCovarianceStamped in map, with the covariance (9,) of x, y, theta; stamped with what it describes."""
+def sensed_pose(stamp: int, pose: Stamped) -> Message:
+    """PoseWithCovarianceStamped in map of a pose (3,)."""
     return _make(
         "geometry_msgs/msg/PoseWithCovarianceStamped",
         header=_header(stamp, MAP),
-        pose=_with_covariance(pose, covariance),
+        pose=_with_covariance(pose.value, pose.covariance),
     )
 
 
-def joint_state(stamp: int, speeds: Numbers) -> Message:
+def joint_state(stamp: int, speeds: Stamped) -> Message:
     """JointState with the speeds (4,) of the wheels [rad/s]."""
     empty = np.empty(0)
     return _make(
@@ -103,7 +108,7 @@ def joint_state(stamp: int, speeds: Numbers) -> Message:
         header=_header(stamp, ""),
         name=list(WHEELS),
         position=empty,
-        velocity=np.array(speeds, dtype=float),
+        velocity=np.array(speeds.value, dtype=float),
         effort=empty,
     )
 
@@ -154,7 +159,7 @@ def diagnostics(now: int, level: int, words: str, values: Mapping[str, str]) -> 
 
 
 def planar(message: Message) -> tuple[float, float, float]:
-    """x [m], y [m], theta [rad] of a Pose that lies in the plane."""
+    """X [m], y [m], theta [rad] of a Pose that lies in the plane."""
     return message.position.x, message.position.y, 2.0 * math.atan2(message.orientation.z, message.orientation.w)
 
 
@@ -184,14 +189,19 @@ def _pose(at: Numbers) -> Message:
     return _make("geometry_msgs/msg/Pose", position=place, orientation=_rotation(at[2]))
 
 
-def _with_covariance(at: Numbers, covariance: Numbers | None) -> Message:
+def _with_covariance(at: ArrayLike, covariance: ArrayLike | None) -> Message:
     kind = "geometry_msgs/msg/PoseWithCovariance"
-    return _make(kind, pose=_pose(at), covariance=_covariance(covariance, _PLANE))
+    return _make(kind, pose=_pose(_list(at)), covariance=_covariance(covariance, _PLANE))
 
 
-def _covariance(known: Numbers | None, rows: tuple[int, ...]) -> Any:  # noqa: ANN401 - as rosbags takes it
+def _list(values: ArrayLike) -> list[float]:
+    found: list[float] = np.asarray(values, dtype=float).tolist()
+    return found
+
+
+def _covariance(known: ArrayLike | None, rows: tuple[int, ...]) -> FloatArray:
     """(36,) row by row, zero where nothing is known."""
     whole = np.zeros((6, 6))
     if known is not None:
-        whole[np.ix_(rows, rows)] = np.reshape(known, (len(rows), len(rows)))
+        whole[np.ix_(rows, rows)] = known
     return whole.ravel()

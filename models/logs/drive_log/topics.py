@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-TICK = "/diffdrive_mpc/tick"
+STATE = "/diffdrive_mpc/state"
 """The row of each tick, as JSON."""
 COMMAND, ODOMETRY, IMU, POSE, JOINTS = "/cmd_vel", "/odom", "/imu", "/pose", "/joint_states"
 TRUE_POSE, TRUE_TWIST = "/ground_truth/pose", "/ground_truth/twist"
@@ -25,7 +25,7 @@ KINDS = {
     DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
     TRANSFORMS: "tf2_msgs/msg/TFMessage",
 }
-"""ROS type of every topic but `TICK`."""
+"""ROS type of every topic but `STATE`."""
 
 MAP, ODOM, BASE, IMU_LINK = "map", "odom", "base_link", "imu_link"
 """Frames (REP 105)."""

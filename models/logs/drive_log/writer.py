@@ -9,10 +9,10 @@ from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
-from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.interface import FloatArray, Stamped
 from diffdrive_mpc.models.logs.drive_log import ros_messages as ros
 from diffdrive_mpc.models.logs.drive_log import topics as topic
-from diffdrive_mpc.models.logs.drive_log.tick import TickRow, error_cells, tick_schema, to_json
+from diffdrive_mpc.models.logs.drive_log.tick import TickRow, error_cells, measurement_of, numbers, tick_schema, to_json
 
 _NANO = 10**9
 _WELL = ("TRACKING", "FINISHED", "IDLE")
@@ -57,7 +57,7 @@ class DriveWriter:
 
     def close(self) -> None:
         """Write what readers need to find their way; without it the file can only be read from its beginning."""
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]
 
     def tick(
         self,
@@ -85,7 +85,7 @@ class DriveWriter:
             Whether to write a status once a second; a node has its own.
         """
         row = {**row, **error_cells(row)}
-        self._write(topic.TICK, now, to_json(row))
+        self._write(topic.STATE, now, to_json(row))
         self._message(topic.COMMAND, now, ros.command(now, _numbers(row, "v_ref_m_s", "omega_ref_rad_s")))
         self._readings(now, row, odometry_pose)
         self._truth(now, row)
@@ -108,22 +108,21 @@ class DriveWriter:
 
     def _readings(self, now: int, row: TickRow, odometry_pose: Sequence[float] | None) -> None:
         """What the sensors said, stamped with what it describes."""
+        measured = measurement_of(row)
 
-        def stamp(name: str) -> int:
-            (tick, reading) = _numbers(row, "t_s", name)
-            return now + round(_NANO * (reading - tick))
+        def stamp(reading: Stamped) -> int:
+            return now + round(_NANO * (reading.time - float(row["t_s"])))
 
-        wheels, pose = _numbers(row, "v_wheel_m_s", "omega_wheel_rad_s"), _numbers(row, *_POSE)
-        if wheels:
-            known = row.get("wheel_covariance")
-            place = odometry_pose or (pose if not self._pose_topic else None)
-            self._message(topic.ODOMETRY, now, ros.odometry(stamp("wheel_t_s"), place or None, wheels, known))  # type: ignore[arg-type]
-        if gyro := _numbers(row, "omega_gyro_rad_s"):
-            self._message(topic.IMU, now, ros.imu(stamp("gyro_t_s"), gyro[0], row.get("gyro_variance")))  # type: ignore[arg-type]
-        if pose and self._pose_topic:
-            self._message(topic.POSE, now, ros.sensed_pose(stamp("pose_t_s"), pose, row.get("pose_covariance")))  # type: ignore[arg-type]
-        if speeds := _numbers(row, *(f"wheel_{wheel}_rad_s" for wheel in ("fl", "fr", "rl", "rr"))):
-            self._message(topic.JOINTS, now, ros.joint_state(stamp("wheel_t_s"), speeds))
+        pose, wheels, gyro, speeds = measured.pose, measured.wheel_twist, measured.yaw_rate, measured.wheel_speeds
+        if wheels is not None:
+            place = pose.value if pose is not None and not self._pose_topic else odometry_pose
+            self._message(topic.ODOMETRY, now, ros.odometry(stamp(wheels), place, wheels))
+        if gyro is not None:
+            self._message(topic.IMU, now, ros.imu(stamp(gyro), gyro))
+        if pose is not None and self._pose_topic:
+            self._message(topic.POSE, now, ros.sensed_pose(stamp(pose), pose))
+        if speeds is not None:
+            self._message(topic.JOINTS, now, ros.joint_state(stamp(speeds), speeds))
 
     def _truth(self, now: int, row: TickRow) -> None:
         if pose := _numbers(row, "true_x_m", "true_y_m", "true_theta_rad"):
@@ -153,8 +152,10 @@ class DriveWriter:
         self._writer.add_message(channel, log_time=now, data=data, publish_time=now)
 
     def _channel(self, name: str) -> int:
-        if name == topic.TICK:
-            schema = self._writer.register_schema("diffdrive_mpc.Tick", "jsonschema", json.dumps(tick_schema()).encode())
+        if name == topic.STATE:
+            schema = self._writer.register_schema(
+                "diffdrive_mpc.State", "jsonschema", json.dumps(tick_schema()).encode()
+            )
             return self._writer.register_channel(name, "json", schema)
         kind = topic.KINDS[name]
         if kind not in self._kinds:
@@ -171,18 +172,13 @@ def drive_writer(path: Path, metadata: Mapping[str, Mapping[str, str]], **option
         writer.close()
 
 
-_POSE = ("pose_x_m", "pose_y_m", "pose_theta_rad")
-
-
 @cache
 def _definition(kind: str) -> bytes:
     return ros.definition(kind)
 
 
 def _numbers(row: TickRow, *names: str) -> list[float]:
-    """The numbers of these names, or none if one of them is not there."""
-    found = [cell for name in names if isinstance(cell := row.get(name), float) and cell == cell]
-    return found if len(found) == len(names) else []
+    return numbers(row, names)
 
 
 def _status(now: int, row: TickRow) -> ros.Message:
