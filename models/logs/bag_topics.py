@@ -120,8 +120,8 @@ def opened(path: Path) -> Iterator[Reader]:
 
     try:
         # The library takes no file in which a channel holds something else than ROS messages.
-        kind = Reader1 if of_ros1(path) else DriveBag if is_drive_log(path) else Reader2
-        with kind(path) as reader:
+        make = Reader1 if of_ros1(path) else DriveBag if is_drive_log(path) else Reader2
+        with make(path) as reader:
             yield reader
     except ConfigError:
         raise
