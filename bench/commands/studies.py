@@ -42,7 +42,9 @@ def simulate(
     config: ConfigFile = None,
     settings: Settings = None,
     out: Annotated[Path | None, out_option("report.html and figures")] = None,
-    log: Annotated[Path | None, typer.Option(help="CSV file for the log of the run.", show_default=False)] = None,
+    log: Annotated[
+        Path | None, typer.Option(help="File for the log of the run: .csv or .mcap.", show_default=False)
+    ] = None,
     laps: Annotated[int, typer.Option(min=1, help="Drive it so often, and learn from lap to lap.")] = 1,
     scale_to_robot: Scaled = False,
     from_run: Annotated[
@@ -51,7 +53,7 @@ def simulate(
     ] = None,
     **values: Any,  # noqa: ANN401 - text or number
 ) -> None:
-    """Run one closed loop and print how well it tracked; --out draws it, --log writes it as CSV.
+    """Run one closed loop and print how well it tracked; --out draws it, --log writes it.
 
     With --from-run the exit code is 1 when the figures are not those of the file.
     """

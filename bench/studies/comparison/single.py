@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +15,14 @@ from diffdrive_mpc.bench.html_report.document import REPORT, write_page
 from diffdrive_mpc.bench.outcomes import Outcome, by_driver
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.run_log import holds_plans, run_log
 from diffdrive_mpc.bench.studies.comparison.single_page import single_page
 from diffdrive_mpc.bench.studies.comparison.tables import error_table, path_table, scenario_table, summary_table
 from diffdrive_mpc.bench.sweep import single_settings
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc.trajectories.speed_check import steps_beyond_slew
 from diffdrive_mpc.sim import simulate
-from diffdrive_mpc.sim.log_csv import write_rows
 
 _MESSAGES_SHOWN = 5
 
@@ -52,13 +51,12 @@ def simulate_one(
     case = asked_case(values, config=config, settings=settings, scaled=scaled)
     parts = build(case)
     with ExitStack() as stack:
-        draft = None if log is None else stack.enter_context(log_file(log))
+        write_log = stack.enter_context(run_log(log))
         folder = None if out is None else stack.enter_context(staged(out))
         began = time.perf_counter()
         with ProgressBar("simulating") as bar:
-            run = simulate(*parts, on_tick=bar.at, keep_plans=folder is not None)
-        if draft is not None:
-            write_rows(run, draft)
+            run = simulate(*parts, on_tick=bar.at, keep_plans=folder is not None or holds_plans(log))
+        write_log(run, case)
         if folder is not None:
             draw(Outcome(case, run), folder, time.perf_counter() - began)
     report(Outcome(case, run))
@@ -72,17 +70,6 @@ def asked_case(values: Mapping[str, Any], *, config: Path | None, settings: Sequ
     model = NO_MODEL if name in PEERS else chosen_model(model, config)
     file = None if config is None else str(config)
     return Case(**{**values, "model": model}, config=file, overrides=single_settings(settings), scaled=scaled)
-
-
-@contextmanager
-def log_file(log: Path) -> Iterator[Path]:
-    """Where to write the log to; a refusal names the option."""
-    with ExitStack() as stack:
-        try:
-            draft = stack.enter_context(whole_file(log))
-        except ConfigError as error:
-            raise ConfigError(f"--log {error}") from error
-        yield draft
 
 
 def report(outcome: Outcome) -> None:
