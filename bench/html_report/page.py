@@ -78,7 +78,7 @@ class Series:
     style
         Number of its colour, line and marker.
     kind
-        How it is drawn.
+        How it is drawn; rows are bars that lie, whose names are their y.
     low, high
         Ends of an interval about each y; empty for none.
     text
@@ -88,10 +88,10 @@ class Series:
     """
 
     name: str
-    x: Sequence[float | str]
-    y: Sequence[float | None]
+    x: Sequence[float | str | None]
+    y: Sequence[float | str | None]
     style: int = 0
-    kind: Literal["both", "line", "points", "bars"] = "both"
+    kind: Literal["both", "line", "points", "bars", "rows"] = "both"
     low: Sequence[float] = ()
     high: Sequence[float] = ()
     text: Sequence[str] = ()
@@ -100,10 +100,11 @@ class Series:
 
 @dataclass(frozen=True)
 class Mark:
-    """A level across a chart, with what it is."""
+    """A level across a chart with what it is; `upright` for one of x."""
 
     value: float
     text: str
+    upright: bool = False
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,7 @@ def screenshot(
         if page.locator("#time").count():
             page.locator("#time").fill(str(round(1000 * at)))
             page.locator("#time").blur()
+        page.evaluate("window.scrollTo({top: 0, behavior: 'instant'})")
         shown = page.screenshot(full_page=height == 0)
         Image.open(BytesIO(shown)).convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE).save(
             draft, "PNG", optimize=True

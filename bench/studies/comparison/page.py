@@ -18,7 +18,7 @@ from diffdrive_mpc.bench.html_report.page import (
     Toggle,
     Warned,
 )
-from diffdrive_mpc.bench.html_report.run_series import PEAKS, run_series
+from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.outcomes import (
     Outcome,
@@ -35,7 +35,7 @@ from diffdrive_mpc.bench.outcomes import (
     who_drives,
 )
 from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
-from diffdrive_mpc.bench.studies.comparison.single_page import HOW_TO_READ, case_config, configuration
+from diffdrive_mpc.bench.studies.comparison.single_page import case_config, configuration
 from diffdrive_mpc.bench.table import number
 
 _TICKS = 40_000
@@ -210,7 +210,7 @@ def _horizons(outcomes: Sequence[Outcome], names: Sequence[str]) -> list[Chart]:
 
 def _scale(series: Sequence[Series]) -> Division:
     """Logarithmic where one value would press all others flat."""
-    values = [value for one in series for value in one.y if value]
+    values = [value for one in series for value in one.y if isinstance(value, float) and value]
     return "log" if values and max(values) > 20 * min(values) else "linear"
 
 
