@@ -38,7 +38,6 @@ def shown(config: str, searched: Searched, verdict: Verdict, usual: Mapping[str,
     best = {key: value for key, value in searched.best.values.items() if value != usual[key]}
     changed = yaml.safe_dump(best, sort_keys=False) if best else "# none: the defaults are the best point\n"
     return Shown(
-        summary=[f"{verdict.sentence[0].upper()}{verdict.sentence[1:]}."],
         key_figures=_key_figures(searched, verdict),
         views=charts,
         warnings=_warnings(searched, verdict),

@@ -74,7 +74,7 @@ def charts(results: ComparisonResults, names: Sequence[str]) -> list[Chart]:
         made.append(_against("Error against speed", title, results.speed, lambda one: one.case.top_speed or 0.0, names))
     if results.dead_time:
         late = 1e3 * results.main[0].run.sample_time
-        title = "dead time of the plant less the configured one [ms]"
+        title = "dead time beyond the configured one [ms]"
         made.append(
             _against(
                 "Error against an unknown dead time", title, results.dead_time, lambda one: late * one.case.late, names
