@@ -27,7 +27,9 @@ _NICENESS = 10
 
 def main(descriptor: int) -> None:
     """Write what comes through the socket `descriptor`, from its first parcel on, which says where to and how."""
+    # It does not interrupt, on its core, the loop that hands it something.
     os.nice(_NICENESS)
+    os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     with socket.socket(fileno=descriptor) as link:
         try:
             path, metadata, options = pickle.loads(link.recv(LARGEST))
