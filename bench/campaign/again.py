@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -24,12 +25,13 @@ def simulate_again(file: Path, out: Path | None = None, log: Path | None = None)
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
         folder = None if out is None else stack.enter_context(staged(out))
+        began = time.perf_counter()
         with ProgressBar("simulating") as bar:
-            run, row = drive_whole(definition, bar.at, keep_plans=holds_plans(log))
+            run, row = drive_whole(definition, bar.at, keep_plans=folder is not None or holds_plans(log))
         if run is not None:
             write_log(run, definition.case, ["--from-run", str(file)])
         if run is not None and folder is not None:
-            draw(Outcome(definition.case, run), folder)
+            draw(Outcome(definition.case, run), folder, time.perf_counter() - began)
     console = output_console()
     if run is not None:
         report(Outcome(definition.case, run))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import signal
 import sys
-from typing import Any
+from types import FrameType
+from typing import Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
 
+from diffdrive_mpc.bench.command_line import typed
 from diffdrive_mpc.models.plain_text import plain_line
 
 BAD_INPUT = 2
@@ -16,6 +19,8 @@ FAILED = 1
 """Exit code for anything else that went wrong."""
 INTERRUPTED = 130
 """Exit code after Ctrl-C: 128 plus the number of the signal, as shells have it."""
+TERMINATED = 143
+"""Exit code after SIGTERM, likewise."""
 
 _ROS = "install diffdrive-mpc[ros], or source the setup file of ROS 2 Jazzy"
 OPTIONAL_PACKAGES = {
@@ -38,8 +43,10 @@ class OneLineErrors(TyperGroup):
     def main(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - the signature of the base class
         """Parse the command line, run the command and exit."""
         kwargs["standalone_mode"] = False
+        given = args[0] if args else kwargs.get("args")
         try:
-            code = super().main(*args, **kwargs)
+            with typed(sys.argv[1:] if given is None else given):
+                code = super().main(*args, **kwargs)
         except typer.Abort:
             code = INTERRUPTED  # how older versions of typer pass on Ctrl-C; newer ones return the exit code
         except ModuleNotFoundError as error:
@@ -67,6 +74,19 @@ class OneLineErrors(TyperGroup):
         if code == INTERRUPTED:
             _complain("aborted")
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def leave_on_sigterm() -> None:
+    """Let SIGTERM end this process as Ctrl-C does: what is half-written is removed, processes that it began end."""
+    if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, _terminate)
+
+
+def _terminate(_number: int, _frame: FrameType | None) -> NoReturn:
+    # A second SIGTERM does not wait.
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    _complain("ended by SIGTERM")
+    sys.exit(TERMINATED)
 
 
 def _complain(message: str) -> None:
