@@ -61,7 +61,8 @@ def pages_outside(root: Path, documents: Mapping[str, str]) -> dict[str, str]:
     linked = {path for name, text in {**documents, **moved}.items() for path in linked_files(text, name)}
     outside = {path for path in linked if place_on_site(path).startswith("files/") and (root / path).is_file()}
     shown = {place_on_site(path): page_of_file(path, (root / path).read_text(encoding="utf-8")) for path in outside}
-    return {**shown, **{MOVED[name]: with_site_links(text, name) for name, text in moved.items()}}
+    whole = {MOVED[name]: with_site_links(text, name) for name, text in moved.items()}
+    return {**shown, **whole, "index.md": f"---\nhide: [navigation]\n---\n\n{whole['index.md']}"}
 
 
 def _resolved(target: str, document: str) -> str:
