@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 from diffdrive_mpc.bench.case import Case
@@ -34,6 +34,7 @@ from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.sim import Run
 
+_FILES = {CONFIG_FILE: "Configuration for the robot", "model.yaml": "Model", TWIN_FILE: "Twin"}
 _DRIVEN, _POINTS = ("circle", "s"), 400
 _NEXT = (
     "The first drive: with config.yaml, on the robot's own floor, with room and a hand at the emergency stop, "
@@ -68,7 +69,7 @@ def commission_page(
         toggles=[Toggle("path", tuple(runs), tuple(runs)[:1])] if runs else [],
         views=[*_views(out, runs), *([_compared(found)] if found else []), _cost(steps), *_proof(out)],
         warnings=_warnings(steps, out, runs),
-        configurations=_texts(out),
+        configurations=Configuration.of_files(out / RESULT, _FILES),
     )
     tables = [table, *([found.table()] if found else [])]
     robot = [("robot", Path(asked.robot).stem if asked.robot else "a person drove it"), ("seed", str(asked.seed))]
@@ -153,13 +154,3 @@ def _warnings(steps: Mapping[str, Done], out: Path, runs: Mapping[str, Run]) -> 
     ]
     config = load_config(out / RESULT / CONFIG_FILE) if runs else None
     return found + [one for path, run in runs.items() for one in run_warnings(run, config, f"{path} on the twin")]
-
-
-def _texts(out: Path) -> Sequence[Configuration]:
-    names = {CONFIG_FILE: "Configuration for the robot", "model.yaml": "Model", TWIN_FILE: "Twin"}
-    found = {title: out / RESULT / name for name, title in names.items()}
-    return [
-        Configuration(f"{title}: {path.name} (YAML)", path.read_text(encoding="utf-8"))
-        for title, path in found.items()
-        if path.is_file()
-    ]

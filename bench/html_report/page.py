@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 from diffdrive_mpc.models.table import Table
@@ -175,6 +176,12 @@ class Configuration:
 
     name: str
     text: str
+
+    @classmethod
+    def of_files(cls, folder: Path, files: Mapping[str, str]) -> list[Configuration]:
+        """Those files of a folder, by name with their titles, that are there."""
+        found = {f"{title}: {name} (YAML)": folder / name for name, title in files.items()}
+        return [cls(title, path.read_text(encoding="utf-8")) for title, path in found.items() if path.is_file()]
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from diffdrive_mpc.bench.campaign.engine import Driven
 from diffdrive_mpc.bench.cells import millis
 from diffdrive_mpc.bench.config_report import commented_yaml
+from diffdrive_mpc.bench.html_report.numbers import rounded, tail
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
     Chart,
@@ -32,7 +32,7 @@ from diffdrive_mpc.bench.proof.statistics import TAIL, Rate
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
-_TAIL_POINTS, _MOST_POINTS = 150, 4000
+_MOST_POINTS = 4000
 _WORDS_AGAIN = "drive the worst again with `simulate --from-run worst/01.yaml --out worst/01`, and read its report"
 
 
@@ -86,13 +86,10 @@ def _interval(rate: Rate) -> str:
 
 
 def _tail(driven: Sequence[Driven]) -> list[Chart]:
-    found = 1e3 * np.sort(errors([one for one in driven if one.row["completed"] is True]))
+    found = 1e3 * errors([one for one in driven if one.row["completed"] is True])
     if not found.size:
         return []
-    kept = np.unique(found.size - np.geomspace(1, found.size, _TAIL_POINTS).round().astype(int))
-    series = Series(
-        "completed runs", [float(f"{one:.4g}") for one in found[kept]], _rounded(1.0 - kept / found.size), 0, "line"
-    )
+    series = Series("completed runs", *tail(found), 0, "line")
     axes = Axis("position RMSE [mm]", "log"), Axis("share of completed runs with more", "log")
     return [Chart("How large the error is", *axes, [series], marks=[Mark(TAIL, f"{100 * TAIL:g} %")])]
 
@@ -103,7 +100,7 @@ def _by_path(driven: Sequence[Driven], scenarios: Sequence[str]) -> Chart:
     series = []
     for i, name in enumerate(scenarios):
         own = [one for one in ordered if str(one.definition.columns["scenario"]) == name]
-        rmse = _rounded([1e3 * one.number("position_rmse_m") for one in own])
+        rmse = [rounded(1e3 * one.number("position_rmse_m")) for one in own]
         paths = [str(one.definition.columns["trajectory"]) for one in own]
         labels = {"scenario": name} if len(scenarios) > 1 else {}
         text = [f"{path}, {name}: {value} mm" for path, value in zip(paths, rmse, strict=True)]
@@ -115,7 +112,7 @@ def _by_path(driven: Sequence[Driven], scenarios: Sequence[str]) -> Chart:
 
 def _map(drawn: Drawn) -> GridMap:
     x, y = drawn.of.x, drawn.of.y
-    values = [[None if value is None else value for value in _rounded(1e3 * row)] for row in drawn.error]
+    values = [[rounded(1e3 * value) for value in row] for row in drawn.error]
     return GridMap(
         drawn.name.replace("-", " "),
         GridAxis(x.factor, x.values),
@@ -158,7 +155,3 @@ def _warnings(driven: Sequence[Driven], boundaries: Sequence[Boundary]) -> list[
             words = f"{one.factor}: not even {one.search.holds:g} holds, which should."
             found.append(Warned(words, "look at the maps for what else is at its limit there"))
     return found
-
-
-def _rounded(values: ArrayLike) -> list[float | None]:
-    return [float(f"{one:.4g}") if np.isfinite(one) else None for one in np.asarray(values, dtype=float)]

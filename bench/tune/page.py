@@ -10,6 +10,7 @@ import yaml
 
 from diffdrive_mpc.bench.campaign.draws import Value
 from diffdrive_mpc.bench.config_report import commented_yaml
+from diffdrive_mpc.bench.html_report.numbers import rounded
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, Configuration, KeyFigure, Mark, Series, Shown, Warned
 from diffdrive_mpc.bench.proof.statistics import Estimate
 from diffdrive_mpc.bench.table import number
@@ -85,8 +86,8 @@ def _front(searched: Searched) -> Chart:
     series = [
         Series(
             name,
-            [_rounded(one.effort) or 0.0 for one in points],
-            [_rounded(one.error) for one in points],
+            [rounded(one.effort) or 0.0 for one in points],
+            [rounded(one.error) for one in points],
             style,
             kind,  # type: ignore[arg-type]
             text=[_told(one) for one in points],
@@ -101,13 +102,13 @@ def _search(searched: Searched) -> Chart:
     series = []
     for fidelity in sorted({one.fidelity for one in searched.points if one.fidelity}):
         some = [one for one in searched.points if one.fidelity == fidelity]
-        numbers, values = [float(one.number) for one in some], [_rounded(one.value) for one in some]
+        numbers, values = [float(one.number) for one in some], [rounded(one.value) for one in some]
         series.append(
             Series(f"fidelity {fidelity}", numbers, values, fidelity, "points", text=[_told(one) for one in some])
         )
     best = np.minimum.accumulate([one.value for one in searched.usable])
     so_far = Series(
-        "best so far", [float(one.number) for one in searched.usable], [_rounded(one) for one in best], 0, "line"
+        "best so far", [float(one.number) for one in searched.usable], [rounded(one) for one in best], 0, "line"
     )
     axes = Axis("point"), Axis("objective, over that of the defaults", "log")
     return Chart("How the search went", *axes, [*series, so_far], "Each point at the last fidelity it was driven with.")
@@ -158,7 +159,3 @@ def _told(point: Point) -> str:
 
 def _value(value: Value) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _rounded(value: float) -> float | None:
-    return float(f"{value:.4g}") if math.isfinite(value) else None

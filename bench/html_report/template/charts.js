@@ -80,7 +80,7 @@ function chartCard(view) {
   const place = element("div", { class: "plot" });
   const note = view.note ? [element("p", { class: "note" }, view.note)] : [];
   const body = view.kind === "picture" ? element("img", { src: view.source, alt: view.title }) : place;
-  const card = element("figure", { class: `card ${view.broad ? "broad" : ""}`, style: "margin:0" }, element("h3", {}, view.title), body, ...note);
+  const card = element("figure", { class: `card ${view.broad ? "broad" : ""}` }, element("h3", {}, view.title), body, ...note);
   const redraw = () => DRAWN[view.kind](view, place);
   if (view.kind === "chart") redraws.push(redraw);
   return { card, redraw: view.kind === "picture" ? () => body.decode().catch(() => undefined) : redraw };

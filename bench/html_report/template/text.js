@@ -65,6 +65,8 @@ function writeText() {
   fill("views", "Views", content.views.length ? [""] : []);
   fill("tables", "Tables", content.tables.map(tableCard));
   const count = content.warnings.length;
+  const told = count === 1 ? "1 warning, with what to do" : `${count} warnings, each with what to do`;
+  if (count) byId("sentences").prepend(element("p", {}, element("a", { href: "#warnings" }, told)));
   const fine = element("p", {}, "None: nothing was found that needs your attention.");
   fill("warnings", count ? `Warnings (${count})` : "Warnings", count ? content.warnings.map(warningCard) : [fine]);
   fill("configuration", "Configuration", content.configurations.map(configurationCard));

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.bench.html_report.document import picture
+from diffdrive_mpc.bench.html_report.numbers import rounded
 from diffdrive_mpc.bench.html_report.origin import origin
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
@@ -37,6 +38,7 @@ from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.table import Table
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
+_FILES = {"config.yaml": "Configuration that was written", "model.yaml": "Model that was written"}
 _POINTS, _RUN_POINTS = 1500, 300
 _PICTURES = {"What residuals still hold": "residuals.png", "Poles": "poles.png"}
 
@@ -76,7 +78,7 @@ def identification_page(
         toggles=toggles,
         views=[*_driven(trials), *_charts(report), *_pictures(folder)],
         warnings=_warnings(report, trials),
-        configurations=_texts(folder),
+        configurations=Configuration.of_files(folder, _FILES),
     )
     tables: list[Table] = [report.scores[0], *([trial_table(trials)] if trials else []), *report.tables]
     logs = [("logs", ", ".join(report.data.logs))]
@@ -148,7 +150,7 @@ def _charts(report: IdentificationReport) -> list[View]:
             Series(
                 f"{channel}, {kind}",
                 list(range(1, len(rows) + 1)),
-                [_rounded(getattr(row, name)[i]) for row in rows],
+                [rounded(getattr(row, name)[i]) for row in rows],
                 2 * i + k,
             )
             for i, channel in enumerate(CHANNELS)
@@ -163,8 +165,8 @@ def _charts(report: IdentificationReport) -> list[View]:
         drift = report.poses.drift
         x = [one.horizon for one in drift]
         series = [
-            Series("RMSE", x, [_rounded(one.position_rmse) for one in drift], 0),
-            Series("mean", x, [_rounded(one.position_mean) for one in drift], 1),
+            Series("RMSE", x, [rounded(one.position_rmse) for one in drift], 0),
+            Series("mean", x, [rounded(one.position_mean) for one in drift], 1),
         ]
         made.append(
             Chart("Drift of the pose", Axis("time since the poses agreed [s]"), Axis("position error [m]"), series)
@@ -183,7 +185,7 @@ def _simulation(report: IdentificationReport, i: int) -> Chart:
     time = [round(float(one), 3) for one in record.time[every]]
     lines = {"command": record.command[:, i], "measured": measured, "simulated": simulated[:, i]}
     series = [
-        Series(name, time, [_rounded(one) for one in values[every]], style, "points" if name == "measured" else "line")
+        Series(name, time, [rounded(one) for one in values[every]], style, "points" if name == "measured" else "line")
         for (name, values), style in zip(lines.items(), (6, 0, 1), strict=True)
     ]
     fit = number(float(fitted.validation.fit_percent[i]), 1)
@@ -200,7 +202,7 @@ def _steps(report: IdentificationReport, j: int) -> Chart:
     time, response = step_responses(report)
     x = [round(float(one), 4) for one in time]
     series = [
-        Series(f"{channel} [{UNITS[channel]}]", x, [_rounded(one) for one in response[j][:, i]], i, "line")
+        Series(f"{channel} [{UNITS[channel]}]", x, [rounded(one) for one in response[j][:, i]], i, "line")
         for i, channel in enumerate(CHANNELS)
     ]
     title = f"Step of {command}_ref by 1 {UNITS[command]}"
@@ -222,19 +224,5 @@ def _warnings(report: IdentificationReport, drives: Sequence[TrialDrive]) -> lis
     return [Warned(_sentence(words), remedies()[kind]) for _, words, kind in told]
 
 
-def _texts(folder: Path) -> list[Configuration]:
-    names = {"config.yaml": "Configuration that was written", "model.yaml": "Model that was written"}
-    found = {title: folder / name for name, title in names.items()}
-    return [
-        Configuration(f"{title}: {path.name} (YAML)", path.read_text(encoding="utf-8"))
-        for title, path in found.items()
-        if path.is_file()
-    ]
-
-
 def _sentence(words: str) -> str:
     return words[:1].upper() + words[1:] + ("" if words.endswith(".") else ".")
-
-
-def _rounded(value: float) -> float | None:
-    return float(f"{value:.4g}") if np.isfinite(value) else None

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from diffdrive_mpc.bench.html_report.numbers import rounded
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, KeyFigure, Mark, Runs, Series, Shown, Toggle, View, Warned
 from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS
 from diffdrive_mpc.bench.outcomes import by, by_model, count, mean, model_name, who_drives
@@ -64,7 +65,7 @@ def _targets(verdicts: Sequence[Verdict], models: Sequence[str]) -> Chart:
     series = []
     for model in dict.fromkeys(model for one in kept for model in one.reached):
         name = model_name(model)
-        shares = [_rounded(one.reached.get(model, np.nan) / one.limit) for one in kept]
+        shares = [rounded(one.reached.get(model, np.nan) / one.limit) for one in kept]
         style = models.index(name) if name in models else len(models)
         series.append(Series(name, shares, names, style, "rows", labels={"model": name} if name in models else {}))
     axes = Axis("share of the limit"), Axis("", "category")
@@ -97,7 +98,3 @@ def _warnings(results: TrackingResults, verdicts: Sequence[Verdict]) -> list[War
         words = f"{len(lost)} runs did not complete, the first: {where}, seed {labels['seed']}."
         found.append(Warned(words, "drive it alone with `simulate` and these options, and read its report"))
     return found
-
-
-def _rounded(value: float) -> float | None:
-    return float(f"{value:.4g}") if np.isfinite(value) else None
