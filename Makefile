@@ -77,7 +77,7 @@ screenshots: $(READY) ## reports of small real runs, and their pictures for docs
 		--structure ssm --out $(REPORTS_OUT)/identify
 	$(BIN)/diffdrive-mpc bench --quick --out $(REPORTS_OUT)/bench
 	$(BIN)/diffdrive-mpc tracking --quick --out $(REPORTS_OUT)/tracking
-	$(BIN)/diffdrive-mpc tune ssm --points 12 --out $(REPORTS_OUT)/tune
+	$(BIN)/diffdrive-mpc tune ssm --plan docs/reports/plan.yaml --out $(REPORTS_OUT)/tune
 	$(BIN)/diffdrive-mpc prove ssm --runs 100 --out $(REPORTS_OUT)/prove
 	$(BIN)/diffdrive-mpc commission heavy --inside 5x4 --quick --out $(REPORTS_OUT)/commission
 	for name in simulate bench identify tracking tune prove commission; do \

@@ -197,7 +197,7 @@ class Shown:
     toggles
         Buttons that act on all views.
     views
-        In order; linked views of runs stand above all charts.
+        In order; neighbouring charts stand side by side.
     warnings
         In order of weight.
     configurations

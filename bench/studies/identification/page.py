@@ -76,7 +76,7 @@ def identification_page(
         summary=[*report.in_short(), *([found.refusal] if found.refusal else [])],
         key_figures=_key_figures(report, trials),
         toggles=toggles,
-        views=[*_driven(trials), *_charts(report), *_pictures(folder)],
+        views=[*_simulations(report), *_driven(trials), *_charts(report), *_pictures(folder)],
         warnings=_warnings(report, trials),
         configurations=Configuration.of_files(folder, _FILES),
     )
@@ -139,9 +139,13 @@ def _driven(drives: Sequence[TrialDrive]) -> list[View]:
     return [Runs(runs, note)]
 
 
+def _simulations(report: IdentificationReport) -> list[View]:
+    return [_simulation(report, i) for i in range(len(CHANNELS))]
+
+
 def _charts(report: IdentificationReport) -> list[View]:
-    """Measured beside simulated; steps, orders and drift where there are any."""
-    made: list[View] = [_simulation(report, i) for i in range(len(CHANNELS))]
+    """Steps, orders and drift where there are any."""
+    made: list[View] = []
     if report.fitted.predictor is None:
         made += [_steps(report, j) for j in range(len(CHANNELS))]
     if report.fitted.orders:

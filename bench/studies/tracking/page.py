@@ -10,6 +10,7 @@ from diffdrive_mpc.bench.html_report.numbers import rounded
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, KeyFigure, Mark, Runs, Series, Shown, Toggle, View, Warned
 from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS
 from diffdrive_mpc.bench.outcomes import by, by_model, count, mean, model_name, who_drives
+from diffdrive_mpc.bench.studies.comparison.single_page import configuration
 from diffdrive_mpc.bench.studies.tracking.outcome import ReducedOutcome, TrackingResults
 from diffdrive_mpc.bench.studies.tracking.verdicts import Verdict, judge
 from diffdrive_mpc.bench.table import number
@@ -27,10 +28,11 @@ def shown(results: TrackingResults) -> Shown:
         key_figures=_key_figures(results, verdicts, driven),
         toggles=[Toggle("model", models, models, styled=True), Toggle("path", paths, paths[:1])] if driven else [],
         views=[
-            *([_targets(verdicts, models)] if verdicts else []),
             *_driven(driven, models),
+            *([_targets(verdicts, models)] if verdicts else []),
         ],
         warnings=_warnings(results, verdicts),
+        configurations=[one for runs in by_model(driven).values() for one in configuration(runs[0].case)],
     )
 
 
