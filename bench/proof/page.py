@@ -114,7 +114,7 @@ def _map(drawn: Drawn) -> GridMap:
     x, y = drawn.of.x, drawn.of.y
     values = [[rounded(1e3 * value) for value in row] for row in drawn.error]
     return GridMap(
-        drawn.name.replace("-", " "),
+        drawn.name.replace("-", " ").capitalize(),
         GridAxis(x.factor, x.values),
         GridAxis(y.factor, y.values),
         values,

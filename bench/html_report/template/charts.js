@@ -25,8 +25,10 @@ function logTicks(values) {
 }
 
 function axis(of, values) {
-  const named = { ...GRID, title: { text: escaped(of.title), standoff: 8 }, type: of.type };
-  return { ...named, ...(of.type === "log" ? logTicks(values) : {}), ...(of.range ? { range: of.range } : {}) };
+  const found = values.filter((value) => value > 0);
+  const wide = Math.max(...found) > 4 * Math.min(...found);
+  const named = { ...GRID, title: { text: escaped(of.title), standoff: 8 }, type: of.type === "log" && !wide ? "linear" : of.type };
+  return { ...named, ...(named.type === "log" ? logTicks(values) : {}), ...(of.range ? { range: of.range } : {}) };
 }
 
 function chartTrace(series) {

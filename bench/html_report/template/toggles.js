@@ -8,7 +8,8 @@ const DASHES = { solid: "", dash: "6 3", dashdot: "6 2 2 2", dot: "2 2", longdas
 const style = (index) => ({
   colour: content.look.colours[index % content.look.colours.length],
   dash: content.look.dashes[index % content.look.dashes.length],
-  marker: content.look.markers[index % content.look.markers.length],
+  // There are as many markers as colours: in the second round each goes with the next.
+  marker: content.look.markers[(index + Math.floor(index / content.look.colours.length)) % content.look.markers.length],
 });
 
 function svg(tag, attributes) {
