@@ -8,6 +8,8 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from diffdrive_mpc.models.plain_text import plain_line
+
 BAD_INPUT = 2
 """Exit code for input that cannot be used."""
 FAILED = 1
@@ -68,4 +70,4 @@ class OneLineErrors(TyperGroup):
 
 
 def _complain(message: str) -> None:
-    typer.echo(f"error: {' '.join(message.split())}", err=True)
+    typer.echo(f"error: {plain_line(message)}", err=True)
