@@ -33,9 +33,7 @@ def animate(playback: Playback, film: Film, body: Body | None, draft: Path) -> N
     from diffdrive_mpc.bench.animation.pictures import pictures  # noqa: PLC0415 - matplotlib loads slowly
 
     ending = draft.suffix.lower()
-    if ending == STILL:
-        last = float(film.times(playback)[-1])
-        film = replace(film, start=last, end=last)
+    film = replace(film, still=ending == STILL)
     with ProgressBar("drawing") as bar:
         WRITERS[ending](draft, _counted(pictures(playback, film, body), len(film.times(playback)), bar), film.fps)
 

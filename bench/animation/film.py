@@ -37,6 +37,8 @@ class Film:
         From where MuJoCo's picture is taken.
     surface
         Floor of that picture.
+    still
+        One picture, of the end.
     """
 
     size: tuple[int, int] = (1280, 720)
@@ -48,9 +50,21 @@ class Film:
     alone: bool = False
     camera: Camera = Camera.CHASE
     surface: str = "default"
+    still: bool = False
 
     def times(self, playback: Playback) -> FloatArray:
-        """(m,) instants of the pictures [s]; the last is the last that fits.
+        """(m,) instants of the pictures [s]: the last is the last that fits; of a still picture the end alone.
+
+        Raises ConfigError as `span` does.
+        """
+        start, end = self.span(playback)
+        if self.still:
+            return np.array([end])
+        step = self.speed / self.fps
+        return np.asarray(start + step * np.arange(int((end - start) / step + 1e-6) + 1))
+
+    def span(self, playback: Playback) -> tuple[float, float]:
+        """From when to when the drive is shown [s].
 
         Raises
         ------
@@ -64,8 +78,7 @@ class Film:
             raise ConfigError(
                 f"--from {self.start} --to {self.end}: the drive goes from {first:.1f} to {last:.1f} s; nothing is between"
             )
-        step = self.speed / self.fps
-        return np.asarray(start + step * np.arange(int((end - start) / step + 1e-6) + 1))
+        return start, end
 
 
 def read_size(text: str) -> tuple[int, int]:

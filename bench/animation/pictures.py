@@ -71,7 +71,7 @@ def pictures(playback: Playback, film: Film, body: Body | None) -> Iterator[Pict
             yield from scenes
             return
         with mpl.rc_context(_STYLE):
-            page = _Page(playback, film, body, times)
+            page = _Page(playback, film, body)
         for time, pose in zip(times, playback.at(times), strict=True):
             yield page.at(float(time), pose, next(scenes) if scenes is not None else None)
 
@@ -88,7 +88,7 @@ _HEADER = 0.12
 class _Page:
     """The parts of a picture, drawn once, with those that move on top."""
 
-    def __init__(self, playback: Playback, film: Film, body: Body | None, times: FloatArray) -> None:
+    def __init__(self, playback: Playback, film: Film, body: Body | None) -> None:
         width, height = film.size
         self._playback, self._film = playback, film
         scale = min(height / _USUAL_HEIGHT, width / 1280)
@@ -97,11 +97,12 @@ class _Page:
         mpl.rcParams.update({"font.size": letters, "legend.fontsize": 0.85 * letters, "axes.linewidth": 0.8})
         self._figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor="white")
         self._canvas = FigureCanvasAgg(self._figure)
-        self._first = int(playback.instants(times[:1])[0])
-        shown = slice(self._first, int(playback.instants(times[-1:])[0]) + 1)
+        span = film.span(playback)
+        self._first, last = playback.instants(np.array(span)).tolist()
+        shown = slice(self._first, last + 1)
         band = metric_settings().band
         plan_axes, charts = self._axes(film)
-        self._curves = self._draw_charts(charts, shown, band, (float(times[0]), float(times[-1])))
+        self._curves = self._draw_charts(charts, shown, band, span)
         self._above = ViewFromAbove(plan_axes, playback, band, body, self._thickness)
         self._legend(plan_axes, self._above.legend, 3)
         self._header()

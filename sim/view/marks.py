@@ -59,8 +59,9 @@ def thinned(points: FloatArray, spacing: float) -> FloatArray:
     if len(points) < 2:
         return points[:0]
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-    kept = np.unique(np.searchsorted(travelled, np.arange(0.0, travelled[-1] + 1e-9, spacing)))
-    kept = np.append(kept, len(points) - 1) if travelled[-1] > travelled[kept[-1]] else kept
+    kept = np.unique(np.searchsorted(travelled, np.arange(0.0, travelled[-1], spacing)))
+    kept = np.append(kept, np.searchsorted(travelled, travelled[-1]))
+    kept = kept[np.diff(travelled[kept], prepend=-1.0) > 0.0]
     return points[kept] if len(kept) > 1 else points[:0]
 
 
