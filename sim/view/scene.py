@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.view.body import Body
+from diffdrive_mpc.sim.view.cameras import FIELD_OF_VIEW
 from diffdrive_mpc.sim.view.looks import Colour, load_looks
 from diffdrive_mpc.sim.view.marks import ribbon
 
@@ -100,7 +101,7 @@ def scene_xml(
     )
     return (
         '<mujoco><compiler angle="radian"/><option gravity="0 0 0"/>'
-        f'<visual><global offwidth="{size[0]}" offheight="{size[1]}" fovy="40"/>'
+        f'<visual><global offwidth="{size[0]}" offheight="{size[1]}" fovy="{FIELD_OF_VIEW}"/>'
         '<headlight ambient="0.44 0.44 0.44" diffuse="0.18 0.18 0.18" specular="0 0 0"/>'
         '<quality shadowsize="1024" offsamples="4"/><map znear="0.02" zfar="60" shadowclip="2" shadowscale="0.6"/></visual>'
         "<asset>"
@@ -142,9 +143,9 @@ def _shade(body: Body) -> str:
     length, width = body.footprint
     height = _SHADE_HEIGHT - body.wheel_radius
     return "".join(
-        f'<geom type="ellipsoid" rgba="0 0 0 0.055" size="{grown * length:.5g} {grown * width:.5g} 0.0002"'
-        f' pos="0 0 {height + 0.0003 * layer:.5g}"/>'
-        for layer, grown in enumerate((0.72, 0.69, 0.66, 0.63, 0.60, 0.57, 0.54, 0.51))
+        f'<geom type="ellipsoid" rgba="0 0 0 0.036" size="{grown * length:.5g} {grown * width:.5g} 0.0002"'
+        f' pos="0 0 {height + 0.0002 * layer:.5g}"/>'
+        for layer, grown in enumerate(np.linspace(0.72, 0.5, 12))
     )
 
 
