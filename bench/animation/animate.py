@@ -4,17 +4,62 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import typer
 
 from diffdrive_mpc.bench.animation.film import Film
 from diffdrive_mpc.bench.animation.film_file import STILL, WRITERS, film_path
 from diffdrive_mpc.bench.animation.playback import Playback
+from diffdrive_mpc.bench.animation.recording import read_recording
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.whole_file import whole_file
-from diffdrive_mpc.sim.view.body import Body
+from diffdrive_mpc.mpc.config.config_file import load_config
+from diffdrive_mpc.sim.plants.make import PHYSICS
+from diffdrive_mpc.sim.view.body import Body, robot_body
 from diffdrive_mpc.sim.view.offscreen import Picture
+
+
+@dataclass(frozen=True)
+class FilmFile:
+    """A film and where it is to be written."""
+
+    path: Path
+    film: Film
+
+
+def animate_log(
+    log: Path, wanted: FilmFile, *, mapping: str | None = None, plant: str | None = None, config: Path | None = None
+) -> None:
+    """Write the film of a log, and say what the log does not tell.
+
+    Parameters
+    ----------
+    log, mapping
+        As `read_recording` has them.
+    wanted
+        The film.
+    plant
+        Which robot it was, as `sim.view.body.robot_body` has it; None for that of `simulate` if the log is of it.
+    config
+        Configuration of the controller, for the limits of commands.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If log or file cannot be used.
+    sim.view.offscreen.NoOpenGLError
+        If MuJoCo's picture is asked for and cannot be made.
+    """
+    limits = None if config is None else load_config(config).limits
+    with film_draft(wanted.path, "--out") as draft:
+        playback = read_recording(log, mapping, None if limits is None else (limits.v, limits.omega))
+        body = robot_body(plant or PHYSICS) if plant or len(playback.reference) else None
+        write_film(playback, wanted.film, body, draft)
+    for line in missing(playback, body, log.name):
+        typer.echo(line)
 
 
 @contextmanager
@@ -28,7 +73,7 @@ def film_draft(path: Path, option: str) -> Iterator[Path]:
         yield draft
 
 
-def animate(playback: Playback, film: Film, body: Body | None, draft: Path) -> None:
+def write_film(playback: Playback, film: Film, body: Body | None, draft: Path) -> None:
     """Write the film of `playback` to `draft`, whose ending says how; arguments and errors are those of `pictures`."""
     from diffdrive_mpc.bench.animation.pictures import pictures  # noqa: PLC0415 - matplotlib loads slowly
 
@@ -42,3 +87,15 @@ def _counted(drawn: Iterator[Picture], total: int, bar: ProgressBar) -> Iterator
     for count, picture in enumerate(drawn, start=1):
         yield picture
         bar.at(count, total)
+
+
+def missing(playback: Playback, body: Body | None, name: str) -> list[str]:
+    """Lines on what is not in the picture, and what would bring it there."""
+    lines = []
+    if not playback.plans.size:
+        lines.append(f"{name} holds no plans, so none is drawn; `simulate --animate`, or a log as .mcap, has them")
+    if not len(playback.reference):
+        lines.append(f"{name} holds no reference, so neither band nor errors are drawn")
+    if body is None:
+        lines.append("the size of the robot is not known, so it is an arrow; --plant mujoco:FILE says it")
+    return lines

@@ -105,5 +105,7 @@ WRITERS: dict[str, Callable[[Path, Iterator[Picture], int], None]] = {
     ".png": write_png,
 }
 """By ending of the file."""
+SMALL = (".webp", ".gif")
+"""Endings of files that grow fast with size and number of pictures."""
 STILL = ".png"
 """The ending of a file with one picture: the last."""
