@@ -76,7 +76,7 @@ class Film:
         end = last if self.end is None else min(last, self.end)
         if not start <= end:
             raise ConfigError(
-                f"--from {self.start} --to {self.end}: the drive goes from {first:.1f} to {last:.1f} s; nothing is between"
+                f"--from {self.start} --to {self.end}: the drive goes from {first:.1f} to {last:.1f} s"
             )
         return start, end
 

@@ -35,7 +35,9 @@ def film_path(path: Path) -> Path:
     if ending not in WRITERS:
         raise ConfigError(f"{path}: cannot write '{path.suffix}'; give a file that ends in {', '.join(WRITERS)}")
     if ending == ".mp4" and shutil.which("ffmpeg") is None:
-        raise ConfigError(f"{path}: MP4 needs ffmpeg, which is not on the path: install it, or name a .webp or .gif file")
+        raise ConfigError(
+            f"{path}: MP4 needs ffmpeg, which is not on the path: install it, or name a .webp or .gif file"
+        )
     return path
 
 

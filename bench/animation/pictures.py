@@ -30,7 +30,7 @@ _DPI = 100.0
 _USUAL_HEIGHT = 720
 _LETTERS = 21.0
 """Height of letters in a picture of the usual height [pixels]; on a phone that shows it 360 high, half as many."""
-_STYLE = {"font.family": "DejaVu Sans", "axes.grid": True, "grid.alpha": 0.3, "axes.axisbelow": True}
+_STYLE: Any = {"font.family": "DejaVu Sans", "axes.grid": True, "grid.alpha": 0.3, "axes.axisbelow": True}
 _WORDS = {
     "TRACKING": ("tracking", GREEN),
     "REUSED_PLAN": ("last plan reused", AMBER),
@@ -110,7 +110,8 @@ class _Page:
         self._moving += [self._mode, self._message, self._clock]
         for artist in self._moving:
             artist.set_animated(True)
-        self._canvas.draw()
+        self._canvas.draw()  # type: ignore[no-untyped-call]
+        self._rgba: Any = self._canvas.buffer_rgba()  # type: ignore[no-untyped-call]
         self._background: Any = self._canvas.copy_from_bbox(self._figure.bbox)  # type: ignore[no-untyped-call]
 
     def at(self, time: float, pose: FloatArray, scene: Picture | None) -> Picture:
@@ -123,7 +124,7 @@ class _Page:
         self._say(k, time)
         for artist in self._moving:
             self._figure.draw_artist(artist)
-        picture: Picture = np.asarray(self._canvas.buffer_rgba())[:, :, :3].copy()
+        picture: Picture = np.asarray(self._rgba)[:, :, :3].copy()
         if scene is not None:
             picture[-scene.shape[0] :, : scene.shape[1]] = scene
         return picture
@@ -132,7 +133,7 @@ class _Page:
         """Axes of the view from above, and those of the curves from top to bottom."""
         top = 1.0 - _HEADER
         if film.render:
-            above = self._figure.add_axes((0.57, 0.50, 0.415, top - 0.585))
+            above = self._figure.add_axes((0.57, 0.47, 0.415, top - 0.55))
             return above, [self._figure.add_axes((0.595, 0.115, 0.39, 0.235))]
         above = self._figure.add_axes((0.065, 0.105, 0.455, top - 0.195))
         count = 3 if self._playback.position_error.size else 2
@@ -146,8 +147,7 @@ class _Page:
         if playback.position_error.size:
             curves.append(error_curves(charts[0], playback, band, shown, thick))
         curves += [
-            speed_curves(axes, playback, channel, shown, thick)
-            for channel, axes in enumerate(charts[len(curves) :])
+            speed_curves(axes, playback, channel, shown, thick) for channel, axes in enumerate(charts[len(curves) :])
         ]
         for axes in charts:
             axes.set_xlim(span[0], max(span[1], span[0] + 1e-3))
@@ -155,7 +155,7 @@ class _Page:
             axes.yaxis.set_major_locator(MaxNLocator(4))
         charts[-1].set_xlabel("time [s]")
         for axes in charts[:2]:
-            self._legend(axes, axes.get_legend_handles_labels()[0], 3)
+            self._legend(axes, [one for one in axes.get_lines() if not str(one.get_label()).startswith("_")], 3)
         return curves
 
     @staticmethod
@@ -185,7 +185,9 @@ class _Page:
 
     def _say(self, k: int, time: float) -> None:
         playback = self._playback
-        words, colour = ("log", BLUE) if not playback.modes else _WORDS.get(playback.modes[k], (playback.modes[k], BLUE))
+        words, colour = (
+            ("log", BLUE) if not playback.modes else _WORDS.get(playback.modes[k], (playback.modes[k], BLUE))
+        )
         self._mode.set_text(words)
         patch = self._mode.get_bbox_patch()
         assert patch is not None

@@ -36,7 +36,7 @@ def shots_of(playback: Playback, film: Film, body: Body, size: tuple[int, int]) 
 
 
 def wheel_angles(playback: Playback, body: Body) -> FloatArray:
-    """(n, 4) angles [rad] from the measured wheel speeds; without them from the robot's motion, as if nothing slipped."""
+    """(n, 4) angles [rad] from the measured wheel speeds; without them from the motion, as if nothing slipped."""
     rolling = WheelKinematics(body.wheel_radius, body.track).wheel_speeds(playback.twist)
     speeds = playback.wheel_speeds if playback.wheel_speeds.size else rolling
     speeds = np.nan_to_num(np.where(np.isfinite(speeds), speeds, rolling))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 
 from diffdrive_mpc.bench.animation.playback import Playback
-from diffdrive_mpc.bench.figure_style import PALETTE, REFERENCE_COLOUR
+from diffdrive_mpc.bench.figure_style import PALETTE
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.view.body import Body
 
@@ -23,8 +23,8 @@ _MARGIN = 1.0
 _UNKNOWN = 0.06
 """Length of the arrow for a robot of unknown size, as a share of the picture."""
 
-Update = Callable[[int, FloatArray], None]
-"""Brings artists to the instant of this index and this pose (3,)."""
+Look = dict[str, Any]
+"""Properties of an artist."""
 
 
 class ViewFromAbove:
@@ -61,14 +61,21 @@ class ViewFromAbove:
         axes.grid(visible=False)
         path = _draw_path(axes, playback.reference, band, thickness) if len(playback.reference) else []
         way = axes.plot([], [], color=WAY, linewidth=2.6 * thickness, label="driven")[0]
-        dots = {"linestyle": "none", "marker": ".", "markersize": 3.5 * thickness, "alpha": 0.55}
+        dots: Look = {"linestyle": "none", "marker": ".", "markersize": 3.5 * thickness, "alpha": 0.55}
         arrived = axes.plot([], [], color=ARRIVED, **dots, label="poses measured")[0]
         plan = axes.plot([], [], color=PLAN, linewidth=3.6 * thickness, label="plan", solid_capstyle="round")[0]
         self._lines = way, arrived, plan
         shapes = _arrow(length) if body is None else _shapes(body)
-        self._shapes = [(corners, axes.add_patch(Polygon(corners, **look))) for corners, look in shapes]
-        self.moving: list[Artist] = [way, arrived, *(patch for _, patch in self._shapes), plan]
-        self.legend = [*path, way, *([arrived] if len(playback.arrived) else []), *([plan] if playback.plans.size else [])]
+        self._shapes = [(corners, Polygon(corners, **look)) for corners, look in shapes]
+        for _, patch in self._shapes:
+            axes.add_patch(patch)
+        self.moving: list[Artist] = [arrived, way, *(patch for _, patch in self._shapes), plan]
+        self.legend = [
+            *path,
+            way,
+            *([arrived] if len(playback.arrived) else []),
+            *([plan] if playback.plans.size else []),
+        ]
 
     def update(self, k: int, pose: FloatArray) -> None:
         """Show instant `k` with the robot at `pose` (3,); one of NaN is not drawn."""
@@ -97,17 +104,18 @@ def _draw_path(axes: Axes, reference: FloatArray, band: float, thickness: float)
     box = axes.get_window_extent()
     pixels_per_metre = box.width / (axes.get_xlim()[1] - axes.get_xlim()[0])
     wide = 2 * band * pixels_per_metre * 72.0 / axes.figure.dpi
-    caps = {"solid_capstyle": "round", "solid_joinstyle": "round"}
+    caps: Look = {"solid_capstyle": "round", "solid_joinstyle": "round"}
     label = f"band ±{1000 * band:g} mm"
     strip = axes.plot(*reference[:, :2].T, color=BAND, linewidth=wide, zorder=1, label=label, **caps)
     line = axes.plot(*reference[:, :2].T, color="black", linewidth=1.4 * thickness, zorder=1.5, label="reference")
     return [*strip, *line]
 
 
-def _shapes(body: Body) -> list[tuple[FloatArray, dict[str, object]]]:
+def _shapes(body: Body) -> list[tuple[FloatArray, Look]]:
     """Corners (k, 2) of wheels, box and front [m], in the robot's frame, with their looks."""
     length, width, _ = body.size
-    tyre, deck = {"facecolor": _TYRE, "linewidth": 0}, {"facecolor": BLUE, "edgecolor": "white", "linewidth": 0.8}
+    tyre: Look = {"facecolor": _TYRE, "linewidth": 0}
+    deck: Look = {"facecolor": BLUE, "edgecolor": "white", "linewidth": 0.8}
     wheels = [
         (_rectangle(2 * body.wheel_radius, body.wheel_width, x, y), tyre)
         for x in (body.wheel_base / 2, -body.wheel_base / 2)
@@ -117,11 +125,11 @@ def _shapes(body: Body) -> list[tuple[FloatArray, dict[str, object]]]:
     return [*wheels, (_rectangle(length, width, 0.0, 0.0), deck), (front, {"facecolor": AMBER, "linewidth": 0})]
 
 
-def _arrow(length: float) -> list[tuple[FloatArray, dict[str, object]]]:
+def _arrow(length: float) -> list[tuple[FloatArray, Look]]:
     tip = length * np.array([(0.6, 0.0), (-0.4, 0.35), (-0.2, 0.0), (-0.4, -0.35)])
     return [(tip, {"facecolor": BLUE, "edgecolor": "white", "linewidth": 0.8})]
 
 
 def _rectangle(length: float, width: float, x: float, y: float) -> FloatArray:
     half = 0.5 * np.array([(length, width), (-length, width), (-length, -width), (length, -width)])
-    return half + np.array([x, y])
+    return np.asarray(half + np.array([x, y]))

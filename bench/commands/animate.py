@@ -31,7 +31,8 @@ def animate(
     plant: Annotated[
         str | None,
         typer.Option(
-            help="Which robot it was: mujoco, or mujoco:ROBOT.", show_default="mujoco for a log of simulate, else unknown"
+            help="Which robot it was: mujoco, or mujoco:ROBOT.",
+            show_default="mujoco for a log of simulate, else unknown",
         ),
     ] = None,
     surface: Annotated[str, typer.Option(help="Floor in MuJoCo's picture.")] = "default",

@@ -21,9 +21,7 @@ Alone = Annotated[
 CameraName = Annotated[
     str, typer.Option("--camera", metavar="chase|fixed", help="Of MuJoCo's picture.", rich_help_panel=_PANEL)
 ]
-Speed = Annotated[
-    float, typer.Option("--film-speed", help="Times as fast as the robot was.", rich_help_panel=_PANEL)
-]
+Speed = Annotated[float, typer.Option("--film-speed", help="Times as fast as the robot was.", rich_help_panel=_PANEL)]
 Fps = Annotated[
     int | None,
     typer.Option(
@@ -36,7 +34,9 @@ Size = Annotated[
         "--size", metavar="WxH", help="Pixels.", show_default="1280x720; WebP, GIF: 800x450", rich_help_panel=_PANEL
     ),
 ]
-From = Annotated[float | None, typer.Option("--from", help="Only from this time on, in seconds.", rich_help_panel=_PANEL)]
+From = Annotated[
+    float | None, typer.Option("--from", help="Only from this time on, in seconds.", rich_help_panel=_PANEL)
+]
 To = Annotated[float | None, typer.Option("--to", help="Only up to this time, in seconds.", rich_help_panel=_PANEL)]
 
 

@@ -59,7 +59,9 @@ def simulate(
     animate: Annotated[
         Path | None,
         typer.Option(
-            help="A film of it: .mp4, .webp, .gif; .png: its last picture.", show_default=False, rich_help_panel="Pictures"
+            help="A film of it: .mp4, .webp, .gif; .png: its last picture.",
+            show_default=False,
+            rich_help_panel="Pictures",
         ),
     ] = None,
     render: Render = False,

@@ -64,7 +64,10 @@ def painted(shots: Shots, environment: Mapping[str, str] = os.environ) -> Iterat
 def _painter(file: Path, environment: Mapping[str, str]) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
     errors = file.with_suffix(".log")
     command = [sys.executable, "-m", "diffdrive_mpc.sim.view.painter", str(file)]
-    with errors.open("wb") as log, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, env=environment) as process:
+    with (
+        errors.open("wb") as log,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, env=environment) as process,
+    ):
         try:
             yield process, errors
         finally:
@@ -84,6 +87,8 @@ def _pictures(process: subprocess.Popen[bytes], errors: Path, shots: Shots) -> I
 def _last_line(errors: Path) -> str:
     """What went wrong, in one line; what Python says of its own end follows the cause and is left out."""
     lines = errors.read_text(encoding="utf-8", errors="replace").splitlines()
-    told = [line for line in lines if line.strip() and not line[0].isspace() and not line.startswith("Exception ignored")]
+    told = [
+        line for line in lines if line.strip() and not line[0].isspace() and not line.startswith("Exception ignored")
+    ]
     causes = [line for line in told if "Error" in line.partition(":")[0]]
     return (causes or told or ["it ended without a word"])[0].rstrip(". ")

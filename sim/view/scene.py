@@ -75,9 +75,7 @@ def _flat(values: ArrayLike) -> FloatArray:
     return np.asarray(values, dtype=float).reshape(-1)
 
 
-def scene_xml(
-    body: Body, surface: str, size: tuple[int, int], paths: Mapping[str, tuple[FloatArray, float]]
-) -> str:
+def scene_xml(body: Body, surface: str, size: tuple[int, int], paths: Mapping[str, tuple[FloatArray, float]]) -> str:
     """The model in MuJoCo's XML format; `paths` lie on the floor: by material points (k, 2) and half a width [m]."""
     looks = load_looks()
     floor = looks.floor(surface)
@@ -103,9 +101,10 @@ def scene_xml(
         '<mujoco><compiler angle="radian"/><option gravity="0 0 0"/>'
         f'<visual><global offwidth="{size[0]}" offheight="{size[1]}" fovy="{FIELD_OF_VIEW}"/>'
         '<headlight ambient="0.44 0.44 0.44" diffuse="0.18 0.18 0.18" specular="0 0 0"/>'
-        '<quality shadowsize="1024" offsamples="4"/><map znear="0.02" zfar="60" shadowclip="2" shadowscale="0.6"/></visual>'
+        '<quality shadowsize="0" offsamples="4"/><map znear="0.02" zfar="60"/></visual><statistic extent="1.5"/>'
         "<asset>"
-        f'<texture type="skybox" builtin="gradient" rgb1="{_rgb(sky.above)}" rgb2="{_rgb(sky.below)}" width="64" height="384"/>'
+        f'<texture type="skybox" builtin="gradient" rgb1="{_rgb(sky.above)}" rgb2="{_rgb(sky.below)}"'
+        ' width="64" height="384"/>'
         f'<texture name="floor" type="2d" builtin="checker" rgb1="{_rgb(shades[0])}" rgb2="{_rgb(shades[1])}"'
         ' width="512" height="512"/>'
         f'<material name="floor" texture="floor" texrepeat="2 2" texuniform="true" reflectance="{floor.mirrors}"'
@@ -115,7 +114,8 @@ def scene_xml(
         "<worldbody>"
         '<geom name="floor" type="plane" size="0 0 1" material="floor"/>'
         f"{lying}"
-        '<light directional="true" dir="0.35 -0.45 -0.82" diffuse="0.46 0.46 0.45" specular="0.2 0.2 0.2" castshadow="false"/>'
+        '<light directional="true" dir="0.35 -0.45 -0.82" diffuse="0.46 0.46 0.45" specular="0.2 0.2 0.2"'
+        ' castshadow="false"/>'
         '<light directional="true" dir="-0.5 0.3 -0.8" diffuse="0.16 0.16 0.17" specular="0 0 0" castshadow="false"/>'
         f'<body name="robot" pos="0 0 {body.wheel_radius}"><freejoint/>'
         f"{_shade(body)}{_hull(body)}{_wheels(body)}</body></worldbody></mujoco>"
