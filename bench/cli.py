@@ -10,6 +10,7 @@ from diffdrive_mpc.bench.commands import (
     animate,
     campaign,
     commission,
+    doctor,
     excite,
     export,
     identify,
@@ -52,6 +53,7 @@ app.command("excite", epilog=excite.EXAMPLE)(excite.excite)
 app.command("export", epilog=export.EXAMPLE)(export.export)
 app.command("node", epilog=ros.EXAMPLES["node"], context_settings=PASSED_ON)(ros.node)
 app.command("robot", epilog=ros.EXAMPLES["robot"], context_settings=PASSED_ON)(ros.robot)
+app.command("doctor", epilog=doctor.EXAMPLE)(doctor.doctor)
 app.command("schema", epilog=schema.EXAMPLE)(schema.schema)
 app.add_typer(config_app, name="config")
 app.add_typer(models_app, name="models")

@@ -17,7 +17,6 @@ from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc.config.config_file import load_config
-from diffdrive_mpc.sim.plants.make import PHYSICS
 from diffdrive_mpc.sim.view.body import Body, robot_body
 from diffdrive_mpc.sim.view.offscreen import Picture
 
@@ -31,7 +30,13 @@ class FilmFile:
 
 
 def animate_log(
-    log: Path, wanted: FilmFile, *, mapping: str | None = None, plant: str | None = None, config: Path | None = None
+    log: Path,
+    wanted: FilmFile,
+    *,
+    mapping: str | None = None,
+    plant: str | None = None,
+    surface: str | None = None,
+    config: Path | None = None,
 ) -> None:
     """Write the film of a log, and say what the log does not tell.
 
@@ -41,8 +46,8 @@ def animate_log(
         As `read_recording` has them.
     wanted
         The film.
-    plant
-        Which robot it was, as `sim.view.body.robot_body` has it; None for that of `simulate` if the log is of it.
+    plant, surface
+        Which robot and floor it was, as `make_plant` calls them; None for what the log says.
     config
         Configuration of the controller, for the limits of commands.
 
@@ -56,10 +61,19 @@ def animate_log(
     limits = None if config is None else load_config(config).limits
     with film_draft(wanted.path, "--out") as draft:
         playback = read_recording(log, mapping, None if limits is None else (limits.v, limits.omega))
-        body = robot_body(plant or PHYSICS) if plant or len(playback.reference) else None
-        write_film(playback, wanted.film, body, draft)
+        body = _told_body(playback) if plant is None else robot_body(plant)
+        film = replace(wanted.film, surface=surface or playback.surface or wanted.film.surface)
+        write_film(playback, film, body, draft)
     for line in missing(playback, body, log.name):
         typer.echo(line)
+
+
+def _told_body(playback: Playback) -> Body | None:
+    """Of the robot that the log names; None where it names none, or one that is not known here."""
+    try:
+        return None if playback.plant is None else robot_body(playback.plant)
+    except ConfigError:
+        return None
 
 
 @contextmanager

@@ -75,9 +75,7 @@ class Film:
         start = first if self.start is None else max(first, self.start)
         end = last if self.end is None else min(last, self.end)
         if not start <= end:
-            raise ConfigError(
-                f"--from {self.start} --to {self.end}: the drive goes from {first:.1f} to {last:.1f} s"
-            )
+            raise ConfigError(f"--from {self.start} --to {self.end}: the drive goes from {first:.1f} to {last:.1f} s")
         return start, end
 
 

@@ -31,7 +31,7 @@ class Playback(ReadOnlyArrays):
     twist
         (n, 2) v [m/s], omega [rad/s] of the robot.
     told
-        What `pose` and `twist` are: "true" or "measured".
+        What `pose` and `twist` are: "true", "estimated" or "measured".
     arrived
         (n, 3) poses as the sensor gave them, at the instants at which they arrived; or (0, 3).
     reference
@@ -46,6 +46,8 @@ class Playback(ReadOnlyArrays):
         (2,) largest v [m/s] and omega [rad/s] that are commanded; None where they are not known.
     modes, messages
         What the controller said; or empty.
+    plant, surface
+        Which robot and floor it was, as `make_plant` calls them; None where that is not known.
     """
 
     time: FloatArray
@@ -62,6 +64,8 @@ class Playback(ReadOnlyArrays):
     limits: tuple[float, float] | None = None
     modes: tuple[str, ...] = ()
     messages: tuple[str, ...] = ()
+    plant: str | None = None
+    surface: str | None = None
 
     def at(self, times: FloatArray) -> FloatArray:
         """(m, 3) poses at `times` (m,) [s], between two instants on the straight way; NaN where none is known."""
@@ -81,7 +85,10 @@ def from_columns(
     plans: FloatArray = NO_PLANS,
     limits: tuple[float, float] | None = None,
 ) -> Playback:
-    """The playback of a run by `Run.columns`, which a log of it holds, too; `plans` (n, p, 3) where they were kept."""
+    """The playback of a drive by `Run.columns`, which a log of it holds, too; `plans` (n, p, 3) where they were kept.
+
+    On a robot nobody knows the true pose: there it is the estimated one that is shown.
+    """
 
     def rows(*names: str) -> FloatArray:
         return np.column_stack([np.asarray(columns[name], dtype=float) for name in names])
@@ -91,25 +98,40 @@ def from_columns(
 
     time, pose, reference = rows("t_s")[:, 0], poses("true"), poses("reference")
     twist = rows("true_v_m_s", "true_lateral_m_s", "true_omega_rad_s")
-    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(reference[:, :2], axis=0).T))])
-    expected = ReferenceSample(reference, rows("reference_v_m_s", "reference_omega_rad_s"), arc)
-    errors = tracking_errors(RecordedReference(time, expected), expected, pose, twist)
+    simulated = bool(np.isfinite(pose).any())
+    if not simulated:
+        pose, twist = poses("estimate"), rows("estimate_v_m_s", "estimate_v_m_s", "estimate_omega_rad_s")
+        twist[:, 1] = 0.0
+    tracked = np.isfinite(reference).all(axis=1) & np.isfinite(pose).all(axis=1)
+    position_error, lateral_error = np.full((2, len(time)), np.nan)
+    if tracked.sum() > 1:
+        told = ReferenceSample(
+            reference[tracked], rows("reference_v_m_s", "reference_omega_rad_s")[tracked], _arc(reference[tracked])
+        )
+        along = RecordedReference(time[tracked], told)
+        errors = tracking_errors(along, told, pose[tracked], twist[tracked])
+        position_error[tracked], lateral_error[tracked] = errors.position, errors.lateral
     return Playback(
         time=time,
         pose=pose,
         command=rows("v_ref_m_s", "omega_ref_rad_s"),
         twist=twist[:, [0, 2]],
-        told="true",
+        told="true" if simulated else "estimated",
         arrived=poses("pose"),
         reference=reference,
-        position_error=errors.position,
-        lateral_error=errors.lateral,
+        position_error=position_error,
+        lateral_error=lateral_error,
         wheel_speeds=rows(*(f"wheel_{wheel}_rad_s" for wheel in ("fl", "fr", "rl", "rr"))),
         plans=plans,
         limits=limits,
         modes=tuple(columns["mode"]),
         messages=tuple(columns["message"]),
     )
+
+
+def _arc(poses: FloatArray) -> FloatArray:
+    """(n,) way along `poses` (n, 3) since the first [m]."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
 
 
 class RecordedReference:

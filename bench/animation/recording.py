@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
-from diffdrive_mpc.bench.animation.playback import Playback, from_columns
+from diffdrive_mpc.bench.animation.playback import NO_PLANS, Playback, from_columns
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.bags import is_bag
 from diffdrive_mpc.models.logs.csv_table import read_header
+from diffdrive_mpc.models.logs.drive_log.reader import DriveLog, is_drive_log, read_drive_log
 from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.sim.plants.make import PHYSICS
 
 _TEXTS = ("mode", "solver_status", "solver_path", "message")
 _OWN = {"t_s", "true_x_m", "reference_x_m", "v_ref_m_s", "mode"}
@@ -39,9 +43,25 @@ def read_recording(log: Path, mapping: str | None = None, limits: tuple[float, f
     models.checked_yaml.ConfigError
         If it cannot be read, or tells no poses.
     """
+    if mapping is None and is_drive_log(log):
+        return from_drive_log(read_drive_log(log, plans=True), limits)
     if mapping is None and log.is_file() and not is_bag(log) and set(read_header(log)) >= _OWN:
-        return from_columns(read_columns(log), limits=limits)
+        return replace(from_columns(read_columns(log), limits=limits), plant=PHYSICS)
     return from_records(str(log), read_log(log, mapping).records, limits)
+
+
+def from_drive_log(log: DriveLog, limits: tuple[float, float] | None = None) -> Playback:
+    """The playback of a drive as `models.logs.drive_log` keeps it, with its plans; `limits` replaces what it says."""
+    longest = max((len(plan) for plan in log.plans if plan is not None), default=0)
+    plans = np.full((len(log.plans), longest, 3), np.nan) if longest else NO_PLANS
+    for row, plan in zip(plans, log.plans, strict=False):
+        if plan is not None:
+            row[: len(plan)] = plan
+    told, case = log.metadata.get("configuration", {}).get("yaml"), log.metadata.get("case", {})
+    if limits is None and told is not None:
+        said = yaml.safe_load(told)["limits"]
+        limits = said["v"], said["omega"]
+    return replace(from_columns(log.columns, plans, limits), plant=case.get("plant"), surface=case.get("surface"))
 
 
 def read_columns(log: Path) -> Mapping[str, NDArray[Any]]:

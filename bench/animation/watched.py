@@ -2,13 +2,49 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
+import typer
 
 from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
+from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 from diffdrive_mpc.sim.plants.plant import Plant
+from diffdrive_mpc.sim.view.body import robot_body
 from diffdrive_mpc.sim.view.viewer import Viewer
 
 _NO_PLAN: FloatArray = np.empty((0, 2))
+_POINTS = 2000
+"""Of the reference in the window."""
+
+
+@contextmanager
+def watched(
+    controller: TrackingController, plant: Plant, reference: Reference, name: str, surface: str
+) -> Iterator[TrackingController]:
+    """Open the viewer, and give the controller as one that is watched.
+
+    Parameters
+    ----------
+    controller, plant, reference
+        Of the run.
+    name, surface
+        By which the plant and its floor are known; a plant without a body looks like the shipped robot.
+
+    Raises
+    ------
+    sim.view.viewer.NoDisplayError
+        If no window can be opened.
+    """
+    path = reference.sample(np.linspace(0.0, reference.duration, _POINTS)).pose
+    body = robot_body(name) or robot_body()
+    assert body is not None
+    with Viewer(body, surface, path[:, :2], metric_settings().band, path[0]) as viewer:
+        yield Watched(controller, plant, viewer)
+        closed = not viewer.open
+    if closed:
+        typer.echo("the viewer was closed; the run went on without it, as fast as it could")
 
 
 class Watched:

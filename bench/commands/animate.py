@@ -35,7 +35,9 @@ def animate(
             show_default="mujoco for a log of simulate, else unknown",
         ),
     ] = None,
-    surface: Annotated[str, typer.Option(help="Floor in MuJoCo's picture.")] = "default",
+    surface: Annotated[
+        str | None, typer.Option(help="Floor in MuJoCo's picture.", show_default="what the log says, or default")
+    ] = None,
     config: ConfigFile = None,
     render: Render = False,
     alone: Alone = False,
@@ -48,7 +50,7 @@ def animate(
 ) -> None:
     """Make a film of a drive from its log alone: robot, plan, reference, band, errors, commands and what was said.
 
-    The limits of commands are drawn where --config says them.
+    The limits of commands are drawn where log or --config says them.
     """
     from diffdrive_mpc.bench.animation.animate import animate_log  # noqa: PLC0415 - --help does without it
 
@@ -62,6 +64,5 @@ def animate(
         size=size,
         start=start,
         end=end,
-        surface=surface,
     )
-    animate_log(log, film, mapping=mapping, plant=plant, config=config)
+    animate_log(log, film, mapping=mapping, plant=plant, surface=surface, config=config)
