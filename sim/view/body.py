@@ -37,6 +37,11 @@ class Body:
         return length, max(self.size[1], self.track + self.wheel_width)
 
     @property
+    def top(self) -> float:
+        """Height of the box over the floor [m]."""
+        return self.wheel_radius + self.height + 0.5 * self.size[2]
+
+    @property
     def wheel_width(self) -> float:
         """As wide as fits beside the box, and at most two thirds of the radius [m]; no file says it."""
         return min(2 / 3 * self.wheel_radius, max(self.track - self.size[1], 0.4 * self.wheel_radius))

@@ -11,9 +11,9 @@ from diffdrive_mpc.models.interface import FloatArray
 FIELD_OF_VIEW = 40.0
 """Vertical [degrees]."""
 _SWING_TIME = 0.6  # [s], with which the camera behind the robot follows a turn
-_BEHIND, _OVER = -32.0, -48.0  # [degrees], elevations
-_ASIDE = 22.0  # [degrees], the camera behind the robot stands beside its track, so that the wheels are seen
-_DISTANCE, _AHEAD = 5.2, 0.6  # lengths of the robot: of the camera from what it looks at, and of that from the robot
+_BEHIND, _OVER = -40.0, -48.0  # [degrees], elevations
+_ASIDE = 32.0  # [degrees], the camera behind the robot stands beside its track, so that the wheels are seen
+_DISTANCE, _AHEAD = 5.2, 0.8  # lengths of the robot: of the camera from what it looks at, and of that from the robot
 _NEARER = 1.2  # what is near looks larger: so much more room than its middle needs
 
 

@@ -16,18 +16,17 @@ from diffdrive_mpc.sim.view.looks import Line, load_looks
 _SPACING = 0.05  # [m], of the points of lines
 _THIN = 0.0005  # [m], half the thickness of what lies on the floor
 _CUSP = 2.0  # [rad], of a turn that no corner of a path has
-WAY_HEIGHT, PLAN_HEIGHT = 0.004, 0.02
-"""Of these lines over the floor [m]: the plan is seen over the way."""
+_WAY_HEIGHT = 0.004  # [m], over the floor
 
 
-def draw_marks(scene: Any, way: FloatArray, plan: FloatArray) -> None:  # noqa: ANN401 - MuJoCo has no types
+def draw_marks(scene: Any, way: FloatArray, plan: FloatArray, height: float) -> None:  # noqa: ANN401 - has no types
     """Append to a `mjvScene` the `way` (m, 2) so far and the `plan` (p, 2) [m]; either may be empty.
 
-    What does not fit into the scene is left out.
+    The plan is drawn at `height` [m], above the robot that would hide it. What does not fit into the scene is left out.
     """
     looks = load_looks().marks
-    _line(scene, thinned(way, _SPACING), looks.way, WAY_HEIGHT)
-    _line(scene, plan, looks.plan, PLAN_HEIGHT)
+    _line(scene, thinned(way, _SPACING), looks.way, _WAY_HEIGHT)
+    _line(scene, plan, looks.plan, height)
 
 
 def ribbon(path: FloatArray, half_width: float) -> tuple[FloatArray, NDArray[np.intp]]:

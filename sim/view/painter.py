@@ -37,7 +37,7 @@ def paint(shots: Shots, write: Any) -> None:  # noqa: ANN401 - anything with the
             scene.place(shots.poses[k], shots.wheel_angles[k])
             eye.lookat[:], eye.distance, eye.azimuth, eye.elevation = aim[:3], aim[3], aim[4], aim[5]
             renderer.update_scene(scene.data, eye)
-            draw_marks(renderer.scene, shots.way[: shots.passed[k]], shots.plans[k])
+            draw_marks(renderer.scene, shots.way[: shots.passed[k]], shots.plans[k], scene.above)
             write(renderer.render().tobytes())
 
 

@@ -41,6 +41,8 @@ class Scene:
     ----------
     model, data
         Of MuJoCo.
+    above
+        A height that is above the robot's deck [m].
     """
 
     def __init__(
@@ -54,7 +56,7 @@ class Scene:
         import mujoco  # noqa: PLC0415 - optional, and what it draws with is chosen before it is loaded
 
         self._kinematics = mujoco.mj_forward
-        self._radius = body.wheel_radius
+        self._radius, self.above = body.wheel_radius, body.top + 0.25 * body.size[2]
         marks = load_looks().marks
         paths = {"band": (reference, band), "reference": (reference, marks.reference.radius)}
         paths = paths if len(reference) > 1 else {}
@@ -143,9 +145,9 @@ def _shade(body: Body) -> str:
     length, width = body.footprint
     height = _SHADE_HEIGHT - body.wheel_radius
     return "".join(
-        f'<geom type="ellipsoid" rgba="0 0 0 0.036" size="{grown * length:.5g} {grown * width:.5g} 0.0002"'
-        f' pos="0 0 {height + 0.0002 * layer:.5g}"/>'
-        for layer, grown in enumerate(np.linspace(0.72, 0.5, 12))
+        f'<geom type="ellipsoid" rgba="0 0 0 0.02" size="{grown * length:.5g} {grown * width:.5g} 0.0002"'
+        f' pos="0 0 {height + 0.0001 * layer:.5g}"/>'
+        for layer, grown in enumerate(np.linspace(0.72, 0.5, 22))
     )
 
 

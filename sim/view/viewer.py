@@ -98,7 +98,7 @@ class Viewer:
         with self._handle.lock():
             self._scene.place(pose, wheel_angles)
             self._handle.user_scn.ngeom = 0
-            draw_marks(self._handle.user_scn, way, plan)
+            draw_marks(self._handle.user_scn, way, plan, self._scene.above)
         self._handle.sync()
         self.pictures += 1
         now = time.monotonic()

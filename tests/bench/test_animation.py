@@ -25,6 +25,7 @@ from diffdrive_mpc.bench.animation.recording import read_recording
 from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.sim.log_csv import write_log
+from diffdrive_mpc.sim.log_mcap import write_log as write_mcap
 from diffdrive_mpc.sim.view.body import robot_body
 
 SMALL = Film(size=(480, 270), fps=10, speed=4.0)
@@ -120,6 +121,24 @@ def test_a_log_gives_the_pictures_of_its_run_but_for_the_plan(run, playback, tmp
     assert np.array_equal(one, other)
     (planned,) = list(pictures(playback, film, robot_body()))
     assert not np.array_equal(one, planned)
+
+
+def test_a_log_with_plans_gives_the_pictures_of_its_run(run, playback, tmp_path):
+    write_mcap(run, tmp_path / "run.mcap", {"configuration": {"yaml": "limits: {v: 1.5, omega: 2.0}"}})
+    film = replace(SMALL, start=6.0, end=6.0)
+    logged = read_recording(tmp_path / "run.mcap")
+    (one,), (other,) = (list(pictures(drive, film, robot_body())) for drive in (logged, playback))
+    assert np.array_equal(one, other)
+
+
+def test_where_nobody_knows_the_true_pose_the_estimate_is_shown(run, playback):
+    columns = {
+        name: np.full(len(run.time), np.nan) if name.startswith("true") else rows for name, rows in run.columns.items()
+    }
+    guessed = from_columns(columns, run.plans)
+    assert guessed.told == "estimated"
+    assert np.nanmedian(np.abs(guessed.position_error - playback.position_error)) < 0.005
+    assert list(pictures(guessed, replace(SMALL, start=6.0, end=6.0), None))
 
 
 def test_errors_of_a_log_are_those_of_its_run(run, playback):
