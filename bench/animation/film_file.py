@@ -12,7 +12,7 @@ from pathlib import Path
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.sim.view.offscreen import Picture
 
-_WEBP_QUALITY, _GIF_COLOURS = 70, 128
+_WEBP_QUALITY, _GIF_COLOURS = 65, 128
 _ENCODING = (
     *("-an", "-c:v", "libx264", "-preset", "fast", "-crf", "21", "-pix_fmt", "yuv420p", "-movflags", "+faststart"),
     # The same pictures give the same file: one thread, no dates and no versions.
@@ -67,7 +67,7 @@ def write_mp4(path: Path, pictures: Iterator[Picture], fps: int) -> None:
 
 def write_webp(path: Path, pictures: Iterator[Picture], fps: int) -> None:
     """Write an animated WebP file that repeats for ever."""
-    _write_pillow(path, pictures, fps, "WEBP", quality=_WEBP_QUALITY, method=2)
+    _write_pillow(path, pictures, fps, "WEBP", quality=_WEBP_QUALITY, method=4)
 
 
 def write_gif(path: Path, pictures: Iterator[Picture], fps: int) -> None:

@@ -38,7 +38,7 @@ _WORDS = {
     "STOPPED": ("stopped", VERMILLION),
     "FINISHED": ("finished", BLUE),
 }
-_MESSAGE_WIDTH = 82
+_MESSAGE_WIDTH = 66
 """Letters in a line of the message."""
 
 
@@ -104,6 +104,8 @@ class _Page:
         plan_axes, charts = self._axes(film)
         self._curves = self._draw_charts(charts, shown, band, span)
         self._above = ViewFromAbove(plan_axes, playback, band, body, self._thickness)
+        if film.render:
+            plan_axes.set(xlabel="", ylabel="x, y [m]")
         self._legend(plan_axes, self._above.legend, 3)
         self._header()
         self._moving: list[Artist] = [*self._above.moving, *(one for part in self._curves for one in part.moving)]
@@ -133,7 +135,8 @@ class _Page:
         """Axes of the view from above, and those of the curves from top to bottom."""
         top = 1.0 - _HEADER
         if film.render:
-            above = self._figure.add_axes((0.57, 0.47, 0.415, top - 0.55))
+            # The curves below need the room of its labels.
+            above = self._figure.add_axes((0.57, 0.43, 0.415, top - 0.51))
             return above, [self._figure.add_axes((0.595, 0.115, 0.39, 0.235))]
         above = self._figure.add_axes((0.065, 0.105, 0.455, top - 0.195))
         count = 3 if self._playback.position_error.size else 2
@@ -180,7 +183,7 @@ class _Page:
         self._mode = self._figure.text(
             0.018, middle, "", color="white", weight="bold", va="center", size=1.1 * letters, bbox=box
         )
-        self._message = self._figure.text(0.25, middle, "", va="center", size=0.8 * letters, linespacing=1.15)
+        self._message = self._figure.text(0.24, middle, "", va="center", size=0.92 * letters, linespacing=1.15)
         self._clock = self._figure.text(0.985, middle, "", va="center", ha="right", size=1.1 * letters)
 
     def _say(self, k: int, time: float) -> None:

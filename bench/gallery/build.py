@@ -20,8 +20,9 @@ FOLDER = "gallery"
 _HEADING = """\
 # What does it look like?
 
-Each picture was made by the command below it, on the simulated robot with its usual noise; `make gallery` makes them all again. Films run at
-twice the robot's speed. [How do I see what the robot did?](see.md) says what is in them, and how to make your own.
+Each picture was made by the command below it, on the simulated robot with its usual noise; `make gallery` makes them
+all again. Films run 2.5 times as fast as the robot. [How do I see what the robot did?](see.md) says what is in them,
+and how to make your own.
 """
 
 

@@ -17,8 +17,8 @@ from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.sim.view.painter import READY
 from diffdrive_mpc.sim.view.shots import Shots
 
-TRIED = ("egl", "osmesa")
-"""Values of MUJOCO_GL, in order, where the user has not set it."""
+TRIED = ("egl", "osmesa") if sys.platform.startswith("linux") else ("",)
+"""Values of MUJOCO_GL, in order, where the user has not set it; other systems have one way to draw."""
 _CHOICE = "MUJOCO_GL"
 
 Picture = NDArray[np.uint8]
