@@ -136,7 +136,7 @@ class _Page:
         top = 1.0 - _HEADER
         if film.render:
             # The curves below need the room of its labels.
-            above = self._figure.add_axes((0.57, 0.43, 0.415, top - 0.51))
+            above = self._figure.add_axes((0.57, 0.455, 0.415, top - 0.535))
             return above, [self._figure.add_axes((0.595, 0.115, 0.39, 0.235))]
         above = self._figure.add_axes((0.065, 0.105, 0.455, top - 0.195))
         count = 3 if self._playback.position_error.size else 2
