@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import os
 import sys
+import threading
 import time
+import warnings
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +25,8 @@ if TYPE_CHECKING:
     from typing import Self
 
 _ASPECT = 1.5
-_CLOSING_TIME = 5.0
+_CLOSING_TIME = 30.0
+"""For which closing is waited at most [s]."""
 _REMEDY = "make a film instead: --animate drive.mp4 --render; over ssh, ssh -X gives a display"
 
 
@@ -55,6 +58,7 @@ class Viewer:
         self._scene.place(start, np.zeros(4))
         self._aim = overview(reference, 2.0 * body.footprint[0], _ASPECT)
         self._handle: Any = None
+        self._drawing: set[threading.Thread] = set()
         self._began = math.nan
         self.pictures = 0
         """How many were shown."""
@@ -68,12 +72,12 @@ class Viewer:
         """Open the window."""
         import mujoco.viewer  # noqa: PLC0415 - optional, and needs a display
 
-        try:
-            self._handle = mujoco.viewer.launch_passive(
-                self._scene.model, self._scene.data, show_left_ui=False, show_right_ui=False
-            )
-        except (mujoco.FatalError, RuntimeError) as error:
-            raise NoDisplayError(f"--view: no window can be opened ({error}); {_REMEDY}") from error
+        _try_window()
+        before = set(threading.enumerate())
+        self._handle = mujoco.viewer.launch_passive(
+            self._scene.model, self._scene.data, show_left_ui=False, show_right_ui=False
+        )
+        self._drawing = set(threading.enumerate()) - before
         with self._handle.lock():
             eye = self._handle.cam
             eye.lookat[:], eye.distance, eye.azimuth, eye.elevation = self._aim[:3], *self._aim[3:]
@@ -82,11 +86,10 @@ class Viewer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the window, and wait until it is."""
+        """Close the window, and wait until it is: what still draws when Python ends crashes it."""
         self._handle.close()
-        patience = time.monotonic() + _CLOSING_TIME
-        while self._handle.is_running() and time.monotonic() < patience:
-            time.sleep(0.01)
+        for thread in self._drawing:
+            thread.join(_CLOSING_TIME)
 
     def show(self, t: float, pose: ArrayLike, wheel_angles: ArrayLike, way: FloatArray, plan: FloatArray) -> None:
         """Show the robot at time `t` [s] as `Scene.place` has it, with `way` (m, 2) and `plan` (p, 2) [m].
@@ -105,6 +108,23 @@ class Viewer:
         if math.isnan(self._began):
             self._began = now - t
         time.sleep(max(0.0, self._began + t - now))
+
+
+def _try_window() -> None:
+    """Open a hidden window and close it; raises NoDisplayError. MuJoCo's viewer would wait for ever for one."""
+    import glfw  # noqa: PLC0415 - comes with MuJoCo
+
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        window = None
+        if glfw.init():
+            glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+            window = glfw.create_window(64, 64, "", None, None)
+            glfw.default_window_hints()
+    if not window:
+        why = f" ({told[0].message})" if told else ""
+        raise NoDisplayError(f"--view: no window can be opened{why}; {_REMEDY}")
+    glfw.destroy_window(window)
 
 
 def require_display() -> None:

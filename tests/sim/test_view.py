@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -155,6 +156,20 @@ def test_without_a_display_the_viewer_says_what_to_do(monkeypatch):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(NoDisplayError, match=r"no display .*--animate drive.mp4 --render"):
         Viewer(robot_body(), "default", FRAME, 0.05, np.zeros(3))
+
+
+def test_a_display_that_is_not_there_is_no_wait_for_ever(monkeypatch):
+    code = "from test_view import *; Viewer(robot_body(), 'default', FRAME, 0.05, np.zeros(3)).__enter__()"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**DARK, "DISPLAY": ":97"},
+        cwd=Path(__file__).parent,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert "no window can be opened" in done.stderr
 
 
 CLOSED_ON_THE_WAY = """
