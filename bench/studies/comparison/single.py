@@ -18,6 +18,7 @@ from diffdrive_mpc.bench.html_report.document import REPORT, write_page
 from diffdrive_mpc.bench.outcomes import Outcome, by_driver
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.rerun_view import ShownController, rerun_view
 from diffdrive_mpc.bench.run_log import holds_plans, run_log
 from diffdrive_mpc.bench.studies.comparison.single_page import single_page
 from diffdrive_mpc.bench.studies.comparison.tables import error_table, path_table, scenario_table, summary_table
@@ -38,6 +39,7 @@ def simulate_one(
     settings: Sequence[str],
     out: Path | None,
     log: Path | None,
+    rerun: str | None = None,
     scaled: bool = False,
     film: FilmFile | None = None,
     view: bool = False,
@@ -48,7 +50,7 @@ def simulate_one(
     ----------
     values
         By dimension, `model` being None where it was not given.
-    config, settings, out, log, scaled
+    config, settings, out, log, rerun, scaled
         As typed.
     film
         The film to make of it.
@@ -59,12 +61,14 @@ def simulate_one(
     the run, and nothing is made then.
     """
     case = asked_case(values, config=config, settings=settings, scaled=scaled)
-    parts = build(case)
+    controller, plant, reference = build(case)
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
+        if rerun is not None:
+            shown = stack.enter_context(rerun_view(rerun, reference.name))
+            controller = ShownController(controller, plant, shown)
         folder = None if out is None else stack.enter_context(staged(out))
         reel = None if film is None else stack.enter_context(film_draft(film.path, "--animate"))
-        controller, plant, reference = parts
         if view:
             controller = stack.enter_context(watched(controller, plant, reference, case.plant, case.surface))
         kept = folder is not None or reel is not None or holds_plans(log)
