@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +28,7 @@ def simulate(
     reference: Reference,
     *,
     extra_time: float = 0.0,
+    keep_plans: bool = False,
     on_tick: Callable[[int, int], None] | None = None,
 ) -> Run:
     """Drive `plant` along `reference`, starting at rest and on it, unless the plant's scenario says otherwise.
@@ -42,6 +43,8 @@ def simulate(
         The timed trajectory; its time 0 is the plant's time 0.
     extra_time
         How long to go on after the end of the reference [s].
+    keep_plans
+        Whether the run keeps what the controller predicted at each tick.
     on_tick
         Called after each tick with the number of ticks done and their total, for a progress display.
 
@@ -67,6 +70,7 @@ def simulate(
     estimates, deviations = np.full((ticks, 5), np.nan), np.full((ticks, 5), np.nan)
     said: list[_Said] = []
     measurements: list[Measurement] = []
+    plans: list[FloatArray | None] = []
     ended = ""
     for k in range(ticks):
         time[k], true_pose[k], true_twist[k] = plant.time, plant.true_pose, plant.true_twist
@@ -84,6 +88,8 @@ def simulate(
             deviations[k, :3], deviations[k, 3:] = estimate.pose_deviation, estimate.twist_deviation
         said.append(_Said.by(step))
         measurements.append(measurement)
+        if keep_plans:
+            plans.append(step.plan)
         try:
             plant.advance(command[k])
         except RobotLostError as error:
@@ -115,6 +121,7 @@ def simulate(
         solver_paths=tuple(words.solver_path for words in said),
         estimates=estimates[driven],
         estimate_deviations=deviations[driven],
+        plans=_stacked(plans),
         disturbance=plant.disturbance if isinstance(plant, DisturbedPlant) else None,
         ended=ended,
     )
@@ -135,6 +142,13 @@ class _Said(NamedTuple):
         if solver is None:
             return cls(str(step.mode), step.message, "", NO_SOLVER)
         return cls(str(step.mode), step.message, str(solver.status), str(solver.path))
+
+
+def _stacked(plans: Sequence[FloatArray | None]) -> FloatArray:
+    """(n, N + 1, 3) the plans of n ticks, NaN where there is none; (n, 0, 3) where no tick has one."""
+    poses = next((len(plan) for plan in plans if plan is not None), 0)
+    nothing = np.full((poses, 3), np.nan)
+    return np.array([nothing if plan is None else plan for plan in plans], dtype=float).reshape(len(plans), poses, 3)
 
 
 def _checked(command: FloatArray, t: float) -> FloatArray:

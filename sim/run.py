@@ -72,6 +72,10 @@ class Run(ReadOnlyArrays):
         had no estimate, and for one that does not tell.
     estimate_deviations
         (n, 5) their standard deviations.
+    plans
+        (n, N + 1, 3) predicted poses x [m], y [m], theta [rad] at each tick, a sample between two, the first at the
+        tick itself; in REUSED_PLAN they are those of the last good plan, which began earlier. NaN at ticks without a
+        plan; N + 1 = 0 for a controller that does not predict. No rows without `simulate(..., keep_plans=True)`.
     """
 
     reference: Reference
@@ -95,6 +99,7 @@ class Run(ReadOnlyArrays):
     solver_iterations: FloatArray = field(default_factory=lambda: np.empty(0))
     estimates: FloatArray = field(default_factory=lambda: np.empty((0, 5)))
     estimate_deviations: FloatArray = field(default_factory=lambda: np.empty((0, 5)))
+    plans: FloatArray = field(default_factory=lambda: np.empty((0, 0, 3)))
 
     def __post_init__(self) -> None:
         """Fill in for a controller that tells nothing of solver and estimate."""

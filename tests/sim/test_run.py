@@ -41,7 +41,7 @@ class TellingStep:
     solver: Solver | None
     mode: str = "TRACKING"
     message: str = ""
-    plan: None = None
+    plan: FloatArray | None = None
     step_time: float = 1e-3
     solve_time: float = 4e-4
 
@@ -53,7 +53,11 @@ class Telling(FeedForward):
         command = super().step(t, measurement).command
         k = self._tick - 1
         belief = Belief(*(k + np.array(x) for x in ([0.1, 0.2, 0.3], [0.4, 0.5], [0.6, 0.7, 0.8], [0.9, 1.0])))
-        return TellingStep(command, belief if k else None, Solver() if k % 2 else None)
+        return TellingStep(command, belief if k else None, Solver() if k % 2 else None, plan=plan_of(k))
+
+
+def plan_of(k: int) -> FloatArray | None:
+    return k + np.arange(12.0).reshape(4, 3) if k % 2 else None
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +87,16 @@ def test_a_controller_that_tells_nothing_has_empty_rows() -> None:
         assert {len(column) for column in quiet.columns.values()} == {n}
 
 
+def test_plans_are_kept_when_asked_for(run: Run) -> None:
+    assert run.plans.shape == (0, 0, 3)
+    kept = simulate(Telling(), KinematicPlant(), CIRCLE, keep_plans=True)
+    assert kept.plans.shape == (len(run.time), 4, 3)
+    np.testing.assert_array_equal(kept.plans[1::2], [plan_of(k) for k in range(1, len(run.time), 2)])
+    assert np.isnan(kept.plans[::2]).all()
+    np.testing.assert_array_equal(kept.command, run.command)
+    assert simulate(FeedForward(), KinematicPlant(), CIRCLE, keep_plans=True).plans.shape == (len(run.time), 0, 3)
+
+
 def arrays(run: Run) -> dict[str, FloatArray]:
     held = {field.name: getattr(run, field.name) for field in fields(run)}
     held |= {f"errors.{field.name}": getattr(run.errors, field.name) for field in fields(run.errors)}
@@ -91,10 +105,10 @@ def arrays(run: Run) -> dict[str, FloatArray]:
 
 def test_arrays_of_a_run_cannot_be_written_to_nor_after_a_trip_to_another_process(run: Run) -> None:
     for held in (run, pickle.loads(pickle.dumps(run)), copy.copy(run), run.with_step_time(run.step_time)):
-        assert len(arrays(held)) == 16
+        assert len(arrays(held)) == 17
         for name, array in arrays(held).items():
             with pytest.raises(ValueError, match="read-only"):
-                array[0] = 0.0
+                array[...] = 0.0
             np.testing.assert_array_equal(array, arrays(run)[name])
 
 

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from scipy.stats import spearmanr
-
 from diffdrive_mpc.bench.case import DIMENSIONS, Case
 from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.bench.outcomes import Outcome, group, mean, model_name
@@ -128,6 +126,8 @@ def predicts(rows: Sequence[dict[str, object]]) -> str:
     """The rank correlation of each property with the tracking error, or that there are too few points for one."""
     if len(rows) < _FEWEST:
         return f"{len(rows)} pairs of model and plant are too few for a correlation with the tracking error."
+    from scipy.stats import spearmanr  # noqa: PLC0415 - loads slowly
+
     error = [row["position_rmse_m"] for row in rows]
     names = {"fit_v_percent": "FIT of v", "fit_omega_percent": "FIT of omega", "drift_m": "drift"}
     found = [f"{shown} {spearmanr([row[name] for row in rows], error).statistic:+.2f}" for name, shown in names.items()]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy import signal
 
 from diffdrive_mpc.models.base_effects import PARTS, TwistSlew, WheelCommand, YawRelaxation
 from diffdrive_mpc.models.interface import FloatArray
@@ -106,6 +105,8 @@ def two_lags(drive: FloatArray, start: float, lag: float, spread: float, step: f
         a = b = np.exp(-step / lag)
         rise = 1.0 - a * (1.0 + step / lag)
     numerator = [0.0, rise, (1.0 - a) * (1.0 - b) - rise]
+    from scipy import signal  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+
     return np.asarray(start + signal.lfilter(numerator, [1.0, -(a + b), a * b], drive - start))
 
 
@@ -161,4 +162,6 @@ def _lagging(values: FloatArray, lag: float, step: float) -> FloatArray:
     """(n, 2) a first-order lag [s] behind `values`, settled at the first."""
     keep = np.exp(-step / lag)
     change = values - values[0]
+    from scipy import signal  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+
     return np.asarray(values[0] + signal.lfilter([0.5 * (1 - keep), 0.5 * (1 - keep)], [1.0, -keep], change, axis=0))

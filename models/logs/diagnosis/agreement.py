@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
@@ -133,7 +133,7 @@ def _change(values: FloatArray, certain: float) -> tuple[int, float, float] | No
     if best is None:
         return None
     _, at, change, deviation = best
-    return at, change, deviation * float(stats.t.isf(stats.norm.sf(certain), len(values) - 2))
+    return at, change, deviation * float(-special.stdtrit(len(values) - 2, special.ndtr(-certain)))
 
 
 def compare(

@@ -9,7 +9,6 @@ from itertools import pairwise
 import numpy as np
 from scipy import fft
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import lfilter
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
@@ -105,6 +104,8 @@ class Streams:
         keep = np.exp(-self.dt / lag)
 
         def low_pass(part: FloatArray) -> FloatArray:
+            from scipy.signal import lfilter  # noqa: PLC0415 - loads slowly, and who only loads a model does without it
+
             once = lfilter([1 - keep], [1, -keep], part - part[0], axis=0)
             return np.asarray(lfilter([1 - keep], [1, -keep], once, axis=0) + part[0])
 
