@@ -21,6 +21,7 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, RefusedError
 from diffdrive_mpc.mpc.ros.diagnostics import diagnostics
+from diffdrive_mpc.mpc.ros.drive_recorder import DriveRecorder
 from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.parameter_changes import ParameterChanges
 from diffdrive_mpc.mpc.ros.parameters import declare, fields, from_file_only, read
@@ -126,6 +127,7 @@ class TrackingNode(LifecycleNode):
         self._loop = ControlLoop(
             self._controller, self._settings, self._inbox, self._trajectory, in_sim_time=in_sim_time
         )
+        self._recorder = DriveRecorder(self._controller)
         # A full collection walks all that was built, for some 60 ms, three ticks: it is set aside until deactivation.
         gc.collect()
         gc.freeze()
@@ -212,9 +214,11 @@ class TrackingNode(LifecycleNode):
         tick = loop.tick()
         outgoing.command(tick.command, time)
         outgoing.mode(tick)
-        if loop.placed is not None and loop.placed is not self._shown:
-            self._shown = loop.placed
-            outgoing.reference(loop.placed, time)
+        if loop.begun is not None and loop.begun is not self._shown:
+            self._shown = loop.begun
+            outgoing.reference(loop.begun.reference, time)
+        if loop.begun is not None and outgoing.recorded:
+            outgoing.record(self._recorder.drive(loop.begun), self._recorder.tick(tick))
         if tick.result is not None:
             outgoing.error(tick.result, time)
             if self._ticks % self._visual_ticks == 0:

@@ -14,6 +14,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import Marker
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
 from diffdrive_mpc.mpc.ros.control_loop import Tick
 from diffdrive_mpc.mpc.ros.conversions import stamped_pose_message, time_message, twist_message
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
@@ -51,11 +52,13 @@ class Publishers:
         self._marker = create(Marker, "~/error_marker", 1)
         self._error = create(Vector3Stamped, "~/tracking_error", 10)
         self._mode = create(String, "~/mode", _LATCHED)
+        self._tick, self._drive = create(String, "~/tick", 100), create(String, "~/drive", _LATCHED)
         self._said = ""
 
     def destroy(self) -> None:
         """Destroy them all."""
-        for publisher in (self._command, self._predicted, self._reference, self._marker, self._error, self._mode):
+        heard = (self._command, self._predicted, self._reference, self._marker, self._error, self._mode)
+        for publisher in (*heard, self._tick, self._drive):
             self._node.destroy_lifecycle_publisher(publisher)
 
     def command(self, command: FloatArray, time: int) -> None:
@@ -80,6 +83,17 @@ class Publishers:
             words = f"{tick.mode}: {tick.message}" if tick.message else tick.mode
             self._mode.publish(String(data=words))
             self._node.get_logger().info(words)
+
+    @property
+    def recorded(self) -> bool:
+        """Whether somebody listens to the records of ticks."""
+        return bool(self._tick.get_subscription_count())
+
+    def record(self, drive: DriveRecord | None, tick: TickRecord | None) -> None:
+        """Send the records of a tick, and of the drive where it is a new one."""
+        for publisher, record in ((self._drive, drive), (self._tick, tick)):
+            if record is not None:
+                publisher.publish(String(data=record.line()))
 
     def error(self, result: StepResult, time: int) -> None:
         """Send the tracking error: x along, y across [m], z heading [rad]."""
