@@ -14,6 +14,7 @@ from diffdrive_mpc.bench.commands import (
     identify,
     prove,
     real_logs,
+    replay,
     ros,
     studies,
     tune,
@@ -34,6 +35,7 @@ app = typer.Typer(
 app.command("simulate", epilog=studies.EXAMPLES["simulate"])(studies.simulate)
 app.command("bench", epilog=studies.EXAMPLES["bench"])(studies.bench)
 app.command("identify", epilog=identify.EXAMPLE)(identify.identify)
+app.command("replay", epilog=replay.EXAMPLE)(replay.replay)
 app.command("twin", epilog=twin.EXAMPLE)(twin.twin)
 app.command("tracking", epilog=studies.EXAMPLES["tracking"])(studies.tracking)
 app.command("real-logs", epilog=real_logs.EXAMPLE)(real_logs.real_logs)

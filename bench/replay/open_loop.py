@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diffdrive_mpc.bench.replay.recording import Recording
+from diffdrive_mpc.bench.replay.recording import Recording, Tick
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc import Controller, ControllerConfig
 from diffdrive_mpc.mpc.estimation.estimate import SENSORS
 from diffdrive_mpc.mpc.step_result import StepResult
+
+OnStep = Callable[[Tick, StepResult], None]
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ def replay(
     references: tuple[Reference, ...],
     *,
     as_recorded: bool,
-    on_tick: Callable[[], None] = lambda: None,
+    on_step: OnStep = lambda _tick, _step: None,
 ) -> Replayed:
     """Ask a fresh controller at every tick of `recording`.
 
@@ -77,8 +79,8 @@ def replay(
         What it tracks from each start on.
     as_recorded
         Whether weights and limits change as they did in the drive.
-    on_tick
-        Called after each tick.
+    on_step
+        Called after each tick with it and the controller's answer.
 
     Raises ConfigError or ValueError if the configuration cannot be used, or a reference is beyond its limits.
     """
@@ -96,7 +98,7 @@ def replay(
         steps.append(controller.step(tick.time, tick.measurement, tick.hold))
         if np.isfinite(tick.command).all():
             controller.overrule([tick.command])
-        on_tick()
+        on_step(tick, steps[-1])
     return _gathered(controller.config, recording, steps)
 
 
