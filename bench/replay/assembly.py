@@ -60,9 +60,13 @@ def assembled(
             for name, one in readings.items()
             if newest[name][k] > (newest[name][k - 1] if k > first else -1)
         }
-        start = Start(None, float(time[k]), reset) if k == first else None
-        ticks.append(Tick(float(time[k]), Measurement(**given), command[k], start=start))
+        start = Start(None, float(time[k]), reset, command[:first] if first else None) if k == first else None
+        ticks.append(Tick(float(time[k]), _measurement(given), command[k], start=start))
     return ticks
+
+
+def _measurement(given: Mapping[str, Stamped]) -> Measurement:
+    return Measurement(given.get("pose"), given.get("wheel_twist"), given.get("yaw_rate"))
 
 
 def on_grid(
@@ -81,7 +85,7 @@ def on_grid(
     held = command[np.searchsorted(time, grid + 1e-6 * sample_time, side="right") - 1]
     words = (
         f"{name}: commands come every {1e3 * usual:.3g} ms, the configuration's sample time is "
-        f"{1e3 * sample_time:.3g} ms: ticks were laid every {1e3 * sample_time:.3g} ms with the newest command, so that "
+        f"{1e3 * sample_time:.3g} ms: ticks were laid that far apart with the newest command, so that "
         "recorded commands are up to one step late in the comparison."
     )
     return grid, held, (words,)

@@ -26,9 +26,9 @@ _POSE = "/pose"
 _PLANAR = (0, 1, 5)
 _FIELDS = {"odometry": "wheel_twist", "imu": "yaw_rate", "pose": "pose"}
 _NOT_SAID = (
-    "The bag does not say what its controller had received at each tick (record the node's topics ~/tick and ~/drive for "
-    "that): a message counts as there at a tick if the recorder had it by then. In lock step that is exact; in real "
-    "time a message may slip to the next tick, which changes commands by some mm/s and mrad/s."
+    "The bag does not say what its controller had received at each tick (record the node's topics ~/tick and ~/drive "
+    "for that): a message counts as there at a tick if the recorder had it by then. In lock step that is exact; in "
+    "real time a message may slip to the next tick, which changes commands by some mm/s and mrad/s."
 )
 
 
@@ -81,14 +81,13 @@ def _from_topics(reader: Reader, path: Path, topics: Topics, sample_time: float,
     if topics.pose is None and there.get(_POSE) in POSES:
         topics = topics.model_copy(update={"pose": Topic(topic=_POSE)})
     elif topics.pose is None and topics.odometry is not None and topics.odometry.fields is None:
+        name = topics.odometry.topic
         topics, by_odom = topics.model_copy(update={"pose": topics.odometry}), True
-        approximated.append(f"Poses are those of the odometry ({topics.odometry.topic}), as the node takes them by default.")
+        approximated.append(f"Poses are those of the odometry ({name}), as the node takes them by default.")
     decoders = {"command": COMMANDS, "odometry": ODOMETRY, "imu": IMU, "pose": POSES if by_odom else _STATED}
     asked = {role: topic for role in decoders if (topic := getattr(topics, role)) is not None}
     rows = {role: read_topic(reader, path, topic, decoders[role], topics.definitions) for role, topic in asked.items()}
-    late = {
-        one.topic: 1e-9 * (one.received - one.stamped) if one.has_stamps else np.zeros(1) for one in rows.values()
-    }
+    late = {one.topic: 1e-9 * (one.received - one.stamped) if one.has_stamps else np.zeros(1) for one in rows.values()}
     by_stamp = topics.clock == "stamp"
     findings = []
     if by_stamp:
@@ -138,6 +137,6 @@ def _readings(
     if not keep.all():
         findings.append(f"{rows.topic}: {(~keep).sum()} messages are not finite or not newer than before; left out")
     stated = rows.value[:, 3:].reshape(-1, 3, 3)[keep] if field == "pose" and rows.value.shape[1] > 3 else None
-    signs = {"wheel_twist": [1.0, topic.sign], "yaw_rate": [topic.sign], "pose": [1.0, 1.0, topic.sign]}[field]
+    signs = np.array([1.0, 1.0, topic.sign][-value.shape[1] :])
     arrival = np.maximum.accumulate(_seconds(rows.received, origin)[keep])
     return Readings(arrival, stamp[keep], value[keep] * signs, stated)

@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from diffdrive_mpc.bench.replay.recording import Recording, Start, Tick
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord, TickRecordError
@@ -52,6 +54,12 @@ def read_records(reader: Reader, path: Path, topics: tuple[str, str], scratch: P
             tick = _begin(tick, by_number.get(key), configs.get(key), now is None, approximated)
         now = key
         found.append(tick)
+    numbers = np.diff([record.number for _, record in ticks])
+    missing = int((numbers[numbers > 1] - 1).sum())
+    if missing:
+        approximated.append(
+            f"{missing} ticks are missing from the bag: commands differ after each gap until the estimate has settled."
+        )
     config = next((one for one in configs.values()), None)
     return Recording(path.name, "bag of the node", tuple(found), config=config, approximated=tuple(approximated))
 
@@ -69,8 +77,8 @@ def _begin(
         return replace(tick, config=config)
     if first and config is not None and tick.time - drive.t0 > _LATE * config.sample_time:
         approximated.append(
-            f"The bag begins {tick.time - drive.t0:.1f} s after the start of the drive: what the controller had learned "
-            "by then is not in it. Commands may differ until the estimate has settled, some seconds."
+            f"The bag begins {tick.time - drive.t0:.1f} s after the start of the drive: what the controller had "
+            "learned by then is not in it. Commands may differ until the estimate has settled, some seconds."
         )
     reference = None if drive.reference is None else TabledTrajectory.of(drive.reference)
     return replace(tick, start=Start(reference, drive.t0, drive.reset), config=config if not drive.starts else None)

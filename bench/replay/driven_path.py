@@ -41,8 +41,8 @@ def _path(log: str, rows: FloatArray, begin: float, end: float) -> SplineTraject
     rows = rows[np.concatenate([[True], np.diff(rows[:, 0]) > 0])] if len(rows) else rows
     if len(rows) < 2:
         raise ConfigError(
-            f"{log}: no poses, so there is no path to track; give --trajectory, or --pose odometry to let dead reckoning "
-            "stand in for poses"
+            f"{log}: no poses, so there is no path to track; give --trajectory, or --pose odometry to let dead "
+            "reckoning stand in for poses"
         )
     count = max(2, int((end - begin) / settings.grid) + 1)
     time = np.linspace(0.0, max(end - begin, settings.grid), count)

@@ -85,13 +85,14 @@ def replay(
     Raises ConfigError or ValueError if the configuration cannot be used, or a reference is beyond its limits.
     """
     controller = Controller(config)
-    controller.overrule(recording.before)
     steps: list[StepResult] = []
     waiting = iter(references)
     for number, tick in enumerate(recording.ticks):
         if tick.start is not None:
             if tick.start.reset and number:
                 controller.reset()
+            if tick.start.before is not None:
+                controller.overrule(tick.start.before)
             controller.start(next(waiting), tick.start.t0)
         if tick.config is not None and as_recorded:
             controller.update(weights=tick.config.weights.model_dump(), limits=_changeable(tick.config))

@@ -89,6 +89,4 @@ def _numbers(path: Path, name: str, cells: tuple[str, ...]) -> FloatArray:
     try:
         return np.array([cell or "nan" for cell in cells], dtype=float)
     except ValueError as error:
-        raise ConfigError(
-            f"{path}, column '{name}': {error}; leave a cell empty where a reading is missing"
-        ) from error
+        raise ConfigError(f"{path}, column '{name}': {error}; leave a cell empty where a reading is missing") from error

@@ -1,4 +1,4 @@
-"""Poses for a log without any: dead reckoning by wheels and gyro. It drifts, and says nothing of where the robot was."""
+"""Poses for a log without any: dead reckoning by wheels and gyro. It drifts, and cannot tell the place."""
 
 from __future__ import annotations
 

@@ -80,14 +80,22 @@ def from_mid_drive(recording: Recording, slew: tuple[float, float], sample_time:
     sample_time
         [s].
     """
-    first = recording.ticks[0].command
-    if len(recording.before) or not np.isfinite(first).all():
+    most = _FROM_REST * sample_time * np.array(slew)
+    ticks, words = list(recording.ticks), ""
+    for number, tick in enumerate(ticks):
+        known = tick.start is None or tick.start.before is not None or not np.isfinite(tick.command).all()
+        if known or (number and tick.start is not None and not tick.start.reset):
+            continue
+        assert tick.start is not None
+        if (np.abs(tick.command) <= most).all():
+            continue
+        v, omega = tick.command
+        words = words or (
+            f"The log begins in mid-drive, at {v:.2f} m/s and {omega:.2f} rad/s ({tick.time:.2f} s): the commands "
+            "before it are not known and taken to be the same. Until the estimate has settled, some "
+            "seconds, commands may differ."
+        )
+        ticks[number] = replace(tick, start=tick.start._replace(before=np.tile(tick.command, (_LONG_AGO, 1))))
+    if not words:
         return recording
-    if (np.abs(first) <= _FROM_REST * sample_time * np.array(slew) + 1e-9).all():
-        return recording
-    words = (
-        f"The log begins in mid-drive, at {first[0]:.2f} m/s and {first[1]:.2f} rad/s: the commands before it are not "
-        "known and taken to be the same. Until the estimate has settled, some seconds, commands may differ."
-    )
-    before = np.tile(first, (_LONG_AGO, 1))
-    return replace(recording, before=before, approximated=(*recording.approximated, words))
+    return replace(recording, ticks=tuple(ticks), approximated=(*recording.approximated, words))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +24,8 @@ class Start(NamedTuple):
     """Where its time 0 is [s]."""
     reset: bool
     """Whether everything was forgotten before, for a robot that stands."""
+    before: FloatArray | None = None
+    """(K, 2) commands sent before it; None where the log does not hold them."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +73,6 @@ class Recording:
         What kind of log it is, in words.
     ticks
         In order; the first has a start.
-    before
-        (K, 2) commands sent before the first tick; none where the robot stood.
     config
         Configuration of the recorded controller, where the log holds it.
     by_controller
@@ -86,7 +86,6 @@ class Recording:
     name: str
     source: str
     ticks: tuple[Tick, ...]
-    before: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     config: ControllerConfig | None = None
     by_controller: bool = True
     approximated: tuple[str, ...] = ()

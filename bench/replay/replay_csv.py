@@ -44,7 +44,10 @@ def replay_columns(
         (_COMMAND, replayed.command),
         (("difference_v_m_s", "difference_omega_rad_s"), replayed.command - recorded),
         *([(("other_v_m_s", "other_omega_rad_s"), other)] if other is not None else []),
-        (tuple(f"estimate_{name}" for name in (*_STATE, *_DEVIATION)), np.hstack([replayed.estimate, replayed.deviation])),
+        (
+            tuple(f"estimate_{name}" for name in (*_STATE, *_DEVIATION)),
+            np.hstack([replayed.estimate, replayed.deviation]),
+        ),
         (("aim_x_m", "aim_y_m", "aim_theta_rad"), replayed.aim),
         (tuple(f"innovation_{sensor}" for sensor in SENSORS), replayed.innovations),
         (("pose_age_s",), replayed.pose_age),

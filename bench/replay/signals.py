@@ -17,8 +17,8 @@ from diffdrive_mpc.models.logs.sampling import RawStretch, Signal
 _FIELDS = {"pose": "pose", "twist": "wheel_twist", "yaw_rate": "yaw_rate"}
 _COLUMNS = {"pose": "pose", "twist": "encoders", "yaw_rate": "gyro"}
 FOREIGN = (
-    "The log does not say when its readings reached the controller: each counts as there at the first tick after it was "
-    "logged. A tick more or less shifts what is believed by up to one sample of motion."
+    "The log does not say when its readings reached the controller: each counts as there at the first tick after it "
+    "was logged. A tick more or less shifts what is believed by up to one sample of motion."
 )
 _LEAST_TICKS = 10
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from diffdrive_mpc.bench.replay.open_loop import Replayed
 from diffdrive_mpc.bench.replay.recording import Recording
@@ -52,7 +53,8 @@ def difference(time: FloatArray, one: FloatArray, other: FloatArray, counted: Bo
     known = counted & np.isfinite(one).all(axis=1) & np.isfinite(other).all(axis=1)
     apart, time = np.abs(one - other)[known], time[known]
     if not len(apart):
-        return Difference(0, 0, *np.full((3, 2), np.nan), np.nan)
+        unknown = np.full(2, np.nan)
+        return Difference(0, 0, unknown, unknown, unknown, np.nan)
     differing = (apart > replay_settings().exact).any(axis=1)
     first = float(time[np.argmax(differing)]) if differing.any() else np.nan
     at = time[np.argmax(apart, axis=0)]
@@ -80,8 +82,9 @@ class SensorRow:
         Median time between ticks that brought one, the longest, and when it began [s].
     age_p50, age_p99
         From the stamp to the tick that got it [s].
-    innovations, innovation
-        How many innovations there are, and their mean square over their variance, by the filter's sensors of it.
+    innovations
+        By the filter's sensors of it: how many innovations there are, and their usual square over its variance: its
+        median over the median where the filter's assumptions hold, so that a few outliers do not count [-].
     """
 
     name: str
@@ -95,30 +98,36 @@ class SensorRow:
 
 
 _INNOVATIONS = {"pose": (3,), "wheel_twist": (0, 1), "yaw_rate": (2,)}
+_MEDIANS = (*(float(chi2.median(1)),) * 3, float(chi2.median(3)) / 3)
+"""Of squared innovations over their variance, where the filter's assumptions hold, by `SENSORS`."""
 NAMES = {"pose": "poses", "wheel_twist": "wheels", "yaw_rate": "gyro"}
 
 
 def sensor_rows(recording: Recording, replayed: Replayed, counted: BoolArray) -> tuple[SensorRow, ...]:
     """A row for each sensor that delivered something, poses always."""
     rows = []
+    drives = np.cumsum([tick.start is not None for tick in recording.ticks])
     for field, name in NAMES.items():
         came = [
-            (tick.time, getattr(tick.measurement, field).time)
-            for tick, keep in zip(recording.ticks, counted, strict=True)
+            (tick.time, getattr(tick.measurement, field).time, drive)
+            for tick, drive, keep in zip(recording.ticks, drives, counted, strict=True)
             if keep and getattr(tick.measurement, field) is not None
         ]
         if not came and field != "pose":
             continue
-        rows.append(_row(name, np.array(came).reshape(-1, 2), _innovations(field, replayed, counted)))
+        rows.append(_row(name, np.array(came).reshape(-1, 3), _innovations(field, replayed, counted)))
     return tuple(rows)
 
 
 def _row(name: str, came: FloatArray, innovations: tuple[tuple[str, int, float], ...]) -> SensorRow:
+    """Of readings with time, stamp and the number of their drive (m, 3); between two drives there is no gap."""
     gaps, age = np.diff(came[:, 0]), came[:, 0] - came[:, 1]
+    gaps = np.where(np.diff(came[:, 2]) == 0, gaps, 0.0)
     if not len(gaps):
-        return SensorRow(name, len(came), *np.full(5, np.nan).tolist(), innovations)
+        return SensorRow(name, len(came), np.nan, np.nan, np.nan, np.nan, np.nan, innovations)
     worst = int(np.argmax(gaps))
-    interval, p50, p99 = float(np.median(gaps)), *np.percentile(age, [50, 99]).tolist()
+    interval = float(np.median(gaps))
+    p50, p99 = np.percentile(age, [50, 99]).tolist()
     return SensorRow(name, len(came), interval, float(gaps[worst]), float(came[worst, 0]), p50, p99, innovations)
 
 
@@ -127,7 +136,8 @@ def _innovations(field: str, replayed: Replayed, counted: BoolArray) -> tuple[tu
     for column in _INNOVATIONS[field]:
         values = replayed.innovations[counted, column]
         values = values[np.isfinite(values)]
-        found.append((SENSORS[column], len(values), float(values.mean()) if len(values) else np.nan))
+        usual = float(np.median(values)) / _MEDIANS[column] if len(values) else np.nan
+        found.append((SENSORS[column], len(values), usual))
     return tuple(found)
 
 

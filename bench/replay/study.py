@@ -198,9 +198,7 @@ class ReplayStudy(Study[ReplayPlan, Found]):
 
         count = len(plan.recording.ticks)
         bar.begin("replaying", count)
-        replayed = replay(
-            plan.recording, plan.config, plan.references, as_recorded=plan.as_recorded, on_step=on_step
-        )
+        replayed = replay(plan.recording, plan.config, plan.references, as_recorded=plan.as_recorded, on_step=on_step)
         against = None
         if plan.other is not None:
             bar.begin("replaying against", count)
@@ -239,7 +237,9 @@ class ReplayStudy(Study[ReplayPlan, Found]):
         recording, counted = plan.recording, plan.counted
         time = recording.time[counted]
         settings = plan.config
-        replays = {REPLAYED: replayed} | ({} if results.against is None else {str(self._asked.against): results.against})
+        replays = {REPLAYED: replayed} | (
+            {} if results.against is None else {str(self._asked.against): results.against}
+        )
         modes = {RECORDED: [tick.mode for tick in recording.ticks]}
         paths = {RECORDED: [tick.solver_path for tick in recording.ticks]}
         tables = [
@@ -283,8 +283,8 @@ def agreement(results: Found, *, by_controller: bool) -> str:
         return f"Replayed and recorded commands are the same at every tick; the largest differences are {largest}."
     if not by_controller:
         return (
-            f"Another one drove, so commands differ: by {found.rms[0]:.3g} m/s and {found.rms[1]:.3g} rad/s RMS, at most "
-            f"by {largest}. That is no error; it says how differently this controller would have driven."
+            f"Another one drove, so commands differ: by {found.rms[0]:.3g} m/s and {found.rms[1]:.3g} rad/s RMS, at "
+            f"most by {largest}. That is no error; it says how differently this controller would have driven."
         )
     return (
         f"Replayed and recorded commands differ at {found.differing} of {found.compared} ticks, first at "
@@ -295,9 +295,7 @@ def agreement(results: Found, *, by_controller: bool) -> str:
 def content(results: Found) -> dict[str, object]:
     """What replay.json holds beside `meta`."""
     return {
-        "commands": [
-            {"one": one, "other": other, **vars(found)} for (one, other), found in results.pairs.items()
-        ],
+        "commands": [{"one": one, "other": other, **vars(found)} for (one, other), found in results.pairs.items()],
         "sensors": [
             vars(row) | {"innovations": {name: {"count": count, "mean": mean} for name, count, mean in row.innovations}}
             for row in results.sensors
@@ -326,5 +324,3 @@ def _first_pose(recording: Recording) -> FloatArray:
     if found is None:
         raise ConfigError(f"{recording.name}: no poses, so --start-at-robot has nowhere to start")
     return np.asarray(found.value, dtype=float)
-
-

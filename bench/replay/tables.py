@@ -46,10 +46,18 @@ def sensor_table(sensors: Sequence[SensorRow]) -> Table:
         gap = f"{row.longest_gap:.3f} at {row.gap_at:.2f}" if np.isfinite(row.longest_gap) else "-"
         fits = ", ".join(number(mean, 2) for _, _, mean in row.innovations)
         rows.append((row.name, str(row.readings), *times, gap, fits))
-    columns = ("sensor", "readings", "every [ms]", "age p50 [ms]", "age p99 [ms]", "longest pause [s]", "innovations [-]")
+    columns = (
+        "sensor",
+        "readings",
+        "every [ms]",
+        "age p50 [ms]",
+        "age p99 [ms]",
+        "longest pause [s]",
+        "innovations [-]",
+    )
     note = (
-        "Age: from its stamp to the tick that got it. Innovations: mean of the squared difference from what was "
-        "predicted over its variance, 1 where the estimator's assumptions hold; of wheels for v and for omega."
+        "Age: from its stamp to the tick that got it. Innovations: usual squared difference from what was predicted "
+        "over its variance (by medians), 1 where the estimator's assumptions hold; of wheels for v and for omega."
     )
     return Table("Sensors", columns, tuple(rows), note=note)
 
@@ -75,9 +83,7 @@ def message_table(recording: Recording, replayed: Replayed, counted: BoolArray) 
             kind = _without_numbers(message)
             said[kind] += 1
             first.setdefault(kind, tick.time)
-    rows = tuple(
-        (kind[:_WORDS], str(count), number(first[kind], 2)) for kind, count in said.most_common(_SAID)
-    )
+    rows = tuple((kind[:_WORDS], str(count), number(first[kind], 2)) for kind, count in said.most_common(_SAID))
     return Table("What the controller says", ("message", "ticks", "first at [s]"), rows, note="Numbers as #.")
 
 

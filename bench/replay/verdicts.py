@@ -210,12 +210,12 @@ def _innovations(of: Evidence, settings: ReplaySettings) -> Iterator[Verdict]:
             if mean > settings.innovations_large:
                 yield Verdict(
                     f"{sensor.replace('_', ' ')}: readings differ from what was predicted by {np.sqrt(mean):.1f} times "
-                    f"as much as the estimator assumes (mean of {count}).",
+                    f"as much as the estimator assumes (median of {count}).",
                     f"raise {noise}; where dead time or model are wrong, mend these first",
                 )
             elif mean < settings.innovations_small:
                 yield Verdict(
                     f"{sensor.replace('_', ' ')}: readings differ from what was predicted by only {np.sqrt(mean):.2f} "
-                    f"times as much as the estimator assumes (mean of {count}): it trusts them too little.",
+                    f"times as much as the estimator assumes (median of {count}): it trusts them too little.",
                     f"lower {noise}",
                 )

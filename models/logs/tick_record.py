@@ -31,6 +31,8 @@ class TickRecord:
 
     Attributes
     ----------
+    number
+        Ticks at which the controller was asked, this one included, since the node is active: one more each time.
     time
         Of the tick [s].
     drive
@@ -47,6 +49,7 @@ class TickRecord:
         Duration of its step [s].
     """
 
+    number: int
     time: float
     drive: int
     measurement: Measurement
@@ -63,6 +66,7 @@ class TickRecord:
         return json.dumps(
             {
                 "format": FORMAT,
+                "number": self.number,
                 "time": self.time,
                 "drive": self.drive,
                 **told,
@@ -82,13 +86,16 @@ class TickRecord:
         try:
             hold = data["hold"]
             return cls(
+                int(data["number"]),
                 float(data["time"]),
                 int(data["drive"]),
-                Measurement(**{name: _stamped(data[name]) for name in _SENSORS}),
+                Measurement(_stamped(data["pose"]), _stamped(data["wheel_twist"]), _stamped(data["yaw_rate"])),
                 None if hold is None else (str(hold[0]), bool(hold[1])),
                 np.array(data["command"], dtype=float).reshape(2),
-                *(str(data[name]) for name in ("mode", "message", "solver_path")),
-                step_time=float(data["step_time"]),
+                str(data["mode"]),
+                str(data["message"]),
+                str(data["solver_path"]),
+                float(data["step_time"]),
             )
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise TickRecordError(f"no record of a tick ({error})") from error

@@ -40,8 +40,9 @@ class RefusedError(DiffdriveMpcError, ValueError):
 
 @dataclass(frozen=True)
 class Asked:
-    """What the controller was given at `time` [s]."""
+    """What the controller was given at `time` [s], and how often it was asked by then."""
 
+    number: int
     time: float
     measurement: Measurement
     hold: Hold | None
@@ -122,6 +123,7 @@ class ControlLoop:
         self._reference = trajectory
         self._moves_to_robot = settings.start_at_robot
         self.begun: Begun | None = None
+        self._asked = 0
         # So it is when the node is activated.
         self._was_reset = True
         self.last: Tick | None = None
@@ -205,7 +207,8 @@ class ControlLoop:
             self.state = LoopState.DRIVING
         if self.state in (LoopState.IDLE, LoopState.FAULT):
             return self._standing()
-        asked = Asked(t, self.inbox.measurement(), self._hold(t))
+        self._asked += 1
+        asked = Asked(self._asked, t, self.inbox.measurement(), self._hold(t))
         result = self._controller.step(t, asked.measurement, asked.hold)
         self._was_reset = False
         self.fallbacks += result.mode in (Mode.REUSED_PLAN, Mode.BRAKING)

@@ -44,7 +44,7 @@ class DriveRecorder:
             return None
         hold = None if asked.hold is None else (asked.hold.reason, asked.hold.failure)
         said = (str(result.mode), result.message, str(result.solver.path), result.step_time)
-        return TickRecord(asked.time, self._number, asked.measurement, hold, result.command, *said)
+        return TickRecord(asked.number, asked.time, self._number, asked.measurement, hold, result.command, *said)
 
 
 def _model_text(model: str) -> str:

@@ -31,8 +31,8 @@ class TabledTrajectory(Trajectory):
     def of(cls, data: Mapping[str, Any]) -> TabledTrajectory:
         """The trajectory of what `table_of` gave; raises ConfigError where it is something else."""
         try:
-            arrays = (np.array(data[name], dtype=float) for name in ("breaks", "table"))
-            native = NativeTrajectory(*arrays, float(data["duration"]), data["motion"])
+            breaks, table = (np.array(data[name], dtype=float) for name in ("breaks", "table"))
+            native = NativeTrajectory(breaks, table, float(data["duration"]), data["motion"])
             return cls(str(data["name"]), float(data["duration"]), native)
         except (KeyError, TypeError, ValueError) as error:
             raise ConfigError(f"the recorded reference cannot be read ({error})") from error
