@@ -33,7 +33,8 @@ def read_own_csv(path: Path) -> Recording:
     numbers, texts, findings = _read(path)
     time, command = numbers["t_s"], np.column_stack([numbers["v_ref_m_s"], numbers["omega_ref_rad_s"]])
     measurements = told_measurements(numbers)
-    reference = logged_reference(numbers, f"{path.name}: reference")
+    between = f"{path.name}: reference"
+    reference = logged_reference(numbers, between)
     said = zip(texts["mode"], texts["solver_path"], texts["message"], strict=True)
     ticks = [
         Tick(float(t), measurement, sent, None, None, None, *words)
@@ -41,6 +42,11 @@ def read_own_csv(path: Path) -> Recording:
     ]
     ticks[0] = replace(ticks[0], start=Start(reference, ticks[0].time, reset=False))
     approximated = []
+    if reference is not None and reference.name == between:
+        approximated.append(
+            "The reference is known at the ticks alone, and interpolated between them: where the robot was off its path or "
+            "its time, commands may differ by some mm/s and mrad/s; --trajectory with its file makes that exact."
+        )
     if not is_told(tuple(numbers)):
         approximated.append(
             "The log is of a release before covariances and stamps were logged: readings count as of their tick with "
