@@ -25,7 +25,7 @@ READY := $(VENV)/.ready
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench edge peers robustness prove tune tracking reproduce speed test lint types format models calibrate readme requirements clean
+.PHONY: help bench edge peers robustness prove tune tracking reproduce speed test lint types format models calibrate readme schemas requirements clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -89,6 +89,9 @@ calibrate: $(READY) ## fit the simulated robot to the published SSM again
 
 readme: $(READY) ## copy tables and figures of the last `make bench` and of the studies that were made into README and docs
 	$(BIN)/python -m diffdrive_mpc.bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT) $(PEERS_OUT) $(EDGE_OUT) $(ROBUSTNESS_OUT) $(PROVE_OUT))
+
+schemas: $(READY) ## write the JSON Schemas of all kinds of files again
+	$(BIN)/python -m diffdrive_mpc.bench.schemas.generate
 
 requirements: ## pin all dependencies anew (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \

@@ -9,6 +9,7 @@ import typer
 from diffdrive_mpc.bench.commands import (
     campaign,
     commission,
+    doctor,
     excite,
     export,
     identify,
@@ -16,6 +17,7 @@ from diffdrive_mpc.bench.commands import (
     real_logs,
     replay,
     ros,
+    schema,
     studies,
     tune,
     twin,
@@ -28,7 +30,6 @@ from diffdrive_mpc.bench.commands.options import PASSED_ON
 app = typer.Typer(
     cls=OneLineErrors,
     no_args_is_help=True,
-    add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Model-predictive trajectory tracking for skid-steer and differential-drive robots.",
 )
@@ -52,6 +53,8 @@ app.command("excite", epilog=excite.EXAMPLE)(excite.excite)
 app.command("export", epilog=export.EXAMPLE)(export.export)
 app.command("node", epilog=ros.EXAMPLES["node"], context_settings=PASSED_ON)(ros.node)
 app.command("robot", epilog=ros.EXAMPLES["robot"], context_settings=PASSED_ON)(ros.robot)
+app.command("doctor", epilog=doctor.EXAMPLE)(doctor.doctor)
+app.command("schema", epilog=schema.EXAMPLE)(schema.schema)
 app.add_typer(config_app, name="config")
 app.add_typer(models_app, name="models")
 

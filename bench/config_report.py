@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -30,11 +29,6 @@ class FieldRow:
     unit: str
     range: str
     help: str
-
-
-def json_schema() -> str:
-    """The JSON schema of the configuration file."""
-    return json.dumps(ControllerConfig.model_json_schema(), indent=2)
 
 
 def print_schema() -> None:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import yaml
 
 from diffdrive_mpc.bench.case import Overrides
+from diffdrive_mpc.models.bounded_yaml import parse_yaml
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
 
@@ -20,7 +21,7 @@ def parse_setting(text: str) -> tuple[str, list[object]]:
     if not equals or not key.strip() or not listed.strip():
         raise ConfigError(f"--set {text}: write KEY=VALUE or KEY=V1,V2,..., for instance weights.across=100,200")
     try:
-        values = yaml.safe_load(f"[{listed}]")
+        values = parse_yaml(f"[{listed}]")
     except yaml.YAMLError as error:
         raise ConfigError(f"--set {text}: '{listed}' cannot be read as values separated by commas") from error
     if not values or any(isinstance(value, (list, dict)) for value in values):

@@ -10,6 +10,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from diffdrive_mpc.models import table as plain
+from diffdrive_mpc.models.plain_text import plain_line
 from diffdrive_mpc.models.table import number
 
 __all__ = ["Table", "duration", "number", "rich_table"]
@@ -55,7 +56,7 @@ def rich_table(table: plain.Table) -> RichTable:
         justify: Literal["left", "right"] = "right" if numeric else "left"
         drawn.add_column(Text(_brief(heading)), justify=justify, min_width=least, overflow="fold")
     for row in table.rows:
-        drawn.add_row(*(Text(cell) for cell in row))
+        drawn.add_row(*(Text(plain_line(cell)) for cell in row))
     return drawn
 
 

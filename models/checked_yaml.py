@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from diffdrive_mpc.models.bounded_yaml import parse_yaml
 from diffdrive_mpc.models.errors import DiffdriveMpcError
+from diffdrive_mpc.models.input_file import MEGABYTE, read_input
 
-try:
-    from yaml import CSafeLoader as SafeLoader  # ten times as quick
-except ImportError:
-    from yaml import SafeLoader  # type: ignore[assignment]
+_LARGEST = 50 * MEGABYTE
 
 
 class ConfigError(DiffdriveMpcError, ValueError):
@@ -31,40 +30,26 @@ class StrictModel(BaseModel):
 Schema = TypeVar("Schema", bound=BaseModel)
 
 
-class _UniqueKeyLoader(SafeLoader):
-    """Safe YAML loader that refuses a key given twice: the second would silently win."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        seen: set[Hashable] = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if not isinstance(key, Hashable):
-                raise yaml.MarkedYAMLError(problem="a key must be a word or a number", problem_mark=key_node.start_mark)
-            if key in seen:
-                raise yaml.MarkedYAMLError(problem=f"key '{key}' is given twice", problem_mark=key_node.start_mark)
-            seen.add(key)
-        return super().construct_mapping(node, deep=deep)
-
-
 def read_yaml(path: str | Path) -> Any:  # noqa: ANN401 - the schema that checks it gives it a type
     """Parse a YAML file without executing anything in it.
 
     Raises
     ------
     ConfigError
-        If the file is missing, unreadable, no YAML, or has a key twice.
+        If the file is missing, unreadable, no regular file or too large; if it is no YAML, has a key twice, is too deep
+        or holds too much.
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_input(path, _LARGEST).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
     try:
-        return yaml.load(text, Loader=_UniqueKeyLoader)
+        return parse_yaml(text)
     except yaml.MarkedYAMLError as error:
         line = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
         raise ConfigError(f"{path}{line}: {error.problem or 'not valid YAML'}") from error
-    except (yaml.YAMLError, ValueError) as error:  # a date such as 2020-13-40 is a ValueError
+    except yaml.YAMLError as error:
         raise ConfigError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from error
 
 

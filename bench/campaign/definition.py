@@ -17,9 +17,10 @@ from diffdrive_mpc.mpc import load_config
 
 GROUPS = ("config", "robot", "surface", "sensors")
 """Files whose single values a factor may replace: `robot.twin.link.dead_time` is a key of the robot's file."""
-_OF_CASE = (*(one.name for one in DIMENSIONS), "config", "top_speed", "scaled", "late")
+FACTORS_OF_A_CASE = (*(one.name for one in DIMENSIONS), "config", "top_speed", "scaled", "late")
+"""Factors that are no key of a file."""
 _TYPES: dict[str, tuple[type, ...]] = {
-    **dict.fromkeys(_OF_CASE, (str,)),
+    **dict.fromkeys(FACTORS_OF_A_CASE, (str,)),
     "seed": (int,),
     "late": (int,),
     "scaled": (bool,),
@@ -100,9 +101,9 @@ class Definition:
 def check_factor(name: str, where: str) -> None:
     """Raise ConfigError if there is no factor `name`."""
     group, dot, key = name.partition(".")
-    if name in _OF_CASE or (dot and key and group in GROUPS):
+    if name in FACTORS_OF_A_CASE or (dot and key and group in GROUPS):
         return
-    known = (*_OF_CASE, *(f"{group}.KEY" for group in GROUPS))
+    known = (*FACTORS_OF_A_CASE, *(f"{group}.KEY" for group in GROUPS))
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     hint = f"; did you mean '{near[0]}'?" if near else f"; known: {', '.join(known)}"
     raise ConfigError(f"{where}: unknown factor '{name}'{hint}")

@@ -9,12 +9,11 @@ from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 
-import yaml
-
 from diffdrive_mpc import models, mpc, sim
 from diffdrive_mpc.bench import case, command_check, controllers, late_plant, peers
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.machine import package_version
+from diffdrive_mpc.models.checked_yaml import read_yaml
 
 LIBRARIES = ("numpy", "scipy", "casadi", "osqp", "daqp", "mujoco", "control")
 """Packages whose version can change a number of a run."""
@@ -85,7 +84,7 @@ def _with_named(path: Path, seen: set[Path]) -> Iterator[Path]:
     if weights != path and weights.is_file():
         yield weights
     if path.suffix in (".yaml", ".yml"):
-        for text in _texts(yaml.safe_load(path.read_text(encoding="utf-8"))):
+        for text in _texts(read_yaml(path)):
             if _is_file(path.parent / text):
                 yield from _with_named((path.parent / text).resolve(), seen)
 

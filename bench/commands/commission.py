@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.bench.commands.completion import choices
 from diffdrive_mpc.bench.commands.excite import read_room
 from diffdrive_mpc.bench.commands.one_line_errors import FAILED
 from diffdrive_mpc.bench.commands.options import Jobs, Mapping, file_option, out_option
@@ -25,7 +26,9 @@ def commission(
     ] = None,
     out: Annotated[Path, out_option("a folder of each step, commission.json, and robot/ in the end")],
     inside: Annotated[str, typer.Option(metavar="LxW", help="Room in which it drives [m].")] = "5x4",
-    config: Annotated[str, typer.Option(help="What drives it at first: a file, or mbm, sm, ssm.")] = "ssm",
+    config: Annotated[
+        str, typer.Option(help="What drives it at first: a file, or mbm, sm, ssm.", autocompletion=choices("config"))
+    ] = "ssm",
     known: Annotated[
         str | None,
         typer.Option(metavar="NAME|FILE", help="What is known of the robot (YAML), for the twin.", show_default=False),

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.bench.commands.completion import choices
+
 config_app = typer.Typer(no_args_is_help=True, help="Show, check and explain controller configurations.")
 
 
@@ -17,6 +19,7 @@ def show(
         typer.Argument(
             metavar="MODEL|FILE",
             help="mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic, or a configuration file.",
+            autocompletion=choices("config"),
         ),
     ],
 ) -> None:
@@ -51,7 +54,8 @@ def schema(
 
     With a first line `# yaml-language-server: $schema=FILE` in a configuration, editors complete and check its keys.
     """
-    from diffdrive_mpc.bench.config_report import json_schema, print_schema  # noqa: PLC0415
+    from diffdrive_mpc.bench.config_report import print_schema  # noqa: PLC0415
+    from diffdrive_mpc.bench.schemas.kinds import KINDS  # noqa: PLC0415
     from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
     from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
 
@@ -59,8 +63,8 @@ def schema(
         raise ConfigError("--out is for the JSON schema; give --json too")
     if out is not None:
         with whole_file(out) as draft:
-            draft.write_text(json_schema() + "\n", encoding="utf-8")
+            draft.write_text(KINDS["controller"].text(), encoding="utf-8")
     elif as_json:
-        typer.echo(json_schema())
+        typer.echo(KINDS["controller"].text(), nl=False)
     else:
         print_schema()

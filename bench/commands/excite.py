@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.bench.commands.completion import choices
+
 EXAMPLE = "Example: diffdrive-mpc excite ssm --for model --inside 4x3 --seconds 60 --out drive.yaml"
 _SLIP, _MODEL = "slip", "model"
 _SIDE, _SLIP_SECONDS, _SECONDS = 6.0, 90.0, 60.0
@@ -20,6 +22,7 @@ def excite(
         typer.Argument(
             help="For the model: configuration of the controller that drives it, a file, or mbm, sm, ssm.",
             show_default="ssm",
+            autocompletion=choices("config"),
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Trajectory file to write.", show_default=False)],
@@ -48,9 +51,11 @@ def excite(
     speed: Annotated[float, typer.Option(help="Largest speed [m/s].")] = 0.6,
     yaw_rate: Annotated[float, typer.Option(help="Largest yaw rate [rad/s].")] = 1.0,
     log: Annotated[
-        Path | None, typer.Option(help="For the model: drive it, and write this log (CSV).", show_default=False)
+        Path | None, typer.Option(help="For the model: drive it, and write this log (.csv, .mcap).", show_default=False)
     ] = None,
-    plant: Annotated[str, typer.Option(help="With --log: the robot, as for simulate.")] = "mujoco",
+    plant: Annotated[
+        str, typer.Option(help="With --log: the robot, as for simulate.", autocompletion=choices("plant"))
+    ] = "mujoco",
     seed: Annotated[int, typer.Option(min=0, help="For the model: of the search, and of the noise.")] = 0,
 ) -> None:
     """Write a trajectory that is worth learning from, for `simulate --trajectory` and the node.

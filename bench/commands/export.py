@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.bench.commands.completion import choices
 from diffdrive_mpc.bench.commands.options import ConfigFile, Model, Settings, out_option
 
 EXAMPLE = "Example: diffdrive-mpc export --model ssm --set horizon=15 --precision float --out firmware"
@@ -19,7 +20,11 @@ def export(
     config: ConfigFile = None,
     settings: Settings = None,
     trajectory: Annotated[
-        str, typer.Option(help="What the table holds: a shipped name such as circle, or the path of a file.")
+        str,
+        typer.Option(
+            help="What the table holds: a shipped name such as circle, or the path of a file.",
+            autocompletion=choices("trajectory"),
+        ),
     ] = "circle",
     precision: Annotated[str, typer.Option(help="Number type: double or float.")] = "double",
     emulated: Annotated[

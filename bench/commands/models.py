@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from diffdrive_mpc.bench.commands.completion import choices
 from diffdrive_mpc.bench.commands.options import Mapping
 
 models_app = typer.Typer(no_args_is_help=True, help="List, show and check velocity models.")
@@ -25,7 +26,9 @@ def show(
     name: Annotated[
         str,
         typer.Argument(
-            metavar="NAME|FILE", help="mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic, or a model file."
+            metavar="NAME|FILE",
+            help="mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic, or a model file.",
+            autocompletion=choices("model"),
         ),
     ],
 ) -> None:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from diffdrive_mpc.bench.case import DIMENSIONS, Dimension
+from diffdrive_mpc.bench.commands.completion import Completer, choices, offers
 
 Command = TypeVar("Command", bound=Callable[..., None])
 
@@ -41,16 +42,29 @@ def file_option(what: str, name: str) -> Any:  # noqa: ANN401 - typer's own type
 
 ConfigFile = Annotated[Path | None, file_option("Controller configuration with its model", "--config")]
 Settings = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace a configuration value; repeatable.")
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Replace a configuration value; repeatable.",
+        autocompletion=choices("setting"),
+    ),
 ]
 Sweep = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=V1,V2,...", help="Sweep a configuration value; repeatable.")
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=V1,V2,...",
+        help="Sweep a configuration value; repeatable.",
+        autocompletion=choices("setting"),
+    ),
 ]
 Model = Annotated[
     str | None,
     typer.Option(
         help="Velocity model: mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic, or the path of a file.",
         show_default="ssm, or --config's",
+        autocompletion=choices("model"),
     ),
 ]
 Scaled = Annotated[
@@ -65,6 +79,7 @@ Mapping = Annotated[
         metavar="NAME|FILE",
         help="What the columns or topics are.",
         show_default="that of simulate --log, and a bag's usual topics",
+        autocompletion=choices("mapping"),
     ),
 ]
 """Of the columns or topics of a log."""
@@ -100,15 +115,26 @@ def _single_option(of: Dimension) -> inspect.Parameter:
     if of.name == "model":
         return inspect.Parameter("model", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Model)
     kind, least = type(of.default), 0 if isinstance(of.default, int) else None
-    annotation = Annotated[kind, typer.Option(of.option, help=of.help, min=least)]  # type: ignore[valid-type]
+    option = typer.Option(of.option, help=of.help, min=least, autocompletion=_completer(of))
+    annotation = Annotated[kind, option]  # type: ignore[valid-type]
     return inspect.Parameter(of.name, inspect.Parameter.KEYWORD_ONLY, default=of.default, annotation=annotation)
 
 
 def _list_option(of: Dimension) -> inspect.Parameter:
     default = ",".join(map(str, of.compared))
-    option = typer.Option(of.list_option, metavar="LIST", help=of.list_help, show_default=default)
+    option = typer.Option(
+        of.list_option,
+        metavar="LIST",
+        help=of.list_help,
+        show_default=default,
+        autocompletion=_completer(of, several=True),
+    )
     annotation = Annotated[str | None, option]
     return inspect.Parameter(of.several, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+
+
+def _completer(of: Dimension, *, several: bool = False) -> Completer | None:
+    return choices(of.name, several=several) if offers(of.name) else None
 
 
 def ros_arguments(context: typer.Context) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from diffdrive_mpc.bench.commands.campaign import Runs, Scheduler
+from diffdrive_mpc.bench.commands.completion import choices
 from diffdrive_mpc.bench.commands.one_line_errors import FAILED
 from diffdrive_mpc.bench.commands.options import Jobs, file_option, out_option
 
@@ -15,7 +16,10 @@ EXAMPLE = "Example: diffdrive-mpc prove ssm --out proof --runs 40"
 
 
 def prove(
-    config: Annotated[str, typer.Argument(help="Configuration: the path of a file, or mbm, sm, ssm.")],
+    config: Annotated[
+        str,
+        typer.Argument(help="Configuration: the path of a file, or mbm, sm, ssm.", autocompletion=choices("config")),
+    ],
     *,
     out: Annotated[Path, out_option("prove.md, prove.parquet, figures/, worst/ and the rows of the runs")],
     campaign: Annotated[Path | None, file_option("Campaign with maps and boundaries", "--campaign")] = None,

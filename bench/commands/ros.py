@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from diffdrive_mpc.bench.commands.completion import choices
 from diffdrive_mpc.bench.commands.options import Settings, file_option, ros_arguments, with_dimensions
 
 EXAMPLES = {
@@ -22,11 +23,16 @@ def node(
         str,
         typer.Option(
             help="mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic, "
-            "or the configuration file that was simulated with."
+            "or the configuration file that was simulated with.",
+            autocompletion=choices("config"),
         ),
     ] = "ssm",
     trajectory: Annotated[
-        str, typer.Option(help="a shipped name such as circle, or the path of a file; empty: references come by topic.")
+        str,
+        typer.Option(
+            help="a shipped name such as circle, or the path of a file; empty: references come by topic.",
+            autocompletion=choices("trajectory"),
+        ),
     ] = "circle",
     settings: Settings = None,
     autostart: Annotated[bool, typer.Option("--autostart", help="Configure and activate at start-up.")] = False,

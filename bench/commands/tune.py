@@ -8,13 +8,17 @@ from typing import Annotated
 import typer
 
 from diffdrive_mpc.bench.commands.campaign import Scheduler
+from diffdrive_mpc.bench.commands.completion import choices
 from diffdrive_mpc.bench.commands.options import Jobs, file_option, out_option
 
 EXAMPLE = "Example: diffdrive-mpc tune ssm --out tuned"
 
 
 def tune(
-    config: Annotated[str, typer.Argument(help="Configuration: the path of a file, or mbm, sm, ssm.")],
+    config: Annotated[
+        str,
+        typer.Argument(help="Configuration: the path of a file, or mbm, sm, ssm.", autocompletion=choices("config")),
+    ],
     *,
     out: Annotated[Path, out_option("config.yaml, tune.md, figures/, the study and the rows of its runs")],
     plan: Annotated[Path | None, file_option("Plan", "--plan")] = None,

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from diffdrive_mpc.bench.campaign.campaign_file import Campaign, whole_paths
 from diffdrive_mpc.bench.campaign.definition import Definition, check_factor
-from diffdrive_mpc.bench.campaign.draws import Value
+from diffdrive_mpc.bench.campaign.draws import Value, read_factor
 from diffdrive_mpc.bench.campaign.stated import stated
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.sim import Metrics
@@ -149,6 +149,8 @@ class TunePlan(StrictModel):
             check_factor(name, "factors and spread")
             if name in (*_CONTROLLER, "seed") or name.startswith("config."):
                 raise ValueError(f"factors.{name}: the tuning itself says that; leave it out")
+        for name, data in self.factors.items():
+            read_factor(data, f"factors.{name}")
         most = max([one.runs for one in self.fidelities] + [one.runs for one in self.constraints.values()])
         tuned = range(self.tuning.first_seed, self.tuning.first_seed + most)
         judged = range(self.verdict.first_seed, self.verdict.first_seed + self.verdict.runs)

@@ -43,7 +43,7 @@ class Chassis(StrictModel):
     mass: Positive = Field(description="m [kg]")
     wheel_radius: Positive = Field(description="r [m]")
     track: Positive = Field(description="b [m]")
-    centre_ahead: float = Field(description="d, centre of mass ahead of the axle [m]")
+    centre_ahead: float = Field(ge=-100, le=100, description="d, centre of mass ahead of the axle [m]")
     yaw_inertia: Positive = Field(description="I_A [kg m^2]")
     wheel_inertia: NotNegative = Field(description="I_0, of a wheel with its rotor [kg m^2]")
 

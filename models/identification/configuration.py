@@ -19,6 +19,7 @@ from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import WheelGeometry, firmware_track
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.plain_text import plain_line
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.velocity_model import CHANNELS
@@ -59,7 +60,7 @@ class Setting:
     def line(self) -> str:
         """As it stands in the file."""
         value = f"{self.value:.6g}" if isinstance(self.value, float) else self.value
-        return f"{self.name}: {value}" + (f"   # {self.reason}" if self.reason else "")
+        return f"{self.name}: {value}" + (f"   # {plain_line(self.reason)}" if self.reason else "")
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,8 @@ class Configuration:
         """The file, a reason beside each value."""
         slew = any(setting.name.endswith("_slew") for setting in self.limits)
         lines = [
-            f"# Controller of {self.name}. Fields left out keep the schema's default: diffdrive-mpc config schema",
+            f"# Controller of {plain_line(self.name)}. "
+            "Fields left out keep the schema's default: diffdrive-mpc config schema",
             *(setting.line() for setting in self.general),
             "limits:" if slew else f"limits:   {_UNKNOWN_SLEW}",
             *(f"  {setting.line()}" for setting in self.limits),

@@ -29,6 +29,7 @@ from diffdrive_mpc.models.identification.tables import (
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Finding, counted
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.plain_text import plain_line
 from diffdrive_mpc.models.table import Table
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -181,7 +182,15 @@ class IdentificationReport:
             tables.append(slip_table(poses))
         if self.data.findings:
             tables.append(finding_table(self.data.findings))
-        parts = [f"# {self.name}", "", *_bullets(self.in_short()), "", *self._facts(), "", self.scores[0].markdown()]
+        parts = [
+            f"# {plain_line(self.name)}",
+            "",
+            *_bullets(self.in_short()),
+            "",
+            *self._facts(),
+            "",
+            self.scores[0].markdown(),
+        ]
         parts += ["## Warnings", "", *_bullets(self.warnings), ""]
         for title, path in (figures or {}).items():
             parts += [f"## {title}", "", f"![{title}]({path})", ""]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.input_file import open_input
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.growing import Growing
 from diffdrive_mpc.models.logs.record import BoolArray, Finding
@@ -157,7 +158,7 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
 
 def _opened(path: Path) -> BinaryIO:
     try:
-        return path.open("rb")
+        return open_input(path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read as CSV ({error.strerror or error})") from error
 

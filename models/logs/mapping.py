@@ -7,7 +7,9 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, GetJsonSchemaHandler, model_validator
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.named_file import named_file
@@ -48,6 +50,10 @@ SIDES = ("left", "right")
 FOUR_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
+def _name_or(whole: JsonSchemaValue) -> JsonSchemaValue:
+    return {"anyOf": [{"type": "string", "minLength": 1}, whole]}
+
+
 class Column(StrictModel):
     """One column; a plain name stands for a column in SI units."""
 
@@ -57,6 +63,11 @@ class Column(StrictModel):
     @classmethod
     def _plain_name(cls, data: Any) -> Any:  # noqa: ANN401 - whatever the file holds
         return {"column": data} if isinstance(data, str) else data
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """A name, or what follows from the fields."""
+        return _name_or(handler(core))
 
 
 class TimeColumn(Column):
@@ -219,6 +230,11 @@ class Topic(StrictModel):
     @classmethod
     def _plain_name(cls, data: Any) -> Any:  # noqa: ANN401 - whatever the file holds
         return {"topic": data} if isinstance(data, str) else data
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """A name, or what follows from the fields."""
+        return _name_or(handler(core))
 
 
 class Topics(StrictModel):

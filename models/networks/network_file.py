@@ -12,12 +12,15 @@ import numpy as np
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
+from diffdrive_mpc.models.input_file import MEGABYTE, read_input
 from diffdrive_mpc.models.networks.network import NETWORK, Architecture, Network
 from diffdrive_mpc.models.networks.network_model import NetworkModel, network_model
 from diffdrive_mpc.models.structures.model_file import FunctionFile, write_parameters
 
 _HEAD = "A network on past commands; its weights lie in the file that it names. Times [s]."
 _FIRST_DAY = (1980, 1, 1, 0, 0, 0)
+
+_LARGEST_WEIGHTS = 500 * MEGABYTE
 
 
 class NetworkFile(FunctionFile):
@@ -42,7 +45,7 @@ def load_network(path: Path, data: Any) -> NetworkModel:  # noqa: ANN401 - what 
     content = check(NetworkFile, data, str(path))
     place = path.parent / content.weights
     try:
-        packed = place.read_bytes()
+        packed = read_input(place, _LARGEST_WEIGHTS)
     except OSError as error:
         raise ConfigError(
             f"{path}: weights: {place} cannot be read ({error.strerror or error}); keep both files together"

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import StrictModel
+from diffdrive_mpc.models.editor_line import kept_editor_line
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.velocity_model import VelocityModel
 
@@ -124,7 +125,8 @@ def build_model(data: ModelFile) -> VelocityModel:
 def write_parameters(path: Path, head: str, content: ParameterFile, **more: object) -> None:
     """Write a parameter file: a line of comment, what it is and where it comes from, its numbers, `more`.
 
-    What is at its default is left out. Raises OSError if the file cannot be written.
+    What is at its default is left out; the line for editors of a file that was there stays. Raises OSError if the file
+    cannot be written.
     """
     data = content.model_dump(exclude_none=True, exclude_defaults=True) | more
     first = list(ParameterFile.model_fields)
@@ -132,7 +134,7 @@ def write_parameters(path: Path, head: str, content: ParameterFile, **more: obje
     ordered |= {key: value for key, value in data.items() if key not in (*first, "uncertainty")}
     ordered |= {key: data[key] for key in ("uncertainty",) if key in data}
     text = yaml.safe_dump(ordered, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
-    path.write_text(f"# {head}\n{text}", encoding="utf-8")
+    path.write_text(f"{kept_editor_line(path)}# {head}\n{text}", encoding="utf-8")
 
 
 def structure_name(schema: type[ModelFile]) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.models.plain_text import plain_line
 from diffdrive_mpc.mpc.core.functions import OUTPUT, STEP, term_name
 from diffdrive_mpc.mpc.core.layout import constant_fields
 from diffdrive_mpc.mpc.core.library import load_core
@@ -91,7 +92,7 @@ def trajectory_texts(reference: Reference, spacing: float) -> dict[str, str]:
     header = (
         "#ifndef DDMPC_TRAJECTORY_H\n#define DDMPC_TRAJECTORY_H\n\n"
         '#include "core.h"\n\n'
-        f"/* {reference.name.replace('*/', '* /')} */\n"
+        f"/* {_comment(reference.name)} */\n"
         f"extern const ddmpc_trajectory {name};\n#define DDMPC_TRAJECTORY {name}\n\n#endif\n"
     )
     return {"trajectory.c": "\n\n".join(parts), "trajectory.h": header}
@@ -141,6 +142,11 @@ def _number(value: float) -> str:
     if np.isnan(value):
         raise ValueError("a constant is not a number")
     return repr(float(value)) if np.isfinite(value) else f"{'-' if value < 0 else ''}INFINITY"
+
+
+def _comment(text: str) -> str:
+    """`text` without what ends a comment, joins lines, or a compiler warns of."""
+    return re.sub(r"[*/\\?]", "_", plain_line(text, longest=80))
 
 
 def _identifier(name: str) -> str:

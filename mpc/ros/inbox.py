@@ -82,7 +82,7 @@ class Inbox:
             if not settings.use_pose_topic:
                 check_frame(message.header.frame_id, settings.odom_frame, "odom_frame")
                 pose = odometry_pose(message, self._epoch)
-            self.odometry.accept(twist.time, self.now)
+            self.odometry.accept(twist.time, self.now, self._settings.odom_timeout)
         except MessageError as error:
             self.odometry.refuse(str(error))
             return
@@ -94,7 +94,7 @@ class Inbox:
         """Take in the yaw rate of the gyro."""
         try:
             yaw_rate = imu_yaw_rate(message, self._epoch)
-            self.imu.accept(yaw_rate.time, self.now)
+            self.imu.accept(yaw_rate.time, self.now, self._settings.odom_timeout)
         except MessageError as error:
             self.imu.refuse(str(error))
             return
@@ -105,7 +105,7 @@ class Inbox:
         try:
             check_frame(message.header.frame_id, self._settings.map_frame, "map_frame")
             pose = measured_pose(message, self._epoch, covariance=self._settings.pose_covariance)
-            self.pose.accept(pose.time, self.now)
+            self.pose.accept(pose.time, self.now, self._settings.odom_timeout)
         except MessageError as error:
             self.pose.refuse(str(error))
             return

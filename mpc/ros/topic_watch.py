@@ -38,14 +38,17 @@ class TopicWatch:
         """Forget the stamps: the next message is the first."""
         self._stamp: float | None = None
 
-    def accept(self, stamp: float, now: float) -> None:
+    def accept(self, stamp: float, now: float, ahead: float) -> None:
         """Take in a good message with `stamp` [s], arrived at `now` [s].
 
         Raises
         ------
         MessageError
-            If its stamp is not newer than that of the last.
+            If its stamp is more than `ahead` [s] in the future, or not newer than that of the last. A refused stamp is
+            not remembered: the next good message counts.
         """
+        if stamp - now > ahead:
+            raise MessageError(f"its stamp is {stamp - now:.3f} s in the future: are the clocks in step?")
         if self._stamp is not None and stamp <= self._stamp:
             raise MessageError(f"its stamp is {self._stamp - stamp:.3f} s before the last; reset if the clock was set")
         self._stamp, self.delay, self.reason = stamp, now - stamp, ""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+from io import TextIOWrapper
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.input_file import open_input
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.settings import load_settings
@@ -64,7 +66,7 @@ def lay_timed_poses(rows: FloatArray, limits: TrajectoryLimits, *, name: str, wh
 def _read(path: Path) -> FloatArray:
     """Columns t, x, y, theta of the file, (m, 4), checked for form."""
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
+        with TextIOWrapper(open_input(path), encoding="utf-8-sig", newline="") as file:
             reader = csv.reader(file)
             header = [cell.strip() for cell in next(reader, [])]
             lines = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]

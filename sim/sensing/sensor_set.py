@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked, load_variation
 from diffdrive_mpc.models.named_file import named_file
-from diffdrive_mpc.models.robot import NotNegative
 
 SENSOR_SETS = Path(__file__).parent / "sensor_sets"
+Deviation = Annotated[float, Field(ge=0, le=1e3)]
+"""A standard deviation [m, rad or rad/s]: beyond a kilometre or a thousand turns nothing is measured."""
 
 
 class PoseSensor(StrictModel):
@@ -19,9 +21,9 @@ class PoseSensor(StrictModel):
     # Poses on the way number latency over period: without both bounds a slip of the pen fills the memory.
     period: float | None = Field(ge=1e-3, description="time between poses [s]; null: every control sample")
     latency: float = Field(ge=0, le=2, description="from the instant a pose describes to its delivery [s]")
-    position_sd: NotNegative = Field(description="standard deviation of x and of y [m]")
-    heading_sd: NotNegative = Field(description="standard deviation of theta [rad]")
-    stated_position_sd: NotNegative | None = Field(
+    position_sd: Deviation = Field(description="standard deviation of x and of y [m]")
+    heading_sd: Deviation = Field(description="standard deviation of theta [rad]")
+    stated_position_sd: Deviation | None = Field(
         default=None, description="what the pose says of position_sd [m]; null: the truth"
     )
     stamped_on_arrival: bool = Field(
@@ -32,14 +34,14 @@ class PoseSensor(StrictModel):
 class Gyro(StrictModel):
     """Yaw-rate gyro."""
 
-    noise_sd: NotNegative = Field(description="standard deviation of the white noise of a sample [rad/s]")
-    bias_sd: NotNegative = Field(description="standard deviation of the bias over seeds; constant in a run [rad/s]")
+    noise_sd: Deviation = Field(description="standard deviation of the white noise of a sample [rad/s]")
+    bias_sd: Deviation = Field(description="standard deviation of the bias over seeds; constant in a run [rad/s]")
 
 
 class Encoders(StrictModel):
     """Speed estimates of the motor drivers."""
 
-    speed_sd: NotNegative = Field(description="standard deviation of one wheel's speed estimate [rad/s]; 0: exact")
+    speed_sd: Deviation = Field(description="standard deviation of one wheel's speed estimate [rad/s]; 0: exact")
 
 
 class SensorSet(StrictModel):

@@ -18,8 +18,7 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 runner = CliRunner()
 ROOT = Path(__file__).parents[2]
-SCHEMA = ROOT / "docs" / "schema" / "controller.schema.json"
-PARAMETERS = ROOT / "mpc" / "config" / "parameters"
+SCHEMA = ROOT / "mpc" / "schemas" / "controller.schema.json"
 
 
 def test_a_shown_configuration_is_a_file_with_the_same_values(tmp_path: Path) -> None:
@@ -71,25 +70,12 @@ def test_the_json_schema_is_written_to_a_file(tmp_path: Path) -> None:
     assert [entry.name for entry in tmp_path.iterdir()] == ["new"]
 
 
-def test_the_shipped_json_schema_is_up_to_date() -> None:
-    """If not: diffdrive-mpc config schema --json --out docs/schema/controller.schema.json."""
-    assert SCHEMA.read_text(encoding="utf-8") == runner.invoke(app, ["config", "schema", "--json"]).stdout
-
-
 def test_every_number_in_the_json_schema_says_what_it_is() -> None:
     groups = json.loads(SCHEMA.read_text(encoding="utf-8"))
     for group in (groups, *groups["$defs"].values()):
         for name, field in group["properties"].items():
             if field.get("type") in ("number", "integer"):
                 assert re.search(r"\w.* \[.+\]$", field["description"]), name
-
-
-@pytest.mark.parametrize("path", sorted(PARAMETERS.glob("*.yaml")), ids=lambda path: path.name)
-def test_shipped_configurations_name_the_schema_to_editors(path: Path) -> None:
-    first = path.read_text(encoding="utf-8").splitlines()[0]
-    named = re.fullmatch(r"# yaml-language-server: \$schema=(\S+)", first)
-    assert named
-    assert (path.parent / named[1]).resolve() == SCHEMA
 
 
 def test_a_model_is_shown_with_its_numbers_and_origin() -> None:

@@ -58,6 +58,7 @@ class FakeBase:
         self.times = []
         self.tamper = lambda odometry: odometry
         self.held = False
+        self.ahead = 0  # by how much stamps of sensors lie in the future [ns]
         self.gyro = True
 
     @property
@@ -82,7 +83,7 @@ class FakeBase:
     def publish_sensors(self):
         measured = self.plant.measure()
         odometry = Odometry(child_frame_id="base_link")
-        odometry.header.stamp, odometry.header.frame_id = time_message(self.now), "odom"
+        odometry.header.stamp, odometry.header.frame_id = time_message(self.now + self.ahead), "odom"
         odometry.pose.pose = pose_message(measured.pose.value)
         odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = map(float, measured.wheel_twist.value)
         odometry = self.tamper(odometry)
@@ -92,13 +93,13 @@ class FakeBase:
             self.publish_imu(measured.yaw_rate.value)
         if self.pose_topic:
             pose = PoseWithCovarianceStamped()
-            pose.header.stamp, pose.header.frame_id = time_message(self.now), "map"
+            pose.header.stamp, pose.header.frame_id = time_message(self.now + self.ahead), "map"
             pose.pose.pose = pose_message(measured.pose.value)
             self.pose.publish(pose)
 
     def publish_imu(self, yaw_rate):
         imu = Imu()
-        imu.header.stamp, imu.header.frame_id = time_message(self.now), "base_link"
+        imu.header.stamp, imu.header.frame_id = time_message(self.now + self.ahead), "base_link"
         imu.angular_velocity.z = float(yaw_rate)
         self.imu.publish(imu)
 

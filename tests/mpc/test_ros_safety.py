@@ -65,6 +65,11 @@ def an_hour_ago(odometry):
     return odometry
 
 
+def far_ahead(odometry):
+    odometry.header.stamp.sec += 1000
+    return odometry
+
+
 @pytest.mark.parametrize(
     ("tamper", "reason"),
     [
@@ -75,6 +80,7 @@ def an_hour_ago(odometry):
         (other_child_frame, "its child_frame_id is 'laser', expected 'base_link'"),
         (no_orientation, "no unit quaternion"),
         (an_hour_ago, "s before the last"),
+        (far_ahead, "s in the future: are the clocks in step?"),
     ],
 )
 def test_without_good_odometry_it_brakes_stands_and_drives_on(tamper, reason):
@@ -95,6 +101,24 @@ def test_without_good_odometry_it_brakes_stands_and_drives_on(tamper, reason):
         assert s.loop.last.mode == Mode.TRACKING
         assert again[-1, 0] > 0.3
         assert_smooth(np.vstack([good, late, braking, stopped, again]))
+
+
+@pytest.mark.parametrize("ahead", [1.0, 100.0, 1000.0])
+def test_one_stamp_from_the_future_costs_one_message(ahead):
+    """Of each topic, on the way: what comes after it is believed as before."""
+    with stack(drive=True, pose_topic=True) as s:
+        s.base.run(30)
+        topics = s.node._inbox.topics
+        before = [topic.accepted for topic in topics]
+        s.base.ahead = int(ahead * 1e9)
+        s.base.run(1)
+        s.base.ahead = 0
+        commands = s.base.run(20)
+        assert s.loop.last.mode == Mode.TRACKING
+        assert [topic.accepted for topic in topics] == [count + 20 for count in before]
+        assert all("s in the future" in topic.last_refusal for topic in topics)
+        assert not any(topic.reason for topic in topics)
+        assert commands[-1, 0] > 0.1
 
 
 def test_without_leave_to_resume_it_waits_for_start():

@@ -20,6 +20,7 @@ from scipy.optimize import minimize_scalar
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.editor_line import kept_editor_line
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import PARAMETERS, load_linear_model
 from diffdrive_mpc.models.logs.geometry import identify_track, side_difference
@@ -119,15 +120,18 @@ def fit_models(
         announce(0, IDENTIFICATIONS)
         logs = run_experiments()
         sm, mbm = _fit_sm(logs, identify), _fit_mbm(logs, identify)
-        _write(stage / "sm.yaml", sm, (logs.v, logs.omega), day)
-        _write(stage / "mbm.yaml", mbm, (logs.wheels, logs.omega), day)
+        _write(stage / "sm.yaml", sm, (logs.v, logs.omega), day, folder)
+        _write(stage / "mbm.yaml", mbm, (logs.wheels, logs.omega), day, folder)
     warnings = [f"{name}: {text}" for name, data in (("MBM", mbm), ("SM", sm)) for text in data["warnings"]]
     return validation_table(folder), warnings
 
 
-def _write(path: Path, data: dict[str, Any], used: tuple[list[Drive], list[Drive]], day: str) -> None:
-    """Write a parameter file, load it as a user would, and add the FIT of what was loaded."""
-    name = path.stem
+def _write(path: Path, data: dict[str, Any], used: tuple[list[Drive], list[Drive]], day: str, replaced: Path) -> None:
+    """Write a parameter file, load it as a user would, and add the FIT of what was loaded.
+
+    A file of the same name in the folder `replaced` keeps its line for editors.
+    """
+    name, line = path.stem, kept_editor_line(replaced / path.name)
     data["provenance"] = {
         "origin": "identified",
         "source": _SOURCE,
@@ -135,13 +139,13 @@ def _write(path: Path, data: dict[str, Any], used: tuple[list[Drive], list[Drive
         "experiments": [_describe(logs, row) for row, logs in enumerate(used)],
         "date": day,
     }
-    path.write_text(_yaml(name, data), encoding="utf-8")
+    path.write_text(line + _yaml(name, data), encoding="utf-8")
     model = load_linear_model(path)
     data["fit_percent"] = {
         channel: round(_model_fit(model, logs, row), 2)
         for row, (channel, logs) in enumerate(zip(CHANNELS, used, strict=True))
     }
-    path.write_text(_yaml(name, data), encoding="utf-8")
+    path.write_text(line + _yaml(name, data), encoding="utf-8")
 
 
 def validation_table(folder: Path = PARAMETERS) -> Table:

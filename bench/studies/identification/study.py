@@ -26,6 +26,7 @@ from diffdrive_mpc.models.identification.log_data import OptionError
 from diffdrive_mpc.models.logs import Finding, Log
 from diffdrive_mpc.models.logs.diagnosis import summary
 from diffdrive_mpc.models.logs.record import counted
+from diffdrive_mpc.models.plain_text import plain_line
 from diffdrive_mpc.mpc import load_config
 
 
@@ -109,7 +110,7 @@ def _print_verdict(outcome: _Outcome, out: Path, force: bool) -> None:
 def _print_log(log: Log) -> None:
     _print_line(log.name)
     for line in summary(log):
-        _print_line(f"  {line}")
+        _print_line(line, indent="  ")
 
 
 def _print_findings(findings: Sequence[Finding]) -> None:
@@ -137,5 +138,5 @@ def _print(found: Identification, out: Path) -> None:
     _print_line(f"estimated in {report.fitted.seconds:.1f} s; written to {out}")
 
 
-def _print_line(text: str) -> None:
-    output_console().print(text, markup=False, highlight=False, soft_wrap=True)
+def _print_line(text: str, indent: str = "") -> None:
+    output_console().print(indent + plain_line(text), markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,1 @@
+"""What is there on this computer, what it means for the controller, and what to do about it."""
