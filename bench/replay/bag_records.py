@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -42,7 +42,7 @@ def read_records(reader: Reader, path: Path, topics: tuple[str, str], scratch: P
     if not ticks:
         raise ConfigError(f"{path}: topic '{topics[0]}' holds no tick")
     by_number = dict(drives)
-    configs = {key: _config(drive, scratch) for key, drive in drives}
+    configs = {key: recorded_config(drive.config, drive.model, scratch) for key, drive in drives}
     found: list[Tick] = []
     approximated: list[str] = []
     now: tuple[int, int] | None = None
@@ -95,12 +95,12 @@ def _numbered(records: Sequence[Any]) -> list[tuple[tuple[int, int], Any]]:
     return found
 
 
-def _config(drive: DriveRecord, scratch: Path) -> ControllerConfig:
-    """The configuration of a drive, its model in a file of its own where it is none that ships."""
-    values = dict(drive.config)
-    if drive.model:
-        file = scratch / f"{hashlib.sha256(drive.model.encode()).hexdigest()[:12]}.yaml"
-        file.write_text(drive.model, encoding="utf-8")
+def recorded_config(config: Mapping[str, Any], model: str, scratch: Path) -> ControllerConfig:
+    """A configuration from a log; the text of a `model` that does not ship goes into a file in `scratch`."""
+    values = dict(config)
+    if model:
+        file = scratch / f"{hashlib.sha256(model.encode()).hexdigest()[:12]}.yaml"
+        file.write_text(model, encoding="utf-8")
         values["model"] = str(file)
     return load_config(values)
 

@@ -22,8 +22,8 @@ _SAME = 1e-9
 def logged_reference(columns: Mapping[str, FloatArray], name: str) -> Trajectory | None:
     """What was tracked at each tick as a trajectory whose time 0 is the first tick; None where it is not in the log.
 
-    Where it is one that ships that one is taken. Of another it is the reference itself at the ticks, so a controller that
-    is on time sees what the recorded one saw; it ends at the first tick from which on the reference rests.
+    Where it is one that ships that one is taken. Of another it is the reference itself at the ticks, so a controller
+    that is on time sees what the recorded one saw; it ends at the first tick from which on the reference rests.
     """
     if not set(_POSE + _TWIST) <= set(columns) or len(columns["t_s"]) < 2:
         return None
@@ -35,7 +35,7 @@ def logged_reference(columns: Mapping[str, FloatArray], name: str) -> Trajectory
 
 
 def shipped(pose: FloatArray, twist: FloatArray, time: FloatArray) -> Trajectory | None:
-    """The trajectory that ships and has these poses (m, 3) and twists (m, 2) at `time` (m,) [s]; None: there is none."""
+    """The trajectory that ships with these poses (m, 3) and twists (m, 2) at `time` (m,) [s]; None without one."""
     for name in BUILT_IN:
         for timing in (None, *TIMINGS):
             found = load_trajectory(name, timing=timing)

@@ -9,12 +9,13 @@ from typing import Literal
 import numpy as np
 
 from diffdrive_mpc.bench.replay.bag import read_bag_drive
-from diffdrive_mpc.bench.replay.own_csv import is_own_csv, read_own_csv
+from diffdrive_mpc.bench.replay.own_log import is_own_csv, read_own_csv, read_own_mcap
 from diffdrive_mpc.bench.replay.pose_stand_in import STAND_IN
 from diffdrive_mpc.bench.replay.recording import Recording
 from diffdrive_mpc.bench.replay.signals import read_mapped_csv
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs.bags import is_bag
+from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log
 from diffdrive_mpc.models.logs.mapping import load_mapping
 
 PoseSource = Literal["log", "odometry"]
@@ -48,7 +49,9 @@ def read_recording(
         raise ConfigError(f"{path}: there is no such file or folder")
     stand_in = pose == "odometry"
     loaded = None if mapping is None else load_mapping(mapping)
-    if is_bag(path):
+    if loaded is None and not stand_in and is_drive_log(path):
+        found = read_own_mcap(path, scratch)
+    elif is_bag(path):
         found = read_bag_drive(path, loaded, sample_time, scratch, stand_in=stand_in)
     elif loaded is None and is_own_csv(path) and not stand_in:
         found = read_own_csv(path)

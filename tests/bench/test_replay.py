@@ -13,7 +13,7 @@ from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.bench.late_plant import LatePlant
 from diffdrive_mpc.bench.replay.open_loop import replay
-from diffdrive_mpc.bench.replay.own_csv import read_own_csv
+from diffdrive_mpc.bench.replay.own_log import read_own_csv
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.sim import simulate
@@ -167,3 +167,23 @@ def test_a_path_of_ones_own_is_known_at_the_ticks_and_said_to_be_so(tmp_path):
     again = replay(recording, config, recording.references, as_recorded=False)
     assert np.abs(again.command - run.command).max() < 1e-9
     assert "--trajectory with its file makes that exact" in recording.approximated[0]
+
+
+def test_an_mcap_log_replays_to_the_same_bits_with_its_own_configuration(tmp_path):
+    """Also a model of one's own comes with the file."""
+    model = tmp_path / "mine.yaml"
+    model.write_text((Path(__file__).parents[2] / "models" / "parameters" / "sm.yaml").read_text())
+    config = tmp_path / "config.yaml"
+    config.write_text("model: mine.yaml\nhorizon: 20\nweights: {across: 90.0}\n")
+    log = tmp_path / "drive.mcap"
+    words = ["simulate", "--config", config, "--trajectory", "cane", "--plant", "model:sm", "--log", log]
+    result = runner.invoke(app, list(map(str, words)))
+    assert result.exit_code == 0, result.output
+    for file in (model, config):
+        file.unlink()
+    code, said = run_replay(log, "--out", tmp_path / "out")
+    assert code == 0, said
+    found = json.loads((tmp_path / "out" / "replay.json").read_text())
+    assert found["commands"][0]["largest"] == [0.0, 0.0] and found["meta"]["config"]["horizon"] == 20
+    code, said = run_replay(log, "--out", tmp_path / "other", "--set", "weights.across=500")
+    assert code == 0 and "differ at" in said

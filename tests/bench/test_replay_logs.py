@@ -12,7 +12,7 @@ from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.bench.replay.assembly import Readings, assembled, on_grid
 from diffdrive_mpc.bench.replay.driven_path import driven_paths
-from diffdrive_mpc.bench.replay.own_csv import read_own_csv
+from diffdrive_mpc.bench.replay.own_log import read_own_csv
 from diffdrive_mpc.bench.replay.reading import from_mid_drive, read_recording
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.log_csv import write_log
