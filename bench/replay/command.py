@@ -20,6 +20,5 @@ def replay_into(asked: Asked, out: Path) -> None:
     console = output_console()
     lines = [agreement(found, by_controller=recording.by_controller), found.plan.reference_words]
     lines += [*recording.approximated, *recording.findings]
-    lines += [f"- {one.what} To do: {one.remedy}." for one in found.said]
     for line in lines:
         console.print(line, markup=False, highlight=False)

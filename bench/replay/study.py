@@ -16,11 +16,19 @@ from diffdrive_mpc.bench.replay.dead_time import DeadTimeWatch
 from diffdrive_mpc.bench.replay.driven_path import DRIVEN, driven_paths
 from diffdrive_mpc.bench.replay.figures import draw_commands, draw_path, draw_trust
 from diffdrive_mpc.bench.replay.open_loop import Replayed, replay
+from diffdrive_mpc.bench.replay.page import replay_page
 from diffdrive_mpc.bench.replay.reading import PoseSource, from_mid_drive, read_recording, up_to
 from diffdrive_mpc.bench.replay.recording import Recording, Tick
 from diffdrive_mpc.bench.replay.replay_csv import read_commands
 from diffdrive_mpc.bench.replay.statistics import Difference, SensorRow, difference, sensor_rows
-from diffdrive_mpc.bench.replay.tables import command_table, message_table, sensor_table, share_table, time_table
+from diffdrive_mpc.bench.replay.tables import (
+    command_table,
+    message_table,
+    sensor_table,
+    share_table,
+    time_table,
+    verdict_table,
+)
 from diffdrive_mpc.bench.replay.verdicts import Evidence, Verdict, verdicts
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.sweep import single_settings
@@ -243,6 +251,7 @@ class ReplayStudy(Study[ReplayPlan, Found]):
         modes = {RECORDED: [tick.mode for tick in recording.ticks]}
         paths = {RECORDED: [tick.solver_path for tick in recording.ticks]}
         tables = [
+            verdict_table(results.said),
             command_table(results.pairs),
             share_table("Modes", modes | {who: list(one.modes) for who, one in replays.items()}, counted),
             share_table("Solver paths", paths | {who: list(one.solver_paths) for who, one in replays.items()}, counted),
@@ -257,7 +266,6 @@ class ReplayStudy(Study[ReplayPlan, Found]):
             plan.reference_words,
             *recording.approximated,
             *recording.findings,
-            *(f"{one.what} To do: {one.remedy}." for one in results.said),
         ]
         return Report(
             counted=f"{len(time)} ticks",
@@ -270,6 +278,9 @@ class ReplayStudy(Study[ReplayPlan, Found]):
                 "path.png": partial(draw_path, recording, replayed, plan.references, counted),
                 "trust.png": partial(draw_trust, recording, replayed, counted),
             },
+            shown=replay_page(
+                recording, replays, plan.references, counted, results.pairs[RECORDED, REPLAYED], results.said
+            ),
         )
 
 

@@ -10,11 +10,18 @@ import numpy as np
 from diffdrive_mpc.bench.replay.open_loop import Replayed
 from diffdrive_mpc.bench.replay.recording import Recording
 from diffdrive_mpc.bench.replay.statistics import Difference, SensorRow, shares
+from diffdrive_mpc.bench.replay.verdicts import Verdict
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.logs.record import BoolArray
 
 _SAID = 12
 _WORDS = 160
+
+
+def verdict_table(said: Sequence[Verdict]) -> Table:
+    """What the log tells, and what can be done."""
+    rows = tuple((one.what, one.remedy) for one in said)
+    return Table("Worth a look", ("what the log shows", "what to do"), rows, 2)
 
 
 def command_table(pairs: Mapping[tuple[str, str], Difference]) -> Table:

@@ -142,7 +142,9 @@ def _dead_time(of: Evidence, settings: ReplaySettings) -> Iterator[Verdict]:
     for i, name in enumerate(CHANNELS):
         value, deviation, used = float(found.value[i]), float(found.deviation[i]), float(found.used[i])
         wrong = value - used
-        if not (deviation < settings.dead_time_deviation and abs(wrong) > settings.dead_time_wrong):
+        # Less than half a sample, or than what is not known of it, changes nothing.
+        least = max(settings.dead_time_wrong, 0.5 * of.replayed.config.sample_time, 2.0 * deviation)
+        if not (deviation < settings.dead_time_deviation and abs(wrong) > least):
             continue
         word = "too short" if wrong > 0 else "too long"
         yield Verdict(
