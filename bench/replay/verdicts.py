@@ -150,8 +150,8 @@ def _dead_time(of: Evidence, settings: ReplaySettings) -> Iterator[Verdict]:
         yield Verdict(
             f"The dead time of {name} is {word}: readings answer to commands after {value:.3f} s (±{deviation:.3f} s), "
             f"the controller counts on {used:.3f} s.",
-            f"change extra_dead_time.{name} by {wrong:+.3f}, and replay again, unless it is the readings themselves that "
-            "come late by so much; identify tells the two apart where there are poses and a gyro",
+            f"change extra_dead_time.{name} by {wrong:+.3f}, and replay again, unless the readings themselves come "
+            "late by so much; identify tells the two apart where there are poses and a gyro",
         )
 
 
