@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,14 +33,25 @@ def record_topics(reader: Reader) -> tuple[str, str] | None:
 
 
 def read_records(reader: Reader, path: Path, topics: tuple[str, str], scratch: Path) -> Recording:
-    """Read them; model files that are not shipped are put into `scratch`. Raises ConfigError where there is no tick."""
+    """The drive of a bag with these topics; errors are those of `recorded_drive`."""
+    of_ticks, of_drives = (_lines(reader, name) for name in topics)
+    return recorded_drive(path, "bag of the node", of_ticks, of_drives, scratch)
+
+
+def recorded_drive(
+    path: Path, source: str, of_ticks: Iterable[str], of_drives: Iterable[str], scratch: Path
+) -> Recording:
+    """The drive that lines of its ticks and drives tell; model files that are not shipped are put into `scratch`.
+
+    Raises ConfigError where a line is none, or there is no tick.
+    """
     try:
-        ticks = _numbered([TickRecord.read(line) for line in _lines(reader, topics[0])])
-        drives = _numbered([DriveRecord.read(line) for line in _lines(reader, topics[1])])
+        ticks = _numbered([TickRecord.read(line) for line in of_ticks])
+        drives = _numbered([DriveRecord.read(line) for line in of_drives])
     except TickRecordError as error:
-        raise ConfigError(f"{path}, {topics[0]}: {error}") from error
+        raise ConfigError(f"{path}: {error}") from error
     if not ticks:
-        raise ConfigError(f"{path}: topic '{topics[0]}' holds no tick")
+        raise ConfigError(f"{path}: no tick at which the controller drove is in it")
     by_number = dict(drives)
     configs = {key: recorded_config(drive.config, drive.model, scratch) for key, drive in drives}
     found: list[Tick] = []
@@ -61,7 +72,7 @@ def read_records(reader: Reader, path: Path, topics: tuple[str, str], scratch: P
             f"{missing} ticks are missing from the bag: commands differ after each gap until the estimate has settled."
         )
     config = next((one for one in configs.values()), None)
-    return Recording(path.name, "bag of the node", tuple(found), config=config, approximated=tuple(approximated))
+    return Recording(path.name, source, tuple(found), config=config, approximated=tuple(approximated))
 
 
 def _begin(

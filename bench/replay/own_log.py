@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from diffdrive_mpc.bench.replay.bag_records import recorded_config
+from diffdrive_mpc.bench.replay.bag_records import recorded_config, recorded_drive
 from diffdrive_mpc.bench.replay.logged_reference import logged_reference
 from diffdrive_mpc.bench.replay.recording import Recording, Start, Tick
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -19,8 +19,10 @@ from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.load import MODEL_NAMES
 from diffdrive_mpc.models.logs.csv_log import OWN_FORMAT
 from diffdrive_mpc.models.logs.csv_table import read_header
-from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
+from diffdrive_mpc.models.logs.drive_log.reader import messages, read_drive_log
+from diffdrive_mpc.models.logs.drive_log.ros_messages import decoded
 from diffdrive_mpc.models.logs.drive_log.tick import TOLD, measurement_of
+from diffdrive_mpc.models.logs.drive_log.topics import DRIVE, TICK
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.mpc import ControllerConfig
 
@@ -56,14 +58,29 @@ def read_own_csv(path: Path) -> Recording:
 
 
 def read_own_mcap(path: Path, scratch: Path) -> Recording:
-    """Read a log that `simulate --log FILE.mcap` has written; its model is put into `scratch` where it ships not."""
+    """Read a log of `simulate --log FILE.mcap` or of a node; its model is put into `scratch` where it ships not."""
     log = read_drive_log(path)
+    if log.metadata.get("case", {}).get("recorded_by") == "node":
+        return _of_node(path, scratch, cut=log.cut)
     columns = log.columns
     numbers = {name: column for name, column in columns.items() if column.dtype != object}
     texts = {name: list(columns[name]) for name in _TEXTS}
     recording = _recording(path, "MCAP log of `diffdrive-mpc simulate`", (numbers, texts), log.measurements)
-    findings = (f"{path.name}: the file is cut off; its last whole part counts",) if log.cut else ()
-    return replace(recording, config=_config(log.metadata, scratch), findings=findings)
+    return replace(recording, config=_config(log.metadata, scratch), findings=_cut(path, cut=log.cut))
+
+
+def _of_node(path: Path, scratch: Path, *, cut: bool) -> Recording:
+    """What a node has recorded: it says of each tick what its controller was asked."""
+    lines: dict[str, list[str]] = {TICK: [], DRIVE: []}
+    for kind, channel, message in messages(path):
+        if channel.topic in lines:
+            lines[channel.topic].append(str(decoded(kind, message.data).data))
+    found = recorded_drive(path, "MCAP log of the node", lines[TICK], lines[DRIVE], scratch)
+    return replace(found, findings=(*found.findings, *_cut(path, cut=cut)))
+
+
+def _cut(path: Path, *, cut: bool) -> tuple[str, ...]:
+    return (f"{path.name}: the file is cut off; its last whole part counts",) if cut else ()
 
 
 def _recording(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from geometry_msgs.msg import Point, Twist, TwistStamped, Vector3Stamped
@@ -14,7 +14,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import Marker
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
+from diffdrive_mpc.models.logs.drive_log.topics import DRIVE
 from diffdrive_mpc.mpc.ros.control_loop import Tick
 from diffdrive_mpc.mpc.ros.conversions import stamped_pose_message, time_message, twist_message
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
@@ -89,11 +89,10 @@ class Publishers:
         """Whether somebody listens to the records of ticks."""
         return bool(self._tick.get_subscription_count())
 
-    def record(self, drive: DriveRecord | None, tick: TickRecord | None) -> None:
-        """Send the records of a tick, and of the drive where it is a new one."""
-        for publisher, record in ((self._drive, drive), (self._tick, tick)):
-            if record is not None:
-                publisher.publish(String(data=record.line()))
+    def record(self, lines: Sequence[tuple[str, str]]) -> None:
+        """Send lines of the topics of ticks and drives, each with its topic."""
+        for topic, line in lines:
+            (self._drive if topic == DRIVE else self._tick).publish(String(data=line))
 
     def error(self, result: StepResult, time: int) -> None:
         """Send the tracking error: x along, y across [m], z heading [rad]."""

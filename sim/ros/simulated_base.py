@@ -15,6 +15,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 
+from diffdrive_mpc.models.logs.drive_log.topics import DRIVE, TICK
 from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.bag_recorder import MessageRecorder
@@ -23,7 +24,7 @@ from diffdrive_mpc.sim.ros.command_inbox import CommandInbox
 from diffdrive_mpc.sim.ros.odometry import Odometry
 
 # What the node says of each tick; with it a recording in real time, too, can be replayed exactly.
-_SAID_BY_CONTROLLER = ("/diffdrive_mpc/tick", "/diffdrive_mpc/drive")
+_SAID_BY_CONTROLLER = (TICK, DRIVE)
 # rclpy's throttling of repeated warnings [s].
 _WARN_EVERY = 1.0
 

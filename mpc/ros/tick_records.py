@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.models.logs.drive_log.topics import DRIVE, TICK
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
@@ -12,7 +13,7 @@ from diffdrive_mpc.mpc.ros.control_loop import Begun, Tick
 from diffdrive_mpc.mpc.trajectories.tabled import table_of
 
 
-class DriveRecorder:
+class TickRecords:
     """Numbers drives, and puts them and their ticks into records.
 
     Parameters
@@ -25,6 +26,11 @@ class DriveRecorder:
         self._controller = controller
         self._number = 0
         self._told: tuple[Begun, ControllerConfig] | None = None
+
+    def lines(self, begun: Begun, tick: Tick) -> list[tuple[str, str]]:
+        """What is to be said of a tick of the drive `begun`: a line and its topic, that of a new drive first."""
+        found = ((DRIVE, self.drive(begun)), (TICK, self.tick(tick)))
+        return [(topic, record.line()) for topic, record in found if record is not None]
 
     def drive(self, begun: Begun) -> DriveRecord | None:
         """The drive under way where that is another one than at the last call, or its configuration has changed."""

@@ -1,0 +1,165 @@
+"""Records what the active node hears, decides and says into an MCAP file, as `simulate --log` does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
+
+from diffdrive_mpc.models.load import model_path
+from diffdrive_mpc.models.logs.drive_log.recorder import DriveRecorder, Metadata
+from diffdrive_mpc.models.logs.drive_log.tick import Cell
+from diffdrive_mpc.models.logs.drive_log.topics import DIAGNOSTICS
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.ros.control_loop import Begun, Tick
+from diffdrive_mpc.mpc.ros.inbox import Inbox
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.step_result import StepResult
+
+# How long the node waits for the file to be there, before its first tick, and to be whole, after its last [s].
+_PATIENCE = 5.0
+_MOST_POSES = 500
+# What does not fit into one parcel to the process that writes would end the recording: such a reference is left out.
+_LONGEST_LINE = 100_000
+_ESTIMATE = ("x_m", "y_m", "theta_rad", "v_m_s", "omega_rad_s")
+_DEVIATION = ("x_sd_m", "y_sd_m", "theta_sd_rad", "v_sd_m_s", "omega_sd_rad_s")
+
+
+class Recording:
+    """The recording of one activation. It can fail, which it says once, but neither raises nor waits in between.
+
+    Parameters
+    ----------
+    settings, config
+        Of the node and of its controller.
+    frame
+        Frame that control is in.
+    logger
+        Of the node.
+    """
+
+    def __init__(self, settings: NodeSettings, config: ControllerConfig, frame: str, logger: Any) -> None:  # noqa: ANN401
+        path = Path(settings.record_folder).expanduser() / f"{datetime.now(UTC):%Y-%m-%dT%H-%M-%SZ}.mcap"
+        self._logger, self._warned = logger, False
+        self._period = round(1e9 * config.sample_time)
+        self._recorder = DriveRecorder(
+            path, _told(settings, config), patience=_PATIENCE, frame=frame, pose_topic=settings.use_pose_topic
+        )
+        if not self._recorder.fault:
+            logger.info(f"records into {self._recorder.path}")
+        self._warn()
+
+    @property
+    def incomplete(self) -> bool:
+        """Whether something is missing in the file."""
+        return bool(self._recorder.fault or self._recorder.lost)
+
+    @property
+    def words(self) -> str:
+        """How it goes."""
+        recorder = self._recorder
+        lost = f", {recorder.lost} messages lost: the disk is too slow" if recorder.lost else ""
+        return f"ended: {recorder.fault}" if recorder.fault else f"{recorder.path}{lost}"
+
+    def reference(self, begun: Begun, time: int) -> None:
+        """Record the path that begins at `time` [ns]."""
+        duration = begun.reference.duration
+        times = np.linspace(0.0, duration, min(_MOST_POSES, 2 + int(duration * 20)))
+        stamps = (time + np.round(times * 1e9).astype(np.int64)).tolist()
+        self._recorder.hand("reference", time, stamps, begun.reference.sample(times).pose)
+
+    def tick(self, tick: Tick, time: int, inbox: Inbox) -> None:
+        """Record one tick, which began at `time` [ns]."""
+        asked, result = tick.asked, tick.result
+        v, omega = tick.command.tolist()
+        row: dict[str, Cell] = {
+            "t_s": inbox.now if asked is None else asked.time,
+            "v_ref_m_s": v,
+            "omega_ref_rad_s": omega,
+            "mode": tick.mode,
+            "message": tick.message,
+            "solver_status": "",
+            "solver_path": "none",
+        }
+        if result is not None:
+            row |= _decided(result)
+        self._recorder.hand(
+            "tick",
+            time,
+            row,
+            measurement=None if asked is None else asked.measurement,
+            plan=None if result is None else result.plan,
+            period=self._period,
+            diagnose=False,
+        )
+
+    def record(self, lines: Sequence[tuple[str, str]], time: int) -> None:
+        """Record what is said of a tick, lines with their topics, so that it can be replayed."""
+        for topic, line in lines:
+            if len(line) <= _LONGEST_LINE:
+                self._recorder.hand("serialized", time, topic, serialize_message(String(data=line)))
+
+    def diagnostics(self, message: DiagnosticArray, time: int) -> None:
+        """Record what the node says of itself, and hear how the recording goes."""
+        self._recorder.hand("serialized", time, DIAGNOSTICS, serialize_message(message))
+        self._recorder.poll()
+        self._warn()
+
+    def close(self) -> None:
+        """End the file, after the robot's last command."""
+        self._recorder.close(_PATIENCE)
+        self._warn()
+
+    def _warn(self) -> None:
+        if self._recorder.fault and not self._warned:
+            self._warned = True
+            self._logger.warning(f"recording has ended: {self._recorder.fault}; the robot is not concerned")
+
+
+def _decided(result: StepResult) -> dict[str, Cell]:
+    """What a step says, as cells of its row."""
+    solver, estimate, reference = result.solver, result.estimate, result.reference
+    cells: dict[str, Cell] = {
+        "solver_status": str(solver.status),
+        "solver_path": str(solver.path),
+        "solver_iterations": float(solver.iterations),
+        "step_time_s": result.step_time,
+        "solve_time_s": result.solve_time,
+    }
+    if estimate is not None:
+        values = [*estimate.pose.tolist(), *estimate.twist.tolist()]
+        deviations = [*estimate.pose_deviation.tolist(), *estimate.twist_deviation.tolist()]
+        cells |= zip((f"estimate_{name}" for name in _ESTIMATE), values, strict=True)
+        cells |= zip((f"estimate_{name}" for name in _DEVIATION), deviations, strict=True)
+    if reference is not None:
+        cells |= zip(("reference_x_m", "reference_y_m", "reference_theta_rad"), reference[0].tolist(), strict=True)
+    return cells
+
+
+def _told(settings: NodeSettings, config: ControllerConfig) -> Metadata:
+    """What the file says of the drive, by name of the record."""
+    try:
+        release = version("diffdrive-mpc")
+    except PackageNotFoundError:
+        release = "not installed"
+    plain = config.model_dump(mode="json")
+    told = {
+        "version": release,
+        "recorded_by": "node",
+        "model": Path(config.model).stem,
+        "trajectory": settings.trajectory,
+    }
+    return {
+        "case": told | {"trajectory": settings.trajectory},
+        "node": {"yaml": yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False)},
+        "configuration": {"yaml": yaml.safe_dump(plain, sort_keys=False, allow_unicode=True)},
+        "model": {"yaml": model_path(config.model).read_text(encoding="utf-8")},
+    }
