@@ -17,6 +17,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, Reference, TrackingController
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.models.logs.drive_log.tick import Cell, TickRow, decided_cells, error_cells, measured_cells, numbers
+from diffdrive_mpc.models.path_times import path_times
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim.plants.plant import Plant
 
@@ -93,7 +94,7 @@ class ShownController:
         """Pass on, and show the path."""
         self._controller.start(reference, t0)
         self._reference, self._t0 = reference, t0
-        self._view.reference(path_of(reference))
+        self._view.reference(reference.sample(path_times(reference.duration)).pose)
 
     def step(self, t: float, measurement: Measurement) -> ControlStep:
         """Pass on, and show what was said."""
@@ -117,11 +118,6 @@ def _blueprint() -> Any:  # noqa: ANN401 - rerun is optional
         views.Spatial3DView(origin="path", name="path"), views.TextLogView(origin="mode"), row_shares=[4, 1]
     )
     return views.Blueprint(views.Horizontal(scene, views.Vertical(*numbers_over_time)), collapse_panels=True)
-
-
-def path_of(reference: Reference) -> FloatArray:
-    """(n, 3) poses along a reference, twenty a second."""
-    return reference.sample(np.linspace(0.0, reference.duration, 2 + int(20 * reference.duration))).pose
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.drive_log.recorder import DriveRecorder, Metadata
 from diffdrive_mpc.models.logs.drive_log.tick import Cell, decided_cells
 from diffdrive_mpc.models.logs.drive_log.topics import DIAGNOSTICS
+from diffdrive_mpc.models.path_times import path_times
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.ros.control_loop import Begun, Tick
 from diffdrive_mpc.mpc.ros.inbox import Inbox
@@ -25,7 +26,6 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 # How long the node waits for the file to be there, before its first tick, and to be whole, after its last [s].
 _PATIENCE = 5.0
-_MOST_POSES = 500
 # What does not fit into one parcel to the process that writes would end the recording: such a reference is left out.
 _LONGEST_LINE = 100_000
 _REFERENCE = ("reference_x_m", "reference_y_m", "reference_theta_rad")
@@ -69,8 +69,7 @@ class Recording:
 
     def reference(self, begun: Begun, time: int) -> None:
         """Record the path that begins at `time` [ns]."""
-        duration = begun.reference.duration
-        times = np.linspace(0.0, duration, min(_MOST_POSES, 2 + int(duration * 20)))
+        times = path_times(begun.reference.duration)
         stamps = (time + np.round(times * 1e9).astype(np.int64)).tolist()
         self._recorder.hand("reference", time, stamps, begun.reference.sample(times).pose)
 
