@@ -14,7 +14,7 @@ import numpy as np
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build_plant, controller_config, make_controller
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
-from diffdrive_mpc.bench.studies.comparison.single import log_file
+from diffdrive_mpc.bench.run_log import holds_plans, run_log
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.information import TOLD, DriveInformation
@@ -35,7 +35,6 @@ from diffdrive_mpc.mpc.trajectories.model_excitation import (
 )
 from diffdrive_mpc.mpc.trajectories.settings import load_settings
 from diffdrive_mpc.sim import Run, simulate
-from diffdrive_mpc.sim.log_csv import write_rows
 
 _LATE = "lag and dead time"
 
@@ -65,9 +64,9 @@ class Excitation:
         """Write the trajectory file; raises ConfigError if it cannot be written."""
         write_model_drive(path, self.drive, model_excitation_settings().tick)
 
-    def run(self, trajectory: Path, plant: str, seed: int, on_tick: Callable[[int, int], None] | None = None) -> Run:
-        """Drive the written trajectory on a plant, in the fence; raises ConfigError if there is no such plant."""
-        return driven(replace(self.case, plant=plant, seed=seed), trajectory, on_tick)
+    def on(self, plant: str, seed: int, trajectory: Path) -> Case:
+        """The written trajectory on a plant, in the fence."""
+        return replace(self.case, plant=plant, seed=seed, trajectory=str(trajectory))
 
     def lines(self, out: Path) -> list[str]:
         """What was found, and what goes into the configuration of the node, in words."""
@@ -184,17 +183,18 @@ def excite_into(
     """
     console = output_console()
     with ExitStack() as stack:
-        draft = None if log is None else stack.enter_context(log_file(log))
+        write_log = stack.enter_context(run_log(log))
         with ProgressBar("looking for the drive") as bar:
             excitation = excite_model(config, room, seed=seed, on_drive=bar.at, **options)
-            if draft is not None:
-                build_plant(replace(excitation.case, plant=plant, seed=seed))
+            drive = excitation.on(plant, seed, out)
+            if log is not None:
+                build_plant(drive)
             excitation.write(out)
-            if draft is not None:
+            if log is not None:
                 bar.begin("driving", 1)
-                run = excitation.run(out, plant, seed, bar.at)
+                run = driven(drive, out, bar.at, keep_plans=holds_plans(log))
                 check_drive(run, room)
-                write_rows(run, draft)
+                write_log(run, drive)
     console.print(excitation.table().rich())
     for line in excitation.lines(out):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
@@ -209,9 +209,12 @@ def in_room(config: str, room: Room) -> Case:
     return replace(case, overrides=changes)
 
 
-def driven(case: Case, trajectory: Path, on_tick: Callable[[int, int], None] | None = None) -> Run:
+def driven(
+    case: Case, trajectory: Path, on_tick: Callable[[int, int], None] | None = None, *, keep_plans: bool = False
+) -> Run:
     """One run along a trajectory file; raises ConfigError if it or the plant cannot be used."""
-    return simulate(make_controller(case), build_plant(case), load_trajectory(trajectory), on_tick=on_tick)
+    parts = make_controller(case), build_plant(case), load_trajectory(trajectory)
+    return simulate(*parts, keep_plans=keep_plans, on_tick=on_tick)
 
 
 def check_drive(run: Run, room: Room) -> None:

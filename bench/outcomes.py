@@ -254,12 +254,18 @@ def by_driver(outcomes: Sequence[S]) -> dict[str, list[S]]:
 
     def driver(outcome: S) -> str:
         labels = outcome.case.labels
-        parts = [model_name(labels["model"]) if labels["controller"] == "mpc" else labels["controller"]]
+        parts = [who_drives(outcome.case)]
         parts += [labels[one.name] if one.kind is str else f"{one.name}={labels[one.name]}" for one in varying]
         parts += [f"{key}={value}" for key, value in outcome.case.overrides] if several else []
         return ", ".join(parts)
 
     return group(outcomes, driver)
+
+
+def who_drives(case: Case) -> str:
+    """Model of the predictive controller, or name of a peer."""
+    labels = case.labels
+    return model_name(labels["model"]) if labels["controller"] == "mpc" else labels["controller"]
 
 
 def model_name(name: str) -> str:

@@ -1,4 +1,4 @@
-"""The one skeleton of all studies: what to run, and how it becomes tables, figures, NAME.md and NAME.json.
+"""The one skeleton of all studies: what to run, and how it becomes tables, figures, NAME.md, NAME.json and a page.
 
 docs/recipes/study.md shows how to add one.
 """
@@ -9,12 +9,15 @@ import json
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.html_report.document import REPORT, picture, write_page
+from diffdrive_mpc.bench.html_report.origin import origin
+from diffdrive_mpc.bench.html_report.page import NOTHING, Page, Picture, Shown
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.outcomes import plain
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
@@ -50,6 +53,8 @@ class Report:
         What draws each figure, by file name.
     figures_first
         How many figures stand above the tables, the others being below; None for all.
+    shown
+        What the page `report.html` shows beside tables and figures.
     """
 
     counted: str
@@ -60,6 +65,7 @@ class Report:
     figures: Mapping[str, Draw]
     notes: Sequence[str] = ()
     figures_first: int | None = None
+    shown: Shown = NOTHING
 
 
 class Study(ABC, Generic[P, R]):
@@ -105,7 +111,8 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
     """
     began = time.perf_counter()
     plan = study.plan()
-    with staged(out, (f"{study.name}.json", f"{study.name}.md"), (FIGURES,)) as folder, ProgressBar("preparing") as bar:
+    files = (REPORT, f"{study.name}.json", f"{study.name}.md")
+    with staged(out, files, (FIGURES,)) as folder, ProgressBar("preparing") as bar:
         results = study.run(plan, jobs or available_cores(), bar)
         run = describe_run(time.perf_counter() - began)
         report = study.report(results, run["wall_time_s"])
@@ -122,7 +129,7 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
 def write_report(
     study: Study[P, R], report: Report, meta: Meta, folder: Path, on_figure: OnDone = lambda: None, jobs: int = 1
 ) -> None:
-    """Write `NAME.json`, the figures and `NAME.md` into `folder`, which exists; `on_figure` is called after each.
+    """Write `NAME.json`, figures, `NAME.md` and the page into `folder`, which exists; `on_figure` after each figure.
 
     Where there are many figures, `jobs` processes draw them.
     """
@@ -133,6 +140,16 @@ def write_report(
     # A process that draws has to load matplotlib first.
     run_tasks(draws, jobs if len(draws) > _DRAWN_ALONE else 1, on_figure)
     (folder / f"{study.name}.md").write_text(markdown(study.title, report, meta), encoding="utf-8")
+    write_page(report_page(study, report, meta, folder / FIGURES), folder / REPORT)
+
+
+def report_page(study: Study[P, R], report: Report, meta: Meta, figures: Path) -> Page:
+    """The report as a page; where its own views do not stand for them, with the pictures in the folder `figures`."""
+    drawn = tuple(report.figures) if report.shown.pictures else ()
+    pictures = [Picture(Path(name).stem.replace("-", " "), picture(figures / name)) for name in drawn]
+    summary, notes = (*report.shown.summary, *report.facts), (*report.shown.notes, *report.notes)
+    shown = replace(report.shown, summary=summary, notes=notes, views=(*report.shown.views, *pictures))
+    return Page(f"diffdrive-mpc {study.name}", study.title, shown, report.tables, origin(meta))
 
 
 def json_text(meta: Meta, content: Mapping[str, object]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -10,8 +11,8 @@ from diffdrive_mpc.bench.campaign.drive import drive_whole
 from diffdrive_mpc.bench.campaign.run_file import compared, load_run
 from diffdrive_mpc.bench.outcomes import Outcome
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
-from diffdrive_mpc.bench.studies.comparison.single import draw, log_file, report
-from diffdrive_mpc.sim.log_csv import write_rows
+from diffdrive_mpc.bench.run_log import holds_plans, run_log
+from diffdrive_mpc.bench.studies.comparison.single import draw, report
 
 
 def simulate_again(file: Path, out: Path | None = None, log: Path | None = None) -> bool:
@@ -22,14 +23,15 @@ def simulate_again(file: Path, out: Path | None = None, log: Path | None = None)
     told = load_run(file)
     definition = told.definition
     with ExitStack() as stack:
-        draft = None if log is None else stack.enter_context(log_file(log))
+        write_log = stack.enter_context(run_log(log))
         folder = None if out is None else stack.enter_context(staged(out))
+        began = time.perf_counter()
         with ProgressBar("simulating") as bar:
-            run, row = drive_whole(definition, bar.at)
-        if run is not None and draft is not None:
-            write_rows(run, draft)
+            run, row = drive_whole(definition, bar.at, keep_plans=folder is not None or holds_plans(log))
+        if run is not None:
+            write_log(run, definition.case, ["--from-run", str(file)])
         if run is not None and folder is not None:
-            draw(Outcome(definition.case, run), folder)
+            draw(Outcome(definition.case, run), folder, time.perf_counter() - began)
     console = output_console()
     if run is not None:
         report(Outcome(definition.case, run))

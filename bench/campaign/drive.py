@@ -84,8 +84,10 @@ def drive(definition: Definition) -> Row:
     return drive_whole(definition)[1]
 
 
-def drive_whole(definition: Definition, on_tick: OnTick | None = None) -> tuple[Run | None, Row]:
-    """The same, with the run, where there is one; `on_tick` is that of `sim.simulate`."""
+def drive_whole(
+    definition: Definition, on_tick: OnTick | None = None, *, keep_plans: bool = False
+) -> tuple[Run | None, Row]:
+    """The same, with the run, where there is one; `on_tick` and `keep_plans` are those of `sim.simulate`."""
     began, processor = time.perf_counter(), time.process_time()
     run: Run | None = None
     watched: WatchedController | None = None
@@ -94,7 +96,7 @@ def drive_whole(definition: Definition, on_tick: OnTick | None = None) -> tuple[
         try:
             with built(definition) as (controller, plant, reference):
                 watched = WatchedController(controller)
-                run = simulate(watched, plant, reference, on_tick=on_tick)
+                run = simulate(watched, plant, reference, keep_plans=keep_plans, on_tick=on_tick)
                 _ = run.errors
         except (MemoryError, OSError):
             raise  # the machine's fault, not the run's: it is to be done again

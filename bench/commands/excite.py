@@ -51,7 +51,7 @@ def excite(
     speed: Annotated[float, typer.Option(help="Largest speed [m/s].")] = 0.6,
     yaw_rate: Annotated[float, typer.Option(help="Largest yaw rate [rad/s].")] = 1.0,
     log: Annotated[
-        Path | None, typer.Option(help="For the model: drive it, and write this log (CSV).", show_default=False)
+        Path | None, typer.Option(help="For the model: drive it, and write this log (.csv, .mcap).", show_default=False)
     ] = None,
     plant: Annotated[
         str, typer.Option(help="With --log: the robot, as for simulate.", autocompletion=choices("plant"))

@@ -8,6 +8,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from diffdrive_mpc.bench.command_line import typed
 from diffdrive_mpc.models.plain_text import plain_line
 
 BAD_INPUT = 2
@@ -38,8 +39,10 @@ class OneLineErrors(TyperGroup):
     def main(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - the signature of the base class
         """Parse the command line, run the command and exit."""
         kwargs["standalone_mode"] = False
+        given = args[0] if args else kwargs.get("args")
         try:
-            code = super().main(*args, **kwargs)
+            with typed(sys.argv[1:] if given is None else given):
+                code = super().main(*args, **kwargs)
         except typer.Abort:
             code = INTERRUPTED  # how older versions of typer pass on Ctrl-C; newer ones return the exit code
         except ModuleNotFoundError as error:

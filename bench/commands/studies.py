@@ -41,8 +41,10 @@ def simulate(
     *,
     config: ConfigFile = None,
     settings: Settings = None,
-    out: Annotated[Path | None, out_option("figures")] = None,
-    log: Annotated[Path | None, typer.Option(help="CSV file for the log of the run.", show_default=False)] = None,
+    out: Annotated[Path | None, out_option("report.html and figures")] = None,
+    log: Annotated[
+        Path | None, typer.Option(help="File for the log of the run: .csv or .mcap.", show_default=False)
+    ] = None,
     laps: Annotated[int, typer.Option(min=1, help="Drive it so often, and learn from lap to lap.")] = 1,
     scale_to_robot: Scaled = False,
     from_run: Annotated[
@@ -51,7 +53,7 @@ def simulate(
     ] = None,
     **values: Any,  # noqa: ANN401 - text or number
 ) -> None:
-    """Run one closed loop and print how well it tracked; --out draws it, --log writes it as CSV.
+    """Run one closed loop and print how well it tracked; --out draws it, --log writes it.
 
     With --from-run the exit code is 1 when the figures are not those of the file.
     """
@@ -74,7 +76,7 @@ def simulate(
 @with_dimensions(several=True)
 def bench(
     *,
-    out: Annotated[Path, out_option("bench.json, bench.md and figures/")],
+    out: Annotated[Path, out_option("report.html, bench.json, bench.md and figures/")],
     config: ConfigFile = None,
     settings: Sweep = None,
     horizons: Annotated[
@@ -110,7 +112,7 @@ def bench(
 
 def tracking(
     *,
-    out: Annotated[Path, out_option("tracking.json, tracking.md and figures/")],
+    out: Annotated[Path, out_option("report.html, tracking.json, tracking.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="A small study of under a minute.")] = False,
     study: Annotated[Path | None, file_option("Study file", "--study")] = None,
     only: Annotated[str | None, parts_option("targets, ablation, cross, surfaces, scenarios, bound")] = None,
@@ -129,7 +131,7 @@ def tracking(
 
 def reproduce(
     *,
-    out: Annotated[Path, out_option("reproduce.json, reproduce.md and figures/")],
+    out: Annotated[Path, out_option("report.html, reproduce.json, reproduce.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="A small study of under a minute.")] = False,
     only: Annotated[str | None, parts_option("mbm_sm, ssm, lstm, cost, virtual_track, drive_models")] = None,
     data: Annotated[
@@ -149,7 +151,7 @@ def reproduce(
 
 def peers(
     *,
-    out: Annotated[Path, out_option("peers.json, peers.md and gains.yaml")],
+    out: Annotated[Path, out_option("report.html, peers.json, peers.md and gains.yaml")],
     quick: Annotated[bool, typer.Option("--quick", help="One peer and a few settings, to see that it works.")] = False,
     only: Annotated[
         str | None, typer.Option("--peers", metavar="NAMES", help="Peers to tune.", show_default="all of them")
@@ -168,7 +170,7 @@ def peers(
 
 def robustness(
     *,
-    out: Annotated[Path, out_option("robustness.json, robustness.md and figures/")],
+    out: Annotated[Path, out_option("report.html, robustness.json, robustness.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="A few conditions on one path.")] = False,
     only: Annotated[str | None, typer.Option(metavar="NAMES", help="Conditions.", show_default="all of them")] = None,
     conditions: Annotated[Path | None, file_option("Conditions", "--conditions")] = None,
@@ -200,7 +202,7 @@ def robustness(
 
 def speed(
     *,
-    out: Annotated[Path, out_option("speed.json, speed.md and figures/")],
+    out: Annotated[Path, out_option("report.html, speed.json, speed.md and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="One model, two horizons, a short drive.")] = False,
     peers: Annotated[
         str | None,
@@ -236,7 +238,7 @@ def speed(
 
 def loop_speed(
     *,
-    out: Annotated[Path, out_option("loop-speed.json and loop-speed.md")],
+    out: Annotated[Path, out_option("report.html, loop-speed.json and loop-speed.md")],
     models: Annotated[str, typer.Option(metavar="NAMES", help="Models of the controller.")] = "ssm",
     trajectories: Annotated[str, typer.Option(metavar="NAMES", help="Paths.")] = "circle,square,s,cane",
     plant: Annotated[str, typer.Option(metavar="NAME", help="Plant.")] = "mujoco",

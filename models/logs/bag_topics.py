@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2
 
-    Reader = Reader1 | Reader2
+    from diffdrive_mpc.models.logs.drive_log.as_bag import DriveBag
+
+    Reader = Reader1 | Reader2 | DriveBag
 
 Reading = tuple[float, ...]
 
@@ -113,8 +115,13 @@ def opened(path: Path) -> Iterator[Reader]:
     from rosbags.rosbag1 import Reader as Reader1  # noqa: PLC0415
     from rosbags.rosbag2 import Reader as Reader2  # noqa: PLC0415
 
+    from diffdrive_mpc.models.logs.drive_log.as_bag import DriveBag  # noqa: PLC0415
+    from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log  # noqa: PLC0415
+
     try:
-        with (Reader1 if of_ros1(path) else Reader2)(path) as reader:
+        # The library takes no file in which a channel holds something else than ROS messages.
+        make = Reader1 if of_ros1(path) else DriveBag if is_drive_log(path) else Reader2
+        with make(path) as reader:
             yield reader
     except ConfigError:
         raise

@@ -188,8 +188,22 @@ def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
     columns, wheels = (mapping or _own_mapping(path)).columns, mapping.wheels if mapping else None
     if columns is None:
         raise ConfigError(f"{path}: the mapping has no 'columns', which a CSV file needs")
-    settings = check_settings()
-    whole = _where(read_table(path, columns.names()), columns)
+    return log_of_table(_where(read_table(path, columns.names()), columns), columns, wheels)
+
+
+def log_of_table(whole: CsvTable, columns: Columns, wheels: Wheels | None = None) -> RawLog:
+    """The rows of a table as a log; raises as `read_csv`.
+
+    Parameters
+    ----------
+    whole
+        The table.
+    columns
+        Which column is what.
+    wheels
+        Lengths of the mapping, where it gives some.
+    """
+    settings, path = check_settings(), whole.path
     table, findings = chosen_rows(whole, columns, settings)
     findings = [*table.findings, *findings]
     del whole

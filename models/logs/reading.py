@@ -15,7 +15,9 @@ from diffdrive_mpc.models.logs.csv_log import read_csv
 from diffdrive_mpc.models.logs.diagnosis import diagnose
 from diffdrive_mpc.models.logs.diagnosis.readings import check_period, without_spikes
 from diffdrive_mpc.models.logs.diagnosis.streams import streams_of
-from diffdrive_mpc.models.logs.mapping import load_mapping
+from diffdrive_mpc.models.logs.drive_log.identified import read_drive
+from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log
+from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.record import Finding, Log, Record
 from diffdrive_mpc.models.logs.record_checks import check_commands, check_sensors
 from diffdrive_mpc.models.logs.sampling import RawLog, pieces, resample, usual_step
@@ -30,7 +32,7 @@ def read_log(path: str | Path, mapping: str | Path | None = None, sample_time: f
         A CSV file, or a ROS 2 bag: its folder, or one .mcap or .db3 file.
     mapping
         Name of a shipped mapping, or the path of a mapping file that says which column or topic is what. None for a
-        log of `diffdrive-mpc simulate --log`, and for a bag with /cmd_vel and /odom or /imu.
+        log of `diffdrive-mpc simulate --log` or of a node that recorded, and for a bag with /cmd_vel and /odom or /imu.
     sample_time
         Step of the records [s]; None for that of the log.
 
@@ -53,7 +55,7 @@ def read_log(path: str | Path, mapping: str | Path | None = None, sample_time: f
         raise ConfigError(f"{path}: there is no such file or folder")
     loaded = None if mapping is None else load_mapping(mapping)
     settings = check_settings()
-    raw = without_spikes((read_bag if is_bag(path) else read_csv)(path, loaded), settings)
+    raw = without_spikes(_raw(path, loaded), settings)
     period = usual_step([stretch.clock for stretch in raw.stretches])
     dt = sample_time or raw.sample_time or period
     if not np.isfinite(dt):
@@ -67,6 +69,13 @@ def read_log(path: str | Path, mapping: str | Path | None = None, sample_time: f
     streams = streams_of(records, settings)
     findings += [*stuck, *check_commands(raw.name, records, settings), *diagnose(raw.name, streams, settings)]
     return Log(raw.name, tuple(records), tuple(findings), streams, loaded.sources() if loaded else {})
+
+
+def _raw(path: Path, mapping: LogMapping | None) -> RawLog:
+    """What the reader of such a file hands over."""
+    if mapping is None and is_drive_log(path):
+        return read_drive(path)
+    return (read_bag if is_bag(path) else read_csv)(path, mapping)
 
 
 def _records(

@@ -19,7 +19,8 @@ def test_a_quick_bench_writes_its_report(tmp_path: Path) -> None:
     arguments = "--quick --models ssm --trajectories cane --jobs 1 --controller mpc,kanayama"
     result = runner.invoke(app, ["bench", "--out", str(tmp_path / "out"), *arguments.split()])
     assert result.exit_code == 0, result.stderr
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["bench.json", "bench.md", "figures"]
+    files = ["bench.json", "bench.md", "figures", "report.html"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == files
     ours, peer = json.loads((tmp_path / "out" / "bench.json").read_text())["runs"]
     assert (ours["controller"], ours["plant"], peer["controller"]) == ("mpc", "mujoco", "kanayama")
     assert ours["completed"] and peer["completed"]
@@ -44,7 +45,8 @@ def test_simulate_draws_and_logs_the_same_run_every_time(tmp_path: Path) -> None
         arguments = ["--trajectory", "cane", "--seed", "3", "--log", str(tmp_path / f"{name}.csv")]
         result = runner.invoke(app, ["simulate", *arguments, "--out", str(tmp_path / name)])
         assert result.exit_code == 0, result.stderr
-        assert sorted(path.name for path in (tmp_path / name).iterdir()) == ["ssm-cane-step-time.png", "ssm-cane.png"]
+        files = ["report.html", "ssm-cane-step-time.png", "ssm-cane.png"]
+        assert sorted(path.name for path in (tmp_path / name).iterdir()) == files
         logs.append(read_columns(tmp_path / f"{name}.csv"))
     clock = [logs[0].pop(name) for name in ("step_time_s", "solve_time_s")]  # the clock of the computer makes no other
     assert ((clock[0] >= clock[1]) & (clock[1] > 0.0)).all()

@@ -8,7 +8,7 @@ import yaml
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.excitation import check_drive, excite_model
+from diffdrive_mpc.bench.excitation import check_drive, driven, excite_model
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.mpc.trajectories import model_excitation as searched
@@ -34,11 +34,15 @@ def robot(path, gain, dead_time):
     return f"model:{path}"
 
 
+def drive_of(found, folder, plant):
+    return driven(found.on(plant, 1, folder / "drive.yaml"), folder / "drive.yaml")
+
+
 def test_it_stays_in_its_room_on_robots_of_other_gains(tmp_path):
     found = excite_model("ssm", Room(3.0, 2.0), seconds=20.0)
     found.write(tmp_path / "drive.yaml")
     for gain, dead_time in ((0.7, 0.1), (1.3, 0.02)):
-        run = found.run(tmp_path / "drive.yaml", robot(tmp_path / "other.yaml", gain, dead_time), 1)
+        run = drive_of(found, tmp_path, robot(tmp_path / "other.yaml", gain, dead_time))
         check_drive(run, found.room)
         assert (np.abs(run.true_pose[:, :2]) <= (1.5 - 0.1, 1.0 - 0.1)).all()
 
@@ -46,7 +50,7 @@ def test_it_stays_in_its_room_on_robots_of_other_gains(tmp_path):
 def test_a_robot_that_leaves_is_said(tmp_path):
     found = excite_model("ssm", Room(3.0, 2.0), seconds=10.0)
     found.write(tmp_path / "drive.yaml")
-    run = found.run(tmp_path / "drive.yaml", robot(tmp_path / "other.yaml", 1.0, 0.04), 1)
+    run = drive_of(found, tmp_path, robot(tmp_path / "other.yaml", 1.0, 0.04))
     with pytest.raises(ConfigError, match=r"the robot left its room after \d+\.\d s"):
         check_drive(replace(run, true_pose=run.true_pose + [3.0, 0.0, 0.0]), found.room)
 

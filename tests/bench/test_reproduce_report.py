@@ -102,7 +102,7 @@ def test_the_command_writes_its_report(tmp_path: Path):
     out = tmp_path / "out"
     result = runner.invoke(app, ["reproduce", "--out", str(out), "--quick", "--only", "virtual_track"])
     assert result.exit_code == 0, result.stderr
-    assert sorted(path.name for path in out.iterdir()) == ["figures", "reproduce.json", "reproduce.md"]
+    assert sorted(path.name for path in out.iterdir()) == ["figures", "report.html", "reproduce.json", "reproduce.md"]
     assert "-0.022 ± 0.021" in result.stdout
 
 

@@ -152,7 +152,7 @@ def test_the_command_drives_a_small_study_and_writes_its_report(tmp_path: Path):
     arguments = ["tracking", "--out", str(out), "--study", study, "--only", "ablation,cross,bound", "--jobs", "1"]
     result = runner.invoke(app, arguments)
     assert result.exit_code == 0, result.stderr
-    assert sorted(path.name for path in out.iterdir()) == ["figures", "tracking.json", "tracking.md"]
+    assert sorted(path.name for path in out.iterdir()) == ["figures", "report.html", "tracking.json", "tracking.md"]
     runs = json.loads((out / "tracking.json").read_text())["runs"]
     assert len(runs) == 4 + 2 + 1
     assert all(run["completed"] for run in runs)

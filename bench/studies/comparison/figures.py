@@ -31,10 +31,10 @@ from diffdrive_mpc.bench.outcomes import (
     by_model,
     group,
     mean,
-    model_name,
     solve_times,
     step_times,
     time_percentile,
+    who_drives,
 )
 from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
 from diffdrive_mpc.bench.study import Draw
@@ -123,15 +123,9 @@ def draw_dead_time(scores: Sequence[Score], sample_time: float, path: Path) -> N
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right center")
 
 
-def _driver(score: Score) -> str:
-    """Model of the predictive controller, or name of a peer."""
-    labels = score.case.labels
-    return model_name(labels["model"]) if labels["controller"] == "mpc" else labels["controller"]
-
-
 def _errors_against(panels: Sequence[Axes], scores: Sequence[Score], key: Callable[[Score], float]) -> None:
     """Mean errors over what is driven at each abscissa, and the range of the seeds' own means."""
-    names = group(scores, _driver)
+    names = group(scores, lambda score: who_drives(score.case))
     for axes, metric in zip(panels, ("position_rmse_m", "lateral_rmse_m"), strict=True):
         for i, (name, runs) in enumerate(names.items()):
             at = dict(sorted(group(runs, key).items()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -13,10 +14,14 @@ import numpy as np
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build_plant, load_reference, make_controller
+from diffdrive_mpc.bench.html_report.document import REPORT, write_page
+from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series
 from diffdrive_mpc.bench.outcomes import Outcome
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
-from diffdrive_mpc.bench.studies.comparison.single import asked_case, draw, log_file
+from diffdrive_mpc.bench.run_log import holds_plans, repeating, run_log
+from diffdrive_mpc.bench.studies.comparison.single import asked_case, draw_figures
+from diffdrive_mpc.bench.studies.comparison.single_page import laps_page
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import Controller
@@ -24,7 +29,6 @@ from diffdrive_mpc.mpc.floor_rehearsal import FloorRehearsal
 from diffdrive_mpc.mpc.rehearsal import Rehearsal
 from diffdrive_mpc.sim import Run, simulate
 from diffdrive_mpc.sim.laps import lap_parts
-from diffdrive_mpc.sim.log_csv import write_rows
 
 _ENABLED = "rehearsal.enabled"
 
@@ -38,7 +42,12 @@ class Laps:
 
 
 def drive_laps(
-    case: Case, laps: int, *, on_tick: Callable[[int, int], None] | None = None, surfaces: Sequence[str] = ()
+    case: Case,
+    laps: int,
+    *,
+    on_tick: Callable[[int, int], None] | None = None,
+    surfaces: Sequence[str] = (),
+    keep_plans: bool = False,
 ) -> Laps:
     """Drive a case lap by lap with one controller; the robot is put back to the start before each.
 
@@ -52,6 +61,8 @@ def drive_laps(
         As `sim.loop.simulate` has it, over all laps.
     surfaces
         Floor of each lap, where that is not the case's.
+    keep_plans
+        As `sim.loop.simulate` has it.
     """
     controller, reference = make_controller(case), load_reference(case)
     runs = []
@@ -59,7 +70,8 @@ def drive_laps(
         seed = case.seed if lap == 0 else int(np.random.SeedSequence((case.seed, lap)).generate_state(1)[0])
         floor = surfaces[lap] if surfaces else case.surface
         done = None if on_tick is None else _after(lap, laps, on_tick)
-        runs.append(simulate(controller, build_plant(replace(case, seed=seed, surface=floor)), reference, on_tick=done))
+        plant = build_plant(replace(case, seed=seed, surface=floor))
+        runs.append(simulate(controller, plant, reference, keep_plans=keep_plans, on_tick=done))
     return Laps(tuple(runs), controller.rehearsal if isinstance(controller, Controller) else None)
 
 
@@ -85,16 +97,26 @@ def simulate_laps(
     if case.controller in PEERS:
         raise ConfigError(f"--laps: the controller '{case.controller}' does not learn from laps; mpc does")
     with ExitStack() as stack:
-        draft = None if log is None else stack.enter_context(log_file(log))
+        write_log = stack.enter_context(run_log(log))
         folder = None if out is None else stack.enter_context(staged(out))
+        began = time.perf_counter()
         with ProgressBar("laps") as bar:
-            learned = drive_laps(case.with_override(_ENABLED, value=True), laps, on_tick=_after(0, 2, bar.at))
+            learned = drive_laps(
+                case.with_override(_ENABLED, value=True),
+                laps,
+                on_tick=_after(0, 2, bar.at),
+                keep_plans=holds_plans(log),
+            )
             plain = drive_laps(case.with_override(_ENABLED, value=False), laps, on_tick=_after(1, 2, bar.at))
-        if draft is not None:
-            write_rows(learned.runs[-1], draft)
+        write_log(learned.runs[-1], case, ["--laps", str(laps), *repeating(case)])
         if folder is not None:
-            draw(Outcome(case, learned.runs[-1]), folder)
+            draw_figures(Outcome(case, learned.runs[-1]), folder)
             draw_laps(learned, plain, folder / "laps.png")
+            seconds = time.perf_counter() - began
+            page = laps_page(
+                case, learned.runs, plain.runs, lap_table(learned, plain), lap_charts(learned, plain), seconds
+            )
+            write_page(page, folder / REPORT)
     console = output_console()
     console.print(lap_table(learned, plain).rich())
     for lap, run in enumerate(learned.runs, start=1):
@@ -115,6 +137,24 @@ def lap_table(learned: Laps, plain: Laps) -> Table:
     repeats, other = 1e3 * parts.repeating, 1e3 * parts.other
     note = f"Without rehearsal {repeats:.2f} mm repeat and {other:.2f} mm do not: the lower bound."
     return Table("Laps", heads, tuple(rows), note=note)
+
+
+def lap_charts(learned: Laps, plain: Laps) -> list[Chart]:
+    """The error lap by lap, and the correction over time."""
+    laps = list(range(1, len(learned.runs) + 1))
+    errors = [
+        Series(
+            name, laps, [round(1e3 * run.metrics.position_rmse_m, 3) for run in of.runs], i, labels={"controller": name}
+        )
+        for i, (name, of) in enumerate((("with rehearsal", learned), ("without rehearsal", plain)))
+    ]
+    level = [Mark(round(1e3 * lap_parts(plain.runs).other, 3), "does not repeat")]
+    charts = [Chart("Error lap by lap", Axis("lap", "category"), Axis("position RMSE [mm]"), errors, marks=level)]
+    if learned.rehearsal is None:
+        return charts
+    time_, rows = learned.rehearsal.time.round(3).tolist(), (1e3 * learned.rehearsal.correction).round(2)
+    parts = [Series(name, time_, rows[:, i].tolist(), i + 2, "line") for i, name in enumerate(("along", "across"))]
+    return [*charts, Chart("Correction in the last lap", Axis("time [s]"), Axis("correction [mm]"), parts)]
 
 
 def draw_laps(learned: Laps, plain: Laps, path: Path) -> None:

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
 from diffdrive_mpc.bench.controllers import build, chosen_model, controller_config
+from diffdrive_mpc.bench.html_report.document import REPORT, write_page
 from diffdrive_mpc.bench.outcomes import Outcome, by_driver
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.run_log import holds_plans, run_log
+from diffdrive_mpc.bench.studies.comparison.single_page import single_page
 from diffdrive_mpc.bench.studies.comparison.tables import error_table, path_table, scenario_table, summary_table
 from diffdrive_mpc.bench.sweep import single_settings
+from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc.trajectories.speed_check import steps_beyond_slew
 from diffdrive_mpc.sim import simulate
-from diffdrive_mpc.sim.log_csv import write_rows
 
 _MESSAGES_SHOWN = 5
 
@@ -48,14 +51,14 @@ def simulate_one(
     case = asked_case(values, config=config, settings=settings, scaled=scaled)
     parts = build(case)
     with ExitStack() as stack:
-        draft = None if log is None else stack.enter_context(log_file(log))
+        write_log = stack.enter_context(run_log(log))
         folder = None if out is None else stack.enter_context(staged(out))
+        began = time.perf_counter()
         with ProgressBar("simulating") as bar:
-            run = simulate(*parts, on_tick=bar.at)
-        if draft is not None:
-            write_rows(run, draft)
+            run = simulate(*parts, on_tick=bar.at, keep_plans=folder is not None or holds_plans(log))
+        write_log(run, case)
         if folder is not None:
-            draw(Outcome(case, run), folder)
+            draw(Outcome(case, run), folder, time.perf_counter() - began)
     report(Outcome(case, run))
 
 
@@ -69,23 +72,11 @@ def asked_case(values: Mapping[str, Any], *, config: Path | None, settings: Sequ
     return Case(**{**values, "model": model}, config=file, overrides=single_settings(settings), scaled=scaled)
 
 
-@contextmanager
-def log_file(log: Path) -> Iterator[Path]:
-    """Where to write the log to; a refusal names the option."""
-    with ExitStack() as stack:
-        try:
-            draft = stack.enter_context(whole_file(log))
-        except ConfigError as error:
-            raise ConfigError(f"--log {error}") from error
-        yield draft
-
-
 def report(outcome: Outcome) -> None:
     """Print the tables of a run, and what its controller said."""
     console = output_console()
-    shown = [summary_table, error_table, path_table]
-    for make in (*shown, scenario_table) if outcome.case.scenario != NO_SCENARIO else shown:
-        console.print(make([outcome]).rich())
+    for table in tables(outcome):
+        console.print(table.rich())
     if outcome.case.controller not in PEERS:
         config = controller_config(outcome.case.model, outcome.case.config, outcome.case.overrides)
         steps = steps_beyond_slew(outcome.run.reference, config.limits, config.sample_time)
@@ -100,7 +91,20 @@ def report(outcome: Outcome) -> None:
         console.print(f"and {len(said) - _MESSAGES_SHOWN} other messages", highlight=False)
 
 
-def draw(outcome: Outcome, folder: Path) -> None:
+def tables(outcome: Outcome) -> list[Table]:
+    """The tables of one run."""
+    shown = [summary_table, error_table, path_table]
+    made = (*shown, scenario_table) if outcome.case.scenario != NO_SCENARIO else shown
+    return [make([outcome]) for make in made]
+
+
+def draw(outcome: Outcome, folder: Path, seconds: float) -> None:
+    """Draw a run, which took so many `seconds`, and its step times into `folder`, and write its page."""
+    draw_figures(outcome, folder)
+    write_page(single_page(outcome, tables(outcome), seconds), folder / REPORT)
+
+
+def draw_figures(outcome: Outcome, folder: Path) -> None:
     """Draw a run and its step times into `folder`."""
     from diffdrive_mpc.bench.figure_style import file_name  # noqa: PLC0415 - matplotlib loads slowly
     from diffdrive_mpc.bench.studies.comparison.figures import draw_case, draw_step_times  # noqa: PLC0415

@@ -7,6 +7,7 @@ from dataclasses import replace
 from diffdrive_mpc.bench.case import DIMENSIONS
 from diffdrive_mpc.bench.outcomes import STATISTICS, Score, run_cases
 from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.studies.comparison.page import shown
 from diffdrive_mpc.bench.studies.comparison.plan import CasePlan, ComparisonSettings, plan_cases
 from diffdrive_mpc.bench.studies.comparison.properties import measure_properties
 from diffdrive_mpc.bench.studies.comparison.results import (
@@ -58,10 +59,10 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
         """The overview above the tables, the runs of the first seed one by one below."""
         from diffdrive_mpc.bench.studies.comparison.figures import drawings  # noqa: PLC0415 - matplotlib loads slowly
 
-        shown = [one for one in DIMENSIONS if (one.place or one.name == "seed") and one.name not in results.silent]
+        named = [one for one in DIMENSIONS if (one.place or one.name == "seed") and one.name not in results.silent]
         asked = [
             f"{one.name if one.place and len(values) == 1 else one.several} {', '.join(map(str, values))}"
-            for one in shown
+            for one in named
             if (values := labelled(self.settings, one.several))
         ]
         chosen = chosen_configuration(self.settings)
@@ -80,6 +81,7 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
             tables=report_tables(results),
             figures=drawings(results),
             figures_first=3 if results.speed else 1,
+            shown=shown(results),
         )
 
 

@@ -1,0 +1,53 @@
+"""A page of a report in a real browser, which Playwright drives."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.errors import MissingPackageError
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+"""Names under which the browser is looked for on the path."""
+READY = "html[data-ready]"
+"""What a page has when all of it is drawn."""
+_LONGEST = 60_000
+"""How long a page may take [ms] before something must be wrong."""
+
+
+@contextmanager
+def opened_browser(executable: str | None = None) -> Iterator[Any]:
+    """A browser of Playwright.
+
+    Parameters
+    ----------
+    executable
+        The browser's program; by default it is looked for on the path.
+
+    Raises MissingPackageError without Playwright, ConfigError where there is no such browser.
+    """
+    try:
+        from playwright.sync_api import sync_playwright  # noqa: PLC0415 - optional
+    except ImportError as error:
+        raise MissingPackageError("screenshots need playwright: pip install playwright") from error
+    program = executable or next(filter(None, map(shutil.which, BROWSERS)), None)
+    if program is None or shutil.which(program) is None:
+        asked = program or f"any of {', '.join(BROWSERS)} on the path"
+        raise ConfigError(f"no browser: {asked} was not found; install chromium, or name it with --browser")
+    with sync_playwright() as playwright:
+        # A container has no sandbox of its own; the page is ours.
+        browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+def open_report(page: Any, report: Path) -> None:  # noqa: ANN401 - Playwright is optional
+    """Open a report in a page of Playwright, and wait until all of it is drawn."""
+    page.goto(report.resolve().as_uri())
+    page.wait_for_selector(READY, state="attached", timeout=_LONGEST)

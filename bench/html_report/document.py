@@ -1,0 +1,103 @@
+"""A page as one file: its content as JSON, style, script and plotting library inside it."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from diffdrive_mpc.bench.html_report.page import Page
+from diffdrive_mpc.bench.outcomes import plain
+
+REPORT = "report.html"
+"""Name of the page in a folder of results."""
+_TEMPLATE = Path(__file__).parent / "template"
+_SCRIPTS = ("text.js", "toggles.js", "charts.js", "runs.js", "start.js")
+_DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot"}
+_MARKERS = {
+    "o": "circle",
+    "s": "square",
+    "^": "triangle-up",
+    "D": "diamond",
+    "v": "triangle-down",
+    "P": "cross",
+    "X": "x",
+}
+
+
+def write_page(page: Page, path: Path) -> None:
+    """Write a page to `path`."""
+    path.write_text(page_text(page), encoding="utf-8")
+
+
+def page_text(page: Page) -> str:
+    """The page as HTML; the same page gives the same text."""
+    parts = {
+        "title": _escaped_title(page.title),
+        "style": _file("page.css"),
+        "content": json_text(content(page)),
+        "plotly": _plotly(),
+        "script": "\n".join(map(_file, _SCRIPTS)),
+    }
+    return Template(_file("page.html")).substitute(parts)
+
+
+def content(page: Page) -> dict[str, Any]:
+    """What the script gets: everything of a page as plain values, and the look that all figures share."""
+    shown: dict[str, Any] = plain(page.shown)
+    tables = [
+        {
+            "title": table.title,
+            "columns": table.columns,
+            "rows": table.rows,
+            "note": table.note,
+            "text_columns": table.text_columns,
+        }
+        for table in page.tables
+    ]
+    whole: dict[str, Any] = plain(
+        {"command": page.command, "title": page.title, "tables": tables, "origin": page.origin, "look": _look()}
+    )
+    return shown | whole
+
+
+def json_text(values: Mapping[str, object]) -> str:
+    """JSON that cannot end the script it stands in."""
+    text = json.dumps(values, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
+
+
+def picture(path: Path) -> str:
+    """A PNG file as an address that holds it."""
+    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
+
+
+def _escaped_title(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;")
+
+
+def _look() -> dict[str, list[str]]:
+    from diffdrive_mpc.bench.figure_style import LINE_STYLES, MARKERS, PALETTE  # noqa: PLC0415 - matplotlib loads slowly
+
+    return {
+        "colours": list(PALETTE),
+        "dashes": [_DASHES[one] for one in LINE_STYLES],
+        "markers": [_MARKERS[one] for one in MARKERS],
+    }
+
+
+@cache
+def _file(name: str) -> str:
+    return (_TEMPLATE / name).read_text(encoding="utf-8")
+
+
+@cache
+def _plotly() -> str:
+    from plotly.offline import get_plotlyjs  # noqa: PLC0415 - loads slowly
+
+    text: str = get_plotlyjs()
+    return text

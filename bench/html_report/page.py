@@ -1,0 +1,231 @@
+"""What a report shows, in plain values: the engine in `template/` draws it, and each command says only this."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+from diffdrive_mpc.models.table import Table
+
+Labels = Mapping[str, str]
+"""Value of each toggle that shows or hides something, by the toggle's name."""
+
+
+Division = Literal["linear", "log", "category"]
+"""How an axis is divided."""
+
+
+@dataclass(frozen=True)
+class KeyFigure:
+    """A large figure of the summary; `state` says whether it is as it should be, where that can be said."""
+
+    label: str
+    value: str
+    note: str = ""
+    state: Literal["", "good", "bad"] = ""
+
+
+@dataclass(frozen=True)
+class Warned:
+    """A warning in words, and what to do about it."""
+
+    what: str
+    remedy: str = ""
+
+
+@dataclass(frozen=True)
+class Toggle:
+    """Buttons that show and hide.
+
+    Attributes
+    ----------
+    name
+        What its values are of.
+    values
+        One button each.
+    shown
+        Which of them are on at first.
+    styled
+        Whether value i is drawn in the style number i.
+    """
+
+    name: str
+    values: tuple[str, ...]
+    shown: tuple[str, ...]
+    styled: bool = False
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Of a chart: its title with the unit, and how it is divided."""
+
+    title: str
+    type: Division = "linear"
+    range: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Series:
+    """What a chart draws in one style.
+
+    Attributes
+    ----------
+    name
+        In the legend.
+    x, y
+        Its points.
+    style
+        Number of its colour, line and marker.
+    kind
+        How it is drawn.
+    low, high
+        Ends of an interval about each y; empty for none.
+    text
+        What the pointer shows at each point; empty for its coordinates.
+    labels
+        Toggles that hide it.
+    """
+
+    name: str
+    x: Sequence[float | str]
+    y: Sequence[float | None]
+    style: int = 0
+    kind: Literal["both", "line", "points", "bars"] = "both"
+    low: Sequence[float] = ()
+    high: Sequence[float] = ()
+    text: Sequence[str] = ()
+    labels: Labels = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A level across a chart, with what it is."""
+
+    value: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Series over two axes; `broad` over the whole width of the page, `height` in pixels."""
+
+    title: str
+    x: Axis
+    y: Axis
+    series: Sequence[Series]
+    note: str = ""
+    marks: Sequence[Mark] = ()
+    broad: bool = False
+    height: int = 340
+    kind: Literal["chart"] = "chart"
+
+
+@dataclass(frozen=True)
+class GridAxis:
+    """Values along one axis of a map."""
+
+    title: str
+    values: Sequence[float]
+    type: Division = "linear"
+
+
+@dataclass(frozen=True)
+class GridMap:
+    """A value [unit] for each pair of x and y, a row for each y; `crossed` are marked."""
+
+    title: str
+    x: GridAxis
+    y: GridAxis
+    values: Sequence[Sequence[float | None]]
+    unit: str
+    crossed: Sequence[Sequence[bool]]
+    note: str = ""
+    broad: bool = False
+    kind: Literal["map"] = "map"
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture that stands in the page itself; `source` is a data address, see `document.picture`."""
+
+    title: str
+    source: str
+    note: str = ""
+    broad: bool = True
+    kind: Literal["picture"] = "picture"
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Linked views of closed-loop runs; each is what `run_series.run_series` gives."""
+
+    runs: Sequence[Mapping[str, object]]
+    note: str = ""
+    kind: Literal["runs"] = "runs"
+
+
+View = Chart | GridMap | Picture | Runs
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """A configuration as it was used, as text."""
+
+    name: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a report shows beside tables, definitions and origin: everything that only the command can say.
+
+    Attributes
+    ----------
+    summary, notes
+        Sentences at the top: did it complete, how well, compared with what; and in small letters what words mean.
+    key_figures
+        The figures of the summary.
+    toggles
+        Buttons that act on all views.
+    views
+        In order; linked views of runs stand above all charts.
+    warnings
+        In order of weight.
+    configurations
+        Of the controllers.
+    pictures
+        Whether the pictures of the Markdown report stand in the page, too.
+    """
+
+    summary: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    key_figures: Sequence[KeyFigure] = ()
+    toggles: Sequence[Toggle] = ()
+    views: Sequence[View] = ()
+    warnings: Sequence[Warned] = ()
+    configurations: Sequence[Configuration] = ()
+    pictures: bool = True
+
+
+NOTHING = Shown()
+"""Of a report that has tables and pictures only."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """How to repeat a run: the exact command, and facts about version, machine and seeds as name and value."""
+
+    command: str
+    facts: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class Page:
+    """A whole report."""
+
+    command: str
+    title: str
+    shown: Shown
+    tables: Sequence[Table]
+    origin: Origin

@@ -1,0 +1,69 @@
+"use strict";
+// What is text on the page: everything from the content goes in as text, never as markup.
+const content = JSON.parse(document.getElementById("content").textContent);
+const byId = (id) => document.getElementById(id);
+
+function element(tag, attributes = {}, ...children) {
+  const made = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  made.append(...children);
+  return made;
+}
+
+// Plotly reads a few tags in its texts; names come from files.
+const escaped = (text) => String(text).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
+
+function keyFigure(figure) {
+  return element("div", { class: `key-figure ${figure.state}` },
+    element("div", { class: "label" }, figure.label),
+    element("div", { class: "value" }, figure.value),
+    element("p", { class: "note" }, figure.note));
+}
+
+function tableCard(table) {
+  const kind = (i) => (i < table.text_columns ? "text" : "number");
+  const head = element("tr", {}, ...table.columns.map((name, i) => element("th", { class: kind(i), scope: "col" }, name)));
+  const rows = table.rows.map((row) => element("tr", {}, ...row.map((cell, i) => element("td", { class: kind(i) }, cell))));
+  const drawn = element("div", { class: "scroll", tabindex: "0" },
+    element("table", {}, element("thead", {}, head), element("tbody", {}, ...rows)));
+  const parts = [drawn, ...(table.note ? [element("p", { class: "note" }, table.note)] : [])];
+  if (table.rows.length <= 24) return element("div", { class: "card table" }, element("h3", {}, table.title), ...parts);
+  const folded = element("details", {}, element("summary", {}, `${table.title}: ${table.rows.length} rows`), ...parts);
+  return element("div", { class: "card table" }, folded);
+}
+
+function warningCard(warning) {
+  const remedy = warning.remedy ? [element("p", { class: "remedy" }, `What to do: ${warning.remedy}`)] : [];
+  return element("div", { class: "card warning" }, element("p", {}, warning.what), ...remedy);
+}
+
+function configurationCard(configuration) {
+  return element("details", { class: "card configuration" },
+    element("summary", {}, configuration.name), element("pre", { tabindex: "0" }, configuration.text));
+}
+
+function facts(pairs) {
+  return element("dl", { class: "facts" }, ...pairs.flatMap(([name, value]) => [element("dt", {}, name), element("dd", {}, value)]));
+}
+
+function fill(id, title, parts) {
+  const section = byId(id);
+  if (!parts.length) return section.remove();
+  section.append(...parts);
+  if (title) byId("contents").append(element("a", { href: `#${id}` }, title));
+}
+
+function writeText() {
+  byId("command").textContent = content.command;
+  byId("title").textContent = content.title;
+  byId("key-figures").append(...content.key_figures.map(keyFigure));
+  byId("sentences").append(...content.summary.map((line) => element("p", {}, line)), ...content.notes.map((line) => element("p", { class: "note" }, line)));
+  fill("views", "Views", content.views.length ? [""] : []);
+  fill("tables", "Tables", content.tables.map(tableCard));
+  const count = content.warnings.length;
+  const fine = element("p", {}, "None: nothing was found that needs your attention.");
+  fill("warnings", count ? `Warnings (${count})` : "Warnings", count ? content.warnings.map(warningCard) : [fine]);
+  fill("configuration", "Configuration", content.configurations.map(configurationCard));
+  fill("repeat", "How to repeat", [element("div", { class: "card" },
+    element("pre", { tabindex: "0" }, content.origin.command), facts(content.origin.facts))]);
+}

@@ -1,0 +1,88 @@
+"""The log of a run as `simulate --log` writes it: CSV, or MCAP with what the run was."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import yaml
+
+from diffdrive_mpc.bench.case import DIMENSIONS, NO_MODEL, Case, label
+from diffdrive_mpc.bench.controllers import controller_config
+from diffdrive_mpc.bench.machine import project_version
+from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.load import model_path
+from diffdrive_mpc.models.whole_file import reason, whole_file
+from diffdrive_mpc.sim import Run
+from diffdrive_mpc.sim.log_csv import write_rows
+from diffdrive_mpc.sim.log_mcap import write_ticks
+
+_SIMULATE = ("diffdrive-mpc", "simulate")
+WriteLog = Callable[..., None]
+
+
+def holds_plans(log: Path | None) -> bool:
+    """Whether a log of this name holds what the controller predicted, so that the run has to keep it."""
+    return log is not None and log.suffix == ".mcap"
+
+
+@contextmanager
+def run_log(log: Path | None) -> Iterator[WriteLog]:
+    """Give what writes the log of a run, where one is asked for; the file appears in the end, whole or not at all.
+
+    It takes the run, its case, and the arguments of `simulate` that repeat it, where those of the case do not.
+
+    Parameters
+    ----------
+    log
+        The file, of the kind that its ending says: .mcap, else CSV; None for no log.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        With the name of the option, if the file cannot be written, at once or in the end.
+    """
+    if log is None:
+        yield lambda *_: None
+        return
+
+    def write(run: Run, case: Case, command: Sequence[str] = ()) -> None:
+        try:
+            if holds_plans(log):
+                write_ticks(run, draft, _told(case, command or repeating(case)))
+            else:
+                write_rows(run, draft)
+        except OSError as error:
+            raise ConfigError(f"--log {log}: cannot be written ({reason(error)})") from error
+
+    with ExitStack() as stack:
+        try:
+            draft = stack.enter_context(whole_file(log))
+        except ConfigError as error:
+            raise ConfigError(f"--log {error}") from error
+        yield write
+
+
+def repeating(case: Case) -> list[str]:
+    """Arguments of `simulate` that drive a case again."""
+    chosen = [one for one in DIMENSIONS if getattr(case, one.name) not in (one.default, NO_MODEL)]
+    words = [word for one in chosen for word in (one.option, str(getattr(case, one.name)))]
+    words += ["--config", case.config] if case.config else []
+    words += ["--scale-to-robot"] if case.scaled else []
+    return words + [word for key, value in case.overrides for word in ("--set", f"{key}={value}")]
+
+
+def _told(case: Case, command: Sequence[str]) -> dict[str, Mapping[str, str]]:
+    """What the file says of the run, by name of the record."""
+    labels = {name: str(value) for name, value in case.labels.items()}
+    version = {"version": project_version(), "repeat": shlex.join([*_SIMULATE, *command])}
+    told: dict[str, Mapping[str, str]] = {"case": {**version, **labels}}
+    if case.controller not in PEERS:
+        config = controller_config(case.model, case.config, case.overrides)
+        values = config.model_dump(mode="json") | {"model": label(config.model)}
+        told["configuration"] = {"yaml": yaml.safe_dump(values, sort_keys=False, allow_unicode=True)}
+        told["model"] = {"yaml": model_path(config.model).read_text(encoding="utf-8")}
+    return told

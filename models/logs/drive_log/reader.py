@@ -1,0 +1,187 @@
+"""Reads the file of a drive back, also one that was cut off."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray, Measurement
+from diffdrive_mpc.models.logs.drive_log import ros_messages as ros
+from diffdrive_mpc.models.logs.drive_log import topics as topic
+from diffdrive_mpc.models.logs.drive_log.tick import TickRow, measurement_of, tick_schema
+
+if TYPE_CHECKING:
+    from mcap.records import Channel, McapRecord, Message, Metadata
+
+
+@dataclass(frozen=True)
+class DriveLog:
+    """A drive of n ticks as its file tells it.
+
+    Attributes
+    ----------
+    path
+        The file.
+    metadata
+        What it says of the drive, by name of the record: words by key.
+    rows
+        The row of each tick, by the names of tick.schema.json.
+    plans
+        (N + 1, 3) predicted poses of each tick, None where there is none; none at all where they were not asked for.
+    cut
+        Whether the file was cut off: what follows its last whole part is missing.
+    """
+
+    path: Path
+    metadata: Mapping[str, Mapping[str, str]]
+    rows: tuple[TickRow, ...]
+    plans: tuple[FloatArray | None, ...] = ()
+    cut: bool = False
+
+    @property
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Every column by name, (n,) each: numbers, NaN where there are none, and words; those of a run and more."""
+        kinds = {name: said["type"] for name, said in tick_schema()["properties"].items()}
+        columns: dict[str, NDArray[Any]] = {}
+        for name, kind in kinds.items():
+            if kind == "number":
+                columns[name] = np.array([row.get(name, np.nan) for row in self.rows], dtype=float)
+            elif kind == "string":
+                columns[name] = np.array([row.get(name, "") for row in self.rows], dtype=object)
+        return columns
+
+    @property
+    def measurements(self) -> tuple[Measurement, ...]:
+        """What the controller was given at each tick, bit for bit."""
+        return tuple(measurement_of(row) for row in self.rows)
+
+    @property
+    def pose_sensor(self) -> bool:
+        """Whether the poses are a sensor's own; otherwise they are the odometry's, summed up from the same wheels."""
+        return self.metadata.get("layout", {}).get("poses") != "odometry"
+
+
+@dataclass
+class _Found:
+    """What was read so far."""
+
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    rows: list[tuple[int, TickRow]] = field(default_factory=list)
+    plans: dict[int, FloatArray] = field(default_factory=dict)
+    cut: bool = False
+
+
+def is_drive_log(path: Path) -> bool:
+    """Whether the path is that of an MCAP file that holds a drive."""
+    if path.suffix != ".mcap" or not path.is_file():
+        return False
+    from mcap.records import Channel  # noqa: PLC0415 - only who reads such files needs it
+
+    try:
+        return any(isinstance(record, Channel) and record.topic == topic.STATE for record in _first(path))
+    except _broken():
+        return False
+
+
+def read_drive_log(path: str | Path, *, plans: bool = False) -> DriveLog:
+    """Read a file of `simulate --log FILE.mcap`, or one that a node recorded.
+
+    Parameters
+    ----------
+    path
+        The file.
+    plans
+        Whether to read the predicted poses, too, which takes longer.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If it cannot be read, or holds no tick.
+    """
+    path, found = Path(path), _Found()
+    try:
+        for record in _records(path):
+            _take(record, found, plans=plans)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except _broken() as error:
+        found.cut = True
+        if not found.rows:
+            raise ConfigError(f"{path}: is no MCAP file of a drive ({_words(error)})") from error
+    if not found.rows:
+        raise ConfigError(f"{path}: no tick in it: there is no message on {topic.STATE}")
+    rows = tuple(row for _, row in found.rows)
+    kept = tuple(found.plans.get(now) for now, _ in found.rows) if plans else ()
+    return DriveLog(path, found.metadata, rows, kept, found.cut)
+
+
+def messages(path: Path) -> Iterator[tuple[str, Channel, Message]]:
+    """Every message with the name of its type and its channel, in the order of the file, as far as it goes."""
+    try:
+        yield from (record for record in _records(path) if isinstance(record, tuple))
+    except _broken():
+        return
+
+
+def _take(record: Metadata | tuple[str, Channel, Message], found: _Found, *, plans: bool) -> None:
+    if not isinstance(record, tuple):
+        found.metadata[record.name] = dict(record.metadata)
+        return
+    _, channel, message = record
+    if channel.topic == topic.STATE:
+        found.rows.append((message.log_time, json.loads(message.data)))
+    elif plans and channel.topic == topic.PLAN:
+        path = ros.decoded(topic.KINDS[topic.PLAN], message.data)
+        found.plans[message.log_time] = np.array([ros.planar(place.pose) for place in path.poses])
+
+
+def _records(path: Path) -> Iterator[Metadata | tuple[str, Channel, Message]]:
+    """Metadata, and messages as `messages` has them; raises where the file ends before its end."""
+    from mcap.records import Channel, Message, Metadata, Schema  # noqa: PLC0415 - only who reads such files needs it
+
+    kinds: dict[int, str] = {}
+    channels: dict[int, Channel] = {}
+    for record in _first(path):
+        if isinstance(record, Schema):
+            kinds[record.id] = record.name
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Message):
+            channel = channels[record.channel_id]
+            yield kinds.get(channel.schema_id, ""), channel, record
+        elif isinstance(record, Metadata):
+            yield record
+
+
+def _first(path: Path) -> Iterator[McapRecord]:
+    """The records of the data section, from the first on."""
+    from mcap.records import DataEnd  # noqa: PLC0415
+    from mcap.stream_reader import StreamReader  # noqa: PLC0415
+
+    with path.open("rb") as file:
+        for record in StreamReader(file).records:
+            if isinstance(record, DataEnd):
+                return
+            yield record
+
+
+def _broken() -> tuple[type[Exception], ...]:
+    """What reading raises where bytes are missing or are not what they should be."""
+    import struct  # noqa: PLC0415
+    import zlib  # noqa: PLC0415
+
+    from mcap.exceptions import McapError  # noqa: PLC0415
+    from zstandard import ZstdError  # noqa: PLC0415
+
+    return (McapError, ZstdError, zlib.error, struct.error, EOFError, ValueError, KeyError, IndexError)
+
+
+def _words(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,207 @@
+"""Numbers as ROS 2 messages in CDR, by `rosbags`: no ROS is needed. SI units, frames and signs after REP 103."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from diffdrive_mpc.models.interface import FloatArray, Stamped
+from diffdrive_mpc.models.logs.drive_log.topics import BASE, IMU_LINK, MAP, ODOM, WHEELS
+
+_NANO = 10**9
+# Rows of (x, y, yaw) and of (x, yaw) in ROS' 6 x 6 covariances over x, y, z, roll, pitch, yaw.
+_PLANE, _FORWARD = (0, 1, 5), (0, 5)
+Numbers = Sequence[float]
+Message = Any
+"""A message of one of the classes that `rosbags` makes."""
+
+
+@cache
+def _store() -> Any:  # noqa: ANN401 - its classes are made when it is
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - only who writes needs it
+
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def definition(kind: str) -> bytes:
+    """The text that defines a message type, those that it holds included."""
+    return str(_store().generate_msgdef(kind, ros_version=2)[0]).encode()
+
+
+def serialized(kind: str, message: Message) -> bytes:
+    """A message as CDR."""
+    return bytes(_store().serialize_cdr(message, kind))
+
+
+def decoded(kind: str, data: bytes) -> Message:
+    """The message in CDR bytes."""
+    return _store().deserialize_cdr(data, kind)
+
+
+def command(now: int, twist: Numbers) -> Message:
+    """TwistStamped in the robot's frame: v [m/s], omega [rad/s] at `now` [ns]."""
+    return _make("geometry_msgs/msg/TwistStamped", header=_header(now, BASE), twist=_twist(twist[0], 0.0, twist[1]))
+
+
+def true_twist(now: int, twist: Numbers) -> Message:
+    """TwistStamped in the robot's frame: forward, lateral speed [m/s], yaw rate [rad/s]."""
+    return _make("geometry_msgs/msg/TwistStamped", header=_header(now, BASE), twist=_twist(*twist))
+
+
+def odometry(stamp: int, pose: ArrayLike | None, twist: Stamped) -> Message:
+    """Odometry: twist of the wheels (2,), pose (3,) in odom.
+
+    A covariance of zeros means that none is known, as usual in ROS; that of a summed pose never is.
+    """
+    v, omega = _list(twist.value)
+    twisted = _make(
+        "geometry_msgs/msg/TwistWithCovariance",
+        twist=_twist(v, 0.0, omega),
+        covariance=_covariance(twist.covariance, _FORWARD),
+    )
+    return _make(
+        "nav_msgs/msg/Odometry",
+        header=_header(stamp, ODOM),
+        child_frame_id=BASE,
+        pose=_with_covariance((0.0, 0.0, 0.0) if pose is None else pose, None),
+        twist=twisted,
+    )
+
+
+def imu(stamp: int, yaw_rate: Stamped) -> Message:
+    """Imu with a yaw rate (); orientation and acceleration are marked as not measured."""
+    none, turning = np.zeros(9), np.zeros(9)
+    none[0] = -1.0
+    if yaw_rate.covariance is not None:
+        turning[8] = np.ravel(yaw_rate.covariance)[0]
+    return _make(
+        "sensor_msgs/msg/Imu",
+        header=_header(stamp, IMU_LINK),
+        orientation=_rotation(0.0),
+        orientation_covariance=none,
+        angular_velocity=_vector(0.0, 0.0, float(np.asarray(yaw_rate.value))),
+        angular_velocity_covariance=turning,
+        linear_acceleration=_vector(0.0, 0.0, 0.0),
+        linear_acceleration_covariance=none,
+    )
+
+
+def sensed_pose(stamp: int, pose: Stamped) -> Message:
+    """PoseWithCovarianceStamped in map of a pose (3,)."""
+    return _make(
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        header=_header(stamp, MAP),
+        pose=_with_covariance(pose.value, pose.covariance),
+    )
+
+
+def joint_state(stamp: int, speeds: Stamped) -> Message:
+    """JointState with the speeds (4,) of the wheels [rad/s]."""
+    empty = np.empty(0)
+    return _make(
+        "sensor_msgs/msg/JointState",
+        header=_header(stamp, ""),
+        name=list(WHEELS),
+        position=empty,
+        velocity=np.array(speeds.value, dtype=float),
+        effort=empty,
+    )
+
+
+def pose(now: int, at: Numbers, frame: str) -> Message:
+    """PoseStamped: x [m], y [m], theta [rad]."""
+    return _make("geometry_msgs/msg/PoseStamped", header=_header(now, frame), pose=_pose(at))
+
+
+def path(now: int, stamps: Sequence[int], poses: Sequence[Numbers], frame: str) -> Message:
+    """Path of poses (n, 3) with a stamp [ns] each."""
+    places = [pose(stamp, at, frame) for stamp, at in zip(stamps, poses, strict=True)]
+    return _make("nav_msgs/msg/Path", header=_header(now, frame), poses=places)
+
+
+def vector(now: int, values: Numbers) -> Message:
+    """Vector3Stamped in the robot's frame."""
+    return _make("geometry_msgs/msg/Vector3Stamped", header=_header(now, BASE), vector=_vector(*values))
+
+
+def text(words: str) -> Message:
+    """String."""
+    return _make("std_msgs/msg/String", data=words)
+
+
+def transform(now: int, at: Numbers, frame: str) -> Message:
+    """TFMessage with the robot's pose (3,) in `frame`."""
+    moved = _make("geometry_msgs/msg/Transform", translation=_vector(at[0], at[1], 0.0), rotation=_rotation(at[2]))
+    kind = "geometry_msgs/msg/TransformStamped"
+    return _make(
+        "tf2_msgs/msg/TFMessage",
+        transforms=[_make(kind, header=_header(now, frame), child_frame_id=BASE, transform=moved)],
+    )
+
+
+def diagnostics(now: int, level: int, words: str, values: Mapping[str, str]) -> Message:
+    """DiagnosticArray with one status, named as the node names it; level 0 is good, 1 a warning, 2 an error."""
+    pairs = [_make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in values.items()]
+    status = _make(
+        "diagnostic_msgs/msg/DiagnosticStatus",
+        level=level,
+        name="diffdrive_mpc: control",
+        message=words,
+        hardware_id="diffdrive_mpc",
+        values=pairs,
+    )
+    return _make("diagnostic_msgs/msg/DiagnosticArray", header=_header(now, ""), status=[status])
+
+
+def planar(message: Message) -> tuple[float, float, float]:
+    """X [m], y [m], theta [rad] of a Pose that lies in the plane."""
+    return message.position.x, message.position.y, 2.0 * math.atan2(message.orientation.z, message.orientation.w)
+
+
+def _make(kind: str, **values: object) -> Message:
+    return _store().types[kind](**values)
+
+
+def _header(now: int, frame: str) -> Message:
+    stamp = _make("builtin_interfaces/msg/Time", sec=now // _NANO, nanosec=now % _NANO)
+    return _make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+
+def _vector(x: float, y: float, z: float) -> Message:
+    return _make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+
+def _twist(forward: float, lateral: float, yaw_rate: float) -> Message:
+    return _make("geometry_msgs/msg/Twist", linear=_vector(forward, lateral, 0.0), angular=_vector(0.0, 0.0, yaw_rate))
+
+
+def _rotation(theta: float) -> Message:
+    return _make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(theta / 2), w=math.cos(theta / 2))
+
+
+def _pose(at: Numbers) -> Message:
+    place = _make("geometry_msgs/msg/Point", x=at[0], y=at[1], z=0.0)
+    return _make("geometry_msgs/msg/Pose", position=place, orientation=_rotation(at[2]))
+
+
+def _with_covariance(at: ArrayLike, covariance: ArrayLike | None) -> Message:
+    kind = "geometry_msgs/msg/PoseWithCovariance"
+    return _make(kind, pose=_pose(_list(at)), covariance=_covariance(covariance, _PLANE))
+
+
+def _list(values: ArrayLike) -> list[float]:
+    found: list[float] = np.asarray(values, dtype=float).tolist()
+    return found
+
+
+def _covariance(known: ArrayLike | None, rows: tuple[int, ...]) -> FloatArray:
+    """(36,) row by row, zero where nothing is known."""
+    whole = np.zeros((6, 6))
+    if known is not None:
+        whole[np.ix_(rows, rows)] = known
+    return whole.ravel()

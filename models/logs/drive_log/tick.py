@@ -1,0 +1,130 @@
+"""The row of a tick: numbers and words by name, those of a run's columns, and the measurement that it holds."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
+from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
+
+Cell = float | str
+TickRow = Mapping[str, Cell]
+"""By the names in tick.schema.json; what is not known is not there."""
+
+_PARTS = ("x_m", "y_m", "theta_rad")
+_POSE_ENTRIES = ("xx_m2", "xy_m2", "xtheta_m_rad", "yy_m2", "ytheta_m_rad", "thetatheta_rad2")
+_SENT = ("sent_v_m_s", "sent_omega_rad_s")
+
+
+class _Sensor(NamedTuple):
+    """A reading of a measurement and its names in a row; of the covariance the upper triangle, row by row."""
+
+    field: str
+    values: tuple[str, ...]
+    time: str
+    covariance: tuple[str, ...] = ()
+
+
+_SENSORS = {
+    one.field: one
+    for one in (
+        _Sensor(
+            "pose",
+            tuple(f"pose_{part}" for part in _PARTS),
+            "pose_t_s",
+            tuple(
+                f"pose_cov_{e}" for e in ("xx_m2", "xy_m2", "xtheta_m_rad", "yy_m2", "ytheta_m_rad", "thetatheta_rad2")
+            ),
+        ),
+        _Sensor(
+            "wheel_twist",
+            ("v_wheel_m_s", "omega_wheel_rad_s"),
+            "wheel_t_s",
+            ("wheel_cov_vv_m2_s2", "wheel_cov_vomega_m_rad_s2", "wheel_cov_omegaomega_rad2_s2"),
+        ),
+        _Sensor("yaw_rate", ("omega_gyro_rad_s",), "gyro_t_s", ("gyro_cov_omegaomega_rad2_s2",)),
+        _Sensor("wheel_speeds", tuple(f"wheel_{wheel}_rad_s" for wheel in ("fl", "fr", "rl", "rr")), "wheel_t_s"),
+    )
+}
+
+
+@cache
+def tick_schema() -> dict[str, Any]:
+    """The JSON schema of a row."""
+    found = json.loads(files(__package__).joinpath("tick.schema.json").read_text(encoding="utf-8"))
+    assert isinstance(found, dict)
+    return found
+
+
+def to_json(row: TickRow) -> bytes:
+    """A row as JSON, from which the same bits are read; what is not finite JSON has no word for, and is left out."""
+    finite = {name: cell for name, cell in row.items() if not isinstance(cell, float) or math.isfinite(cell)}
+    return json.dumps(finite, separators=(",", ":")).encode()
+
+
+def measured_cells(measurement: Measurement) -> dict[str, Cell]:
+    """What of a row a measurement fills."""
+    cells: dict[str, Cell] = {}
+    for field, sensor in _SENSORS.items():
+        reading = getattr(measurement, field)
+        if reading is None:
+            continue
+        cells[sensor.time] = float(reading.time)
+        value = np.asarray(reading.value, dtype=float).reshape(len(sensor.values))
+        cells |= zip(sensor.values, value.tolist(), strict=True)
+        if sensor.covariance and reading.covariance is not None:
+            stated = np.asarray(reading.covariance, dtype=float).reshape(2 * value.shape)
+            cells |= zip(sensor.covariance, stated[np.triu_indices(len(value))].tolist(), strict=True)
+    if measurement.sent is not None:
+        cells |= zip(_SENT, map(float, measurement.sent), strict=True)
+    return cells
+
+
+def error_cells(row: TickRow) -> dict[str, Cell]:
+    """The estimate against the pose that is tracked, in that pose's frame; nothing where either is not known."""
+    believed, tracked = (numbers(row, tuple(f"{what}_{part}" for part in _PARTS)) for what in ("estimate", "reference"))
+    if not believed or not tracked:
+        return {}
+    gap = np.subtract(believed, tracked)
+    along, across = ahead_and_left(gap, tracked[2])
+    errors = {"along_m": along, "across_m": across, "heading_rad": wrap_angle(gap[2])}
+    return {f"error_{name}": float(value) for name, value in errors.items()}
+
+
+def measurement_of(row: TickRow) -> Measurement:
+    """The measurement that a row holds, bit for bit; without the covariance of single wheels, which nobody uses."""
+    sent = numbers(row, _SENT)
+    readings = {field: _reading(row, sensor) for field, sensor in _SENSORS.items()}
+    return Measurement(**readings, sent=(sent[0], sent[1]) if sent else None)
+
+
+def covariance_of(row: TickRow, field: str) -> FloatArray | None:
+    """The covariance that a reading came with, by the name of the field of a measurement; None where none did."""
+    names = _SENSORS[field].covariance
+    stated = numbers(row, names)
+    if not stated:
+        return None
+    size = len(_SENSORS[field].values)
+    upper = np.zeros((size, size))
+    upper[np.triu_indices(size)] = stated
+    return upper + np.triu(upper, 1).T
+
+
+def numbers(row: TickRow, names: tuple[str, ...]) -> list[float]:
+    """The numbers of these names, or none if one of them is not there."""
+    found = [cell for name in names if isinstance(cell := row.get(name), float) and math.isfinite(cell)]
+    return found if len(found) == len(names) else []
+
+
+def _reading(row: TickRow, sensor: _Sensor) -> Stamped | None:
+    value, at = numbers(row, sensor.values), numbers(row, (sensor.time,))
+    if not value or not at:
+        return None
+    return Stamped(np.array(value) if len(value) > 1 else value[0], at[0], covariance_of(row, sensor.field))

@@ -1,0 +1,33 @@
+"""Names in a file of a drive: topics and frames, those of the node and of the simulated robot."""
+
+from __future__ import annotations
+
+STATE = "/diffdrive_mpc/state"
+"""The row of each tick, as JSON."""
+COMMAND, ODOMETRY, IMU, POSE, JOINTS = "/cmd_vel", "/odom", "/imu", "/pose", "/joint_states"
+TRUE_POSE, TRUE_TWIST = "/ground_truth/pose", "/ground_truth/twist"
+PLAN, REFERENCE = "/diffdrive_mpc/predicted_path", "/diffdrive_mpc/reference_path"
+MODE, ERROR = "/diffdrive_mpc/mode", "/diffdrive_mpc/tracking_error"
+DIAGNOSTICS, TRANSFORMS = "/diagnostics", "/tf"
+
+KINDS = {
+    COMMAND: "geometry_msgs/msg/TwistStamped",
+    ODOMETRY: "nav_msgs/msg/Odometry",
+    IMU: "sensor_msgs/msg/Imu",
+    POSE: "geometry_msgs/msg/PoseWithCovarianceStamped",
+    JOINTS: "sensor_msgs/msg/JointState",
+    TRUE_POSE: "geometry_msgs/msg/PoseStamped",
+    TRUE_TWIST: "geometry_msgs/msg/TwistStamped",
+    PLAN: "nav_msgs/msg/Path",
+    REFERENCE: "nav_msgs/msg/Path",
+    MODE: "std_msgs/msg/String",
+    ERROR: "geometry_msgs/msg/Vector3Stamped",
+    DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
+    TRANSFORMS: "tf2_msgs/msg/TFMessage",
+}
+"""ROS type of every topic but `STATE`."""
+
+MAP, ODOM, BASE, IMU_LINK = "map", "odom", "base_link", "imu_link"
+"""Frames (REP 105)."""
+WHEELS = ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel")
+"""Joints of the wheels."""

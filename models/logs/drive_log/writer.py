@@ -1,0 +1,192 @@
+"""Writes the ticks of a drive into an MCAP file, on the topics of node and robot."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import IO, Any
+
+from diffdrive_mpc.models.interface import FloatArray, Stamped
+from diffdrive_mpc.models.logs.drive_log import ros_messages as ros
+from diffdrive_mpc.models.logs.drive_log import topics as topic
+from diffdrive_mpc.models.logs.drive_log.tick import TickRow, error_cells, measurement_of, numbers, tick_schema, to_json
+
+_NANO = 10**9
+_WELL = ("TRACKING", "FINISHED", "IDLE")
+_CHUNK = 1 << 18
+"""Bytes before they are compressed and written: of a file that is cut off so much is lost at most, some seconds."""
+
+
+class DriveWriter:
+    """Writes one drive; `close` ends the file.
+
+    Parameters
+    ----------
+    stream
+        Where to; it is not closed.
+    metadata
+        What the file says of the drive, by name of the record: words by key.
+    frame
+        Frame that poses, plan and reference are in.
+    pose_topic
+        Whether the measured poses come from a sensor of their own; otherwise they are those of the odometry.
+    """
+
+    def __init__(
+        self,
+        stream: IO[bytes],
+        metadata: Mapping[str, Mapping[str, str]],
+        *,
+        frame: str = topic.MAP,
+        pose_topic: bool = True,
+    ) -> None:
+        from mcap.writer import Writer  # noqa: PLC0415 - --help does without it
+
+        self._frame, self._pose_topic = frame, pose_topic
+        self._writer = Writer(stream, chunk_size=_CHUNK)
+        self._writer.start(profile="ros2", library="diffdrive-mpc")
+        for name, words in metadata.items():
+            self._writer.add_metadata(name, dict(words))
+        self._writer.add_metadata("layout", {"frame": frame, "poses": "sensor" if pose_topic else "odometry"})
+        self._channels: dict[str, int] = {}
+        self._kinds: dict[str, int] = {}
+        self._said, self._diagnosed = "", -_NANO
+
+    def close(self) -> None:
+        """Write what readers need to find their way; without it the file can only be read from its beginning."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+
+    def tick(
+        self,
+        now: int,
+        row: TickRow,
+        *,
+        plan: FloatArray | Sequence[Sequence[float]] | None = None,
+        period: int = 0,
+        odometry_pose: Sequence[float] | None = None,
+        diagnose: bool = True,
+    ) -> None:
+        """Write one tick.
+
+        Parameters
+        ----------
+        now
+            Its instant on the file's clock [ns].
+        row
+            Its row; its `t_s` is the same instant.
+        plan, period
+            (N + 1, 3) predicted poses from `now` on, `period` [ns] apart.
+        odometry_pose
+            (3,) of the odometry, where it is not the measured pose.
+        diagnose
+            Whether to write a status once a second; a node has its own.
+        """
+        row = {**row, **error_cells(row)}
+        self._write(topic.STATE, now, to_json(row))
+        self._message(topic.COMMAND, now, ros.command(now, _numbers(row, "v_ref_m_s", "omega_ref_rad_s")))
+        self._readings(now, row, odometry_pose)
+        self._truth(now, row)
+        self._belief(now, row)
+        if plan is not None and len(plan):
+            poses = plan.tolist() if hasattr(plan, "tolist") else plan
+            stamps = [now + index * period for index in range(len(poses))]
+            self._message(topic.PLAN, now, ros.path(now, stamps, poses, self._frame))
+        if diagnose and now - self._diagnosed >= _NANO:
+            self._diagnosed = now
+            self._message(topic.DIAGNOSTICS, now, _status(now, row))
+
+    def reference(self, now: int, stamps: Sequence[int], poses: FloatArray) -> None:
+        """Write the path (n, 3) that is to be driven, with the times [ns] at which."""
+        self._message(topic.REFERENCE, now, ros.path(now, stamps, poses.tolist(), self._frame))
+
+    def serialized(self, name: str, now: int, data: bytes) -> None:
+        """Write a message of the type of the topic `name` that is in CDR already."""
+        self._write(name, now, data)
+
+    def _readings(self, now: int, row: TickRow, odometry_pose: Sequence[float] | None) -> None:
+        """What the sensors said, stamped with what it describes."""
+        measured = measurement_of(row)
+
+        def stamp(reading: Stamped) -> int:
+            return now + round(_NANO * (reading.time - float(row["t_s"])))
+
+        pose, wheels, gyro, speeds = measured.pose, measured.wheel_twist, measured.yaw_rate, measured.wheel_speeds
+        if wheels is not None:
+            place = pose.value if pose is not None and not self._pose_topic else odometry_pose
+            self._message(topic.ODOMETRY, now, ros.odometry(stamp(wheels), place, wheels))
+        if gyro is not None:
+            self._message(topic.IMU, now, ros.imu(stamp(gyro), gyro))
+        if pose is not None and self._pose_topic:
+            self._message(topic.POSE, now, ros.sensed_pose(stamp(pose), pose))
+        if speeds is not None:
+            self._message(topic.JOINTS, now, ros.joint_state(stamp(speeds), speeds))
+
+    def _truth(self, now: int, row: TickRow) -> None:
+        if pose := _numbers(row, "true_x_m", "true_y_m", "true_theta_rad"):
+            self._message(topic.TRUE_POSE, now, ros.pose(now, pose, topic.MAP))
+        if twist := _numbers(row, "true_v_m_s", "true_lateral_m_s", "true_omega_rad_s"):
+            self._message(topic.TRUE_TWIST, now, ros.true_twist(now, twist))
+
+    def _belief(self, now: int, row: TickRow) -> None:
+        """Where the robot is believed to be, how far from its reference, and what the controller does."""
+        pose = _numbers(row, "estimate_x_m", "estimate_y_m", "estimate_theta_rad")
+        if pose:
+            self._message(topic.TRANSFORMS, now, ros.transform(now, pose, self._frame))
+        if error := _numbers(row, "error_along_m", "error_across_m", "error_heading_rad"):
+            self._message(topic.ERROR, now, ros.vector(now, error))
+        mode, message = str(row["mode"]), str(row["message"])
+        if mode != self._said:
+            self._said = mode
+            self._message(topic.MODE, now, ros.text(f"{mode}: {message}" if message else mode))
+
+    def _message(self, name: str, now: int, message: ros.Message) -> None:
+        self._write(name, now, ros.serialized(topic.KINDS[name], message))
+
+    def _write(self, name: str, now: int, data: bytes) -> None:
+        channel = self._channels.get(name)
+        if channel is None:
+            channel = self._channels[name] = self._channel(name)
+        self._writer.add_message(channel, log_time=now, data=data, publish_time=now)
+
+    def _channel(self, name: str) -> int:
+        if name == topic.STATE:
+            schema = self._writer.register_schema(
+                "diffdrive_mpc.State", "jsonschema", json.dumps(tick_schema()).encode()
+            )
+            return self._writer.register_channel(name, "json", schema)
+        kind = topic.KINDS[name]
+        if kind not in self._kinds:
+            self._kinds[kind] = self._writer.register_schema(kind, "ros2msg", _definition(kind))
+        return self._writer.register_channel(name, "cdr", self._kinds[kind])
+
+
+@contextmanager
+def drive_writer(path: Path, metadata: Mapping[str, Mapping[str, str]], **options: Any) -> Iterator[DriveWriter]:  # noqa: ANN401
+    """Write a file; `options` are those of `DriveWriter`. The file ends whole only if nothing is raised."""
+    with path.open("wb") as stream:
+        writer = DriveWriter(stream, metadata, **options)
+        yield writer
+        writer.close()
+
+
+@cache
+def _definition(kind: str) -> bytes:
+    return ros.definition(kind)
+
+
+def _numbers(row: TickRow, *names: str) -> list[float]:
+    return numbers(row, names)
+
+
+def _status(now: int, row: TickRow) -> ros.Message:
+    mode, message = str(row["mode"]), str(row["message"])
+    level = 0 if mode in _WELL and not message else 2 if mode in ("BRAKING", "STOPPED", "FAULT") else 1
+    values = {
+        "mode": mode,
+        "solver": f"{row['solver_status']}, by {row['solver_path']}, {row.get('solver_iterations', 0):.0f} iterations",
+        "step time [ms]": f"{1e3 * step:.2f}" if isinstance(step := row.get("step_time_s"), float) else "-",
+    }
+    return ros.diagnostics(now, level, f"{mode}: {message}" if message else mode, values)

@@ -1,0 +1,70 @@
+"""Runs as MCAP logs, as `models.logs.drive_log` has them: topics of node and robot, and `Run.columns` row by row."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive_mpc.models.logs.drive_log.tick import Cell, measured_cells
+from diffdrive_mpc.models.logs.drive_log.writer import drive_writer
+from diffdrive_mpc.models.whole_file import whole_file
+from diffdrive_mpc.sim.run import Run
+
+START = 10**9
+"""Time of the file [ns] at which the run's is 0: to ROS, a stamp of zero says that nobody set it."""
+_NANO = 10**9
+_MOST_POSES = 500
+
+
+def write_log(run: Run, path: str | Path, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
+    """Write `run` to an MCAP file, with its plans where they were kept. It appears whole or not at all.
+
+    Parameters
+    ----------
+    run
+        The run.
+    path
+        The file.
+    metadata
+        What the file says of the run, by name of a record: words by key.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If `path` is something else than a file or cannot be written to.
+    """
+    with whole_file(path) as draft:
+        write_ticks(run, draft, metadata or {})
+
+
+def write_ticks(run: Run, path: Path, metadata: Mapping[str, Mapping[str, str]]) -> None:
+    """Write a run straight into `path`."""
+    period = round(_NANO * run.sample_time)
+    told = {"sample_time_s": repr(run.sample_time), "trajectory": run.reference.name, "ended": run.ended}
+    plans = run.plans if run.plans.size else np.full((len(run.time), 0, 3), np.nan)
+    with drive_writer(path, {"run": told, **metadata}) as writer:
+        times = np.linspace(0.0, run.reference.duration, min(_MOST_POSES, 2 + int(run.reference.duration * 20)))
+        writer.reference(START, [_stamp(time) for time in times.tolist()], run.reference.sample(times).pose)
+        for row, plan in zip(_rows(run), plans, strict=True):
+            planned = plan if len(plan) and math.isfinite(plan[0, 0]) else None
+            writer.tick(_stamp(row["t_s"]), row, plan=planned, period=period)
+
+
+def _rows(run: Run) -> Iterator[dict[str, Cell]]:
+    """What is known at each tick: its row of the columns, and what else the measurement says."""
+    columns = {name: column.tolist() for name, column in run.columns.items()}
+    for cells, measurement in zip(zip(*columns.values(), strict=True), run.measurements, strict=True):
+        row = {name: cell for name, cell in zip(columns, cells, strict=True) if not _missing(cell)}
+        yield {**row, **measured_cells(measurement)}
+
+
+def _missing(cell: Cell) -> bool:
+    return isinstance(cell, float) and math.isnan(cell)
+
+
+def _stamp(time: Cell) -> int:
+    assert isinstance(time, float)
+    return START + round(_NANO * time)

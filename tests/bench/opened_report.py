@@ -1,0 +1,60 @@
+"""A report opened in a real browser without a network, and what must hold of every one."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from diffdrive_mpc.bench.html_report.browser import open_report, opened_browser
+
+PHONE, DESK = {"width": 390, "height": 844}, {"width": 1280, "height": 900}
+
+
+@contextmanager
+def opened(report: Path) -> Iterator[Any]:
+    """A page of Playwright that shows the report; in the end nothing was complained about or asked for."""
+    complaints: list[str] = []
+    asked: list[str] = []
+    with opened_browser() as browser:
+        page = browser.new_context(viewport=DESK, offline=True).new_page()
+        page.on("console", lambda message: complaints.append(message.text))
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("request", lambda request: asked.append(request.url))
+        open_report(page, report)
+        yield page
+        assert complaints == []
+        assert [url for url in asked if not url.startswith("data:")] == [report.resolve().as_uri()]
+
+
+def check_report(report: Path) -> dict[str, Any]:
+    """Hold a report against what every one must be; its content."""
+    with opened(report) as page:
+        check_page(page)
+    return content_of(report)
+
+
+def check_page(page: Any) -> None:
+    """All is drawn, nothing is wider than a phone, and print shows nothing to press."""
+    assert page.locator("#key-figures .value").count() >= 1
+    assert page.locator("#repeat pre").inner_text().strip()
+    plots = page.locator(".plot")
+    assert all(plots.nth(i).locator(".main-svg").count() for i in range(plots.count()))
+    page.set_viewport_size(PHONE)
+    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+    page.emulate_media(media="print")
+    shown = "[...document.querySelectorAll('input, button, nav')].filter((one) => one.offsetParent !== null).length"
+    assert page.evaluate(shown) == 0
+    page.emulate_media(media="screen")
+    page.set_viewport_size(DESK)
+
+
+def content_of(report: Path) -> dict[str, Any]:
+    """What the script of a report gets."""
+    found = re.search(r'<script id="content" type="application/json">(.*?)</script>', report.read_text(), re.DOTALL)
+    assert found
+    content: dict[str, Any] = json.loads(found[1])
+    return content

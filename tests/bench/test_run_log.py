@@ -1,0 +1,81 @@
+"""`simulate --log FILE.mcap`: what the file says of its run, and `identify` finds in it what it finds in the CSV."""
+
+import errno
+
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from diffdrive_mpc import identify
+from diffdrive_mpc.bench import run_log
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.run_log import repeating
+from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
+from diffdrive_mpc.mpc import ControllerConfig
+
+WORDS = ["simulate", "--trajectory", "s", "--plant", "model:ssm", "--seed", "3", "--set", "horizon=12"]
+
+
+def simulated(*words):
+    return CliRunner().invoke(app, [*WORDS, *words])
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    for name in ("s.csv", "s.mcap"):
+        assert simulated("--log", str(folder / name)).exit_code == 0
+    return folder
+
+
+def test_the_file_says_what_was_driven_and_how_to_drive_it_again(logs):
+    told = read_drive_log(logs / "s.mcap").metadata
+    assert told["case"]["plant"] == "model:ssm" and told["case"]["seed"] == "3"
+    assert told["case"]["repeat"] == " ".join(["diffdrive-mpc", *WORDS])
+    assert ControllerConfig.model_validate(yaml.safe_load(told["configuration"]["yaml"])).horizon == 12
+    assert yaml.safe_load(told["model"]["yaml"])["name"]
+
+
+def test_it_holds_the_plans_of_its_controller(logs):
+    plans = read_drive_log(logs / "s.mcap", plans=True).plans
+    assert {len(plan) for plan in plans if plan is not None} == {13}
+
+
+def test_identify_finds_the_same_in_both(logs):
+    one, other = (identify([logs / name], structure="sm") for name in ("s.csv", "s.mcap"))
+    sampled, expected = one.model.discretise(0.0202), other.model.discretise(0.0202)
+    assert all(
+        np.array_equal(getattr(sampled, name), getattr(expected, name)) for name in ("A", "B0", "B1", "C", "delay")
+    )
+    assert one.config == other.config
+
+
+@pytest.mark.parametrize("words", [["--laps", "2"], ["--controller", "pursuit"]])
+def test_laps_and_peers_are_logged_too(words, tmp_path):
+    plain = [word for word in WORDS if words[0] != "--controller" or word not in ("--set", "horizon=12")]
+    assert CliRunner().invoke(app, [*plain, *words, "--log", str(tmp_path / "run.mcap")]).exit_code == 0
+    log = read_drive_log(tmp_path / "run.mcap", plans=True)
+    assert " ".join(words) in log.metadata["case"]["repeat"]
+    assert any(plan is not None for plan in log.plans) == (words[0] == "--laps")
+
+
+def test_the_line_of_a_case_names_what_is_not_usual():
+    assert repeating(Case()) == []
+    case = Case(model="sm", trajectory="cane", scaled=True, overrides=(("weights.across", 60.0),))
+    words = ["--model", "sm", "--trajectory", "cane", "--scale-to-robot", "--set", "weights.across=60.0"]
+    assert repeating(case) == words
+
+
+def test_a_full_disk_is_one_line_and_leaves_the_old_file(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(run_log, "write_ticks", full)
+    log = tmp_path / "run.mcap"
+    log.write_bytes(b"old")
+    result = simulated("--log", str(log))
+    assert result.exit_code == 2
+    assert result.stderr.splitlines()[-1] == f"error: --log {log}: cannot be written (No space left on device)"
+    assert log.read_bytes() == b"old" and list(tmp_path.iterdir()) == [log]
