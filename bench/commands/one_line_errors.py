@@ -20,7 +20,7 @@ INTERRUPTED = 130
 
 _ROS = "install diffdrive-mpc[ros], or source the setup file of ROS 2 Jazzy"
 OPTIONAL_PACKAGES = {
-    "mujoco": "install diffdrive-mpc[sim], or use --plant model:ssm",
+    "mujoco": "pip install mujoco, or use --plant model:ssm",
     "rclpy": _ROS,
     "builtin_interfaces": _ROS,
     "geometry_msgs": _ROS,
