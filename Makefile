@@ -10,6 +10,7 @@ PEERS_OUT ?= out/peers
 ROBUSTNESS_OUT ?= out/robustness
 PROVE_OUT ?= out/prove
 TUNE_OUT ?= out/tune
+SITE_OUT ?= out/site
 # Options of the studies: make tracking TRACKING=--quick
 TRACKING ?=
 REPRODUCE ?=
@@ -25,7 +26,7 @@ READY := $(VENV)/.ready
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench edge peers robustness prove tune tracking reproduce speed wheel test lint types format models calibrate readme schemas requirements clean
+.PHONY: help bench edge peers robustness prove tune tracking reproduce speed wheel test lint types format models calibrate readme schemas site notebooks pictures requirements clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -95,6 +96,16 @@ readme: $(READY) ## copy tables and figures of the last `make bench` and of the 
 
 schemas: $(READY) ## write the JSON Schemas of all kinds of files again
 	$(BIN)/python -m diffdrive_mpc.bench.schemas.generate
+
+site: $(READY) ## the documents as a site: out/site
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir $(SITE_OUT)
+	@echo "$(SITE_OUT)/index.html"
+
+notebooks: $(READY) ## notebooks and pictures of the tutorials, from their pages
+	$(BIN)/python -m diffdrive_mpc.bench.site.notebooks
+
+pictures: $(READY) ## pictures of the documents that no study leaves
+	$(BIN)/python -m diffdrive_mpc.bench.site.pictures
 
 requirements: ## pin all dependencies anew (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \

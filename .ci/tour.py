@@ -1,7 +1,7 @@
 """Paste the commands of documents, as they stand, where only a wheel is installed: `python .ci/tour.py PAGE...`.
 
-In order, in the current folder. Lines with `make` need the clone and are left out; a file is written as its block shows it.
-Only what a shell and Python bring is used, so that any installation can be tried.
+In order, in the current folder. Lines with `make` need the clone and are left out; a file is written as its block
+shows it. Only what a shell and Python bring is used, so that any installation can be tried.
 """
 
 import re

@@ -23,7 +23,7 @@ from diffdrive_mpc.bench.commands import (
 )
 from diffdrive_mpc.bench.commands.config import config_app
 from diffdrive_mpc.bench.commands.models import models_app
-from diffdrive_mpc.bench.commands.one_line_errors import OneLineErrors
+from diffdrive_mpc.bench.commands.one_line_errors import OneLineErrors, leave_on_sigterm
 from diffdrive_mpc.bench.commands.options import PASSED_ON
 
 app = typer.Typer(
@@ -76,4 +76,5 @@ def _options(
 
 def main() -> None:
     """Entry point of the console command."""
+    leave_on_sigterm()
     app(prog_name="diffdrive-mpc")

@@ -48,20 +48,31 @@ def parameter_tables() -> str:
         If a parameter has no advice, or an advice no parameter.
     """
     advice: dict[str, str] = read_yaml(_ADVICE)
-    own = schema_rows(NodeSettings)
-    # A list comes by file only, and its items with it.
-    controller = [row for row in schema_rows(ControllerConfig) if not row.key.startswith("terms")]
-    keys = [row.key for row in own + controller]
+    keys = [row.key for row in schema_rows(NodeSettings) + _controller_rows()]
     known = {*keys, *(key.partition(".")[0] for key in keys)}
     for name in advice:
         if name not in known:
             raise ConfigError(f"{_ADVICE.name}: '{name}' is no parameter and no group; remove it")
-    parts = [_table("The node", own, advice)]
+    return f"{node_table()}\n\n{configuration_tables()}"
+
+
+def node_table() -> str:
+    """The parameters that only the node has."""
+    return _table("The node", schema_rows(NodeSettings), read_yaml(_ADVICE))
+
+
+def configuration_tables() -> str:
+    """The keys of the controller's configuration in a table for each group."""
+    advice: dict[str, str] = read_yaml(_ADVICE)
     groups: dict[str, list[FieldRow]] = {}
-    for row in controller:
+    for row in _controller_rows():
         groups.setdefault(row.key.rpartition(".")[0], []).append(row)
-    parts += [_table(_TITLES[group], rows, advice) for group, rows in groups.items()]
-    return "\n\n".join(parts)
+    return "\n\n".join(_table(_TITLES[group], rows, advice) for group, rows in groups.items())
+
+
+def _controller_rows() -> list[FieldRow]:
+    """Keys of the configuration that are parameters: a list comes by file only, and its items with it."""
+    return [row for row in schema_rows(ControllerConfig) if not row.key.startswith("terms")]
 
 
 def with_tables(page: str) -> str:

@@ -12,6 +12,8 @@ from diffdrive_mpc.bench.documents import SHOWN, with_report
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
+# Their notebooks are run by test_tutorials.py.
+LINKING = sorted([*DOCUMENTS, ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*/*.md")])
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 # What make would set up is set up already; .ci/run calls these as they stand.
@@ -19,7 +21,7 @@ CI_SCRIPT = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 RUN_IN_CI = {line.strip() for line in CI_SCRIPT.splitlines()}
 # These say how to install it: .ci/tour.py runs them as they stand, where only a wheel is installed.
 TOURED = {ROOT / "README.md", ROOT / "docs" / "install.md"}
-RUN_BY_CI = re.compile(r"make (bench|tracking|reproduce|speed|test|lint|types|wheel)$")
+RUN_BY_CI = re.compile(r"make (bench|tracking|reproduce|speed|site|test|lint|types|wheel)$")
 
 
 def blocks(document):
@@ -63,7 +65,7 @@ def run(command, folder):
 
 def test_ci_runs_what_the_documents_leave_to_it():
     called = " ".join(line for line in CI_SCRIPT.splitlines() if line.lstrip().startswith("make "))
-    for target in ("bench", "tracking", "reproduce", "speed", "test", "lint", "types", "wheel"):
+    for target in ("bench", "tracking", "reproduce", "speed", "site", "test", "lint", "types", "wheel"):
         assert re.search(rf"\b{target}\b", called), target
     (tour,) = (line for line in CI_SCRIPT.splitlines() if ".ci/tour.py" in line)
     assert all(f'"$root/{named(page)}"' in tour for page in TOURED)
@@ -77,10 +79,13 @@ def test_a_toured_page_has_only_what_the_tour_runs(document):
         assert all(RUN_BY_CI.match(line) for line in makes)
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=named)
+@pytest.mark.parametrize("document", LINKING, ids=named)
 def test_links_lead_somewhere(document):
-    for target in re.findall(r"\]\(([^)#]+?)\)", document.read_text(encoding="utf-8")):
-        if "://" not in target:
+    """Inside the repository; of other addresses only the form is known without a network."""
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", FENCE.sub("", document.read_text(encoding="utf-8"))):
+        if "://" in target:
+            assert re.fullmatch(r"https://[\w.-]+\.[a-z]+(/[\w./%~-]*)?", target), f"{named(document)}: {target}"
+        else:
             assert (document.parent / target).exists(), f"{named(document)}: {target}"
 
 

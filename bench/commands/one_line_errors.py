@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 import sys
-from typing import Any
+from types import FrameType
+from typing import Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
@@ -17,6 +19,8 @@ FAILED = 1
 """Exit code for anything else that went wrong."""
 INTERRUPTED = 130
 """Exit code after Ctrl-C: 128 plus the number of the signal, as shells have it."""
+TERMINATED = 143
+"""Exit code after SIGTERM, likewise."""
 
 _ROS = "install diffdrive-mpc[ros], or source the setup file of ROS 2 Jazzy"
 OPTIONAL_PACKAGES = {
@@ -70,6 +74,19 @@ class OneLineErrors(TyperGroup):
         if code == INTERRUPTED:
             _complain("aborted")
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def leave_on_sigterm() -> None:
+    """Let SIGTERM end this process as Ctrl-C does: what is half-written is removed, processes that it began end."""
+    if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, _terminate)
+
+
+def _terminate(_number: int, _frame: FrameType | None) -> NoReturn:
+    # A second SIGTERM does not wait.
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    _complain("ended by SIGTERM")
+    sys.exit(TERMINATED)
 
 
 def _complain(message: str) -> None:

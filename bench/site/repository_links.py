@@ -1,0 +1,69 @@
+"""Links of the documents, which lead to files of the repository, as links of the site."""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+MOVED = {
+    "README.md": "index.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
+}
+"""Documents that lie outside `docs`, and what they are called on the site."""
+
+_LINK = re.compile(r"(\]\()([^)\s#:]+)(#[^)\s]*)?(\))")
+_COMMENT = re.compile(r"<!--.*?-->\n?", re.DOTALL)
+_FENCED = re.compile(r"^(```.*?^```)$", re.MULTILINE | re.DOTALL)
+
+
+def place_on_site(path: str) -> str:
+    """Where a file of the repository is on the site, both as paths with slashes from the top."""
+    if path in MOVED:
+        return MOVED[path]
+    if path.startswith("docs/"):
+        return path.removeprefix("docs/")
+    return f"files/{path}.md"
+
+
+def linked_files(markdown: str, document: str) -> set[str]:
+    """Files of the repository that a `document` links to, both as paths with slashes from the top."""
+    return {_resolved(target, document) for _, target, *_ in _LINK.findall(_FENCED.sub("", markdown))}
+
+
+def with_site_links(markdown: str, document: str) -> str:
+    """The text of a `document` of the repository with its links as they are on the site, and without comments."""
+    folder = posixpath.dirname(place_on_site(document)) or "."
+
+    def moved(found: re.Match[str]) -> str:
+        before, target, anchor, after = found.groups()
+        place = place_on_site(_resolved(target, document))
+        return f"{before}{posixpath.relpath(place, folder)}{anchor or ''}{after}"
+
+    parts = _FENCED.split(_COMMENT.sub("", markdown))
+    return "".join(part if part.startswith("```") else _LINK.sub(moved, part) for part in parts)
+
+
+def page_of_file(path: str, text: str) -> str:
+    """A page that shows a file which is no Markdown."""
+    kind = {".py": "python", ".yaml": "yaml", ".cff": "yaml", ".json": "json"}.get(Path(path).suffix, "text")
+    return f"# {path}\n\n```{kind}\n{text.rstrip()}\n```\n"
+
+
+def pages_outside(root: Path, documents: Mapping[str, str]) -> dict[str, str]:
+    """Markdown by place on the site, for what the `documents` (text by path) link to and for those in `MOVED`.
+
+    A file that a link names and that does not exist is left out: the strict build then says which page links to it.
+    """
+    moved = {name: (root / name).read_text(encoding="utf-8") for name in MOVED}
+    linked = {path for name, text in {**documents, **moved}.items() for path in linked_files(text, name)}
+    outside = {path for path in linked if place_on_site(path).startswith("files/") and (root / path).is_file()}
+    shown = {place_on_site(path): page_of_file(path, (root / path).read_text(encoding="utf-8")) for path in outside}
+    whole = {MOVED[name]: with_site_links(text, name) for name, text in moved.items()}
+    return {**shown, **whole, "index.md": f"---\nhide: [navigation]\n---\n\n{whole['index.md']}"}
+
+
+def _resolved(target: str, document: str) -> str:
+    return posixpath.normpath(posixpath.join(posixpath.dirname(document), target))

@@ -1,0 +1,123 @@
+"""The documents as a site: links, formulas, pages made from the code, and that what is wrong fails the build."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import typer
+
+import diffdrive_mpc
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.config_report import schema_rows
+from diffdrive_mpc.bench.site.command_line import command_line_page
+from diffdrive_mpc.bench.site.formulas import with_mathml
+from diffdrive_mpc.bench.site.reference import api_page, reference_pages, section
+from diffdrive_mpc.bench.site.repository_links import linked_files, pages_outside, with_site_links
+from diffdrive_mpc.models.checked_yaml import ConfigError
+
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = {f"docs/{path.name}": path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md")}
+
+
+@pytest.mark.parametrize(
+    ("document", "link", "on_site"),
+    [
+        ("README.md", "docs/models.md#a-b", "models.md#a-b"),
+        ("README.md", "CONTRIBUTING.md", "contributing.md"),
+        ("docs/why.md", "../README.md#how-well-it-tracks", "index.md#how-well-it-tracks"),
+        ("docs/why.md", "peers.md", "peers.md"),
+        ("docs/recipes/plant.md", "../twin.md", "../twin.md"),
+        ("docs/tutorials/own-cost.md", "../../examples/own_cost.py", "../files/examples/own_cost.py.md"),
+        ("docs/bench.md", "bench/speed.png", "bench/speed.png"),
+        ("README.md", "https://example.org/docs/models.md", "https://example.org/docs/models.md"),
+        ("docs/why.md", "#here", "#here"),
+    ],
+)
+def test_links_of_the_repository_become_links_of_the_site(document, link, on_site):
+    assert with_site_links(f"see [it]({link}), too", document) == f"see [it]({on_site}), too"
+
+
+def test_code_is_left_as_it_is_and_comments_are_left_out():
+    code = "```python\nx = f[0](docs/a.md)\n```"
+    assert with_site_links(f"<!-- bench:begin -->\n| a |\n\n{code}\n", "README.md") == f"| a |\n\n{code}\n"
+
+
+def test_files_that_a_page_names_are_pages_of_their_own():
+    pages = pages_outside(ROOT, {"docs/a.md": "[one](../examples/own_cost.py) [none](../examples/nothing.py)"})
+    assert "keep_away" in pages["files/examples/own_cost.py.md"]
+    assert not any("nothing" in place for place in pages)
+    assert linked_files(pages["index.md"], "docs/index.md") >= {"docs/models.md", "docs/contributing.md"}
+
+
+def test_formulas_become_mathml():
+    marked = r'<p>with <span class="arithmatex">\(a &lt; b_{k+1}\)</span></p><div class="arithmatex">\[\sqrt{2}\]</div>'
+    page = ElementTree.fromstring(f"<body>{with_mathml(marked)}</body>")
+    kinds = [one.get("display") for one in page.iter("{http://www.w3.org/1998/Math/MathML}math")]
+    assert kinds == ["inline", "block"]
+    assert "".join(page.itertext()) == "with a<bk+12"
+
+
+def test_every_command_and_option_is_in_the_reference():
+    page = command_line_page()
+    sections = dict(re.findall(r"^## ([\w -]+?) \{.*?$(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL))
+    for name, command in commands(typer.main.get_command(app)):
+        for option in command.params:
+            if option.opts[0].startswith("--") and option.name != "help":
+                assert f"`{option.opts[0]}`" in sections[name], (name, option.opts)
+    assert "| `--trajectory` | `circle` |" in sections["simulate"]
+    assert "| `--seed` | `0` |" in sections["simulate"]
+
+
+def commands(group, prefix=""):
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from commands(command, f"{prefix}{name} ")
+        else:
+            yield prefix + name, command
+
+
+def test_every_public_name_is_in_the_reference_and_imports_as_it_says():
+    page = api_page()
+    names = re.findall(r"^::: (\S+)$", page, re.MULTILINE)
+    assert {name.rpartition(".")[2] for name in names} >= set(diffdrive_mpc.__all__)
+    imported = {}
+    for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL):
+        exec(block, imported)
+    assert {name.rpartition(".")[2] for name in names} <= set(imported)
+
+
+def test_every_key_and_topic_is_in_the_reference():
+    pages = reference_pages(DOCUMENTS)
+    for row in schema_rows():
+        assert row.key.startswith("terms") or f"`{row.key}`" in pages["reference/configuration.md"], row.key
+    assert "`~/predicted_path`" in pages["reference/ros.md"]
+    files = dict(
+        re.findall(
+            r"^## \S+ \{ #(\w+) \}$(.*?)(?=^## |\Z)", re.sub(": .*? {", " {", pages["reference/files.md"]), re.M | re.S
+        )
+    )
+    assert "| `segments` | required | list |" in files["trajectory"]
+    assert "| `dead_time.v` | `0.0` | >= 0 |" in files["model"]
+    assert "| `fit_percent.v` | required in the group |" in files["model"]
+    with pytest.raises(ConfigError, match="no section 'Nothing'"):
+        section(DOCUMENTS["docs/robot.md"], "Nothing")
+
+
+def test_a_dead_link_a_dead_anchor_and_a_lost_page_fail_the_build(tmp_path):
+    for name in ("mkdocs.yml", "README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff"):
+        shutil.copy(ROOT / name, tmp_path)
+    shutil.copytree(ROOT / "docs", tmp_path / "docs")
+    for name in ("examples", "src", "bench"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    lost = tmp_path / "docs" / "lost.md"
+    lost.write_text("# Where?\n\n[a](nowhere.md) [b](why.md#nowhere) [c](../examples/nothing.py)\n", encoding="utf-8")
+    built = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert built.returncode == 1
+    said = [line for line in built.stderr.splitlines() if "lost.md" in line or "nowhere" in line]
+    assert len(said) == 4, built.stderr
