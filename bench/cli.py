@@ -22,6 +22,7 @@ from diffdrive_mpc.bench.commands import (
     twin,
 )
 from diffdrive_mpc.bench.commands.config import config_app
+from diffdrive_mpc.bench.commands.log import log_app
 from diffdrive_mpc.bench.commands.models import models_app
 from diffdrive_mpc.bench.commands.one_line_errors import OneLineErrors, leave_on_sigterm
 from diffdrive_mpc.bench.commands.options import PASSED_ON
@@ -54,6 +55,7 @@ app.command("robot", epilog=ros.EXAMPLES["robot"], context_settings=PASSED_ON)(r
 app.command("doctor", epilog=doctor.EXAMPLE)(doctor.doctor)
 app.command("schema", epilog=schema.EXAMPLE)(schema.schema)
 app.add_typer(config_app, name="config")
+app.add_typer(log_app, name="log")
 app.add_typer(models_app, name="models")
 
 

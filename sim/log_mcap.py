@@ -8,15 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive_mpc.models.logs.drive_log.tick import Cell, measured_cells
+from diffdrive_mpc.models.logs.drive_log.tick import Cell
 from diffdrive_mpc.models.logs.drive_log.writer import drive_writer
+from diffdrive_mpc.models.path_times import path_times
 from diffdrive_mpc.models.whole_file import whole_file
+from diffdrive_mpc.sim.ros.odometry import Odometry
 from diffdrive_mpc.sim.run import Run
 
 START = 10**9
 """Time of the file [ns] at which the run's is 0: to ROS, a stamp of zero says that nobody set it."""
 _NANO = 10**9
-_MOST_POSES = 500
 
 
 def write_log(run: Run, path: str | Path, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
@@ -46,19 +47,21 @@ def write_ticks(run: Run, path: Path, metadata: Mapping[str, Mapping[str, str]])
     told = {"sample_time_s": repr(run.sample_time), "trajectory": run.reference.name, "ended": run.ended}
     plans = run.plans if run.plans.size else np.full((len(run.time), 0, 3), np.nan)
     with drive_writer(path, {"run": told, **metadata}) as writer:
-        times = np.linspace(0.0, run.reference.duration, min(_MOST_POSES, 2 + int(run.reference.duration * 20)))
+        times = path_times(run.reference.duration)
         writer.reference(START, [_stamp(time) for time in times.tolist()], run.reference.sample(times).pose)
-        for row, plan in zip(_rows(run), plans, strict=True):
+        summed = Odometry(run.true_pose[0], 0, use_pose_sensor=False)
+        for row, plan, measurement in zip(_rows(run), plans, run.measurements, strict=True):
             planned = plan if len(plan) and math.isfinite(plan[0, 0]) else None
-            writer.tick(_stamp(row["t_s"]), row, plan=planned, period=period)
+            pose = summed.update(float(row["t_s"]), measurement).tolist()
+            now = _stamp(row["t_s"])
+            writer.tick(now, row, measurement=measurement, plan=planned, period=period, odometry_pose=pose)
 
 
 def _rows(run: Run) -> Iterator[dict[str, Cell]]:
-    """What is known at each tick: its row of the columns, and what else the measurement says."""
+    """What is known at each tick, of the run's columns."""
     columns = {name: column.tolist() for name, column in run.columns.items()}
-    for cells, measurement in zip(zip(*columns.values(), strict=True), run.measurements, strict=True):
-        row = {name: cell for name, cell in zip(columns, cells, strict=True) if not _missing(cell)}
-        yield {**row, **measured_cells(measurement)}
+    for cells in zip(*columns.values(), strict=True):
+        yield {name: cell for name, cell in zip(columns, cells, strict=True) if not _missing(cell)}
 
 
 def _missing(cell: Cell) -> bool:

@@ -12,7 +12,8 @@ from diffdrive_mpc.bench.documents import SHOWN, with_report
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
-# Their notebooks are run by test_tutorials.py.
+# Of tutorials the notebooks are run, by test_tutorials.py.
+PAGES = sorted(page for kind in ("*.md", "recipes/*.md", "tutorials/*.md") for page in (ROOT / "docs").glob(kind))
 LINKING = sorted([*DOCUMENTS, ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*/*.md")])
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
@@ -61,6 +62,14 @@ def test_every_command_and_example_runs(document, tmp_path):
 def run(command, folder):
     result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert result.returncode == 0, f"{command}: {result.stderr}"
+
+
+@pytest.mark.parametrize("document", PAGES, ids=named)
+def test_a_page_is_named_by_its_question_and_begins_with_the_answer(document):
+    title, answer = document.read_text(encoding="utf-8").split("\n\n")[:2]
+    assert re.fullmatch(r"# .*\?", title)
+    assert re.match(r"[A-Z`\[*]", answer), answer
+    assert not answer.startswith(("```", "* ", "<!--"))
 
 
 def test_ci_runs_what_the_documents_leave_to_it():

@@ -46,6 +46,10 @@ def simulate(
     log: Annotated[
         Path | None, typer.Option(help="File for the log of the run: .csv or .mcap.", show_default=False)
     ] = None,
+    rerun: Annotated[
+        str | None,
+        typer.Option(metavar="live|FILE.rrd", help="Show it in Rerun, or write a file for it.", show_default=False),
+    ] = None,
     laps: Annotated[int, typer.Option(min=1, help="Drive it so often, and learn from lap to lap.")] = 1,
     scale_to_robot: Scaled = False,
     from_run: Annotated[
@@ -62,7 +66,7 @@ def simulate(
         from diffdrive_mpc.bench.campaign.again import simulate_again  # noqa: PLC0415 - --help does without it
 
         said = {name: value for name, value in values.items() if value != DEFAULTS[name]}
-        if said or config is not None or settings or laps != 1 or scale_to_robot:
+        if said or config is not None or settings or laps != 1 or scale_to_robot or rerun is not None:
             raise ValueError("--from-run: the file says what is driven; give --out and --log beside it, nothing else")
         if not simulate_again(from_run, out, log):
             raise typer.Exit(FAILED)
@@ -70,7 +74,9 @@ def simulate(
     from diffdrive_mpc.bench.studies.comparison.laps import simulate_laps  # noqa: PLC0415 - --help does without it
     from diffdrive_mpc.bench.studies.comparison.single import simulate_one  # noqa: PLC0415
 
-    run = simulate_one if laps == 1 else partial(simulate_laps, laps=laps)
+    if laps != 1 and rerun is not None:
+        raise ValueError("--rerun: it shows one drive; write the last lap with --log, and show it by `log rerun`")
+    run = partial(simulate_one, rerun=rerun) if laps == 1 else partial(simulate_laps, laps=laps)
     run(values, config=config, settings=settings or [], out=out, log=log, scaled=scale_to_robot)
 
 

@@ -75,7 +75,8 @@ def public_names() -> dict[str, list[str]]:
 def ros_page(guide: str) -> str:
     """Topics, services, frames and states, as the guide of the node has them, and its own parameters."""
     shown = [section(guide, title) for title in ("Topics, services, frames", "States", "The safety ladder")]
-    return "\n".join([_ROS, *(part.replace("](", "](../") for part in shown), _one_up(node_table()), ""])
+    # They have links of the guide, which lies one folder further up.
+    return "\n".join([_ROS, *(part.replace("](", "](../") for part in [*shown, _one_up(node_table())]), ""])
 
 
 def section(page: str, title: str) -> str:

@@ -10,7 +10,7 @@ from enum import StrEnum
 import numpy as np
 
 from diffdrive_mpc.models.errors import DiffdriveMpcError
-from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.ros.inbox import Inbox
@@ -39,6 +39,25 @@ class RefusedError(DiffdriveMpcError, ValueError):
 
 
 @dataclass(frozen=True)
+class Asked:
+    """What the controller was given at `time` [s], and how often it was asked by then."""
+
+    number: int
+    time: float
+    measurement: Measurement
+    hold: Hold | None
+
+
+@dataclass(frozen=True)
+class Begun:
+    """A start of the controller: the reference as it was placed, its time 0 [s], and whether a reset came before."""
+
+    reference: Reference
+    t0: float
+    reset: bool
+
+
+@dataclass(frozen=True)
 class Tick:
     """What one tick did.
 
@@ -52,12 +71,15 @@ class Tick:
         Why, in words; empty when all is well.
     result
         The controller's, where it was asked.
+    asked
+        What it was asked.
     """
 
     command: FloatArray
     state: LoopState
     message: str
     result: StepResult | None = None
+    asked: Asked | None = None
 
     @property
     def mode(self) -> str:
@@ -100,7 +122,10 @@ class ControlLoop:
         self._begin_when_ready = settings.drive_on_activate
         self._reference = trajectory
         self._moves_to_robot = settings.start_at_robot
-        self.placed: Reference | None = None
+        self.begun: Begun | None = None
+        self._asked = 0
+        # So it is when the node is activated.
+        self._was_reset = True
         self.last: Tick | None = None
 
     def offer(self, reference: Reference) -> None:
@@ -138,7 +163,7 @@ class ControlLoop:
         assert self._reference is not None
         self._check_speeds(self._reference)
         if self.state is LoopState.FAULT:
-            self._controller.reset()
+            self._reset_controller()
         self.state, self._reason, self._begin_when_ready = LoopState.IDLE, "", True
         return f"begins '{self._reference.name}', {self._reference.duration:.1f} s"
 
@@ -156,9 +181,9 @@ class ControlLoop:
         """Forget estimate, measurements and progress; returns what it does; raises RefusedError while it moves."""
         if self.last is not None and self.last.command.any():
             raise RefusedError("the robot is still driving; pause first")
-        self._controller.reset()
+        self._reset_controller()
         self.inbox.restart()
-        self.state, self._reason, self._begin_when_ready, self.placed = LoopState.IDLE, "", False, None
+        self.state, self._reason, self._begin_when_ready, self.begun = LoopState.IDLE, "", False, None
         return "is as new; call start to begin"
 
     def tick(self) -> Tick:
@@ -182,11 +207,14 @@ class ControlLoop:
             self.state = LoopState.DRIVING
         if self.state in (LoopState.IDLE, LoopState.FAULT):
             return self._standing()
-        result = self._controller.step(t, self.inbox.measurement(), self._hold(t))
+        self._asked += 1
+        asked = Asked(self._asked, t, self.inbox.measurement(), self._hold(t))
+        result = self._controller.step(t, asked.measurement, asked.hold)
+        self._was_reset = False
         self.fallbacks += result.mode in (Mode.REUSED_PLAN, Mode.BRAKING)
         if self.state is LoopState.DRIVING and result.blocked_for >= self._settings.blocked_timeout:
             self.pause(f"blocked for {result.blocked_for:.1f} s; clear the way and call start")
-        return Tick(result.command, self.state, result.message, result)
+        return Tick(result.command, self.state, result.message, result, asked)
 
     def _hold(self, t: float) -> Hold | None:
         if self.state is LoopState.PAUSED:
@@ -221,5 +249,10 @@ class ControlLoop:
         pose = self.inbox.newest_pose
         if self._moves_to_robot and pose is not None:
             reference = starting_at(reference, pose.value)
-        self._controller.start(reference, self.inbox.now)
-        self.placed = reference
+        t0 = self.inbox.now
+        self._controller.start(reference, t0)
+        self.begun = Begun(reference, t0, self._was_reset)
+
+    def _reset_controller(self) -> None:
+        self._controller.reset()
+        self._was_reset = True

@@ -10,11 +10,14 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopState
 from diffdrive_mpc.mpc.ros.conversions import time_message
 from diffdrive_mpc.mpc.ros.latency import Durations
+from diffdrive_mpc.mpc.ros.recording import Recording
 from diffdrive_mpc.mpc.ros.tracking_error import tracking_error
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
 
 
-def diagnostics(name: str, time: int, lifecycle: str, loop: ControlLoop | None) -> DiagnosticArray:
+def diagnostics(
+    name: str, time: int, lifecycle: str, loop: ControlLoop | None, recording: Recording | None = None
+) -> DiagnosticArray:
     """One status named after the node.
 
     Parameters
@@ -27,6 +30,8 @@ def diagnostics(name: str, time: int, lifecycle: str, loop: ControlLoop | None) 
         Label of the lifecycle state.
     loop
         The control loop; None while the node is not active.
+    recording
+        The recording of the drive; None where there is none.
     """
     status = DiagnosticStatus(name=f"{name}: control", hardware_id=name, level=DiagnosticStatus.OK, message=lifecycle)
     values = {"lifecycle": lifecycle}
@@ -36,6 +41,10 @@ def diagnostics(name: str, time: int, lifecycle: str, loop: ControlLoop | None) 
         if loop.last is not None:
             words = "; ".join(filter(None, [loop.last.message, loop.inbox.fault]))
             status.message = f"{loop.last.mode}: {words}" if words else loop.last.mode
+    if recording is not None:
+        values["recording"] = recording.words
+        if recording.incomplete and status.level == DiagnosticStatus.OK:
+            status.level, status.message = DiagnosticStatus.WARN, f"{status.message}; recording: {recording.words}"
     status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
     array = DiagnosticArray(status=[status])
     array.header.stamp = time_message(time)

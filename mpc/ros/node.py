@@ -25,6 +25,7 @@ from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.parameter_changes import ParameterChanges
 from diffdrive_mpc.mpc.ros.parameters import declare, fields, from_file_only, read
 from diffdrive_mpc.mpc.ros.publishers import Publishers
+from diffdrive_mpc.mpc.ros.recording import Recording
 from diffdrive_mpc.mpc.ros.reference_input import path_reference, trajectory_reference
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.ros.transitions import logged, refuse_what_is_not_allowed
@@ -76,6 +77,7 @@ class TrackingNode(LifecycleNode):
         self._label = "unconfigured"
         self._controller: Controller | None = None
         self._loop: ControlLoop | None = None
+        self._recording: Recording | None = None
         self._timer: Any = None
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._diagnostics_timer: Any = None
@@ -99,6 +101,9 @@ class TrackingNode(LifecycleNode):
         gc.unfreeze()
         self.destroy_timer(self._timer)
         self._outgoing.stop(self.get_clock().now().nanoseconds)
+        if self._recording is not None:
+            self._recording.close()
+            self._recording = None
 
     @logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -126,6 +131,8 @@ class TrackingNode(LifecycleNode):
         self._loop = ControlLoop(
             self._controller, self._settings, self._inbox, self._trajectory, in_sim_time=in_sim_time
         )
+        if self._settings.record:
+            self._recording = Recording(self._settings, config, self._inbox.frame, self.get_logger())
         # A full collection walks all that was built, for some 60 ms, three ticks: it is set aside until deactivation.
         gc.collect()
         gc.freeze()
@@ -212,18 +219,25 @@ class TrackingNode(LifecycleNode):
         tick = loop.tick()
         outgoing.command(tick.command, time)
         outgoing.mode(tick)
-        if loop.placed is not None and loop.placed is not self._shown:
-            self._shown = loop.placed
-            outgoing.reference(loop.placed, time)
+        if loop.begun is not None and loop.begun is not self._shown:
+            self._shown = loop.begun
+            outgoing.reference(loop.begun.reference, time)
+            if self._recording is not None:
+                self._recording.reference(loop.begun, time)
         if tick.result is not None:
             outgoing.error(tick.result, time)
             if self._ticks % self._visual_ticks == 0:
                 outgoing.visuals(tick.result, self._period, time)
         self._ticks += 1
+        if self._recording is not None:
+            self._recording.tick(tick, time, loop.inbox)
 
     def _diagnose(self) -> None:
         time = self.get_clock().now().nanoseconds
-        self._diagnostics.publish(diagnostics(self.get_name(), time, self._label, self._loop))
+        message = diagnostics(self.get_name(), time, self._label, self._loop, self._recording)
+        self._diagnostics.publish(message)
+        if self._recording is not None:
+            self._recording.diagnostics(message, time)
 
     def _serve(self, request: Callable[[ControlLoop], str]) -> Callable[[Any, Any], Any]:
         """A service that asks the control loop, and answers why not."""

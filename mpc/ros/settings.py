@@ -56,6 +56,10 @@ class NodeSettings(StrictModel, strict=True):
     drive_on_reference: bool = Field(
         False, description="drive along a reference as soon as it has arrived and was accepted [-]"
     )
+    record: bool = Field(False, description="record each activation into an MCAP file of its own [-]")
+    record_folder: str = Field(
+        "~/.ros/diffdrive_mpc", min_length=1, description="folder of these files; made where it is missing [-]"
+    )
     visual_rate: Rate = Field(5.0, description="how often predicted path and marker are published [Hz]")
     diagnostics_rate: Rate = Field(1.0, description="how often diagnostics are published [Hz]")
     statistics_window: Annotated[int, Field(ge=10, le=100_000)] = Field(

@@ -21,6 +21,7 @@ from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import simulate
 
 BOUND = 120.0
+MAGIC = b"\x89MCAP0\r\n"
 
 
 def case(trajectory):
@@ -94,6 +95,7 @@ def test_a_robot_stops_when_its_controller_is_killed(tmp_path, monkeypatch):
     environment, bag = own_domain(tmp_path), tmp_path / "bag"
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     node = ["node", "--drive", "--ros-args", "-p", "use_sim_time:=true", "-p", "use_pose_topic:=true"]
+    node += ["-p", "record:=true", "-p", f"record_folder:={tmp_path / 'drives'}"]
     robot = ["robot", "--lock-step", "--answer-timeout", "0.05", "--record", str(bag)]
     with (
         running("node", node, environment, tmp_path) as controller,
@@ -113,3 +115,19 @@ def test_a_robot_stops_when_its_controller_is_killed(tmp_path, monkeypatch):
     since = 1e-9 * (truth.stamped - commands.received[-1])
     assert np.all(truth.value[(since > 0) & (since < 0.5), 0] > 0.2)
     assert 0.5 < since[-1] < 1.5
+    check_record(tmp_path / "drives", commands)
+
+
+def check_record(folder, commands):
+    """The node's own file is whole although the node was killed, and holds every command that the robot got."""
+    (path,) = folder.iterdir()
+    end = time.monotonic() + BOUND
+    while not path.read_bytes().endswith(MAGIC):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    with opened(path) as reader:
+        said = read_topic(reader, path, Topic(topic="/cmd_vel"), COMMANDS)
+    decided = dict(zip(said.stamped.tolist(), said.value.tolist(), strict=True))
+    # The last may have been sent in the tick in which the node was killed.
+    sent = dict(zip(commands.stamped.tolist()[:-1], commands.value.tolist(), strict=False))
+    assert len(sent) > 10 and {stamp: decided[stamp] for stamp in sent} == sent

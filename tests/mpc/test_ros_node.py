@@ -206,7 +206,7 @@ def test_the_trajectory_is_laid_where_the_robot_stands():
         assert trigger(s, "start").success
         s.base.run(40)
         assert s.loop.last.mode == Mode.TRACKING
-        np.testing.assert_allclose(s.loop.placed.sample([0.0]).pose[0], [2.0, -1.0, 2.0], atol=1e-6)
+        np.testing.assert_allclose(s.loop.begun.reference.sample([0.0]).pose[0], [2.0, -1.0, 2.0], atol=1e-6)
         moved = s.base.plant.true_pose - [2.0, -1.0, 2.0]
         assert math.cos(2.0) * moved[0] + math.sin(2.0) * moved[1] > 0.15
 
@@ -292,7 +292,7 @@ def test_a_bad_path_is_refused_and_the_old_one_goes_on(path, reason, capfd):
         sent_path(s, path)
         s.base.until(lambda: (s.base.silent(1), reason in capfd.readouterr().err)[1], "the refusal")
         assert s.loop.state is LoopState.DRIVING
-        assert s.loop.placed.name == "circle"
+        assert s.loop.begun.reference.name == "circle"
 
 
 def test_plain_twist_is_published_where_wanted():

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -174,3 +175,9 @@ def test_what_is_not_finite_is_left_out(run, tmp_path):
     times[3] = np.inf
     log_mcap.write_log(replace(run, solve_time=times), tmp_path / "gaps.mcap")
     assert np.isnan(read_drive_log(tmp_path / "gaps.mcap").columns["solve_time_s"][3])
+
+
+def test_every_field_and_topic_is_in_the_documents():
+    page = (Path(__file__).parents[2] / "docs" / "logs.md").read_text(encoding="utf-8")
+    fields = [name for name in tick_schema()["properties"] if "_cov_" not in name]
+    assert [name for name in (*fields, *KINDS, STATE) if f"`{name}`" not in page] == []

@@ -15,6 +15,7 @@ from diffdrive_mpc.bench.html_report.document import REPORT, write_page
 from diffdrive_mpc.bench.outcomes import Outcome, by_driver
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.rerun_view import ShownController, rerun_view
 from diffdrive_mpc.bench.run_log import holds_plans, run_log
 from diffdrive_mpc.bench.studies.comparison.single_page import single_page
 from diffdrive_mpc.bench.studies.comparison.tables import error_table, path_table, scenario_table, summary_table
@@ -34,6 +35,7 @@ def simulate_one(
     settings: Sequence[str],
     out: Path | None,
     log: Path | None,
+    rerun: str | None = None,
     scaled: bool = False,
 ) -> None:
     """Run a case, print its tables, and write figures and log where asked.
@@ -42,20 +44,24 @@ def simulate_one(
     ----------
     values
         By dimension, `model` being None where it was not given.
-    config, settings, out, log, scaled
+    config, settings, out, log, rerun, scaled
         As typed.
 
     Raises ConfigError, ValueError or OSError if a name, a file, a value or a place to write to cannot be used; before
     the run, and nothing is made then.
     """
     case = asked_case(values, config=config, settings=settings, scaled=scaled)
-    parts = build(case)
+    controller, plant, reference = build(case)
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
+        if rerun is not None:
+            view = stack.enter_context(rerun_view(rerun, reference.name))
+            controller = ShownController(controller, plant, view)
         folder = None if out is None else stack.enter_context(staged(out))
         began = time.perf_counter()
         with ProgressBar("simulating") as bar:
-            run = simulate(*parts, on_tick=bar.at, keep_plans=folder is not None or holds_plans(log))
+            keep = folder is not None or holds_plans(log)
+            run = simulate(controller, plant, reference, on_tick=bar.at, keep_plans=keep)
         write_log(run, case)
         if folder is not None:
             draw(Outcome(case, run), folder, time.perf_counter() - began)

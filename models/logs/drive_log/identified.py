@@ -17,13 +17,17 @@ from diffdrive_mpc.models.logs.sampling import RawLog
 
 OWN_FORMAT = "drive_log"
 """The mapping of these files."""
+_IDLE = ("IDLE", "FAULT")
 
 
 def read_drive(path: Path) -> RawLog:
     """Read the file of a drive; raises models.checked_yaml.ConfigError if it cannot be used."""
     log = read_drive_log(path)
-    values = {name: column for name, column in log.columns.items() if column.dtype != object}
-    number = np.arange(len(log.rows))
+    columns = log.columns
+    # At other ticks nobody asked the controller, and nothing was read: the robot may have been pushed meanwhile.
+    driven = ~np.isin(columns["mode"].astype(str), _IDLE)
+    values = {name: column[driven] for name, column in columns.items() if column.dtype != object}
+    number = np.flatnonzero(driven)
     empty = {name: np.isnan(column) for name, column in values.items()}
     table = CsvTable(path, list(values), number, number + 1, values, empty)
     raw = log_of_table(table, _columns(log, {name for name in values if not empty[name].all()}))

@@ -9,10 +9,18 @@ from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
-from diffdrive_mpc.models.interface import FloatArray, Stamped
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
 from diffdrive_mpc.models.logs.drive_log import ros_messages as ros
 from diffdrive_mpc.models.logs.drive_log import topics as topic
-from diffdrive_mpc.models.logs.drive_log.tick import TickRow, error_cells, measurement_of, numbers, tick_schema, to_json
+from diffdrive_mpc.models.logs.drive_log.tick import (
+    TickRow,
+    error_cells,
+    measured_cells,
+    measurement_of,
+    numbers,
+    tick_schema,
+    to_json,
+)
 
 _NANO = 10**9
 _WELL = ("TRACKING", "FINISHED", "IDLE")
@@ -64,6 +72,7 @@ class DriveWriter:
         now: int,
         row: TickRow,
         *,
+        measurement: Measurement | None = None,
         plan: FloatArray | Sequence[Sequence[float]] | None = None,
         period: int = 0,
         odometry_pose: Sequence[float] | None = None,
@@ -77,6 +86,8 @@ class DriveWriter:
             Its instant on the file's clock [ns].
         row
             Its row; its `t_s` is the same instant.
+        measurement
+            What the controller was given, where the row does not hold it yet.
         plan, period
             (N + 1, 3) predicted poses from `now` on, `period` [ns] apart.
         odometry_pose
@@ -84,7 +95,8 @@ class DriveWriter:
         diagnose
             Whether to write a status once a second; a node has its own.
         """
-        row = {**row, **error_cells(row)}
+        measured = {} if measurement is None else measured_cells(measurement)
+        row = {**row, **measured, **error_cells(row)}
         self._write(topic.STATE, now, to_json(row))
         self._message(topic.COMMAND, now, ros.command(now, _numbers(row, "v_ref_m_s", "omega_ref_rad_s")))
         self._readings(now, row, odometry_pose)
@@ -102,7 +114,7 @@ class DriveWriter:
         """Write the path (n, 3) that is to be driven, with the times [ns] at which."""
         self._message(topic.REFERENCE, now, ros.path(now, stamps, poses.tolist(), self._frame))
 
-    def serialized(self, name: str, now: int, data: bytes) -> None:
+    def serialized(self, now: int, name: str, data: bytes) -> None:
         """Write a message of the type of the topic `name` that is in CDR already."""
         self._write(name, now, data)
 

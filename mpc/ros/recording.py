@@ -1,0 +1,133 @@
+"""Records what the active node hears, decides and says into an MCAP file, as `simulate --log` does."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.serialization import serialize_message
+
+from diffdrive_mpc.models.load import model_path
+from diffdrive_mpc.models.logs.drive_log.recorder import DriveRecorder, Metadata
+from diffdrive_mpc.models.logs.drive_log.tick import Cell, decided_cells
+from diffdrive_mpc.models.logs.drive_log.topics import DIAGNOSTICS
+from diffdrive_mpc.models.path_times import path_times
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.ros.control_loop import Begun, Tick
+from diffdrive_mpc.mpc.ros.inbox import Inbox
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
+
+# How long the node waits for the file to be there, before its first tick, and to be whole, after its last [s].
+_PATIENCE = 5.0
+_REFERENCE = ("reference_x_m", "reference_y_m", "reference_theta_rad")
+
+
+class Recording:
+    """The recording of one activation. It can fail, which it says once, but neither raises nor waits in between.
+
+    Parameters
+    ----------
+    settings, config
+        Of the node and of its controller.
+    frame
+        Frame that control is in.
+    logger
+        Of the node.
+    """
+
+    def __init__(self, settings: NodeSettings, config: ControllerConfig, frame: str, logger: Any) -> None:  # noqa: ANN401
+        path = Path(settings.record_folder).expanduser() / f"{datetime.now(UTC):%Y-%m-%dT%H-%M-%SZ}.mcap"
+        self._logger, self._warned = logger, False
+        self._period = round(1e9 * config.sample_time)
+        self._recorder = DriveRecorder(
+            path, _told(settings, config), patience=_PATIENCE, frame=frame, pose_topic=settings.use_pose_topic
+        )
+        if not self._recorder.fault:
+            logger.info(f"records into {self._recorder.path}")
+        self._warn()
+
+    @property
+    def incomplete(self) -> bool:
+        """Whether something is missing in the file."""
+        return bool(self._recorder.fault or self._recorder.lost)
+
+    @property
+    def words(self) -> str:
+        """How it goes."""
+        recorder = self._recorder
+        lost = f", {recorder.lost} messages lost: the disk is too slow" if recorder.lost else ""
+        return f"ended: {recorder.fault}" if recorder.fault else f"{recorder.path}{lost}"
+
+    def reference(self, begun: Begun, time: int) -> None:
+        """Record the path that begins at `time` [ns]."""
+        times = path_times(begun.reference.duration)
+        stamps = (time + np.round(times * 1e9).astype(np.int64)).tolist()
+        self._recorder.hand("reference", time, stamps, begun.reference.sample(times).pose)
+
+    def tick(self, tick: Tick, time: int, inbox: Inbox) -> None:
+        """Record one tick, which began at `time` [ns]."""
+        asked, result = tick.asked, tick.result
+        row: dict[str, Cell] = {
+            **(_standing(tick) if result is None else decided_cells(result)),
+            "t_s": inbox.now if asked is None else asked.time,
+        }
+        if result is not None and result.reference is not None:
+            row |= zip(_REFERENCE, result.reference[0].tolist(), strict=True)
+        self._recorder.hand(
+            "tick",
+            time,
+            row,
+            measurement=None if asked is None else asked.measurement,
+            plan=None if result is None else result.plan,
+            period=self._period,
+            diagnose=False,
+        )
+
+    def diagnostics(self, message: DiagnosticArray, time: int) -> None:
+        """Record what the node says of itself, and hear how the recording goes."""
+        self._recorder.hand("serialized", time, DIAGNOSTICS, serialize_message(message))
+        self._recorder.poll()
+        self._warn()
+
+    def close(self) -> None:
+        """End the file, after the robot's last command."""
+        self._recorder.close(_PATIENCE)
+        self._warn()
+
+    def _warn(self) -> None:
+        if self._recorder.fault and not self._warned:
+            self._warned = True
+            self._logger.warning(f"recording has ended: {self._recorder.fault}; the robot is not concerned")
+
+
+def _standing(tick: Tick) -> dict[str, Cell]:
+    """What of a row a tick fills at which the controller was not asked."""
+    v, omega = tick.command.tolist()
+    words: dict[str, Cell] = {"mode": tick.mode, "message": tick.message, "solver_status": "", "solver_path": "none"}
+    return {"v_ref_m_s": v, "omega_ref_rad_s": omega, **words}
+
+
+def _told(settings: NodeSettings, config: ControllerConfig) -> Metadata:
+    """What the file says of the drive, by name of the record."""
+    try:
+        release = version("diffdrive-mpc")
+    except PackageNotFoundError:
+        release = "not installed"
+    plain = config.model_dump(mode="json")
+    told = {
+        "version": release,
+        "recorded_by": "node",
+        "model": Path(config.model).stem,
+        "trajectory": settings.trajectory,
+    }
+    return {
+        "case": told | {"trajectory": settings.trajectory},
+        "node": {"yaml": yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False)},
+        "configuration": {"yaml": yaml.safe_dump(plain, sort_keys=False, allow_unicode=True)},
+        "model": {"yaml": model_path(config.model).read_text(encoding="utf-8")},
+    }

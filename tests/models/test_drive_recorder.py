@@ -1,0 +1,161 @@
+"""The recorder hands ticks to a process of its own: it never waits or raises, and what was recorded can be read."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import Measurement, Stamped
+from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
+from diffdrive_mpc.models.logs.drive_log.recorder import DriveRecorder
+
+PATIENCE = 60.0
+PERIOD = 20_000_000
+
+
+def row(k):
+    words = {"mode": "TRACKING", "message": "", "solver_status": "", "solver_path": "none"}
+    return {"t_s": 0.02 * k, "v_ref_m_s": 0.1 * (k % 7), "omega_ref_rad_s": 0.01 * k, **words}
+
+
+def hand(recorder, k):
+    speed = Stamped(np.array([0.1 * (k % 7), 0.0]), 0.02 * k - 0.003)
+    plan = np.full((31, 3), float(k))
+    recorder.hand(
+        "tick", 10**9 + k * PERIOD, row(k), measurement=Measurement(wheel_twist=speed), plan=plan, period=PERIOD
+    )
+
+
+@contextmanager
+def largest_file(size):
+    """Files of processes begun meanwhile cannot grow over `size` bytes, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def recorder_in(folder, **options):
+    found = DriveRecorder(folder / "drive.mcap", {"case": {"model": "sm"}}, patience=PATIENCE, **options)
+    assert not found.fault
+    return found
+
+
+def test_what_was_handed_over_is_in_the_file(tmp_path):
+    recorder = recorder_in(tmp_path / "new", frame="odom", pose_topic=False)
+    for k in range(300):
+        hand(recorder, k)
+    recorder.close(PATIENCE)
+    assert not recorder.fault and not recorder.lost
+    log = read_drive_log(recorder.path, plans=True)
+    assert not log.cut and not log.pose_sensor and log.metadata["case"] == {"model": "sm"}
+    assert list(log.columns["v_ref_m_s"]) == [0.1 * (k % 7) for k in range(300)]
+    assert list(log.columns["wheel_t_s"]) == [0.02 * k - 0.003 for k in range(300)]
+    assert np.array_equal([plan[0, 0] for plan in log.plans], np.arange(300.0))
+    assert read_log(recorder.path).records[0].twist is not None
+
+
+def test_a_file_that_is_there_stays(tmp_path):
+    (tmp_path / "drive.mcap").write_bytes(b"mine")
+    recorder = recorder_in(tmp_path)
+    hand(recorder, 0)
+    recorder.close(PATIENCE)
+    assert recorder.path == tmp_path / "drive-1.mcap" and len(read_drive_log(recorder.path).rows) == 1
+    assert (tmp_path / "drive.mcap").read_bytes() == b"mine"
+
+
+def test_a_full_disk_ends_the_recording_alone_and_leaves_what_was_written(tmp_path):
+    with largest_file(300_000):
+        recorder = recorder_in(tmp_path)
+    k, end = 0, time.monotonic() + PATIENCE
+    while not recorder.fault and time.monotonic() < end:
+        hand(recorder, k)
+        recorder.poll()
+        k += 1
+        time.sleep(0.001)
+    assert recorder.fault == "File too large"
+    hand(recorder, k)
+    recorder.close(PATIENCE)
+    log = read_drive_log(recorder.path)
+    assert log.cut and 0 < len(log.rows) <= k
+
+
+def test_a_folder_that_cannot_be_made_is_a_fault_and_no_exception(tmp_path):
+    (tmp_path / "file").touch()
+    recorder = DriveRecorder(tmp_path / "file" / "drive.mcap", {}, patience=PATIENCE)
+    assert recorder.fault in ("Not a directory", "File exists")
+    hand(recorder, 0)
+    recorder.close(PATIENCE)
+
+
+def test_a_writer_that_hangs_costs_ticks_and_no_time(tmp_path):
+    recorder = recorder_in(tmp_path)
+    writer = recorder._process.pid
+    os.kill(writer, signal.SIGSTOP)
+    try:
+        k = 0
+        while not recorder.lost and k < 100_000:  # more than any system keeps on the way
+            hand(recorder, k)
+            k += 1
+    finally:
+        os.kill(writer, signal.SIGCONT)
+    assert recorder.lost == 1
+    recorder.close(PATIENCE)
+    log = read_drive_log(recorder.path)
+    assert not log.cut and list(log.columns["t_s"]) == [0.02 * tick for tick in range(k - 1)]
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+sys.path[:0] = sys.argv[2:]
+from test_drive_recorder import hand, recorder_in
+recorder = recorder_in(Path(sys.argv[1]))
+for k in range(100):
+    hand(recorder, k)
+print(recorder._process.pid, flush=True)
+os.kill(os.getpid(), 9)
+"""
+
+
+def test_the_file_is_whole_when_the_recording_process_is_killed(tmp_path):
+    words = [sys.executable, "-c", KILLED, str(tmp_path), str(Path(__file__).parent)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=PATIENCE)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    end = time.monotonic() + PATIENCE
+    while _lives(int(done.stdout)) and time.monotonic() < end:
+        time.sleep(0.01)
+    log = read_drive_log(tmp_path / "drive.mcap")
+    assert not log.cut and len(log.rows) == 100
+
+
+def _lives(process):
+    try:
+        return Path(f"/proc/{process}/stat").read_text(encoding="ascii").split()[2] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def test_a_file_whose_writer_was_killed_is_read_as_far_as_it_goes(tmp_path):
+    recorder = recorder_in(tmp_path)
+    k, end = 0, time.monotonic() + PATIENCE
+    while recorder.path.stat().st_size < 20_000 and time.monotonic() < end:
+        hand(recorder, k)
+        k += 1
+        time.sleep(0.001)
+    recorder._process.kill()
+    recorder._process.wait()
+    hand(recorder, k)
+    assert recorder.fault == "the process that writes has ended"
+    recorder.close(PATIENCE)
+    log = read_drive_log(recorder.path)
+    assert log.cut and 0 < len(log.rows) <= k

@@ -1,0 +1,84 @@
+"""What the node records of a drive: the commands as they were sent, over DDS, and nothing that can stop the robot."""
+
+import numpy as np
+import pytest
+from ros_parts import DT, stack
+
+from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
+from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
+from diffdrive_mpc.models.logs.drive_log.topics import DIAGNOSTICS, PLAN, REFERENCE, TRUE_POSE
+from diffdrive_mpc.models.logs.mapping import Topic
+
+
+def recorded(folder, ticks, **parameters):
+    """Drive along the circle; the file, and the commands that arrived at the base."""
+    with stack(drive=True, record=True, record_folder=str(folder), **parameters) as s:
+        s.base.run(ticks)
+        sent = [*zip(s.base.times, s.base.commands, strict=True)]
+    (path,) = folder.iterdir()
+    return path, sent
+
+
+@pytest.mark.parametrize("pose_topic", [False, True])
+def test_the_file_holds_what_was_commanded_and_measured(tmp_path, pose_topic):
+    path, sent = recorded(tmp_path / "drives", 150, pose_topic=pose_topic)
+    log = read_drive_log(path, plans=True)
+    assert not log.cut and log.pose_sensor == pose_topic
+    columns = log.columns
+    commands = np.column_stack([columns["v_ref_m_s"], columns["omega_ref_rad_s"]])
+    with opened(path) as reader:
+        said = read_topic(reader, path, Topic(topic="/cmd_vel"), COMMANDS)
+        there = {known.topic: known.msgcount for known in reader.connections}
+    assert np.array_equal(said.value, commands)
+    stamps = dict(sent)
+    common = [row for row, stamp in enumerate(said.stamped.tolist()) if stamp in stamps]
+    assert len(common) >= 150
+    assert all(tuple(commands[row]) == stamps[int(said.stamped[row])] for row in common)
+    driven = np.flatnonzero(columns["mode"] == "TRACKING")
+    assert len(driven) >= 145
+    assert np.allclose(np.diff(columns["t_s"][driven]), DT, atol=1e-6)
+    assert (
+        np.isfinite(columns["v_wheel_m_s"][driven[2:]]).all()
+        and np.isfinite(columns["omega_gyro_rad_s"][driven[2:]]).all()
+    )
+    assert np.isfinite(columns["estimate_x_sd_m"][driven]).all()
+    assert all(log.plans[row] is not None for row in driven)
+    assert there[REFERENCE] == 1 and there[PLAN] >= len(driven) and there[DIAGNOSTICS] >= 1
+    assert TRUE_POSE not in there and ("/pose" in there) == pose_topic
+    assert log.metadata["case"]["trajectory"] == "circle" and "horizon" in log.metadata["configuration"]["yaml"]
+
+
+def test_identify_reads_it_without_a_mapping(tmp_path):
+    path, _ = recorded(tmp_path / "drives", 200)
+    log = read_log(path)
+    (record,) = log.records
+    assert record.dt == pytest.approx(DT, rel=1e-4)
+    assert record.twist is not None and record.yaw_rate is not None and record.pose is None
+
+
+def test_every_activation_has_a_file_of_its_own(tmp_path):
+    with stack(record=True, record_folder=str(tmp_path)) as s:
+        s.base.run(5)
+        s.node.trigger_deactivate()
+        assert len(list(tmp_path.iterdir())) == 1
+        s.node.trigger_activate()
+        s.base.until(s.hears, "sensors")
+    files = list(tmp_path.iterdir())
+    assert len(files) == 2 and not any(read_drive_log(path).cut for path in files)
+
+
+def test_a_folder_that_cannot_be_written_is_a_warning_and_the_robot_drives(tmp_path, capfd):
+    (tmp_path / "file").touch()
+    with stack(drive=True, record=True, record_folder=str(tmp_path / "file")) as s:
+        s.base.run(60)
+        assert s.loop.last.command[0] > 0.1
+        assert s.node._recording.incomplete
+    assert "recording has ended: " in capfd.readouterr().err
+
+
+def test_without_the_parameter_nothing_is_written(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    with stack(drive=True) as s:
+        s.base.run(3)
+    assert not list(tmp_path.iterdir())
