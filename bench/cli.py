@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from diffdrive_mpc.bench.commands import (
+    animate,
     campaign,
     commission,
     doctor,
@@ -34,6 +35,7 @@ app = typer.Typer(
     help="Model-predictive trajectory tracking for skid-steer and differential-drive robots.",
 )
 app.command("simulate", epilog=studies.EXAMPLES["simulate"])(studies.simulate)
+app.command("animate", epilog=animate.EXAMPLE)(animate.animate)
 app.command("bench", epilog=studies.EXAMPLES["bench"])(studies.bench)
 app.command("identify", epilog=identify.EXAMPLE)(identify.identify)
 app.command("twin", epilog=twin.EXAMPLE)(twin.twin)
