@@ -28,6 +28,7 @@ from diffdrive_mpc.mpc.ros.publishers import Publishers
 from diffdrive_mpc.mpc.ros.recording import Recording
 from diffdrive_mpc.mpc.ros.reference_input import path_reference, trajectory_reference
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.ros.tick_records import TickRecords
 from diffdrive_mpc.mpc.ros.transitions import logged, refuse_what_is_not_allowed
 from diffdrive_mpc.mpc.trajectories import Trajectory, load_trajectory
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
@@ -131,6 +132,7 @@ class TrackingNode(LifecycleNode):
         self._loop = ControlLoop(
             self._controller, self._settings, self._inbox, self._trajectory, in_sim_time=in_sim_time
         )
+        self._records = TickRecords(self._controller)
         if self._settings.record:
             self._recording = Recording(self._settings, config, self._inbox.frame, self.get_logger())
         # A full collection walks all that was built, for some 60 ms, three ticks: it is set aside until deactivation.
@@ -224,6 +226,11 @@ class TrackingNode(LifecycleNode):
             outgoing.reference(loop.begun.reference, time)
             if self._recording is not None:
                 self._recording.reference(loop.begun, time)
+        if loop.begun is not None and (outgoing.recorded or self._recording is not None):
+            lines = self._records.lines(loop.begun, tick)
+            outgoing.record(lines)
+            if self._recording is not None:
+                self._recording.record(lines, time)
         if tick.result is not None:
             outgoing.error(tick.result, time)
             if self._ticks % self._visual_ticks == 0:

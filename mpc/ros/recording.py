@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import serialize_message
+from std_msgs.msg import String
 
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.drive_log.recorder import DriveRecorder, Metadata
@@ -24,6 +26,8 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 # How long the node waits for the file to be there, before its first tick, and to be whole, after its last [s].
 _PATIENCE = 5.0
+# What does not fit into one parcel to the process that writes would end the recording: such a reference is left out.
+_LONGEST_LINE = 100_000
 _REFERENCE = ("reference_x_m", "reference_y_m", "reference_theta_rad")
 
 
@@ -87,6 +91,12 @@ class Recording:
             period=self._period,
             diagnose=False,
         )
+
+    def record(self, lines: Sequence[tuple[str, str]], time: int) -> None:
+        """Record what is said of a tick, lines with their topics, so that it can be replayed."""
+        for topic, line in lines:
+            if len(line) <= _LONGEST_LINE:
+                self._recorder.hand("serialized", time, topic, serialize_message(String(data=line)))
 
     def diagnostics(self, message: DiagnosticArray, time: int) -> None:
         """Record what the node says of itself, and hear how the recording goes."""

@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from ros_parts import DT, stack
 
+from diffdrive_mpc.bench.replay.open_loop import replay
+from diffdrive_mpc.bench.replay.reading import read_recording
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
@@ -82,3 +85,36 @@ def test_without_the_parameter_nothing_is_written(tmp_path, monkeypatch):
     with stack(drive=True) as s:
         s.base.run(3)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_drive_with_all_that_may_happen_replays_to_the_same_bits(tmp_path):
+    """Along a path laid to the robot: paused, with other limits, without odometry for a while, and begun anew."""
+    folder = tmp_path / "drives"
+    with stack(drive=True, record=True, record_folder=str(folder), trajectory="k_turn", start_at_robot=True) as s:
+        s.base.run(40)
+        s.loop.pause()
+        s.base.run(30)
+        s.loop.start()
+        s.base.run(30)
+        s.node.set_parameters([Parameter("limits.v_slew", value=0.6), Parameter("weights.across", value=90.0)])
+        s.base.run(30)
+        tamper, s.base.tamper = s.base.tamper, lambda odometry: None
+        s.base.run(20)
+        s.base.tamper = tamper
+        s.base.run(30)
+        s.loop.pause()
+        s.base.run(60)
+        s.loop.reset()
+        s.base.run(5)
+        s.loop.start()
+        s.base.run(60)
+    (path,) = folder.iterdir()
+    recording = read_recording(path, None, DT, tmp_path)
+    assert not recording.approximated
+    assert {"TRACKING", "BRAKING", "STOPPED"} <= {tick.mode for tick in recording.ticks}
+    assert len([tick for tick in recording.ticks if tick.start is not None]) == 2
+    assert any(tick.hold is not None for tick in recording.ticks) and any(tick.config for tick in recording.ticks)
+    again = replay(recording, recording.config, recording.references, as_recorded=True)
+    # A path that was laid somewhere is sampled in Python and in C, which round otherwise.
+    assert np.abs(again.command - recording.command).max() < 1e-12
+    assert again.messages == tuple(tick.message for tick in recording.ticks)
