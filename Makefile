@@ -26,7 +26,7 @@ READY := $(VENV)/.ready
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench edge peers robustness prove tune tracking reproduce speed test lint types format models calibrate readme schemas site notebooks pictures requirements clean
+.PHONY: help bench edge gallery peers robustness prove tune tracking reproduce speed test lint types format models calibrate readme schemas site notebooks pictures requirements clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -93,6 +93,9 @@ readme: $(READY) ## copy tables and figures of the last `make bench` and of the 
 
 schemas: $(READY) ## write the JSON Schemas of all kinds of files again
 	$(BIN)/python -m diffdrive_mpc.bench.schemas.generate
+
+gallery: $(READY) ## the films of docs/gallery.md: some minutes
+	$(BIN)/python -m diffdrive_mpc.bench.gallery.build docs
 
 site: $(READY) ## the documents as a site: out/site
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir $(SITE_OUT)

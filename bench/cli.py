@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from diffdrive_mpc.bench.commands import (
+    animate,
     campaign,
     commission,
     doctor,
@@ -22,6 +23,7 @@ from diffdrive_mpc.bench.commands import (
     twin,
 )
 from diffdrive_mpc.bench.commands.config import config_app
+from diffdrive_mpc.bench.commands.log import log_app
 from diffdrive_mpc.bench.commands.models import models_app
 from diffdrive_mpc.bench.commands.one_line_errors import OneLineErrors, leave_on_sigterm
 from diffdrive_mpc.bench.commands.options import PASSED_ON
@@ -33,6 +35,7 @@ app = typer.Typer(
     help="Model-predictive trajectory tracking for skid-steer and differential-drive robots.",
 )
 app.command("simulate", epilog=studies.EXAMPLES["simulate"])(studies.simulate)
+app.command("animate", epilog=animate.EXAMPLE)(animate.animate)
 app.command("bench", epilog=studies.EXAMPLES["bench"])(studies.bench)
 app.command("identify", epilog=identify.EXAMPLE)(identify.identify)
 app.command("twin", epilog=twin.EXAMPLE)(twin.twin)
@@ -54,6 +57,7 @@ app.command("robot", epilog=ros.EXAMPLES["robot"], context_settings=PASSED_ON)(r
 app.command("doctor", epilog=doctor.EXAMPLE)(doctor.doctor)
 app.command("schema", epilog=schema.EXAMPLE)(schema.schema)
 app.add_typer(config_app, name="config")
+app.add_typer(log_app, name="log")
 app.add_typer(models_app, name="models")
 
 

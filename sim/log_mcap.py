@@ -10,6 +10,7 @@ import numpy as np
 
 from diffdrive_mpc.models.logs.drive_log.tick import Cell
 from diffdrive_mpc.models.logs.drive_log.writer import drive_writer
+from diffdrive_mpc.models.path_times import path_times
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim.ros.odometry import Odometry
 from diffdrive_mpc.sim.run import Run
@@ -17,7 +18,6 @@ from diffdrive_mpc.sim.run import Run
 START = 10**9
 """Time of the file [ns] at which the run's is 0: to ROS, a stamp of zero says that nobody set it."""
 _NANO = 10**9
-_MOST_POSES = 500
 
 
 def write_log(run: Run, path: str | Path, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
@@ -47,7 +47,7 @@ def write_ticks(run: Run, path: Path, metadata: Mapping[str, Mapping[str, str]])
     told = {"sample_time_s": repr(run.sample_time), "trajectory": run.reference.name, "ended": run.ended}
     plans = run.plans if run.plans.size else np.full((len(run.time), 0, 3), np.nan)
     with drive_writer(path, {"run": told, **metadata}) as writer:
-        times = np.linspace(0.0, run.reference.duration, min(_MOST_POSES, 2 + int(run.reference.duration * 20)))
+        times = path_times(run.reference.duration)
         writer.reference(START, [_stamp(time) for time in times.tolist()], run.reference.sample(times).pose)
         summed = Odometry(run.true_pose[0], 0, use_pose_sensor=False)
         for row, plan, measurement in zip(_rows(run), plans, run.measurements, strict=True):

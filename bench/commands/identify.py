@@ -16,7 +16,7 @@ _DEFAULT_STRUCTURE = "sm"
 
 def identify(
     *,
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="CSV files or ROS 2 bags.")],
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="CSV or MCAP files, or ROS 2 bags.")],
     structure: Annotated[
         str | None,
         typer.Option(

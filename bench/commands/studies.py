@@ -9,6 +9,17 @@ from typing import Annotated, Any
 import typer
 
 from diffdrive_mpc.bench.case import DIMENSIONS, HORIZONS, parse_seeds, split_names, split_numbers
+from diffdrive_mpc.bench.commands.film_options import (
+    Alone,
+    CameraName,
+    Fps,
+    From,
+    Render,
+    Size,
+    Speed,
+    To,
+    film_file,
+)
 from diffdrive_mpc.bench.commands.one_line_errors import FAILED
 from diffdrive_mpc.bench.commands.options import (
     ConfigFile,
@@ -45,23 +56,50 @@ def simulate(
     log: Annotated[
         Path | None, typer.Option(help="File for the log of the run: .csv or .mcap.", show_default=False)
     ] = None,
+    rerun: Annotated[
+        str | None,
+        typer.Option(metavar="live|FILE.rrd", help="Show it in Rerun, or write a file for it.", show_default=False),
+    ] = None,
     laps: Annotated[int, typer.Option(min=1, help="Drive it so often, and learn from lap to lap.")] = 1,
     scale_to_robot: Scaled = False,
+    animate: Annotated[
+        Path | None,
+        typer.Option(
+            help="A film of it: .mp4, .webp, .gif; .png: its last picture.",
+            show_default=False,
+            rich_help_panel="Pictures",
+        ),
+    ] = None,
+    render: Render = False,
+    alone: Alone = False,
+    camera: CameraName = "chase",
+    film_speed: Speed = 1.0,
+    fps: Fps = None,
+    size: Size = None,
+    start: From = None,
+    end: To = None,
+    view: Annotated[
+        bool, typer.Option("--view", help="Watch it in MuJoCo's viewer, in real time.", rich_help_panel="Pictures")
+    ] = False,
     from_run: Annotated[
         Path | None,
         typer.Option(help="Drive a run that `prove` kept again; takes --out and --log.", show_default=False),
     ] = None,
     **values: Any,  # noqa: ANN401 - text or number
 ) -> None:
-    """Run one closed loop and print how well it tracked; --out draws it, --log writes it.
+    """Run one closed loop and print how well it tracked; --out draws it, --log writes it, --animate films it.
 
     With --from-run the exit code is 1 when the figures are not those of the file.
     """
+    if (render or alone) and animate is None:
+        raise ValueError("--render is of a film: give --animate FILE, too; to watch it drive, --view")
+    if (animate is not None or view) and (laps != 1 or from_run is not None):
+        raise ValueError("--animate and --view show one drive: leave --laps and --from-run out")
     if from_run is not None:
         from diffdrive_mpc.bench.campaign.again import simulate_again  # noqa: PLC0415 - --help does without it
 
         said = {name: value for name, value in values.items() if value != DEFAULTS[name]}
-        if said or config is not None or settings or laps != 1 or scale_to_robot:
+        if said or config is not None or settings or laps != 1 or scale_to_robot or rerun is not None:
             raise ValueError("--from-run: the file says what is driven; give --out and --log beside it, nothing else")
         if not simulate_again(from_run, out, log):
             raise typer.Exit(FAILED)
@@ -69,7 +107,23 @@ def simulate(
     from diffdrive_mpc.bench.studies.comparison.laps import simulate_laps  # noqa: PLC0415 - --help does without it
     from diffdrive_mpc.bench.studies.comparison.single import simulate_one  # noqa: PLC0415
 
-    run = simulate_one if laps == 1 else partial(simulate_laps, laps=laps)
+    if laps != 1 and rerun is not None:
+        raise ValueError("--rerun: it shows one drive; write the last lap with --log, and show it by `log rerun`")
+    film = None
+    if animate is not None:
+        film = film_file(
+            animate,
+            render=render,
+            alone=alone,
+            camera=camera,
+            speed=film_speed,
+            fps=fps,
+            size=size,
+            start=start,
+            end=end,
+            surface=values["surface"],
+        )
+    run = partial(simulate_one, rerun=rerun, film=film, view=view) if laps == 1 else partial(simulate_laps, laps=laps)
     run(values, config=config, settings=settings or [], out=out, log=log, scaled=scale_to_robot)
 
 

@@ -14,6 +14,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import Marker
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.models.path_times import path_times
 from diffdrive_mpc.mpc.ros.control_loop import Tick
 from diffdrive_mpc.mpc.ros.conversions import stamped_pose_message, time_message, twist_message
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
@@ -21,8 +22,6 @@ from diffdrive_mpc.mpc.ros.tracking_error import tracking_error
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# A path of more poses only costs time to send and to draw.
-_MOST_POSES = 500
 # How long the last command may take to reach the base when the node stops [s].
 _LAST_WORDS = 0.3
 _LINE_WIDTH = 0.02
@@ -93,7 +92,7 @@ class Publishers:
 
     def reference(self, reference: Reference, time: int) -> None:
         """Send the whole path of `reference` that begins at `time` [ns]; late subscribers get it too."""
-        times = np.linspace(0.0, reference.duration, min(_MOST_POSES, 2 + int(reference.duration * 20)))
+        times = path_times(reference.duration)
         stamps = time + np.round(times * 1e9).astype(np.int64)
         self._reference.publish(self._path(reference.sample(times).pose, stamps.tolist(), time))
 

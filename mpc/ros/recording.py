@@ -14,19 +14,17 @@ from rclpy.serialization import serialize_message
 
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.drive_log.recorder import DriveRecorder, Metadata
-from diffdrive_mpc.models.logs.drive_log.tick import Cell
+from diffdrive_mpc.models.logs.drive_log.tick import Cell, decided_cells
 from diffdrive_mpc.models.logs.drive_log.topics import DIAGNOSTICS
+from diffdrive_mpc.models.path_times import path_times
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.ros.control_loop import Begun, Tick
 from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
-from diffdrive_mpc.mpc.step_result import StepResult
 
 # How long the node waits for the file to be there, before its first tick, and to be whole, after its last [s].
 _PATIENCE = 5.0
-_MOST_POSES = 500
-_ESTIMATE = ("x_m", "y_m", "theta_rad", "v_m_s", "omega_rad_s")
-_DEVIATION = ("x_sd_m", "y_sd_m", "theta_sd_rad", "v_sd_m_s", "omega_sd_rad_s")
+_REFERENCE = ("reference_x_m", "reference_y_m", "reference_theta_rad")
 
 
 class Recording:
@@ -67,26 +65,19 @@ class Recording:
 
     def reference(self, begun: Begun, time: int) -> None:
         """Record the path that begins at `time` [ns]."""
-        duration = begun.reference.duration
-        times = np.linspace(0.0, duration, min(_MOST_POSES, 2 + int(duration * 20)))
+        times = path_times(begun.reference.duration)
         stamps = (time + np.round(times * 1e9).astype(np.int64)).tolist()
         self._recorder.hand("reference", time, stamps, begun.reference.sample(times).pose)
 
     def tick(self, tick: Tick, time: int, inbox: Inbox) -> None:
         """Record one tick, which began at `time` [ns]."""
         asked, result = tick.asked, tick.result
-        v, omega = tick.command.tolist()
         row: dict[str, Cell] = {
+            **(_standing(tick) if result is None else decided_cells(result)),
             "t_s": inbox.now if asked is None else asked.time,
-            "v_ref_m_s": v,
-            "omega_ref_rad_s": omega,
-            "mode": tick.mode,
-            "message": tick.message,
-            "solver_status": "",
-            "solver_path": "none",
         }
-        if result is not None:
-            row |= _decided(result)
+        if result is not None and result.reference is not None:
+            row |= zip(_REFERENCE, result.reference[0].tolist(), strict=True)
         self._recorder.hand(
             "tick",
             time,
@@ -114,24 +105,11 @@ class Recording:
             self._logger.warning(f"recording has ended: {self._recorder.fault}; the robot is not concerned")
 
 
-def _decided(result: StepResult) -> dict[str, Cell]:
-    """What a step says, as cells of its row."""
-    solver, estimate, reference = result.solver, result.estimate, result.reference
-    cells: dict[str, Cell] = {
-        "solver_status": str(solver.status),
-        "solver_path": str(solver.path),
-        "solver_iterations": float(solver.iterations),
-        "step_time_s": result.step_time,
-        "solve_time_s": result.solve_time,
-    }
-    if estimate is not None:
-        values = [*estimate.pose.tolist(), *estimate.twist.tolist()]
-        deviations = [*estimate.pose_deviation.tolist(), *estimate.twist_deviation.tolist()]
-        cells |= zip((f"estimate_{name}" for name in _ESTIMATE), values, strict=True)
-        cells |= zip((f"estimate_{name}" for name in _DEVIATION), deviations, strict=True)
-    if reference is not None:
-        cells |= zip(("reference_x_m", "reference_y_m", "reference_theta_rad"), reference[0].tolist(), strict=True)
-    return cells
+def _standing(tick: Tick) -> dict[str, Cell]:
+    """What of a row a tick fills at which the controller was not asked."""
+    v, omega = tick.command.tolist()
+    words: dict[str, Cell] = {"mode": tick.mode, "message": tick.message, "solver_status": "", "solver_path": "none"}
+    return {"v_ref_m_s": v, "omega_ref_rad_s": omega, **words}
 
 
 def _told(settings: NodeSettings, config: ControllerConfig) -> Metadata:

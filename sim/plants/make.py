@@ -14,7 +14,9 @@ from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, load_simulated_rob
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
-_PHYSICS, _MODEL_PREFIX = "mujoco", "model:"
+PHYSICS = "mujoco"
+"""Name of the physics plant, and before a colon the kind of another robot in it."""
+_MODEL_PREFIX = "model:"
 
 
 def make_plant(
@@ -66,7 +68,7 @@ def make_plant(
         raise ConfigError(f"seed {seed!r}: give an integer that is not negative")
     floor, sensor_set = load_surface(surface), load_sensor_set(sensors)
     happening = load_scenario(scenario).draw(seed)
-    if name == _PHYSICS or name.startswith(f"{_PHYSICS}:"):
+    if name == PHYSICS or name.startswith(f"{PHYSICS}:"):
         if floor.friction is None:
             raise ConfigError(f"surface '{surface}' has no friction: it is for 'model:' plants; wheels need it to push")
         if extra_dead_time:

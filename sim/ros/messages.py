@@ -15,10 +15,7 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 
 from diffdrive_mpc.models.interface import Stamped
-
-MAP, ODOM, BASE, IMU = "map", "odom", "base_link", "imu_link"
-"""Frames. map and odom coincide at the start of a run."""
-WHEEL_JOINTS = ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel")
+from diffdrive_mpc.models.logs.drive_log.topics import BASE, IMU_LINK, MAP, ODOM, WHEELS
 
 _NANO = 10**9
 # Rows of (x, y, yaw) and of (x, yaw) in ROS' 6 x 6 covariances over x, y, z, roll, pitch, yaw.
@@ -54,7 +51,7 @@ def odometry(now: int, pose: ArrayLike, twist: Stamped) -> Any:  # noqa: ANN401
 
 def imu(now: int, yaw_rate: Stamped) -> Any:  # noqa: ANN401
     """sensor_msgs/Imu with the yaw rate (); orientation and acceleration are marked as not measured."""
-    message = Imu(header=_header(now, IMU))
+    message = Imu(header=_header(now, IMU_LINK))
     message.angular_velocity.z = float(np.asarray(yaw_rate.value))
     message.orientation_covariance[0] = message.linear_acceleration_covariance[0] = -1.0
     if yaw_rate.covariance is not None:
@@ -74,7 +71,7 @@ def joint_state(now: int, angles: ArrayLike, speeds: ArrayLike) -> Any:  # noqa:
     """sensor_msgs/JointState: angles (4,) [rad] and speeds (4,) [rad/s] of the wheels."""
     return JointState(
         header=_header(now, ""),
-        name=list(WHEEL_JOINTS),
+        name=list(WHEELS),
         position=np.asarray(angles, dtype=float).tolist(),
         velocity=np.asarray(speeds, dtype=float).tolist(),
     )

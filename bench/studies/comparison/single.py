@@ -8,6 +8,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from diffdrive_mpc.bench.animation.animate import FilmFile, film_draft, write_film
+from diffdrive_mpc.bench.animation.playback import from_columns
+from diffdrive_mpc.bench.animation.watched import watched
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
 from diffdrive_mpc.bench.controllers import build, chosen_model, controller_config
@@ -15,6 +18,7 @@ from diffdrive_mpc.bench.html_report.document import REPORT, write_page
 from diffdrive_mpc.bench.outcomes import Outcome, by_driver
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.rerun_view import ShownController, rerun_view
 from diffdrive_mpc.bench.run_log import holds_plans, run_log
 from diffdrive_mpc.bench.studies.comparison.single_page import single_page
 from diffdrive_mpc.bench.studies.comparison.tables import error_table, path_table, scenario_table, summary_table
@@ -23,6 +27,7 @@ from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.trajectories.speed_check import steps_beyond_slew
 from diffdrive_mpc.sim import simulate
+from diffdrive_mpc.sim.view.body import robot_body
 
 _MESSAGES_SHOWN = 5
 
@@ -34,7 +39,10 @@ def simulate_one(
     settings: Sequence[str],
     out: Path | None,
     log: Path | None,
+    rerun: str | None = None,
     scaled: bool = False,
+    film: FilmFile | None = None,
+    view: bool = False,
 ) -> None:
     """Run a case, print its tables, and write figures and log where asked.
 
@@ -42,23 +50,37 @@ def simulate_one(
     ----------
     values
         By dimension, `model` being None where it was not given.
-    config, settings, out, log, scaled
+    config, settings, out, log, rerun, scaled
         As typed.
+    film
+        The film to make of it.
+    view
+        Whether it is watched in MuJoCo's viewer.
 
     Raises ConfigError, ValueError or OSError if a name, a file, a value or a place to write to cannot be used; before
     the run, and nothing is made then.
     """
     case = asked_case(values, config=config, settings=settings, scaled=scaled)
-    parts = build(case)
+    controller, plant, reference = build(case)
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
+        if rerun is not None:
+            shown = stack.enter_context(rerun_view(rerun, reference.name))
+            controller = ShownController(controller, plant, shown)
         folder = None if out is None else stack.enter_context(staged(out))
+        reel = None if film is None else stack.enter_context(film_draft(film.path, "--animate"))
+        if view:
+            controller = stack.enter_context(watched(controller, plant, reference, case.plant, case.surface))
+        kept = folder is not None or reel is not None or holds_plans(log)
         began = time.perf_counter()
         with ProgressBar("simulating") as bar:
-            run = simulate(*parts, on_tick=bar.at, keep_plans=folder is not None or holds_plans(log))
+            run = simulate(controller, plant, reference, on_tick=bar.at, keep_plans=kept)
         write_log(run, case)
         if folder is not None:
             draw(Outcome(case, run), folder, time.perf_counter() - began)
+        if film is not None and reel is not None:
+            body = robot_body(case.plant)
+            write_film(from_columns(run.columns, run.plans, command_limits(case)), film.film, body, reel)
     report(Outcome(case, run))
 
 
@@ -70,6 +92,14 @@ def asked_case(values: Mapping[str, Any], *, config: Path | None, settings: Sequ
     model = NO_MODEL if name in PEERS else chosen_model(model, config)
     file = None if config is None else str(config)
     return Case(**{**values, "model": model}, config=file, overrides=single_settings(settings), scaled=scaled)
+
+
+def command_limits(case: Case) -> tuple[float, float] | None:
+    """Largest v [m/s] and omega [rad/s] that the controller of a case commands; None for a peer."""
+    if case.controller in PEERS:
+        return None
+    limits = controller_config(case.model, case.config, case.overrides).limits
+    return limits.v, limits.omega
 
 
 def report(outcome: Outcome) -> None:

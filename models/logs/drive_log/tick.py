@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
+from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, MotionEstimate, Stamped
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
 
 Cell = float | str
@@ -20,6 +20,8 @@ TickRow = Mapping[str, Cell]
 
 _PARTS = ("x_m", "y_m", "theta_rad")
 _POSE_ENTRIES = ("xx_m2", "xy_m2", "xtheta_m_rad", "yy_m2", "ytheta_m_rad", "thetatheta_rad2")
+_ESTIMATE = tuple(f"estimate_{part}" for part in (*_PARTS, "v_m_s", "omega_rad_s"))
+_DEVIATION = tuple(f"estimate_{part}" for part in ("x_sd_m", "y_sd_m", "theta_sd_rad", "v_sd_m_s", "omega_sd_rad_s"))
 _SENT = ("sent_v_m_s", "sent_omega_rad_s")
 
 
@@ -84,6 +86,31 @@ def measured_cells(measurement: Measurement) -> dict[str, Cell]:
             cells |= zip(sensor.covariance, stated[np.triu_indices(len(value))].tolist(), strict=True)
     if measurement.sent is not None:
         cells |= zip(_SENT, map(float, measurement.sent), strict=True)
+    return cells
+
+
+def decided_cells(step: ControlStep) -> dict[str, Cell]:
+    """What of a row the step of a controller fills: its command and words, how it was solved, what it believes."""
+    v, omega = np.asarray(step.command, dtype=float).tolist()
+    solver = step.solver
+    cells: dict[str, Cell] = {
+        "v_ref_m_s": v,
+        "omega_ref_rad_s": omega,
+        "mode": str(step.mode),
+        "message": step.message,
+        "solver_status": "" if solver is None else str(solver.status),
+        "solver_path": "none" if solver is None else str(solver.path),
+        "step_time_s": step.step_time,
+        "solve_time_s": step.solve_time,
+    }
+    if solver is not None:
+        cells["solver_iterations"] = float(solver.iterations)
+    estimate: MotionEstimate | None = getattr(step, "estimate", None)
+    if estimate is not None:
+        values = [*estimate.pose.tolist(), *estimate.twist.tolist()]
+        deviations = [*estimate.pose_deviation.tolist(), *estimate.twist_deviation.tolist()]
+        cells |= zip(_ESTIMATE, values, strict=True)
+        cells |= zip(_DEVIATION, deviations, strict=True)
     return cells
 
 

@@ -28,6 +28,6 @@ KINDS = {
 """ROS type of every topic but `STATE`."""
 
 MAP, ODOM, BASE, IMU_LINK = "map", "odom", "base_link", "imu_link"
-"""Frames (REP 105)."""
+"""Frames (REP 105). In simulation map and odom coincide at the start of a run."""
 WHEELS = ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel")
 """Joints of the wheels."""

@@ -1,0 +1,1 @@
+"""Films of a drive: what was recorded of it, the pictures, the files."""

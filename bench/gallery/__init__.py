@@ -1,0 +1,1 @@
+"""The gallery of the documents: films of chosen drives, each with the command that makes it."""
