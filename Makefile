@@ -26,7 +26,7 @@ READY := $(VENV)/.ready
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench edge gallery peers robustness prove tune tracking reproduce speed test lint types format models calibrate readme schemas site notebooks pictures requirements clean
+.PHONY: help bench edge gallery peers robustness prove tune tracking reproduce speed wheel test lint types format models calibrate readme schemas site notebooks pictures requirements clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -67,6 +67,9 @@ reproduce: $(READY) ## the papers' experiments on the simulated robot, beside th
 
 speed: $(READY) ## step times beside acados, do-mpc and CasADi's solvers on the same problem: out/speed
 	$(BIN)/diffdrive-mpc speed --out $(SPEED_OUT) $(SPEED)
+
+wheel: $(READY) ## a wheel for this machine and a source archive, both in dist/: it needs neither the clone nor a compiler any more
+	$(BIN)/uv build --python $(BIN)/python --out-dir dist
 
 test: $(READY) ## all tests
 	$(BIN)/pytest -n 2 --dist worksteal $(TEST)
@@ -112,4 +115,4 @@ requirements: ## pin all dependencies anew (needs uv)
 		--no-emit-index-url --no-emit-find-links --no-header --quiet --output-file requirements.txt
 
 clean: ## remove what make has built
-	rm -rf $(VENV) out .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
+	rm -rf $(VENV) out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
