@@ -134,7 +134,7 @@ class TrackingNode(LifecycleNode):
         )
         self._records = TickRecords(self._controller)
         if self._settings.record:
-            self._recording = Recording(self._settings, config, self._inbox.frame, self.get_logger())
+            self._recording = self._recorded(config)
         # A full collection walks all that was built, for some 60 ms, three ticks: it is set aside until deactivation.
         gc.collect()
         gc.freeze()
@@ -203,6 +203,14 @@ class TrackingNode(LifecycleNode):
         self._diagnostics_timer = self.create_timer(
             1.0 / settings.diagnostics_rate, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
+
+    def _recorded(self, config: ControllerConfig) -> Recording | None:
+        """The recording of this activation; None, with a warning, where none can begin."""
+        try:
+            return Recording(self._settings, config, self._inbox.frame, self.get_logger())
+        except Exception as error:  # a recording is not worth the robot
+            self.get_logger().warning(f"nothing is recorded: {error}")
+            return None
 
     def _tear_down(self) -> None:
         if self._controller is None:

@@ -12,6 +12,7 @@ from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.models.logs.drive_log.topics import DIAGNOSTICS, PLAN, REFERENCE, TRUE_POSE
 from diffdrive_mpc.models.logs.mapping import Topic
+from diffdrive_mpc.mpc.ros import recording
 
 
 def recorded(folder, ticks, **parameters):
@@ -78,6 +79,31 @@ def test_a_folder_that_cannot_be_written_is_a_warning_and_the_robot_drives(tmp_p
         assert s.loop.last.command[0] > 0.1
         assert s.node._recording.incomplete
     assert "recording has ended: " in capfd.readouterr().err
+
+
+def test_a_fault_in_recording_ends_the_recording_and_not_the_drive(tmp_path, monkeypatch, capfd):
+    def broken(_):
+        raise KeyError("nobody thought of this")
+
+    with stack(drive=True, record=True, record_folder=str(tmp_path)) as s:
+        s.base.run(20)
+        monkeypatch.setattr(recording, "decided_cells", broken)
+        s.base.run(40)
+        assert s.loop.last.command[0] > 0.1 and s.node._recording.incomplete
+    assert "recording has ended: KeyError: 'nobody thought of this'" in capfd.readouterr().err
+    (path,) = tmp_path.iterdir()
+    assert not read_drive_log(path).cut
+
+
+def test_where_no_recording_can_begin_the_robot_drives(tmp_path, monkeypatch, capfd):
+    def none_left(*_, **__):
+        raise OSError(24, "Too many open files")
+
+    monkeypatch.setattr(recording.DriveRecorder, "__init__", none_left)
+    with stack(drive=True, record=True, record_folder=str(tmp_path)) as s:
+        s.base.run(20)
+        assert s.node._recording is None and s.loop.last.result is not None
+    assert "nothing is recorded: " in capfd.readouterr().err
 
 
 def test_without_the_parameter_nothing_is_written(tmp_path, monkeypatch):
