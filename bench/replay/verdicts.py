@@ -164,8 +164,8 @@ def _limits(of: Evidence, settings: ReplaySettings) -> Iterator[Verdict]:
             value = getattr(of.replayed.config.limits, limit)
             if whose == "recorded" and over > settings.share_at_limit:
                 yield Verdict(
-                    f"{over:.0f} % of the recorded commands are beyond limits.{limit} = {value:g} {_UNITS[limit]}: whoever "
-                    "drove was not bound by it.",
+                    f"{over:.0f} % of the recorded commands are beyond limits.{limit} = {value:g} {_UNITS[limit]}: "
+                    "whoever drove was not bound by it.",
                     f"raise limits.{limit} if the base can do that, or take this configuration's commands as the tamer",
                 )
             elif whose == "replayed" and at > settings.share_at_limit:
