@@ -111,10 +111,10 @@ class Recording:
 
     @_harmless
     def record(self, lines: Sequence[tuple[str, str]], time: int) -> None:
-        """Record what is said of a tick, lines with their topics, so that it can be replayed."""
+        """Record what is said of a tick, lines with their topics, so that it can be replayed: with the next `tick`."""
         for topic, line in lines:
             if len(line) <= _LONGEST_LINE:
-                self._recorder.hand("serialized", time, topic, serialize_message(String(data=line)))
+                self._recorder.prepare("serialized", time, topic, serialize_message(String(data=line)))
 
     @_harmless
     def diagnostics(self, message: DiagnosticArray, time: int) -> None:
