@@ -10,6 +10,7 @@ PEERS_OUT ?= out/peers
 ROBUSTNESS_OUT ?= out/robustness
 PROVE_OUT ?= out/prove
 TUNE_OUT ?= out/tune
+REPORTS_OUT ?= out/reports
 SITE_OUT ?= out/site
 # Options of the studies: make tracking TRACKING=--quick
 TRACKING ?=
@@ -26,7 +27,7 @@ READY := $(VENV)/.ready
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench edge gallery peers robustness prove tune tracking reproduce speed test lint types format models calibrate readme schemas site notebooks pictures requirements clean
+.PHONY: help bench edge gallery peers robustness prove tune tracking reproduce speed screenshots wheel test lint types format models calibrate readme schemas site notebooks pictures requirements clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -67,6 +68,26 @@ reproduce: $(READY) ## the papers' experiments on the simulated robot, beside th
 
 speed: $(READY) ## step times beside acados, do-mpc and CasADi's solvers on the same problem: out/speed
 	$(BIN)/diffdrive-mpc speed --out $(SPEED_OUT) $(SPEED)
+
+screenshots: $(READY) ## reports of small real runs, and their pictures for docs/reports.md, in a real browser
+	$(BIN)/diffdrive-mpc simulate --trajectory s --out $(REPORTS_OUT)/simulate --log $(REPORTS_OUT)/s.csv
+	$(BIN)/diffdrive-mpc simulate --trajectory square --log $(REPORTS_OUT)/square.csv
+	$(BIN)/diffdrive-mpc simulate --trajectory cane --log $(REPORTS_OUT)/cane.csv
+	$(BIN)/diffdrive-mpc identify $(REPORTS_OUT)/s.csv $(REPORTS_OUT)/square.csv --validate $(REPORTS_OUT)/cane.csv \
+		--structure ssm --out $(REPORTS_OUT)/identify
+	$(BIN)/diffdrive-mpc bench --quick --out $(REPORTS_OUT)/bench
+	$(BIN)/diffdrive-mpc tracking --quick --out $(REPORTS_OUT)/tracking
+	$(BIN)/diffdrive-mpc tune ssm --plan docs/reports/plan.yaml --out $(REPORTS_OUT)/tune
+	$(BIN)/diffdrive-mpc prove ssm --runs 100 --out $(REPORTS_OUT)/prove
+	$(BIN)/diffdrive-mpc commission heavy --inside 5x4 --quick --out $(REPORTS_OUT)/commission
+	for name in simulate bench identify tracking tune prove commission; do \
+		$(BIN)/python -m diffdrive_mpc.bench.html_report.screenshots $(REPORTS_OUT)/$$name/report.html docs/reports/$$name.png || exit 1; \
+	done
+	$(BIN)/python -m diffdrive_mpc.bench.html_report.screenshots $(REPORTS_OUT)/simulate/report.html docs/reports/phone.png \
+		--width 390 --height 1500
+
+wheel: $(READY) ## a wheel for this machine and a source archive, both in dist/: it needs neither the clone nor a compiler any more
+	$(BIN)/uv build --python $(BIN)/python --out-dir dist
 
 test: $(READY) ## all tests
 	$(BIN)/pytest -n 2 --dist worksteal $(TEST)
@@ -112,4 +133,4 @@ requirements: ## pin all dependencies anew (needs uv)
 		--no-emit-index-url --no-emit-find-links --no-header --quiet --output-file requirements.txt
 
 clean: ## remove what make has built
-	rm -rf $(VENV) out .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
+	rm -rf $(VENV) out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info

@@ -16,6 +16,7 @@ from diffdrive_mpc.bench.commands import (
     identify,
     prove,
     real_logs,
+    replay,
     ros,
     schema,
     studies,
@@ -38,6 +39,7 @@ app.command("simulate", epilog=studies.EXAMPLES["simulate"])(studies.simulate)
 app.command("animate", epilog=animate.EXAMPLE)(animate.animate)
 app.command("bench", epilog=studies.EXAMPLES["bench"])(studies.bench)
 app.command("identify", epilog=identify.EXAMPLE)(identify.identify)
+app.command("replay", epilog=replay.EXAMPLE)(replay.replay)
 app.command("twin", epilog=twin.EXAMPLE)(twin.twin)
 app.command("tracking", epilog=studies.EXAMPLES["tracking"])(studies.tracking)
 app.command("real-logs", epilog=real_logs.EXAMPLE)(real_logs.real_logs)

@@ -146,7 +146,7 @@ def write_report(
 def report_page(study: Study[P, R], report: Report, meta: Meta, figures: Path) -> Page:
     """The report as a page; where its own views do not stand for them, with the pictures in the folder `figures`."""
     drawn = tuple(report.figures) if report.shown.pictures else ()
-    pictures = [Picture(Path(name).stem.replace("-", " "), picture(figures / name)) for name in drawn]
+    pictures = [Picture(_title(name), picture(figures / name)) for name in drawn]
     summary, notes = (*report.shown.summary, *report.facts), (*report.shown.notes, *report.notes)
     shown = replace(report.shown, summary=summary, notes=notes, views=(*report.shown.views, *pictures))
     return Page(f"diffdrive-mpc {study.name}", study.title, shown, report.tables, origin(meta))
@@ -177,6 +177,11 @@ def markdown(title: str, report: Report, meta: Meta) -> str:
     parts += [table.markdown() for table in report.tables]
     parts += ["## Figures", "", *images[first:]] if images[first:] else []
     return "\n".join(parts).rstrip() + "\n"
+
+
+def _title(figure: str) -> str:
+    words = Path(figure).stem.replace("-", " ")
+    return words[:1].upper() + words[1:]
 
 
 def check_parts(only: Sequence[str], parts: Sequence[str]) -> None:

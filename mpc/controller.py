@@ -232,14 +232,34 @@ class Controller:
         ValueError
             If the commands are not finite, or not pairs.
         """
-        given = np.asarray(commands, dtype=float)
-        if given.ndim != 2 or given.shape[1] != 2 or not np.isfinite(given).all():
-            raise ValueError(
-                f"commands of shape {given.shape}: give finite pairs (K, 2) of v_ref [m/s], omega_ref [rad/s]"
-            )
+        given = _pairs(commands)
         line = np.vstack([belief.sent, given])
         mean, covariance = self._tick.foresee(belief.mean, belief.covariance, line)
         return replace(belief, mean=mean, covariance=covariance, sent=line[len(given) :])
+
+    def overrule(self, commands: ArrayLike) -> None:
+        """Say what was sent in truth, by whoever decided: it takes the place of the last K commands.
+
+        The next step builds on it: the estimate, what is on its way through the dead time, and slew, which counts from
+        the newest. So a controller can be asked what it would do while another one drives: one command after each step.
+        More than one, before the first step, for a robot that moves already.
+
+        Parameters
+        ----------
+        commands
+            (K, 2) v_ref [m/s], omega_ref [rad/s], oldest first, one for each sample; they may be outside the limits.
+
+        Raises
+        ------
+        ValueError
+            If the commands are not finite, or not pairs.
+        """
+        given = _pairs(commands)
+        if not len(given):
+            return
+        self._tick.overrule(given)
+        if self._dead_time is not None:
+            self._dead_time.overrule(given[-1])
 
     def start(self, reference: Reference, t0: float) -> None:
         """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`.
@@ -486,3 +506,11 @@ class Controller:
             (layout, block) if c.has_plan else None,
             self._words.unused(c.reasons) if c.reasons else (),
         )
+
+
+def _pairs(commands: ArrayLike) -> FloatArray:
+    """Commands (K, 2); raises ValueError where they are something else."""
+    given = np.asarray(commands, dtype=float)
+    if given.ndim != 2 or given.shape[1] != 2 or not np.isfinite(given).all():
+        raise ValueError(f"commands of shape {given.shape}: give finite pairs (K, 2) of v_ref [m/s], omega_ref [rad/s]")
+    return given

@@ -103,6 +103,10 @@ class DeadTime:
         self._told = np.zeros(2, dtype=bool)
         self.found = LearnedDeadTime(unknown, unknown, self.used)
 
+    def overrule(self, command: FloatArray) -> None:
+        """Somebody else decided the last command (2,)."""
+        self._sent = command
+
     def take(self, t: float, measurement: Measurement, result: StepResult) -> bool:
         """Learn from the tick at `t` [s]: what arrived, and what answers to it; returns if `found` is new."""
         clock, dt = self._clock, self._dt

@@ -16,6 +16,7 @@ from diffdrive_mpc.models.results import ReadOnlyArrays
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE, Metrics, compute_metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings, tracking_errors
+from diffdrive_mpc.sim.told import told_columns
 
 if TYPE_CHECKING:
     from typing import Self
@@ -171,7 +172,7 @@ class Run(ReadOnlyArrays):
         """Everything over time by name, (n,) each: numbers with their unit in the name, NaN without news, and texts.
 
         `v_ref`, `omega_ref`: the command sent; `pose_t`: the instant that the arrived pose describes; `sd`: standard
-        deviation of an estimate.
+        deviation of an estimate; the rest as `sim.told` has it.
         """
         body, motion = ("x_m", "y_m", "theta_rad"), ("v_m_s", "omega_rad_s")
         uncertain = ("x_sd_m", "y_sd_m", "theta_sd_rad", "v_sd_m_s", "omega_sd_rad_s")
@@ -202,6 +203,7 @@ class Run(ReadOnlyArrays):
             "solver_path": self.solver_paths,
             "message": self.messages,
         }
+        columns |= told_columns(self.measurements, len(self.time))
         return {**columns, **{name: np.array(values, dtype=object) for name, values in texts.items()}}
 
     def to_dataframe(self) -> DataFrame:

@@ -20,7 +20,9 @@ COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 # What make would set up is set up already; .ci/run calls these as they stand.
 CI_SCRIPT = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 RUN_IN_CI = {line.strip() for line in CI_SCRIPT.splitlines()}
-RUN_BY_CI = re.compile(r"make (bench|tracking|reproduce|speed|site|test|lint|types)$")
+# These say how to install it: .ci/tour.py runs them as they stand, where only a wheel is installed.
+TOURED = {ROOT / "README.md", ROOT / "docs" / "install.md"}
+RUN_BY_CI = re.compile(r"make (bench|tracking|reproduce|speed|site|test|lint|types|wheel)$")
 
 
 def blocks(document):
@@ -31,7 +33,7 @@ def named(document):
     return str(document.relative_to(ROOT))
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=named)
+@pytest.mark.parametrize("document", sorted({*DOCUMENTS} - TOURED), ids=named)
 def test_every_command_and_example_runs(document, tmp_path):
     """In order, in one folder: files first written as the document shows them."""
     for language, body in blocks(document):
@@ -72,8 +74,18 @@ def test_a_page_is_named_by_its_question_and_begins_with_the_answer(document):
 
 def test_ci_runs_what_the_documents_leave_to_it():
     called = " ".join(line for line in CI_SCRIPT.splitlines() if line.lstrip().startswith("make "))
-    for target in ("bench", "tracking", "reproduce", "speed", "site", "test", "lint", "types"):
+    for target in ("bench", "tracking", "reproduce", "speed", "site", "test", "lint", "types", "wheel"):
         assert re.search(rf"\b{target}\b", called), target
+    (tour,) = (line for line in CI_SCRIPT.splitlines() if ".ci/tour.py" in line)
+    assert all(f'"$root/{named(page)}"' in tour for page in TOURED)
+
+
+@pytest.mark.parametrize("document", sorted(TOURED), ids=named)
+def test_a_toured_page_has_only_what_the_tour_runs(document):
+    for language, body in blocks(document):
+        assert language in ("sh", "python", "yaml")
+        makes = [line for line in body.splitlines() if language == "sh" and line.startswith("make ")]
+        assert all(RUN_BY_CI.match(line) for line in makes)
 
 
 @pytest.mark.parametrize("document", LINKING, ids=named)

@@ -24,7 +24,7 @@ TERMINATED = 143
 
 _ROS = "install diffdrive-mpc[ros], or source the setup file of ROS 2 Jazzy"
 OPTIONAL_PACKAGES = {
-    "mujoco": "install diffdrive-mpc[sim], or use --plant model:ssm",
+    "mujoco": "pip install mujoco, or use --plant model:ssm",
     "rerun": "install diffdrive-mpc[rerun]",
     "rclpy": _ROS,
     "builtin_interfaces": _ROS,

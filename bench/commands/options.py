@@ -25,9 +25,10 @@ def out_folder(text: str) -> Path:
     return Path(text)
 
 
-def out_option(what: str) -> Any:  # noqa: ANN401 - typer's own type
-    """The option that names a folder for `what`."""
-    return typer.Option("--out", parser=out_folder, metavar="PATH", help=f"Folder for {what}.", show_default=False)
+def out_option(what: str, usual: str | None = None) -> Any:  # noqa: ANN401 - typer's own type
+    """The option that names a folder for `what`, and the usual one where it need not be given."""
+    shown: str | bool = usual or False
+    return typer.Option("--out", parser=out_folder, metavar="PATH", help=f"Folder for {what}.", show_default=shown)
 
 
 def parts_option(parts: str) -> Any:  # noqa: ANN401 - typer's own type

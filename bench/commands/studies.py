@@ -35,6 +35,7 @@ from diffdrive_mpc.bench.commands.options import (
 
 DEFAULTS = {one.name: None if one.name == "model" else one.default for one in DIMENSIONS}
 """Values of the options of `simulate` where they are not given."""
+_BENCH_OUT = "out/bench"
 EXAMPLES = {
     "simulate": "Example: diffdrive-mpc simulate --model ssm --trajectory square --set horizon=20 --out results",
     "bench": "Example: diffdrive-mpc bench --out results --models ssm --set weights.across=60,120,240",
@@ -130,7 +131,7 @@ def simulate(
 @with_dimensions(several=True)
 def bench(
     *,
-    out: Annotated[Path, out_option("report.html, bench.json, bench.md and figures/")],
+    out: Annotated[Path | None, out_option("report.html, bench.json, bench.md and figures/", _BENCH_OUT)] = None,
     config: ConfigFile = None,
     settings: Sweep = None,
     horizons: Annotated[
@@ -158,7 +159,7 @@ def bench(
     asked = read_options(
         values, horizons=horizons, config=config, settings=settings or [], quick=quick, scaled=scale_to_robot
     )
-    complaint = incomplete(carry_out(ComparisonStudy(asked), out, jobs))
+    complaint = incomplete(carry_out(ComparisonStudy(asked), out or Path(_BENCH_OUT), jobs))
     if complaint:
         typer.echo(f"error: {complaint}", err=True)
         raise typer.Exit(FAILED)

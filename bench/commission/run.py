@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from diffdrive_mpc.bench.commission.commissioning import RESULT, Asked, commissi
 from diffdrive_mpc.bench.commission.comparison import COMMISSIONED, INFORMED, SHIPPED, Comparison, compare
 from diffdrive_mpc.bench.commission.drawn_robot import write_drawn_robot
 from diffdrive_mpc.bench.commission.ledger import Done
+from diffdrive_mpc.bench.commission.page import commission_page
+from diffdrive_mpc.bench.html_report.document import REPORT, write_page
 from diffdrive_mpc.bench.progress import output_console
 from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE
 from diffdrive_mpc.models.whole_file import whole_file
@@ -26,16 +29,29 @@ def commission_into(asked: Asked, out: Path, *, one: bool = False, drawn: int | 
         out.mkdir(parents=True, exist_ok=True)
         write_drawn_robot(drawn, out / ROBOT_FILE)
         asked = replace(asked, robot=str(out / ROBOT_FILE))
-    passed = commission(asked, out, one=one, on_step=_say)
-    if not passed or not (out / RESULT).is_dir():
-        return passed
-    _print(f"{out / RESULT}: model, configuration, twin, proof and report.")
-    if drawn is not None:
-        found = compare(out / ROBOT_FILE, out / RESULT / CONFIG_FILE, asked.config, out / "compare", asked.jobs)
-        _write(found, drawn, out / COMPARISON)
-        output_console().print(found.table().rich())
-        _print(_sentence(found))
-    return True
+    began, steps = time.perf_counter(), dict[str, Done]()
+
+    def done(name: str, step: Done, new: bool) -> None:
+        steps[name] = step
+        _say(name, step, new)
+
+    passed = commission(asked, out, one=one, on_step=done)
+    found = None
+    if passed and (out / RESULT).is_dir():
+        _print(f"{out / RESULT}: model, configuration, twin, proof and report.")
+        found = None if drawn is None else _compared(asked, out, drawn)
+    with whole_file(out / REPORT) as draft:
+        write_page(commission_page(asked, out, steps, found, time.perf_counter() - began), draft)
+    return passed
+
+
+def _compared(asked: Asked, out: Path, drawn: int) -> Comparison:
+    """Compare what was commissioned on the robot that was drawn, print it and keep it."""
+    found = compare(out / ROBOT_FILE, out / RESULT / CONFIG_FILE, asked.config, out / "compare", asked.jobs)
+    _write(found, drawn, out / COMPARISON)
+    output_console().print(found.table().rich())
+    _print(_sentence(found))
+    return found
 
 
 def _sentence(found: Comparison) -> str:

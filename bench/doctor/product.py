@@ -18,7 +18,6 @@ from diffdrive_mpc.models.compiled.cache import CACHE_VARIABLE, user_folder
 from diffdrive_mpc.models.compiled.compiler import NotCompiledError, find_compiler
 
 _PURPOSE = {
-    "sim": "no simulated robot with physics: bench, twin and proofs need it",
     "learn": "no networks are trained (driving with one needs nothing)",
     "campaign": "no campaigns and proofs",
     "tune": "no tuning",

@@ -48,6 +48,11 @@ def opened_browser(executable: str | None = None) -> Iterator[Any]:
 
 
 def open_report(page: Any, report: Path) -> None:  # noqa: ANN401 - Playwright is optional
-    """Open a report in a page of Playwright, and wait until all of it is drawn."""
+    """Open a report in a page of Playwright, and wait until all of it is drawn; raises ConfigError if it never is."""
+    from playwright.sync_api import TimeoutError as NotDrawnError  # noqa: PLC0415 - optional
+
     page.goto(report.resolve().as_uri())
-    page.wait_for_selector(READY, state="attached", timeout=_LONGEST)
+    try:
+        page.wait_for_selector(READY, state="attached", timeout=_LONGEST)
+    except NotDrawnError as error:
+        raise ConfigError(f"{report}: it does not draw itself; is it a report.html of this version?") from error

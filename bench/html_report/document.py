@@ -17,7 +17,8 @@ REPORT = "report.html"
 """Name of the page in a folder of results."""
 _TEMPLATE = Path(__file__).parent / "template"
 _SCRIPTS = ("text.js", "toggles.js", "charts.js", "runs.js", "start.js")
-_DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot"}
+_DASHES = ("solid", "dash", "dashdot", "dot", "longdash", "longdashdot")
+"""As those of figures, and two more: with seven colours none comes again with the same line before 42."""
 _MARKERS = {
     "o": "circle",
     "s": "square",
@@ -81,11 +82,11 @@ def _escaped_title(text: str) -> str:
 
 
 def _look() -> dict[str, list[str]]:
-    from diffdrive_mpc.bench.figure_style import LINE_STYLES, MARKERS, PALETTE  # noqa: PLC0415 - matplotlib loads slowly
+    from diffdrive_mpc.bench.figure_style import MARKERS, PALETTE  # noqa: PLC0415 - matplotlib loads slowly
 
     return {
         "colours": list(PALETTE),
-        "dashes": [_DASHES[one] for one in LINE_STYLES],
+        "dashes": list(_DASHES),
         "markers": [_MARKERS[one] for one in MARKERS],
     }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 from diffdrive_mpc.models.table import Table
@@ -78,7 +79,7 @@ class Series:
     style
         Number of its colour, line and marker.
     kind
-        How it is drawn.
+        How it is drawn; rows are bars that lie, whose names are their y.
     low, high
         Ends of an interval about each y; empty for none.
     text
@@ -88,10 +89,10 @@ class Series:
     """
 
     name: str
-    x: Sequence[float | str]
-    y: Sequence[float | None]
+    x: Sequence[float | str | None]
+    y: Sequence[float | str | None]
     style: int = 0
-    kind: Literal["both", "line", "points", "bars"] = "both"
+    kind: Literal["both", "line", "points", "bars", "rows"] = "both"
     low: Sequence[float] = ()
     high: Sequence[float] = ()
     text: Sequence[str] = ()
@@ -100,10 +101,11 @@ class Series:
 
 @dataclass(frozen=True)
 class Mark:
-    """A level across a chart, with what it is."""
+    """A level across a chart with what it is; `upright` for one of x."""
 
     value: float
     text: str
+    upright: bool = False
 
 
 @dataclass(frozen=True)
@@ -175,6 +177,12 @@ class Configuration:
     name: str
     text: str
 
+    @classmethod
+    def of_files(cls, folder: Path, files: Mapping[str, str]) -> list[Configuration]:
+        """Those files of a folder, by name with their titles, that are there."""
+        found = {f"{title}: {name} (YAML)": folder / name for name, title in files.items()}
+        return [cls(title, path.read_text(encoding="utf-8")) for title, path in found.items() if path.is_file()]
+
 
 @dataclass(frozen=True)
 class Shown:
@@ -189,7 +197,7 @@ class Shown:
     toggles
         Buttons that act on all views.
     views
-        In order; linked views of runs stand above all charts.
+        In order; neighbouring charts stand side by side.
     warnings
         In order of weight.
     configurations

@@ -15,6 +15,10 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.metrics import FALLBACK_MODES
 
+HOW_TO_READ = (
+    "Point at either view, or move the slider: the other shows the same time, the readout what happened then. "
+    "Thick in the strip: more trouble"
+)
 PEAKS = "Of neighbouring ticks the one with the largest position error is drawn"
 _PLAN_POINTS, _MESSAGES = 12, 40
 # Steps of the last digit that is kept, in the units that the page shows.

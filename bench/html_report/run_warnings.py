@@ -135,7 +135,7 @@ def _said(run: Run) -> str:
     said = [message for message in dict.fromkeys(run.messages) if message]
     if not said:
         return ""
-    more = f" And {len(said) - _SHOWN} others." if len(said) > _SHOWN else ""
+    more = f" And {len(said) - _SHOWN} more." if len(said) > _SHOWN else ""
     return "The controller said: " + " ".join(f"“{one}”" for one in said[:_SHOWN]) + more
 
 

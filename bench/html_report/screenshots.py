@@ -17,8 +17,6 @@ from diffdrive_mpc.bench.html_report.browser import open_report, opened_browser
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.whole_file import whole_file
 
-_COLOURS = 128
-"""Of the picture's palette, which makes it a third as large."""
 app = typer.Typer(cls=OneLineErrors, add_completion=False)
 
 
@@ -48,10 +46,9 @@ def screenshot(
         if page.locator("#time").count():
             page.locator("#time").fill(str(round(1000 * at)))
             page.locator("#time").blur()
+        page.evaluate("window.scrollTo({top: 0, behavior: 'instant'})")
         shown = page.screenshot(full_page=height == 0)
-        Image.open(BytesIO(shown)).convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE).save(
-            draft, "PNG", optimize=True
-        )
+        Image.open(BytesIO(shown)).convert("RGB").save(draft, "PNG", optimize=True)
 
 
 @app.command()

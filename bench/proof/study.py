@@ -16,6 +16,7 @@ from diffdrive_mpc.bench.outcomes import STATISTICS, plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.proof.boundaries import Boundary, find_boundaries
 from diffdrive_mpc.bench.proof.maps import Drawn, drawn_map, map_runs
+from diffdrive_mpc.bench.proof.page import shown
 from diffdrive_mpc.bench.proof.proof_file import Proof
 from diffdrive_mpc.bench.proof.report import CVAR, Outcomes, error_estimates, errors, facts, tables, worst
 from diffdrive_mpc.bench.study import Report, Study
@@ -132,6 +133,7 @@ class ProofStudy(Study[ProofPlan, Proven]):
             notes=[f"Errors: {STATISTICS}."],
             tables=tables(results.driven, results.boundaries, results.worst, seeds),
             figures=figures,
+            shown=shown(self._config, results.driven, results.maps, results.boundaries, seeds),
         )
 
 

@@ -15,6 +15,7 @@ from diffdrive_mpc.bench.proof.study import told_of
 from diffdrive_mpc.bench.runner import lasting_processes
 from diffdrive_mpc.bench.study import Report, Study, carry_out
 from diffdrive_mpc.bench.tune.optuna_study import needs_optuna
+from diffdrive_mpc.bench.tune.page import shown
 from diffdrive_mpc.bench.tune.points import Searched
 from diffdrive_mpc.bench.tune.report import configuration, facts, tables
 from diffdrive_mpc.bench.tune.search import Search
@@ -119,6 +120,7 @@ class TuneStudy(Study[Search, Tuned]):
             notes=[f"Errors: {STATISTICS}."],
             tables=tables(searched, verdict, results.usual),
             figures=figures,
+            shown=shown(self._config, searched, verdict, results.usual),
         )
 
 

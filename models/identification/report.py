@@ -145,6 +145,24 @@ class IdentificationReport:
         """How good the model is: FIT and RMSE, and the open-loop pose error where there are poses."""
         return (score_table(self.fitted), *([drift_table(self.poses)] if self.poses.drift else []))
 
+    @property
+    def tables(self) -> list[Table]:
+        """Every other table, in order."""
+        fitted, poses = self.fitted, self.poses
+        tables = [residual_table(fitted), *self.scores[1:]]
+        if fitted.orders:
+            tables.append(order_table(fitted.orders))
+        if fitted.base:
+            tables.append(effect_table(fitted.base))
+        tables += self._parameter_tables
+        if poses.parameters.names:
+            tables.append(parameter_table("Parameters from poses", poses.parameters))
+        if poses.laws:
+            tables.append(slip_table(poses))
+        if self.data.findings:
+            tables.append(finding_table(self.data.findings))
+        return tables
+
     def as_json(self) -> dict[str, Any]:
         """Scores, pose errors, parameters and warnings for a program; parameters from poses stand behind "poses."."""
         fitted = self.fitted
@@ -169,19 +187,6 @@ class IdentificationReport:
 
     def markdown(self, figures: Mapping[str, str] | None = None) -> str:
         """The report as Markdown; `figures` are titles and relative paths, in the order to be shown."""
-        fitted, poses = self.fitted, self.poses
-        tables = [residual_table(fitted), *self.scores[1:]]
-        if fitted.orders:
-            tables.append(order_table(fitted.orders))
-        if fitted.base:
-            tables.append(effect_table(fitted.base))
-        tables += self._parameter_tables
-        if poses.parameters.names:
-            tables.append(parameter_table("Parameters from poses", poses.parameters))
-        if poses.laws:
-            tables.append(slip_table(poses))
-        if self.data.findings:
-            tables.append(finding_table(self.data.findings))
         parts = [
             f"# {plain_line(self.name)}",
             "",
@@ -194,7 +199,7 @@ class IdentificationReport:
         parts += ["## Warnings", "", *_bullets(self.warnings), ""]
         for title, path in (figures or {}).items():
             parts += [f"## {title}", "", f"![{title}]({path})", ""]
-        parts += [table.markdown() for table in tables]
+        parts += [table.markdown() for table in self.tables]
         parts += ["## Stretches", ""]
         parts += _bullets([f"training: {record.name}" for record in self.data.train])
         parts += _bullets([f"validation: {record.name}" for record in self.data.validation])

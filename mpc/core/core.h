@@ -328,6 +328,10 @@ void ddmpc_reset(ddmpc_controller *controller);
 /* Forget the estimate and the plan, keep the commands on their way. */
 void ddmpc_forget(ddmpc_controller *controller);
 
+/* Take what was sent from `commands` (count, 2), oldest first, in place of the last so many: somebody else decided. The next
+   tick builds on them: estimate, what is on its way, slew. Returns 0, and changes nothing, if one is not finite. */
+int ddmpc_overrule(ddmpc_controller *controller, const real *commands, int count);
+
 /* Whether a call at `t` would be a new tick: not too soon after the last one, nor after a pause, nor at a faulty time. */
 int ddmpc_is_new_tick(const ddmpc_controller *controller, ddmpc_time t);
 /* Decide the command for the tick at `t` [s]; see ddmpc_pending for what it may leave to do. */

@@ -79,6 +79,17 @@ void ddmpc_estimator_correct_last(ddmpc_controller *c, const real command[2])
     memcpy(sent(c, 0), command, 2 * sizeof(real));
 }
 
+static int least(int a, int b)
+{
+    return a < b ? a : b;
+}
+
+void ddmpc_estimator_overrule(ddmpc_controller *c, const real *commands, int count)
+{
+    const int kept = least(count, COMMANDS(c));
+    memcpy(sent(c, kept - 1), commands + 2 * (count - kept), (size_t)(2 * kept) * sizeof(real));
+}
+
 int ddmpc_estimator_correct_sent(ddmpc_controller *c, const real got[2])
 {
     for (int i = 0; i < 2; i++)
@@ -202,11 +213,6 @@ static void start(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_pose *p
     ddmpc_filter_place(c, &node->prior, pose);
     ddmpc_copy_belief(c, &node->posterior, &node->prior);
     ddmpc_accept_pose(c, pose);
-}
-
-static int least(int a, int b)
-{
-    return a < b ? a : b;
 }
 
 int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)

@@ -314,6 +314,8 @@ void ddmpc_estimator_clear(ddmpc_controller *c);
 void ddmpc_estimator_forget(ddmpc_controller *c);
 void ddmpc_estimator_append(ddmpc_controller *c, const real command[2]);
 void ddmpc_estimator_correct_last(ddmpc_controller *c, const real command[2]);
+/* The newest `count` commands, as far as so many are remembered. */
+void ddmpc_estimator_overrule(ddmpc_controller *c, const real *commands, int count);
 int ddmpc_estimator_correct_sent(ddmpc_controller *c, const real sent[2]);
 void ddmpc_estimator_advance(ddmpc_controller *c, ddmpc_time t);
 int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input);

@@ -598,6 +598,18 @@ int ddmpc_answer(ddmpc_controller *c, const real *plan, const real *multipliers,
 
 int ddmpc_give_up(ddmpc_controller *c) { return c->pending == DDMPC_DONE ? DDMPC_DONE : finish_tick(c, reuse(c), 1); }
 
+int ddmpc_overrule(ddmpc_controller *c, const real *commands, int count)
+{
+    for (int i = 0; i < 2 * count; i++)
+        if (!isfinite(commands[i]))
+            return 0;
+    if (count < 1)
+        return 1;
+    ddmpc_estimator_overrule(c, commands, count);
+    memcpy(c->last, commands + 2 * (count - 1), sizeof c->last);
+    return 1;
+}
+
 int ddmpc_samples(const ddmpc_controller *c)
 {
     (void)c;

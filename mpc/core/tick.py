@@ -127,6 +127,11 @@ class Tick:
         shape = (self._sizes["steps"] + 1, self._sizes["parameters"])
         return self.view(self.lib.ddmpc_parameters(self.c), shape) if shape[1] else np.zeros(shape)
 
+    def overrule(self, commands: FloatArray) -> None:
+        """Take what was sent from `commands` (K, 2), finite, in place of the last K."""
+        given = np.ascontiguousarray(commands, dtype=float)
+        self.lib.ddmpc_overrule(self.c, self._address("const real *", given), len(given))
+
     def believed(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """The filter's belief at the newest tick: mean (Z,), covariance (Z, Z), commands (W, 2) sent before; copies."""
         size = self._sizes["states"] + self._sizes["slips"] + 4

@@ -28,6 +28,7 @@ from diffdrive_mpc.mpc.ros.publishers import Publishers
 from diffdrive_mpc.mpc.ros.recording import Recording
 from diffdrive_mpc.mpc.ros.reference_input import path_reference, trajectory_reference
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.ros.tick_records import TickRecords
 from diffdrive_mpc.mpc.ros.transitions import logged, refuse_what_is_not_allowed
 from diffdrive_mpc.mpc.trajectories import Trajectory, load_trajectory
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
@@ -131,8 +132,9 @@ class TrackingNode(LifecycleNode):
         self._loop = ControlLoop(
             self._controller, self._settings, self._inbox, self._trajectory, in_sim_time=in_sim_time
         )
+        self._records = TickRecords(self._controller)
         if self._settings.record:
-            self._recording = Recording(self._settings, config, self._inbox.frame, self.get_logger())
+            self._recording = self._recorded(config)
         # A full collection walks all that was built, for some 60 ms, three ticks: it is set aside until deactivation.
         gc.collect()
         gc.freeze()
@@ -202,6 +204,14 @@ class TrackingNode(LifecycleNode):
             1.0 / settings.diagnostics_rate, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
 
+    def _recorded(self, config: ControllerConfig) -> Recording | None:
+        """The recording of this activation; None, with a warning, where none can begin."""
+        try:
+            return Recording(self._settings, config, self._inbox.frame, self.get_logger())
+        except Exception as error:  # a recording is not worth the robot
+            self.get_logger().warning(f"nothing is recorded: {error}")
+            return None
+
     def _tear_down(self) -> None:
         if self._controller is None:
             return
@@ -224,6 +234,11 @@ class TrackingNode(LifecycleNode):
             outgoing.reference(loop.begun.reference, time)
             if self._recording is not None:
                 self._recording.reference(loop.begun, time)
+        if loop.begun is not None and (outgoing.recorded or self._recording is not None):
+            lines = self._records.lines(loop.begun, tick)
+            outgoing.record(lines)
+            if self._recording is not None:
+                self._recording.record(lines, time)
         if tick.result is not None:
             outgoing.error(tick.result, time)
             if self._ticks % self._visual_ticks == 0:

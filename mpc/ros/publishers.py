@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from geometry_msgs.msg import Point, Twist, TwistStamped, Vector3Stamped
@@ -14,6 +14,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import Marker
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.models.logs.drive_log.topics import DRIVE
 from diffdrive_mpc.models.path_times import path_times
 from diffdrive_mpc.mpc.ros.control_loop import Tick
 from diffdrive_mpc.mpc.ros.conversions import stamped_pose_message, time_message, twist_message
@@ -50,11 +51,13 @@ class Publishers:
         self._marker = create(Marker, "~/error_marker", 1)
         self._error = create(Vector3Stamped, "~/tracking_error", 10)
         self._mode = create(String, "~/mode", _LATCHED)
+        self._tick, self._drive = create(String, "~/tick", 100), create(String, "~/drive", _LATCHED)
         self._said = ""
 
     def destroy(self) -> None:
         """Destroy them all."""
-        for publisher in (self._command, self._predicted, self._reference, self._marker, self._error, self._mode):
+        heard = (self._command, self._predicted, self._reference, self._marker, self._error, self._mode)
+        for publisher in (*heard, self._tick, self._drive):
             self._node.destroy_lifecycle_publisher(publisher)
 
     def command(self, command: FloatArray, time: int) -> None:
@@ -79,6 +82,16 @@ class Publishers:
             words = f"{tick.mode}: {tick.message}" if tick.message else tick.mode
             self._mode.publish(String(data=words))
             self._node.get_logger().info(words)
+
+    @property
+    def recorded(self) -> bool:
+        """Whether somebody listens to the records of ticks."""
+        return bool(self._tick.get_subscription_count())
+
+    def record(self, lines: Sequence[tuple[str, str]]) -> None:
+        """Send lines of the topics of ticks and drives, each with its topic."""
+        for topic, line in lines:
+            (self._drive if topic == DRIVE else self._tick).publish(String(data=line))
 
     def error(self, result: StepResult, time: int) -> None:
         """Send the tracking error: x along, y across [m], z heading [rad]."""

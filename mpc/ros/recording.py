@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
+from functools import wraps
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ import numpy as np
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import serialize_message
+from std_msgs.msg import String
 
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.drive_log.recorder import DriveRecorder, Metadata
@@ -24,7 +27,23 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 # How long the node waits for the file to be there, before its first tick, and to be whole, after its last [s].
 _PATIENCE = 5.0
+Method = Callable[..., None]
+# What does not fit into one parcel to the process that writes would end the recording: such a reference is left out.
+_LONGEST_LINE = 100_000
 _REFERENCE = ("reference_x_m", "reference_y_m", "reference_theta_rad")
+
+
+def _harmless(method: Method) -> Method:
+    """Let a fault in recording end the recording, not the node."""
+
+    @wraps(method)
+    def run(self: Recording, *arguments: Any) -> None:  # noqa: ANN401 - those of the method
+        try:
+            method(self, *arguments)
+        except Exception as error:
+            self.abandon(f"{type(error).__name__}: {error}")
+
+    return run
 
 
 class Recording:
@@ -63,12 +82,14 @@ class Recording:
         lost = f", {recorder.lost} messages lost: the disk is too slow" if recorder.lost else ""
         return f"ended: {recorder.fault}" if recorder.fault else f"{recorder.path}{lost}"
 
+    @_harmless
     def reference(self, begun: Begun, time: int) -> None:
         """Record the path that begins at `time` [ns]."""
         times = path_times(begun.reference.duration)
         stamps = (time + np.round(times * 1e9).astype(np.int64)).tolist()
         self._recorder.hand("reference", time, stamps, begun.reference.sample(times).pose)
 
+    @_harmless
     def tick(self, tick: Tick, time: int, inbox: Inbox) -> None:
         """Record one tick, which began at `time` [ns]."""
         asked, result = tick.asked, tick.result
@@ -88,15 +109,29 @@ class Recording:
             diagnose=False,
         )
 
+    @_harmless
+    def record(self, lines: Sequence[tuple[str, str]], time: int) -> None:
+        """Record what is said of a tick, lines with their topics, so that it can be replayed: with the next `tick`."""
+        for topic, line in lines:
+            if len(line) <= _LONGEST_LINE:
+                self._recorder.prepare("serialized", time, topic, serialize_message(String(data=line)))
+
+    @_harmless
     def diagnostics(self, message: DiagnosticArray, time: int) -> None:
         """Record what the node says of itself, and hear how the recording goes."""
         self._recorder.hand("serialized", time, DIAGNOSTICS, serialize_message(message))
         self._recorder.poll()
         self._warn()
 
+    @_harmless
     def close(self) -> None:
         """End the file, after the robot's last command."""
         self._recorder.close(_PATIENCE)
+        self._warn()
+
+    def abandon(self, fault: str) -> None:
+        """Record no more, because of a fault."""
+        self._recorder.fault = self._recorder.fault or fault
         self._warn()
 
     def _warn(self) -> None:

@@ -11,8 +11,11 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from numpy.typing import ArrayLike
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import String
 
+from diffdrive_mpc.models.logs.drive_log.topics import DRIVE, TICK
 from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.bag_recorder import MessageRecorder
@@ -20,6 +23,8 @@ from diffdrive_mpc.sim.ros.base_settings import BaseSettings
 from diffdrive_mpc.sim.ros.command_inbox import CommandInbox
 from diffdrive_mpc.sim.ros.odometry import Odometry
 
+# What the node says of each tick; with it a recording in real time, too, can be replayed exactly.
+_SAID_BY_CONTROLLER = (TICK, DRIVE)
 # rclpy's throttling of repeated warnings [s].
 _WARN_EVERY = 1.0
 
@@ -81,6 +86,8 @@ class SimulatedBase:
         }
         kind = TwistStamped if settings.stamped else Twist
         self._commands = node.create_subscription(kind, "cmd_vel", self._receive, QoSProfile(depth=1))
+        if record is not None:
+            self._records = [self._recorded(node, topic, record) for topic in _SAID_BY_CONTROLLER]
 
     @property
     def commanded(self) -> bool:
@@ -102,6 +109,12 @@ class SimulatedBase:
     def command_topic(self) -> str:
         """Full name of the topic of commands."""
         return str(self._commands.topic_name)
+
+    def _recorded(self, node: Node, topic: str, record: MessageRecorder) -> Subscription:
+        """Record what a controller says on `topic`, and nothing else: the robot does not look at it."""
+        return node.create_subscription(
+            String, topic, lambda message: record(topic, message, self._clock()), QoSProfile(depth=100)
+        )
 
     def publish_sensors(self, now: int, origin: int) -> None:
         """Publish what the sensors delivered at this tick.

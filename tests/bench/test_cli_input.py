@@ -105,7 +105,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("simulate --controller kanayama --set horizon=5", "takes no --model, --config or --set"),
         ("simulate --spede 3", "--spede"),
         ("simulat", "simulat"),
-        ("bench", "--out"),
         ("bench --out ''", "'--out': it is empty"),
         ("bench --out {folder}/blocked --models ssm", "'bench.md' there is in the way"),
         ("bench --out {out} --models ''", "--models"),

@@ -8,12 +8,14 @@ from types import SimpleNamespace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from opened_report import check_report
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.commission.commissioning import Asked, NeedsAPersonError, commission
 from diffdrive_mpc.bench.commission.drawn_robot import drawn_robot, write_drawn_robot
 from diffdrive_mpc.bench.commission.ledger import Gate, Ledger, key_of
+from diffdrive_mpc.bench.commission.run import commission_into
 from diffdrive_mpc.bench.commission.settings import DriveSettings
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_config
@@ -73,6 +75,15 @@ def test_what_is_left_can_be_used(commissioned):
     assert twin.twin.link.dead_time == pytest.approx(truth.twin.link.dead_time, abs=0.015)
     assert (out / "robot" / "proof.md").is_file()
     assert (out / "robot" / "first_circle.yaml").is_file()
+
+
+def test_its_page_shows_each_step_and_the_delivered_controller_on_the_twin(commissioned):
+    asked, out, said = commissioned
+    assert commission_into(asked, out)
+    page = check_report(out / "report.html")
+    assert [row[0] for row in page["tables"][0]["rows"]] == STEPS
+    assert page["key_figures"][0]["value"] == f"{len(said)} of {len(said)}"
+    assert [run["name"] for run in page["views"][0]["runs"]] == ["circle on the twin", "s on the twin"]
 
 
 def test_what_is_done_is_not_done_again(commissioned):

@@ -185,12 +185,12 @@ def test_shared_memory(made, room: int | None, status: str) -> None:
 
 
 def test_dependencies_and_extras_are_held_against_their_ranges(made) -> None:
-    needs = ("numpy>=1.26", "daqp<0.12,>=0.11", 'mujoco>=3.2; extra == "sim"', 'optuna>=5.0; extra == "tune"')
-    there = made(needs=needs, packages=(("numpy", "2.1"), ("daqp", "0.12.1"), ("mujoco", "3.3")))
+    needs = ("numpy>=1.26", "daqp<0.12,>=0.11", 'jax>=0.4; extra == "learn"', 'optuna>=5.0; extra == "tune"')
+    there = made(needs=needs, packages=(("numpy", "2.1"), ("daqp", "0.12.1"), ("jax", "0.5")))
     found = product.dependencies(there)
     assert (found.status, found.found) == ("warn", "daqp 0.12.1 is not <0.12,>=0.11")
     extras = {one.what: one for one in product.extras(there)}
-    assert {name: one.status for name, one in extras.items()} == {"extra sim": "ok", "extra tune": "missing"}
+    assert {name: one.status for name, one in extras.items()} == {"extra learn": "ok", "extra tune": "missing"}
     assert "diffdrive-mpc[tune]" in extras["extra tune"].means
 
 

@@ -7,11 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_mapping
+from opened_report import check_report
 from typer.testing import CliRunner
 
 from diffdrive_mpc import identify
 from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.studies.identification.page import remedies
 from diffdrive_mpc.models import load_model
+from diffdrive_mpc.models.doubt import VERDICTS
 from diffdrive_mpc.models.load import model_path, read_model_file
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.trajectories.load import load_segments
@@ -145,6 +148,16 @@ def test_every_figure_is_in_the_report_and_every_link_leads_somewhere(mine):
     assert all(f"](figures/{name})" in (out / "report.md").read_text() for name in names)
 
 
+def test_the_page_draws_what_was_found_and_says_what_to_do_about_each_warning(mine):
+    out, _ = mine
+    content = check_report(out / "report.html")
+    told = json.loads((out / "report.json").read_text())["warnings"]
+    assert len(content["warnings"]) >= len(told)
+    assert all(warning["remedy"] for warning in content["warnings"])
+    assert {view["kind"] for view in content["views"]} == {"runs", "chart", "picture"}
+    assert set(remedies()) == set(VERDICTS)
+
+
 def test_the_configuration_drives_the_plant(mine, logs):
     """Checked as a user would, and as good on the plant as the configuration that was made for it."""
     config = mine[0] / "config.yaml"
@@ -167,8 +180,9 @@ def test_the_configuration_drives_the_plant(mine, logs):
 
 
 def files_of(folder):
-    """Content of every file, without the line that says how long it took."""
-    return {path.relative_to(folder): without_times(path) for path in folder.rglob("*") if path.is_file()}
+    """Content of every file without the times: the line that says how long it took, and the page."""
+    files = [path for path in folder.rglob("*") if path.is_file() and path.name != "report.html"]
+    return {path.relative_to(folder): without_times(path) for path in files}
 
 
 def test_the_same_log_gives_the_same_files(third_order, tmp_path):

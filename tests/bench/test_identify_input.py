@@ -179,6 +179,7 @@ def test_without_out_the_results_go_to_a_folder_of_that_name(folder, tmp_path, m
         "figures",
         "first_circle.yaml",
         "model.yaml",
+        "report.html",
         "report.json",
         "report.md",
     ]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from opened_report import check_report
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.campaign.check import check_definitions
@@ -60,6 +61,9 @@ def test_a_proof_leaves_report_table_figures_and_worst_runs(
         assert f"## {part}\n" in report
     assert "0 of 20 runs had an unsafe command: with 95 % confidence fewer than 13.9 %" in report
     assert {path.name for path in (out / "figures").iterdir()} == {"errors.png", "map-latency-and-noise.png"}
+    page = check_report(out / "report.html")
+    assert {view["kind"] for view in page["views"]} == {"chart", "map"}
+    assert page["toggles"][0]["values"] in (["none", "start_offset"], ["start_offset", "none"])
     table = read_table(out / "prove.parquet").to_pydict()
     assert (len(table["run"]), set(table["model"])) == (20, {"sm"})
     found = json.loads((out / "prove.json").read_text(encoding="utf-8"))

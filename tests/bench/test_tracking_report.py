@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from opened_report import check_report
 from tracking_parts import made_up, row, tiny_study, write_made_up
 from typer.testing import CliRunner
 
@@ -153,6 +154,7 @@ def test_the_command_drives_a_small_study_and_writes_its_report(tmp_path: Path):
     result = runner.invoke(app, arguments)
     assert result.exit_code == 0, result.stderr
     assert sorted(path.name for path in out.iterdir()) == ["figures", "report.html", "tracking.json", "tracking.md"]
+    check_report(out / "report.html")
     runs = json.loads((out / "tracking.json").read_text())["runs"]
     assert len(runs) == 4 + 2 + 1
     assert all(run["completed"] for run in runs)

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from opened_report import check_report
 from tune_parts import small_plan, written
 from typer.testing import CliRunner
 
@@ -37,6 +38,9 @@ def test_a_tuning_leaves_configuration_report_and_study(tmp_path: Path, monkeypa
     assert sentence in said
     assert f"* {sentence[0].upper()}{sentence[1:]}.\n" in report
     assert len(found["points"]) == 11
+    page = check_report(out / "report.html")
+    assert page["key_figures"][0]["value"] == ("yes" if found["meta"]["improved"] else "no")
+    assert {"Error against effort", "How the search went"} <= {view["title"] for view in page["views"]}
     # The file drives, and differs from the defaults in what was tuned only, where the interval says that it is better.
     tuned, usual = load_config(out / "config.yaml"), load_config("ssm")
     assert found["meta"]["improved"] == (found["verdict"]["gain"]["low"] > 0.0)

@@ -69,6 +69,10 @@ class Pair:
         product, oracle = (controller.update(**changes) for controller in self.both)
         assert product == oracle
 
+    def overrule(self, commands):
+        for controller in self.both:
+            controller.overrule(commands)
+
     def step(self, t, measurement, hold=None):
         got, expected = (controller.step(t, measurement, hold) for controller in self.both)
         assert_same(got, expected, self.accuracy)

@@ -240,6 +240,44 @@ def test_what_the_robot_really_got_is_believed():
     assert offsets[False] > 0.01
 
 
+def test_its_own_commands_said_again_change_nothing():
+    reference = load_trajectory("s")
+    alone, _, _ = drive(controller(), robot_for(reference, noise=1.0), reference, 3.0)
+    told = controller()
+    told.start(reference, 0.0)
+    step = told.step
+
+    def overruled(t, measurement):
+        result = step(t, measurement)
+        told.overrule([result.command])
+        return result
+
+    told.step = overruled
+    again, _, _ = drive(told, robot_for(reference, noise=1.0), reference, 3.0)
+    assert all(np.array_equal(a.command, b.command) for a, b in zip(alone, again, strict=True))
+
+
+def test_while_another_one_drives_it_knows_how_the_robot_moves():
+    """A robot that is driven at 0.3 m/s with poses alone: the estimate follows the commands of the other one."""
+    robot, watching = robot_for(load_trajectory("circle")), controller()
+    watching.start(load_trajectory("circle"), robot.time)
+    for _ in range(150):
+        result = watching.step(robot.time, robot.measure())
+        watching.overrule([[0.3, 0.1]])
+        robot.advance(np.array([0.3, 0.1]))
+    assert result.estimate.twist == pytest.approx([0.3, 0.1], abs=0.02)
+    # Slew counts from what was sent, not from what it would have sent.
+    limits = watching.config.limits
+    steps = np.array([limits.v_slew, limits.omega_slew]) * DT
+    assert (np.abs(result.command - [0.3, 0.1]) <= steps + 1e-12).all()
+
+
+@pytest.mark.parametrize("commands", [[0.1, 0.2], [[np.nan, 0.0]], [[0.1, 0.2, 0.3]]])
+def test_commands_that_are_none_are_refused(commands):
+    with pytest.raises(ValueError, match="give finite pairs"):
+        controller().overrule(commands)
+
+
 def test_updates_take_effect_between_two_ticks():
     reference, robot, driver = load_trajectory("circle"), None, controller()
     robot = robot_for(reference)

@@ -106,6 +106,15 @@ def obeys_by_half(k, t, m, both):
     return t, changed(m, sent=(7.0, 0.0) if k % 17 == 0 else (v, omega) if k % 3 else (4.9, -9.0)), None
 
 
+def overruled(k, t, m, both):
+    """Somebody else drives, at times beyond the limits; at first it has been driven for longer than is remembered."""
+    if k == 0:
+        both.overrule(np.tile([0.3, -0.2], (700, 1)))
+    elif k % 3:
+        both.overrule(np.array([[0.4 * math.sin(0.1 * k), 0.3], [0.9 if 60 <= k < 70 else 0.4, math.cos(0.07 * k)]]))
+    return t, m, None
+
+
 def held(k, t, m, both):
     return t, m, Hold("pause") if 60 <= k < 110 else None
 
@@ -183,6 +192,7 @@ EVENTS = {
     "nothing": (nothing, {}, ["TRACKING"], ""),
     "late poses": (Late(), {}, ["TRACKING"], "not newer"),
     "sent given": (obeys_by_half, {}, ["TRACKING"], "sent command rejected"),
+    "overruled": (overruled, {}, ["TRACKING"], ""),
     "held": (held, {}, ["TRACKING", "BRAKING", "STOPPED", "TRACKING"], "pause"),
     "held by a failure": (held_by_a_failure, {"failure.resume": False}, ["TRACKING", "BRAKING", "STOPPED"], "bumper"),
     "updated": (updated, {}, ["TRACKING"], ""),

@@ -2,13 +2,17 @@
 
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from ros_parts import DT, stack
 
+from diffdrive_mpc.bench.replay.open_loop import replay
+from diffdrive_mpc.bench.replay.reading import read_recording
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.models.logs.drive_log.topics import DIAGNOSTICS, PLAN, REFERENCE, TRUE_POSE
 from diffdrive_mpc.models.logs.mapping import Topic
+from diffdrive_mpc.mpc.ros import recording
 
 
 def recorded(folder, ticks, **parameters):
@@ -77,8 +81,66 @@ def test_a_folder_that_cannot_be_written_is_a_warning_and_the_robot_drives(tmp_p
     assert "recording has ended: " in capfd.readouterr().err
 
 
+def test_a_fault_in_recording_ends_the_recording_and_not_the_drive(tmp_path, monkeypatch, capfd):
+    def broken(_):
+        raise KeyError("nobody thought of this")
+
+    with stack(drive=True, record=True, record_folder=str(tmp_path)) as s:
+        s.base.run(20)
+        monkeypatch.setattr(recording, "decided_cells", broken)
+        s.base.run(40)
+        assert s.loop.last.command[0] > 0.1 and s.node._recording.incomplete
+    assert "recording has ended: KeyError: 'nobody thought of this'" in capfd.readouterr().err
+    (path,) = tmp_path.iterdir()
+    assert not read_drive_log(path).cut
+
+
+def test_where_no_recording_can_begin_the_robot_drives(tmp_path, monkeypatch, capfd):
+    def none_left(*_, **__):
+        raise OSError(24, "Too many open files")
+
+    monkeypatch.setattr(recording.DriveRecorder, "__init__", none_left)
+    with stack(drive=True, record=True, record_folder=str(tmp_path)) as s:
+        s.base.run(20)
+        assert s.node._recording is None and s.loop.last.result is not None
+    assert "nothing is recorded: " in capfd.readouterr().err
+
+
 def test_without_the_parameter_nothing_is_written(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     with stack(drive=True) as s:
         s.base.run(3)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_drive_with_all_that_may_happen_replays_to_the_same_bits(tmp_path):
+    """Along a path laid to the robot: paused, with other limits, without odometry for a while, and begun anew."""
+    folder = tmp_path / "drives"
+    with stack(drive=True, record=True, record_folder=str(folder), trajectory="k_turn", start_at_robot=True) as s:
+        s.base.run(40)
+        s.loop.pause()
+        s.base.run(30)
+        s.loop.start()
+        s.base.run(30)
+        s.node.set_parameters([Parameter("limits.v_slew", value=0.6), Parameter("weights.across", value=90.0)])
+        s.base.run(30)
+        tamper, s.base.tamper = s.base.tamper, lambda odometry: None
+        s.base.run(20)
+        s.base.tamper = tamper
+        s.base.run(30)
+        s.loop.pause()
+        s.base.run(60)
+        s.loop.reset()
+        s.base.run(5)
+        s.loop.start()
+        s.base.run(60)
+    (path,) = folder.iterdir()
+    recording = read_recording(path, None, DT, tmp_path)
+    assert not recording.approximated
+    assert {"TRACKING", "BRAKING", "STOPPED"} <= {tick.mode for tick in recording.ticks}
+    assert len([tick for tick in recording.ticks if tick.start is not None]) == 2
+    assert any(tick.hold is not None for tick in recording.ticks) and any(tick.config for tick in recording.ticks)
+    again = replay(recording, recording.config, recording.references, as_recorded=True)
+    # A path that was laid somewhere is sampled in Python and in C, which round otherwise.
+    assert np.abs(again.command - recording.command).max() < 1e-12
+    assert again.messages == tuple(tick.message for tick in recording.ticks)

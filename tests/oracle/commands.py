@@ -30,6 +30,10 @@ class PastCommands:
         """Replace the newest by what the robot really got (2,)."""
         self._sent[-1] = np.array(sent, dtype=float)
 
+    def overrule(self, sent: FloatArray) -> None:
+        """Replace the newest by those of somebody else (K, 2), oldest first."""
+        self._sent.extend([*list(self._sent)[: -len(sent)], *np.array(sent, dtype=float)])
+
     @property
     def last(self) -> FloatArray:
         """(2,) the newest command."""

@@ -144,6 +144,11 @@ class OracleController:
         self.pending = replace_values(self.pending or self.config, changes)
         return self.pending
 
+    def overrule(self, commands: FloatArray) -> None:
+        """What was sent in truth (K, 2), oldest first, in place of the last K."""
+        self.estimator.commands.overrule(commands)
+        self.last = commands[-1]
+
     def step(self, t: float, measurement: Measurement, hold: Hold | None = None) -> OracleStep:
         """Decide the command for the tick at `t` [s] from what arrived since the last one."""
         assert self.reference is not None, "call start first"

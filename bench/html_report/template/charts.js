@@ -25,15 +25,17 @@ function logTicks(values) {
 }
 
 function axis(of, values) {
-  const named = { ...GRID, title: { text: escaped(of.title), standoff: 8 }, type: of.type };
-  return { ...named, ...(of.type === "log" ? logTicks(values) : {}), ...(of.range ? { range: of.range } : {}) };
+  const found = values.filter((value) => value > 0);
+  const wide = Math.max(...found) > 4 * Math.min(...found);
+  const named = { ...GRID, title: { text: escaped(of.title), standoff: 8 }, type: of.type === "log" && !wide ? "linear" : of.type };
+  return { ...named, ...(named.type === "log" ? logTicks(values) : {}), ...(of.range ? { range: of.range } : {}) };
 }
 
 function chartTrace(series) {
   const look = style(series.style);
   const common = { name: escaped(series.name), x: series.x, y: series.y, text: (series.text || []).map(escaped), hovertemplate: series.text ? "%{text}<extra></extra>" : undefined };
-  if (series.kind === "bars") {
-    return { ...common, type: "bar", marker: { color: look.colour, pattern: { shape: ["", "/", ".", "x", "-"][series.style % 5], fillmode: "overlay", fgcolor: "#fff", size: 6, solidity: 0.25 } } };
+  if (series.kind === "bars" || series.kind === "rows") {
+    return { ...common, type: "bar", orientation: series.kind === "rows" ? "h" : "v", marker: { color: look.colour, pattern: { shape: ["", "/", ".", "x", "-"][series.style % 5], fillmode: "overlay", fgcolor: "#fff", size: 6, solidity: 0.25 } } };
   }
   const between = series.low ? { type: "data", symmetric: false, array: series.high.map((v, i) => v - series.y[i]), arrayminus: series.low.map((v, i) => series.y[i] - v), thickness: 1.2 } : undefined;
   return {
@@ -44,22 +46,32 @@ function chartTrace(series) {
   };
 }
 
+const across = (mark, at) => (mark.upright ? { yref: "paper", y0: 0, y1: 1, x0: at, x1: at } : { xref: "paper", x0: 0, x1: 1, y0: at, y1: at });
+
+// On a logarithmic axis a label stands at the logarithm, a line does not.
+function label(mark, chart) {
+  const at = (mark.upright ? chart.x : chart.y).type === "log" ? Math.log10(mark.value) : mark.value;
+  return mark.upright ? { x: at, xanchor: "left", yref: "paper", y: 1, yanchor: "top" } : { xref: "paper", x: 1, xanchor: "right", y: at, yanchor: "bottom" };
+}
+
 function drawChart(chart, place) {
   const traces = chart.series.filter((one) => isShown(one.labels)).map(chartTrace);
-  const shapes = chart.marks.map((mark) => ({ type: "line", xref: "paper", x0: 0, x1: 1, y0: mark.value, y1: mark.value, line: { color: "#5a6875", dash: "dot", width: 1.5 } }));
-  const annotations = chart.marks.map((mark) => ({ xref: "paper", x: 1, xanchor: "right", y: mark.value, yanchor: "bottom", text: escaped(mark.text), showarrow: false, font: { size: 11, color: "#5a6875" } }));
+  const shapes = chart.marks.map((mark) => ({ type: "line", line: { color: "#5a6875", dash: "dot", width: 1.5 }, ...across(mark, mark.value) }));
+  const annotations = chart.marks.map((mark) => ({ text: escaped(mark.text), showarrow: false, font: { size: 11, color: "#5a6875" }, ...label(mark, chart) }));
   return draw(place, traces, layout({
-    height: chart.height, xaxis: axis(chart.x, traces.flatMap((one) => one.x)), yaxis: axis(chart.y, traces.flatMap((one) => one.y)), shapes, annotations, hovermode: "closest", barmode: "group",
+    height: chart.height, xaxis: axis(chart.x, traces.flatMap((one) => one.x)), yaxis: { ...axis(chart.y, traces.flatMap((one) => one.y)), ...(chart.series.some((one) => one.kind === "rows") ? { autorange: "reversed" } : {}) }, shapes, annotations, hovermode: "closest", barmode: "group",
     showlegend: chart.series.length > 1, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0, font: { size: 11 } }, margin: { l: 56, r: 12, t: 30, b: 48 },
   }));
 }
 
 function drawMap(map, place) {
   const crossed = map.crossed.map((row) => row.map((cross) => (cross ? "×" : "")));
+  const logarithms = map.values.map((row) => row.map((value) => (value > 0 ? Math.log10(value) : null)));
+  const ticks = logTicks(map.values.flat());
   const trace = {
-    type: "heatmap", x: map.x.values, y: map.y.values, z: map.values, text: crossed, texttemplate: "%{text}", textfont: { size: 16, color: "#fff" },
-    colorscale: "Cividis", reversescale: false, colorbar: { title: { text: escaped(map.unit), side: "right" }, thickness: 12 },
-    hovertemplate: `${escaped(map.x.title)}: %{x}<br>${escaped(map.y.title)}: %{y}<br>%{z} ${escaped(map.unit)}<extra></extra>`, hoverongaps: false,
+    type: "heatmap", x: map.x.values, y: map.y.values, z: logarithms, customdata: map.values, text: crossed, texttemplate: "%{text}", textfont: { size: 16, color: "#fff" },
+    colorscale: "Cividis", reversescale: false, colorbar: { title: { text: escaped(map.unit), side: "right" }, thickness: 12, tickvals: ticks.tickvals.map(Math.log10), ticktext: ticks.ticktext },
+    hovertemplate: `${escaped(map.x.title)}: %{x}<br>${escaped(map.y.title)}: %{y}<br>%{customdata} ${escaped(map.unit)}<extra></extra>`, hoverongaps: false,
   };
   return draw(place, [trace], layout({ height: 340, xaxis: axis(map.x, map.x.values), yaxis: axis(map.y, map.y.values), hovermode: "closest" }));
 }
@@ -70,7 +82,7 @@ function chartCard(view) {
   const place = element("div", { class: "plot" });
   const note = view.note ? [element("p", { class: "note" }, view.note)] : [];
   const body = view.kind === "picture" ? element("img", { src: view.source, alt: view.title }) : place;
-  const card = element("figure", { class: `card ${view.broad ? "broad" : ""}`, style: "margin:0" }, element("h3", {}, view.title), body, ...note);
+  const card = element("figure", { class: `card ${view.broad ? "broad" : ""}` }, element("h3", {}, view.title), body, ...note);
   const redraw = () => DRAWN[view.kind](view, place);
   if (view.kind === "chart") redraws.push(redraw);
   return { card, redraw: view.kind === "picture" ? () => body.decode().catch(() => undefined) : redraw };

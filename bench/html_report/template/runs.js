@@ -1,6 +1,7 @@
 "use strict";
 // Linked views of closed-loop runs: the path in the plane beside plots over time, one cursor in both, and a readout.
 const GREY = "#7f7f7f";
+const MOST_NAMED = 12;
 const SVG_MARGIN = { l: 52, r: 14, t: 8, b: 40 };
 
 // How strongly a way or mode is drawn: thick where the controller had more trouble, so that colour is not needed.
@@ -52,6 +53,7 @@ function linkedViews(view) {
   const readout = element("dl", { class: "readout", id: "readout", "aria-live": "off" });
   const slider = element("input", { type: "range", class: "slider", id: "time", min: 0, max: 1000, value: 0, "aria-label": "Time of the cursor" });
   const key = element("div", { class: "strip-key" });
+  const names = element("div", { class: "strip-key" });
   let cursor = null;
 
   const lineOf = (run, layer) => {
@@ -136,9 +138,16 @@ function linkedViews(view) {
     if (!cursor || !all.some((run) => run === cursor.run)) cursor = all.length ? { run: all[0], t: cursor ? cursor.t : 0 } : null;
     const found = [...new Set(all.flatMap((run) => Object.keys(run.strip)))];
     key.replaceChildren(...found.map((what) => element("span", {}, swatch(stripOf(what)[1], "solid", Math.min(stripOf(what)[2], 10)), stripOf(what)[0])));
+    if (!single) names.replaceChildren(...runNames(all));
     const spread = { ...GRID, scaleanchor: "x", scaleratio: 1, title: { text: "y [m]", standoff: 4 } };
     const flat = layout({ height: Math.min(460, Math.max(300, plane.clientWidth * 0.8)), margin: SVG_MARGIN, xaxis: { ...GRID, title: { text: "x [m]", standoff: 6 } }, yaxis: spread });
     return Promise.all([draw(plane, planeTraces(all), flat), draw(times, timeTraces(all), timesLayout(all))]).then(mark);
+  }
+
+  // Which line is whose, in the order of the strip's rows; print has no toggles.
+  function runNames(all) {
+    const named = all.slice(0, MOST_NAMED).map((run) => element("span", {}, swatch(style(run.style).colour, style(run.style).dash), run.name));
+    return all.length > MOST_NAMED ? [...named, element("span", {}, `and ${all.length - MOST_NAMED} more`)] : named;
   }
 
   // The cursor: drawn over the plots, as a plot itself is slow to change.
@@ -257,7 +266,7 @@ function linkedViews(view) {
   const left = element("div", { class: "where" },
     element("div", { class: "card" }, element("h3", {}, "Path in the plane"), plane),
     element("div", { class: "card" }, slider, readout));
-  const right = element("div", { class: "card" }, element("h3", {}, "Over time"), times, key, element("p", { class: "note" }, view.note));
+  const right = element("div", { class: "card" }, element("h3", {}, "Over time"), times, key, names, element("p", { class: "note" }, view.note));
   redraws.push(redraw);
   const after = () => times.on("plotly_relayout", mark) && plane.on("plotly_relayout", mark);
   return { parts: [layerBar, element("div", { class: "linked" }, left, right)], redraw: () => redraw().then(after), mark };

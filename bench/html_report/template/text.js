@@ -13,6 +13,10 @@ function element(tag, attributes = {}, ...children) {
 // Plotly reads a few tags in its texts; names come from files.
 const escaped = (text) => String(text).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
 
+// Words between backticks are code.
+const words = (text) => text.split("`").map((part, i) => (i % 2 ? element("code", {}, part) : part));
+const sentence = (text) => words(/[.!?]$/.test(text) ? text : `${text}.`);
+
 function keyFigure(figure) {
   return element("div", { class: `key-figure ${figure.state}` },
     element("div", { class: "label" }, figure.label),
@@ -26,15 +30,15 @@ function tableCard(table) {
   const rows = table.rows.map((row) => element("tr", {}, ...row.map((cell, i) => element("td", { class: kind(i) }, cell))));
   const drawn = element("div", { class: "scroll", tabindex: "0" },
     element("table", {}, element("thead", {}, head), element("tbody", {}, ...rows)));
-  const parts = [drawn, ...(table.note ? [element("p", { class: "note" }, table.note)] : [])];
+  const parts = [drawn, ...(table.note ? [element("p", { class: "note" }, ...words(table.note))] : [])];
   if (table.rows.length <= 24) return element("div", { class: "card table" }, element("h3", {}, table.title), ...parts);
   const folded = element("details", {}, element("summary", {}, `${table.title}: ${table.rows.length} rows`), ...parts);
   return element("div", { class: "card table" }, folded);
 }
 
 function warningCard(warning) {
-  const remedy = warning.remedy ? [element("p", { class: "remedy" }, `What to do: ${warning.remedy}`)] : [];
-  return element("div", { class: "card warning" }, element("p", {}, warning.what), ...remedy);
+  const remedy = warning.remedy ? [element("p", { class: "remedy" }, "What to do: ", ...sentence(warning.remedy))] : [];
+  return element("div", { class: "card warning" }, element("p", {}, ...sentence(warning.what)), ...remedy);
 }
 
 function configurationCard(configuration) {
@@ -57,10 +61,12 @@ function writeText() {
   byId("command").textContent = content.command;
   byId("title").textContent = content.title;
   byId("key-figures").append(...content.key_figures.map(keyFigure));
-  byId("sentences").append(...content.summary.map((line) => element("p", {}, line)), ...content.notes.map((line) => element("p", { class: "note" }, line)));
+  byId("sentences").append(...content.summary.map((line) => element("p", {}, ...words(line))), ...content.notes.map((line) => element("p", { class: "note" }, ...words(line))));
   fill("views", "Views", content.views.length ? [""] : []);
   fill("tables", "Tables", content.tables.map(tableCard));
   const count = content.warnings.length;
+  const told = count === 1 ? "1 warning, with what to do" : `${count} warnings, each with what to do`;
+  if (count) byId("sentences").prepend(element("p", {}, element("a", { href: "#warnings" }, told)));
   const fine = element("p", {}, "None: nothing was found that needs your attention.");
   fill("warnings", count ? `Warnings (${count})` : "Warnings", count ? content.warnings.map(warningCard) : [fine]);
   fill("configuration", "Configuration", content.configurations.map(configurationCard));

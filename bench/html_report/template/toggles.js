@@ -4,11 +4,12 @@ const shown = Object.fromEntries(content.toggles.map((toggle) => [toggle.name, n
 const isShown = (labels) => Object.entries(labels).every(([name, value]) => !(name in shown) || shown[name].has(value));
 const redraws = [];
 
-const DASHES = { solid: "", dash: "6 3", dashdot: "6 2 2 2", dot: "2 2" };
+const DASHES = { solid: "", dash: "6 3", dashdot: "6 2 2 2", dot: "2 2", longdash: "10 3", longdashdot: "10 2 2 2" };
 const style = (index) => ({
   colour: content.look.colours[index % content.look.colours.length],
   dash: content.look.dashes[index % content.look.dashes.length],
-  marker: content.look.markers[index % content.look.markers.length],
+  // There are as many markers as colours: in the second round each goes with the next.
+  marker: content.look.markers[(index + Math.floor(index / content.look.colours.length)) % content.look.markers.length],
 });
 
 function svg(tag, attributes) {

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from diffdrive_mpc.bench.html_report.numbers import rounded, tail
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
     Chart,
@@ -18,7 +19,7 @@ from diffdrive_mpc.bench.html_report.page import (
     Toggle,
     Warned,
 )
-from diffdrive_mpc.bench.html_report.run_series import PEAKS, run_series
+from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.outcomes import (
     Outcome,
@@ -35,13 +36,12 @@ from diffdrive_mpc.bench.outcomes import (
     who_drives,
 )
 from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
-from diffdrive_mpc.bench.studies.comparison.single_page import HOW_TO_READ, case_config, configuration
+from diffdrive_mpc.bench.studies.comparison.single_page import case_config, configuration
 from diffdrive_mpc.bench.table import number
 
 _TICKS = 40_000
 """Ticks of all runs together that the page holds at most, so that it stays small."""
 _TICKS_OF_A_RUN = 500
-_TAIL_POINTS = 120
 _WARNINGS_SHOWN = 12
 
 
@@ -74,7 +74,7 @@ def charts(results: ComparisonResults, names: Sequence[str]) -> list[Chart]:
         made.append(_against("Error against speed", title, results.speed, lambda one: one.case.top_speed or 0.0, names))
     if results.dead_time:
         late = 1e3 * results.main[0].run.sample_time
-        title = "dead time of the plant less the configured one [ms]"
+        title = "dead time beyond the configured one [ms]"
         made.append(
             _against(
                 "Error against an unknown dead time", title, results.dead_time, lambda one: late * one.case.late, names
@@ -155,7 +155,7 @@ def _by_path(results: ComparisonResults) -> Chart:
     series = []
     for i, (name, runs) in enumerate(by_driver(results.main).items()):
         there = by("trajectory", runs)
-        values = [_finite(1e3 * mean(there[path], "position_rmse_m")) if path in there else None for path in paths]
+        values = [rounded(1e3 * mean(there[path], "position_rmse_m")) if path in there else None for path in paths]
         series.append(Series(name, paths, values, i, "bars", labels={"controller": name}))
     return Chart("Error by path", Axis("path", "category"), Axis("position RMSE [mm]"), series, "Means over seeds.")
 
@@ -164,14 +164,9 @@ def _tail(results: ComparisonResults) -> Chart:
     """The share of steps that took longer than a time."""
     series = []
     for i, (name, runs) in enumerate(by_driver(results.main).items()):
-        times = 1e3 * np.sort(step_times(runs))
-        if not times.size:
-            continue
-        # Evenly over the logarithm of the share: the tail is what matters.
-        kept = np.unique(times.size - np.geomspace(1, times.size, _TAIL_POINTS).round().astype(int))
-        share = 1.0 - kept / times.size
-        x, y = [float(f"{one:.4g}") for one in times[kept]], [float(f"{one:.4g}") for one in share]
-        series.append(Series(name, x, y, i, "line", labels={"controller": name}))
+        times = 1e3 * step_times(runs)
+        if times.size:
+            series.append(Series(name, *tail(times), i, "line", labels={"controller": name}))
     sample = 1e3 * results.main[0].run.sample_time
     note = f"Whole step, from measurement to command. A step has {sample:.1f} ms."
     axes = Axis("step time [ms]", "log"), Axis("share of longer steps", "log")
@@ -184,7 +179,7 @@ def _against(title: str, axis: str, scores: Sequence[S], key: Callable[[S], floa
     for name, runs in group(scores, lambda one: who_drives(one.case)).items():
         at = dict(sorted(group(runs, key).items()))
         seeds = [[1e3 * mean(own, "position_rmse_m") for own in by("seed", part).values()] for part in at.values()]
-        values = [_finite(1e3 * mean(part, "position_rmse_m")) for part in at.values()]
+        values = [rounded(1e3 * mean(part, "position_rmse_m")) for part in at.values()]
         several = all(value is not None for value in values) and any(len(own) > 1 for own in seeds)
         low, high = ([min(own) for own in seeds], [max(own) for own in seeds]) if several else ((), ())
         x = [round(one, 6) for one in at]
@@ -197,8 +192,8 @@ def _horizons(outcomes: Sequence[Outcome], names: Sequence[str]) -> list[Chart]:
     for name, runs in by_model(outcomes).items():
         at = by_horizon(runs)
         style, labels = _style(name, names), _labels(name, names)
-        rmse = [_finite(1e3 * mean(part, "position_rmse_m")) for part in at.values()]
-        took = [_finite(1e3 * time_percentile(step_times(part), 50)) for part in at.values()]
+        rmse = [rounded(1e3 * mean(part, "position_rmse_m")) for part in at.values()]
+        took = [rounded(1e3 * time_percentile(step_times(part), 50)) for part in at.values()]
         errors.append(Series(name, list(at), rmse, style, labels=labels))
         times.append(Series(name, list(at), took, style, labels=labels))
     axis = Axis(f"horizon [steps of {1e3 * outcomes[0].run.sample_time:.1f} ms]")
@@ -210,7 +205,7 @@ def _horizons(outcomes: Sequence[Outcome], names: Sequence[str]) -> list[Chart]:
 
 def _scale(series: Sequence[Series]) -> Division:
     """Logarithmic where one value would press all others flat."""
-    values = [value for one in series for value in one.y if value]
+    values = [value for one in series for value in one.y if isinstance(value, float) and value]
     return "log" if values and max(values) > 20 * min(values) else "linear"
 
 
@@ -231,7 +226,3 @@ def _warnings(drivers: Mapping[str, Sequence[Outcome]]) -> list[Warned]:
         rest = Warned(f"And {len(made) - _WARNINGS_SHOWN} other kinds of warning: see the tables.")
         return [*made[:_WARNINGS_SHOWN], rest]
     return made
-
-
-def _finite(value: float) -> float | None:
-    return round(value, 4) if np.isfinite(value) else None

@@ -10,7 +10,7 @@ from diffdrive_mpc.bench.config_report import commented_yaml
 from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.bench.html_report.origin import origin
 from diffdrive_mpc.bench.html_report.page import Configuration, KeyFigure, Page, Runs, Shown, Toggle, View
-from diffdrive_mpc.bench.html_report.run_series import PEAKS, run_series
+from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.outcomes import STATISTICS, Outcome, who_drives
@@ -23,10 +23,6 @@ from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 POINTS = 2000
 """Ticks of a run that the page of one run holds at most."""
 _LAP_POINTS = 700
-HOW_TO_READ = (
-    "Point at either view, or move the slider: the other shows the same time, the readout what happened then. "
-    "Thick in the strip: more trouble"
-)
 
 
 def case_config(case: Case) -> ControllerConfig | None:

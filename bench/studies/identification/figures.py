@@ -21,7 +21,7 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 
 FOLDER = "figures"
 """Of the figures, inside that of the results."""
-_UNITS = {"v": "m/s", "omega": "rad/s"}
+UNITS = {"v": "m/s", "omega": "rad/s"}
 _SAMPLES = 400
 _INTERVAL = 1.959964
 
@@ -93,7 +93,7 @@ def draw_simulation(report: IdentificationReport, path: Path) -> None:
             )
             upper.plot(time[seen], measured[seen], ".", markersize=2.5, color=colour(0), label="measured")
             upper.plot(time, simulated[rows, i], color=colour(1), label="simulated")
-            upper.set_ylabel(f"{channel} [{_UNITS[channel]}]")
+            upper.set_ylabel(f"{channel} [{UNITS[channel]}]")
             lower.plot(time[seen], (measured - simulated[rows, i])[seen], color=colour(0), linewidth=0.8)
             lower.axhline(0.0, color="black", linewidth=0.6)
             lower.set_ylabel("residual")
@@ -140,21 +140,26 @@ def draw_residuals(report: IdentificationReport, path: Path) -> None:
 def draw_steps(report: IdentificationReport, path: Path) -> None:
     """Draw the response of both outputs to a unit step of either command, dead time included."""
     model = report.fitted.identified.model
-    horizon = figure_settings().step_response * float(model.lag.max())
-    discrete = model.discretise(horizon / _SAMPLES)
-    time = discrete.dt * np.arange(_SAMPLES + 1)
+    time, responses = step_responses(report)
     with new_figure(path, 7.4, 3.4) as figure:
         panels = figure.subplots(1, 2)
         for j, (axes, command) in enumerate(zip(panels, CHANNELS, strict=True)):
-            response = discrete.simulate(np.tile(np.eye(2)[j], (len(time), 1)))
             axes.axhline(1.0, color=REFERENCE_COLOUR, linewidth=0.9, linestyle=":")
             for i, channel in enumerate(CHANNELS):
-                label = f"{channel} [{_UNITS[channel]}], steady {model.dc_gain[i, j]:.3f}"
-                axes.plot(time, response[:, i], color=colour(i), linestyle=line_style(i), label=label)
+                label = f"{channel} [{UNITS[channel]}], steady {model.dc_gain[i, j]:.3f}"
+                axes.plot(time, responses[j][:, i], color=colour(i), linestyle=line_style(i), label=label)
             axes.axvline(model.dead_time[j], color="black", linewidth=0.6)
-            axes.set(xlabel="time [s]", title=f"step of {command}_ref by 1 {_UNITS[command]}")
+            axes.set(xlabel="time [s]", title=f"step of {command}_ref by 1 {UNITS[command]}")
             axes.legend(loc="center right")
         figure.suptitle(f"{report.name}: step responses; the upright line is the dead time")
+
+
+def step_responses(report: IdentificationReport) -> tuple[FloatArray, list[FloatArray]]:
+    """Times (n,) [s], and for a unit step of each command both outputs (n, 2)."""
+    model = report.fitted.identified.model
+    discrete = model.discretise(figure_settings().step_response * float(model.lag.max()) / _SAMPLES)
+    time = discrete.dt * np.arange(_SAMPLES + 1)
+    return np.asarray(time), [discrete.simulate(np.tile(np.eye(2)[j], (len(time), 1))) for j in range(2)]
 
 
 def draw_poles(report: IdentificationReport, path: Path) -> None:

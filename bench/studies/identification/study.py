@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.html_report.document import REPORT, write_page
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.studies.identification.figures import FOLDER, draw_identification, figures_of
 from diffdrive_mpc.bench.studies.identification.first_drive import FIRST_CIRCLE, first_circle, recipe
+from diffdrive_mpc.bench.studies.identification.page import identification_page
 from diffdrive_mpc.bench.studies.identification.trial_drives import (
     PATHS,
     TrialDrive,
@@ -49,9 +52,12 @@ def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **opt
     models.checked_yaml.ConfigError, ValueError, OSError
         If an option, a log or the folder cannot be used, or the logs allow no model; nothing is written then.
     """
-    files = (*FILES, FIRST_CIRCLE)
+    began = time.perf_counter()
+    files = (*FILES, FIRST_CIRCLE, REPORT)
     with staged(out, files=files, folders=(FOLDER,)) as folder, ProgressBar("reading", 1) as bar:
         outcome = _write(_identified(logs, bar, force, options), folder, bar, force)
+        page = identification_page(outcome.found, folder, outcome.drives, time.perf_counter() - began)
+        write_page(page, folder / REPORT)
     _print(outcome.found, out)
     _print_verdict(outcome, out, force)
 

@@ -20,7 +20,7 @@ from diffdrive_mpc.models.table import Table, number
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import Controller, ControllerConfig
 from diffdrive_mpc.mpc.trajectories.scaled import scaled_to_robot
-from diffdrive_mpc.sim import Metrics, simulate
+from diffdrive_mpc.sim import Metrics, Run, simulate
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
 from diffdrive_mpc.sim.plants.surface import Slip
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
@@ -47,16 +47,21 @@ class TrialDrive:
         `ITSELF` or `HELD_OUT`.
     path
         Which.
-    metrics
-        Of the run.
+    run
+        What happened.
     turning_circle
         Diameter of the circle that the robot drives at its limits of v and omega [m].
     """
 
     plant: str
     path: str
-    metrics: Metrics
+    run: Run
     turning_circle: float
+
+    @property
+    def metrics(self) -> Metrics:
+        """Statistics of the run."""
+        return self.run.metrics
 
     @property
     def lateral_share(self) -> float:
@@ -86,7 +91,7 @@ def trial_drives(
         for path in PATHS:
             plant = ModelPlant(model, slip, load_sensor_set("default"), effects=around, robot=robot)
             reference = scaled_to_robot(path, config, found.model)
-            drives.append(TrialDrive(name, path, simulate(Controller(config), plant, reference).metrics, circle))
+            drives.append(TrialDrive(name, path, simulate(Controller(config), plant, reference), circle))
             on_run()
     return drives
 

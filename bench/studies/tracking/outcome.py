@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.bench.case import NO_SCENARIO, Case
 from diffdrive_mpc.bench.controllers import controller_config, load_reference, run_case
-from diffdrive_mpc.bench.outcomes import SolverShares, metrics_row, plain
+from diffdrive_mpc.bench.html_report.run_series import run_series
+from diffdrive_mpc.bench.outcomes import SolverShares, metrics_row, plain, who_drives
 from diffdrive_mpc.bench.peers.clairvoyant import ClairvoyantController
 from diffdrive_mpc.bench.peers.known_plant import know_plant
 from diffdrive_mpc.bench.studies.tracking.plan import BOUND, TrackingPlan
@@ -23,6 +24,8 @@ from diffdrive_mpc.sim.metrics.recovery import Recovery
 
 _DIGITS = 6
 """Of every number in `tracking.json`."""
+_POINTS = 400
+"""Ticks of a run that the page holds at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +52,8 @@ class ReducedOutcome:
         (n,) position error against the reference at the same time, ahead of it and to the left of it [m].
     steady
         (n,) whether the tick belongs to a steady arc.
+    series
+        What the page shows of the run; None for most.
     """
 
     case: Case
@@ -61,6 +66,7 @@ class ReducedOutcome:
     along: FloatArray
     across: FloatArray
     steady: NDArray[np.bool_]
+    series: Mapping[str, object] | None = None
 
     def as_json(self) -> dict[str, object]:
         """Labels and numbers as plain values, without step times and series; what is not finite is None."""
@@ -93,9 +99,13 @@ class TrackingResults:
     @property
     def plain(self) -> list[ReducedOutcome]:
         """Those of our controller as shipped, on the physics, with the default sensors and without disturbance."""
-        usual = ("mujoco", "default", NO_SCENARIO, ())
-        cases = {one.case: one for one in self.all if one.case.controller != BOUND}
-        return [one for c, one in cases.items() if (c.plant, c.sensors, c.scenario, c.overrides) == usual]
+        return [one for one in self.all if is_plain(one.case)]
+
+
+def is_plain(case: Case) -> bool:
+    """Whether it is our controller as shipped, on the physics, with the default sensors and without disturbance."""
+    usual = ("mujoco", "default", NO_SCENARIO, ())
+    return case.controller != BOUND and (case.plant, case.sensors, case.scenario, case.overrides) == usual
 
 
 def collect(study: TrackingSettings, plan: TrackingPlan, outcomes: Sequence[ReducedOutcome]) -> TrackingResults:
@@ -104,7 +114,7 @@ def collect(study: TrackingSettings, plan: TrackingPlan, outcomes: Sequence[Redu
     return TrackingResults(study, {name: tuple(found[case] for case in cases) for name, cases in plan.parts.items()})
 
 
-def run_reduced(case: Case, trajectories: tuple[str, ...]) -> ReducedOutcome:
+def run_reduced(case: Case, trajectories: tuple[str, ...], *, with_series: bool = False) -> ReducedOutcome:
     """Run a case and reduce it.
 
     Parameters
@@ -113,8 +123,19 @@ def run_reduced(case: Case, trajectories: tuple[str, ...]) -> ReducedOutcome:
         One of ours, or the bound.
     trajectories
         What the bound's knowledge of the plant is fitted on.
+    with_series
+        Whether the page shows it.
     """
-    return reduce_run(case, _run_bound(case, trajectories) if case.controller == BOUND else run_case(case))
+    run = _run_bound(case, trajectories) if case.controller == BOUND else run_case(case)
+    reduced = reduce_run(case, run)
+    return replace(reduced, series=_series(case, run)) if with_series else reduced
+
+
+def _series(case: Case, run: Run) -> Mapping[str, object]:
+    model, path = who_drives(case), case.labels["trajectory"]
+    config = controller_config(case.model, case.config, case.overrides)
+    labels = {"model": model, "path": path}
+    return run_series(run, f"{model}, {path}", points=_POINTS, labels=labels, config=config, every_layer=False)
 
 
 def reduce_run(case: Case, run: Run) -> ReducedOutcome:

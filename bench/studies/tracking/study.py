@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
+from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.outcomes import STATISTICS
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.runner import run_tasks
-from diffdrive_mpc.bench.studies.tracking.outcome import TrackingResults, collect, run_reduced
+from diffdrive_mpc.bench.studies.tracking.outcome import TrackingResults, collect, is_plain, run_reduced
+from diffdrive_mpc.bench.studies.tracking.page import shown
 from diffdrive_mpc.bench.studies.tracking.plan import TrackingPlan, check_plan, plan_study
 from diffdrive_mpc.bench.studies.tracking.settings import PARTS, TrackingSettings
 from diffdrive_mpc.bench.studies.tracking.tables import study_tables
@@ -34,8 +36,15 @@ class TrackingStudy(Study[TrackingPlan, TrackingResults]):
     def run(self, plan: TrackingPlan, jobs: int, bar: ProgressBar) -> TrackingResults:
         """Run every case; each process keeps only what the study needs."""
         bar.begin(f"running, {jobs} at a time", len(plan.all))
-        tasks = [partial(run_reduced, case, self.settings.trajectories) for case in plan.all]
+        tasks = [
+            partial(run_reduced, case, self.settings.trajectories, with_series=self._is_shown(case))
+            for case in plan.all
+        ]
         return collect(self.settings, plan, run_tasks(tasks, jobs, bar.advance))
+
+    def _is_shown(self, case: Case) -> bool:
+        """Whether the page shows a run: of many alike it shows the first seed, on the default floor."""
+        return is_plain(case) and case.surface == Case().surface and case.seed == self.settings.targets.seeds[0]
 
     def report(self, results: TrackingResults, seconds: float) -> Report:
         """Tables of every part that was run; figures only where there was an ablation."""
@@ -51,4 +60,5 @@ class TrackingStudy(Study[TrackingPlan, TrackingResults]):
             notes=[f"Errors: {STATISTICS}."],
             tables=[table for part in study_tables(results).values() for table in part],
             figures={name: partial(draw, results) for name, draw in drawn.items() if "ablation" in results.parts},
+            shown=shown(results),
         )

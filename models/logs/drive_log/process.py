@@ -45,8 +45,8 @@ def _write(link: socket.socket, writer: DriveWriter, stream: Any) -> None:  # no
     waiting: queue.Queue[bytes] = queue.Queue(_WAITING)
     threading.Thread(target=_receive, args=(link, waiting), daemon=True).start()
     while parcel := waiting.get():
-        method, now, arguments, named = pickle.loads(parcel)
-        getattr(writer, method)(now, *arguments, **named)
+        for method, now, arguments, named in pickle.loads(parcel):
+            getattr(writer, method)(now, *arguments, **named)
         stream.flush()
     writer.close()
 

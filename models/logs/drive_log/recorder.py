@@ -43,6 +43,7 @@ class DriveRecorder:
 
     def __init__(self, path: Path, metadata: Metadata, *, patience: float, **options: object) -> None:
         self.path, self.fault, self.taken, self.lost = path, "", 0, 0
+        self._prepared: list[tuple[object, ...]] = []
         # Datagrams in order: one is taken whole or not at all, and without waiting.
         self._link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
@@ -59,10 +60,16 @@ class DriveRecorder:
         self._send((str(path), metadata, options))
         self._hear(patience)
 
+    def prepare(self, method: str, now: int, *arguments: object, **named: object) -> None:
+        """Have a method of `DriveWriter` called with the next `hand`: its name, the time [ns], what else it takes."""
+        self._prepared.append((method, now, arguments, named))
+
     def hand(self, method: str, now: int, *arguments: object, **named: object) -> None:
-        """Have a method of `DriveWriter` called: its name, the time [ns] and what else it takes."""
+        """Have it called now, after what was prepared, in one parcel: what is sent takes longer than what is in it."""
+        self.prepare(method, now, *arguments, **named)
         if not self.fault:
-            self._send((method, now, arguments, named))
+            self._send(self._prepared)
+        self._prepared = []
 
     def poll(self) -> None:
         """Hear whether recording has ended."""

@@ -56,6 +56,14 @@ _SENSORS = {
     )
 }
 
+TOLD = tuple(
+    dict.fromkeys(
+        name for one in _SENSORS.values() for name in (one.time, *one.covariance) if one.field != "wheel_speeds"
+    )
+)
+TOLD = (*(name for name in TOLD if name != "pose_t_s"), *_SENT)
+"""Names of what a controller is told beside the readings: with them all is there that a step depends on."""
+
 
 @cache
 def tick_schema() -> dict[str, Any]:

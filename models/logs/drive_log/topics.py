@@ -9,6 +9,8 @@ TRUE_POSE, TRUE_TWIST = "/ground_truth/pose", "/ground_truth/twist"
 PLAN, REFERENCE = "/diffdrive_mpc/predicted_path", "/diffdrive_mpc/reference_path"
 MODE, ERROR = "/diffdrive_mpc/mode", "/diffdrive_mpc/tracking_error"
 DIAGNOSTICS, TRANSFORMS = "/diagnostics", "/tf"
+TICK, DRIVE = "/diffdrive_mpc/tick", "/diffdrive_mpc/drive"
+"""Lines of `models.logs.tick_record`, which a node says."""
 
 KINDS = {
     COMMAND: "geometry_msgs/msg/TwistStamped",
@@ -24,6 +26,8 @@ KINDS = {
     ERROR: "geometry_msgs/msg/Vector3Stamped",
     DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
     TRANSFORMS: "tf2_msgs/msg/TFMessage",
+    TICK: "std_msgs/msg/String",
+    DRIVE: "std_msgs/msg/String",
 }
 """ROS type of every topic but `STATE`."""
 

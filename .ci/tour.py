@@ -1,0 +1,24 @@
+"""Paste the commands of documents, as they stand, where only a wheel is installed: `python .ci/tour.py PAGE...`.
+
+In order, in the current folder. Lines with `make` need the clone and are left out; a file is written as its block
+shows it. Only what a shell and Python bring is used, so that any installation can be tried.
+"""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+FENCE = re.compile(r"^```(sh|python|yaml)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+SHELL = "/bin/sh"
+
+for page in map(Path, sys.argv[1:]):
+    print(f"-- {page.name}", flush=True)
+    for language, body in FENCE.findall(page.read_text(encoding="utf-8")):
+        if language == "yaml":
+            Path(re.match(r"# file: (\S+)\n", body)[1]).write_text(body, encoding="utf-8")
+        elif language == "python":
+            subprocess.run(["python", "-c", body], check=True)
+        else:
+            lines = [line for line in body.splitlines() if not line.startswith("make ")]
+            subprocess.run([SHELL, "-e", "-x", "-c", "\n".join(lines)], check=True)

@@ -1,0 +1,150 @@
+"""Logs of `diffdrive-mpc simulate`, CSV or MCAP, tick by tick as the controller had them."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from diffdrive_mpc.bench.replay.bag_records import recorded_config, recorded_drive
+from diffdrive_mpc.bench.replay.logged_reference import logged_reference
+from diffdrive_mpc.bench.replay.recording import Recording, Start, Tick
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray, Measurement
+from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.models.logs.csv_log import OWN_FORMAT
+from diffdrive_mpc.models.logs.csv_table import read_header
+from diffdrive_mpc.models.logs.drive_log.reader import messages, read_drive_log
+from diffdrive_mpc.models.logs.drive_log.ros_messages import decoded
+from diffdrive_mpc.models.logs.drive_log.tick import TOLD, measurement_of
+from diffdrive_mpc.models.logs.drive_log.topics import DRIVE, TICK
+from diffdrive_mpc.models.logs.mapping import load_mapping
+from diffdrive_mpc.mpc import ControllerConfig
+
+_TEXTS = ("mode", "solver_status", "solver_path", "message")
+_BETWEEN = (
+    "The reference is known at the ticks alone, and interpolated between them: where the robot was off its path or its "
+    "time, commands may differ by some mm/s and mrad/s; --trajectory with its file makes that exact."
+)
+_NOT_TOLD = (
+    "The log is of a release before covariances and stamps were logged: readings count as of their tick with the "
+    "configuration's noise, so that commands may differ by some mm/s and mrad/s."
+)
+
+
+def is_own_csv(path: Path) -> bool:
+    """Whether the columns are those of `simulate --log`."""
+    columns, header = load_mapping(OWN_FORMAT).columns, read_header(path)
+    assert columns is not None
+    return columns.names() | {"mode"} <= set(header)
+
+
+def read_own_csv(path: Path) -> Recording:
+    """Read a log that `simulate --log` has written; raises ConfigError if it is damaged or holds no tick."""
+    numbers, texts, findings = _read(path)
+    missing = [name for name in TOLD if name not in numbers]
+    for name in ("wheel_t_s", "gyro_t_s"):
+        numbers.setdefault(name, numbers["t_s"])
+    rows = zip(*(column.tolist() for column in numbers.values()), strict=True)
+    measurements = [measurement_of(dict(zip(numbers, row, strict=True))) for row in rows]
+    recording = _recording(path, "CSV log of `diffdrive-mpc simulate`", (numbers, texts), measurements)
+    approximated = (*recording.approximated, *([_NOT_TOLD] if missing else []))
+    return replace(recording, approximated=approximated, findings=tuple(findings))
+
+
+def read_own_mcap(path: Path, scratch: Path) -> Recording:
+    """Read a log of `simulate --log FILE.mcap` or of a node; its model is put into `scratch` where it ships not."""
+    log = read_drive_log(path)
+    if log.metadata.get("case", {}).get("recorded_by") == "node":
+        return _of_node(path, scratch, cut=log.cut)
+    columns = log.columns
+    numbers = {name: column for name, column in columns.items() if column.dtype != object}
+    texts = {name: list(columns[name]) for name in _TEXTS}
+    recording = _recording(path, "MCAP log of `diffdrive-mpc simulate`", (numbers, texts), log.measurements)
+    return replace(recording, config=_config(log.metadata, scratch), findings=_cut(path, cut=log.cut))
+
+
+def _of_node(path: Path, scratch: Path, *, cut: bool) -> Recording:
+    """What a node has recorded: it says of each tick what its controller was asked."""
+    lines: dict[str, list[str]] = {TICK: [], DRIVE: []}
+    for kind, channel, message in messages(path):
+        if channel.topic in lines:
+            lines[channel.topic].append(str(decoded(kind, message.data).data))
+    found = recorded_drive(path, "MCAP log of the node", lines[TICK], lines[DRIVE], scratch)
+    return replace(found, findings=(*found.findings, *_cut(path, cut=cut)))
+
+
+def _cut(path: Path, *, cut: bool) -> tuple[str, ...]:
+    return (f"{path.name}: the file is cut off; its last whole part counts",) if cut else ()
+
+
+def _recording(
+    path: Path,
+    source: str,
+    columns: tuple[Mapping[str, FloatArray], Mapping[str, list[str]]],
+    measurements: Sequence[Measurement],
+) -> Recording:
+    """Of columns of numbers and of texts; the controller was started at the first tick, with the robot at rest."""
+    numbers, texts = columns
+    command = np.column_stack([numbers["v_ref_m_s"], numbers["omega_ref_rad_s"]])
+    between = f"{path.name}: reference"
+    reference = logged_reference(numbers, between)
+    said = zip(texts["mode"], texts["solver_path"], texts["message"], strict=True)
+    ticks = [
+        Tick(t, measurement, sent, None, None, None, *words)
+        for t, measurement, sent, words in zip(numbers["t_s"].tolist(), measurements, command, said, strict=True)
+    ]
+    ticks[0] = replace(ticks[0], start=Start(reference, ticks[0].time, reset=False))
+    interpolated = reference is not None and reference.name == between
+    return Recording(path.name, source, tuple(ticks), approximated=(_BETWEEN,) if interpolated else ())
+
+
+def _config(metadata: Mapping[str, Mapping[str, str]], scratch: Path) -> ControllerConfig | None:
+    """The configuration that the file holds; None where its controller had none."""
+    if "configuration" not in metadata:
+        return None
+    values = yaml.safe_load(metadata["configuration"]["yaml"])
+    text = "" if values.get("model") in MODEL_NAMES else metadata.get("model", {}).get("yaml", "")
+    return recorded_config(values, text, scratch)
+
+
+def _read(path: Path) -> tuple[dict[str, FloatArray], Mapping[str, list[str]], list[str]]:
+    """Numbers and texts by column, and what was found wrong."""
+    findings: list[str] = []
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            header, *rows = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error, ValueError) as error:
+        raise ConfigError(f"{path}: cannot be read as CSV ({error})") from error
+    if rows and len(rows[-1]) < len(header):
+        rows.pop()
+        findings.append(f"{path.name}: the last line is cut off; it is left out")
+    for number, row in enumerate(rows, start=2):
+        if len(row) != len(header):
+            raise ConfigError(f"{path}, line {number}: {len(row)} cells, the header names {len(header)}")
+    if not rows:
+        raise ConfigError(f"{path}: the log holds no row; record for longer")
+    columns = dict(zip(header, zip(*rows, strict=True), strict=True))
+    texts = {name: list(columns.pop(name, ("",) * len(rows))) for name in _TEXTS}
+    numbers: dict[str, NDArray[np.float64]] = {name: _numbers(path, name, cells) for name, cells in columns.items()}
+    known = np.isfinite(numbers["t_s"])
+    if not known.all():
+        lines = ", ".join(str(line) for line in np.flatnonzero(~known)[:5] + 2)
+        findings.append(f"{path.name}, line {lines}: the row has no time; it is left out")
+        numbers = {name: column[known] for name, column in numbers.items()}
+        texts = {name: [text for text, keep in zip(cells, known, strict=True) if keep] for name, cells in texts.items()}
+    if not len(numbers["t_s"]):
+        raise ConfigError(f"{path}: no row has a time")
+    return numbers, texts, findings
+
+
+def _numbers(path: Path, name: str, cells: tuple[str, ...]) -> FloatArray:
+    try:
+        return np.array([cell or "nan" for cell in cells], dtype=float)
+    except ValueError as error:
+        raise ConfigError(f"{path}, column '{name}': {error}; leave a cell empty where a reading is missing") from error

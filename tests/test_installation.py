@@ -1,0 +1,80 @@
+"""What says how to install the project names things that are there."""
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8").replace("\\\n", " ")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+SCRIPTS = sorted((ROOT / "docker").glob("*.sh"))
+PYTHONS = [f"3.{minor}" for minor in (11, 12, 13, 14)]
+
+
+def instructions(word):
+    return [line.split(maxsplit=1)[1] for line in DOCKERFILE.splitlines() if line.startswith(f"{word} ")]
+
+
+def test_an_image_copies_only_what_is_there():
+    for copied in instructions("COPY"):
+        *sources, _ = shlex.split(copied)
+        assert all((ROOT / source).exists() for source in sources), copied
+    ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8").split()
+    assert not {"requirements.txt", "ros", "docker", "src", "pyproject.toml"} & set(ignored)
+
+
+def test_an_image_starts_with_what_it_copied():
+    (entry, _) = instructions("ENTRYPOINT")
+    assert (ROOT / "docker" / json.loads(entry)[0]).is_file()
+    assert instructions("USER")[-1] != "root"
+
+
+def test_pins_of_the_image_are_those_of_the_project():
+    """The image's own command makes them of the file with hashes."""
+    (command,) = re.findall(r"sed .*?> \S+", DOCKERFILE)
+    shell = command.replace("/source", str(ROOT)).rpartition(">")[0]
+    pins = subprocess.run(["/bin/sh", "-c", shell], capture_output=True, text=True, check=True).stdout.splitlines()
+    assert len(pins) > 100
+    assert all(re.match(r"[a-z0-9][\w.\[\]-]*==\S+( ;.*)?$", pin, re.IGNORECASE) for pin in pins)
+    (numpy,) = (pin for pin in pins if pin.startswith("numpy==1.26"))
+    assert "3.12" in numpy
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.name)
+def test_scripts_of_the_image_can_be_run(script):
+    assert os.access(script, os.X_OK)
+    subprocess.run(["bash", "-n", script], check=True)
+
+
+def test_the_devcontainer_is_a_stage_of_the_image():
+    container = json.loads((ROOT / ".devcontainer" / "devcontainer.json").read_text(encoding="utf-8"))
+    build = container["build"]
+    assert (ROOT / ".devcontainer" / build["dockerfile"]).resolve() == ROOT / "Dockerfile"
+    assert f"AS {build['target']}" in DOCKERFILE
+    assert container["remoteUser"] == instructions("USER")[-1]
+    (target,) = re.findall(r"make .* (\w+)$", container["postCreateCommand"])
+    assert re.search(rf"^{target}: ", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def test_wheels_are_tried_with_every_python_that_is_promised():
+    asked = [sys.executable, "-m", "cibuildwheel", "--print-build-identifiers", "--platform", "linux", str(ROOT)]
+    said = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.split()
+    promised = [f"cp{python.replace('.', '')}" for python in PYTHONS]
+    assert said == [f"{python}-manylinux_{machine}" for machine in ("x86_64", "aarch64") for python in promised]
+    classifiers = PROJECT["project"]["classifiers"]
+    assert [f"Programming Language :: Python :: {python}" in classifiers for python in PYTHONS] == [True] * 4
+    assert PROJECT["project"]["requires-python"] == f">={PYTHONS[0]}"
+
+
+def test_dependencies_are_pinned_for_every_python_that_is_promised():
+    environments = " ".join(PROJECT["tool"]["uv"]["environments"])
+    assert all(python in environments for python in PYTHONS[1:])
+    pins = (ROOT / "requirements.txt").read_text(encoding="utf-8")
+    assert re.search(r"^casadi==\S+ ; python_full_version < '3\.15'", pins, re.MULTILINE)
