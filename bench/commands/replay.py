@@ -62,14 +62,14 @@ def replay(
         typer.Option(metavar="SECONDS", help="Of the controller.", show_default="that of the configuration"),
     ] = None,
     out: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             parser=out_folder,
             metavar="PATH",
             help="Folder for replay.csv, replay.json, replay.md, the page and figures.",
             show_default=_DEFAULT_OUT,
         ),
-    ] = Path(_DEFAULT_OUT),
+    ] = None,
 ) -> None:
     """Give a controller what was recorded, open loop, and compare its commands with those that were sent.
 
@@ -95,4 +95,4 @@ def replay(
         end=end,
         sample_time=sample_time,
     )
-    replay_into(asked, out)
+    replay_into(asked, out or Path(_DEFAULT_OUT))

@@ -31,6 +31,10 @@ _BETWEEN = (
     "The reference is known at the ticks alone, and interpolated between them: where the robot was off its path or its "
     "time, commands may differ by some mm/s and mrad/s; --trajectory with its file makes that exact."
 )
+_LAPS = (
+    "The log is the last of several laps: what the controller had learned in those before is not in it, so that "
+    "commands differ."
+)
 _NOT_TOLD = (
     "The log is of a release before covariances and stamps were logged: readings count as of their tick with the "
     "configuration's noise, so that commands may differ by some mm/s and mrad/s."
@@ -66,7 +70,11 @@ def read_own_mcap(path: Path, scratch: Path) -> Recording:
     numbers = {name: column for name, column in columns.items() if column.dtype != object}
     texts = {name: list(columns[name]) for name in _TEXTS}
     recording = _recording(path, "MCAP log of `diffdrive-mpc simulate`", (numbers, texts), log.measurements)
-    return replace(recording, config=_config(log.metadata, scratch), findings=_cut(path, cut=log.cut))
+    approximated = recording.approximated
+    if "--laps" in log.metadata.get("case", {}).get("repeat", "").split():
+        approximated = (*approximated, _LAPS)
+    config = _config(log.metadata, scratch)
+    return replace(recording, config=config, approximated=approximated, findings=_cut(path, cut=log.cut))
 
 
 def _of_node(path: Path, scratch: Path, *, cut: bool) -> Recording:

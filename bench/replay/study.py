@@ -10,6 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from diffdrive_mpc.bench.case import Overrides
 from diffdrive_mpc.bench.controllers import chosen_model, controller_config
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.replay.dead_time import DeadTimeWatch
@@ -157,7 +158,7 @@ class ReplayStudy(Study[ReplayPlan, Found]):
                 f"{asked.log}: the log does not hold the configuration of its controller; give --config or --model"
             )
         if given is None:
-            config = replace_values(config, dict(single_settings(asked.settings)))
+            config = replace_values(config, dict(self._overrides))
         _check_sample_time(recording, config)
         recording = from_mid_drive(recording, (config.limits.v_slew, config.limits.omega_slew), config.sample_time)
         references, words = self._references(recording)
@@ -174,13 +175,17 @@ class ReplayStudy(Study[ReplayPlan, Found]):
     def _given_config(self) -> ControllerConfig | None:
         """The configuration that was named; None where the log's own counts."""
         asked = self._asked
-        overrides = single_settings(asked.settings)
-        if asked.sample_time is not None:
-            overrides = (*overrides, ("sample_time", asked.sample_time))
         if asked.config is None and asked.model is None:
             return None
         file = None if asked.config is None else str(asked.config)
-        return controller_config(chosen_model(asked.model, asked.config), file, overrides)
+        return controller_config(chosen_model(asked.model, asked.config), file, self._overrides)
+
+    @property
+    def _overrides(self) -> Overrides:
+        """Values by dotted key that were given in place of those of the configuration."""
+        asked = self._asked
+        told = () if asked.sample_time is None else (("sample_time", asked.sample_time),)
+        return (*single_settings(asked.settings), *told)
 
     def _references(self, recording: Recording) -> tuple[tuple[Reference, ...], str]:
         """What is tracked from each start on, and where it comes from."""
@@ -299,7 +304,8 @@ def agreement(results: Found, *, by_controller: bool) -> str:
         )
     return (
         f"Replayed and recorded commands differ at {found.differing} of {found.compared} ticks, first at "
-        f"{found.first:.2f} s, by {found.rms[0]:.3g} m/s and {found.rms[1]:.3g} rad/s RMS, at most by {largest}."
+        f"{found.first:.2f} s, by {found.rms[0]:.3g} m/s and {found.rms[1]:.3g} rad/s RMS, at most by {largest}. With "
+        "the configuration, the path and the release that drove they are the same but for what is said below."
     )
 
 

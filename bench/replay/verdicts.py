@@ -159,14 +159,13 @@ def _limits(of: Evidence, settings: ReplaySettings) -> Iterator[Verdict]:
     recorded, command, counted = of.recording.command, of.replayed.command, of.counted
     before = np.vstack([recorded[:1] * 0.0, recorded[:-1]])
     counted = counted & ~np.array([tick.start is not None for tick in of.recording.ticks])
-    said = of.recording.by_controller
     for whose, rows in (("recorded", recorded), ("replayed", command)):
         for limit, (at, over) in at_limits(rows[counted], before[counted], of.replayed).items():
             value = getattr(of.replayed.config.limits, limit)
             if whose == "recorded" and over > settings.share_at_limit:
                 yield Verdict(
-                    f"{over:.0f} % of the recorded commands are beyond limits.{limit} = {value:g} {_UNITS[limit]}"
-                    + (": another configuration drove." if said else ": whoever drove was not bound by it."),
+                    f"{over:.0f} % of the recorded commands are beyond limits.{limit} = {value:g} {_UNITS[limit]}: "
+                    "whoever drove was not bound by it.",
                     f"raise limits.{limit} if the base can do that, or take this configuration's commands as the tamer",
                 )
             elif whose == "replayed" and at > settings.share_at_limit:

@@ -169,6 +169,14 @@ def test_broken_logs_cost_one_line(name, log, tmp_path):
     assert words in " ".join(said.split())
 
 
+def test_a_log_that_is_not_there_is_one_line_and_without_out_it_goes_into_a_folder(log, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, said = replayed("nowhere.csv", "--model", "ssm")
+    assert code == 2 and "nowhere.csv: there is no such file or folder" in said
+    code, said = replayed(log, "--model", "ssm")
+    assert code == 0 and (tmp_path / "replayed" / "replay.csv").is_file()
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
