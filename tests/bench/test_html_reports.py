@@ -172,6 +172,22 @@ def test_every_kind_of_view_is_drawn_and_names_from_files_are_text(tmp_path: Pat
         assert name in drawn
 
 
+def test_a_report_of_tables_alone_needs_no_views(tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    table = Table("Costs", ("what", "ms"), (("a", "1"),))
+    path.write_text(page_text(Page("c", "t", Shown(), [table], Origin("c", []))), encoding="utf-8")
+    with opened(path) as page:
+        assert page.locator("td").all_inner_texts() == ["a", "1"]
+        assert page.locator("#views").count() == 0
+        assert "None" in page.locator("#warnings").inner_text()
+
+
+def test_laps_are_toggles(tmp_path: Path) -> None:
+    content = check_report(called(tmp_path, "simulate", *QUICK, "--laps", "2"))
+    assert [toggle["name"] for toggle in content["toggles"]] == ["controller", "lap"]
+    assert len(content["views"][0]["runs"]) == 4
+
+
 def test_content_cannot_end_its_script() -> None:
     assert "<" not in json_text({"a": "</script><!--"})
 
