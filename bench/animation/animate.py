@@ -111,5 +111,7 @@ def missing(playback: Playback, body: Body | None, name: str) -> list[str]:
     if not len(playback.reference):
         lines.append(f"{name} holds no reference, so neither band nor errors are drawn")
     if body is None:
-        lines.append("the size of the robot is not known, so it is an arrow; --plant mujoco:FILE says it")
+        lines.append(
+            "its size is not known: it is an arrow, and to MuJoCo the shipped robot; --plant mujoco:FILE says it"
+        )
     return lines

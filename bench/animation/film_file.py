@@ -12,7 +12,9 @@ from pathlib import Path
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.sim.view.offscreen import Picture
 
-_WEBP_QUALITY, _GIF_COLOURS = 65, 128
+_GIF_COLOURS = 128
+_COLOURS_OF_A_DRAWING = 4096
+"""At most; a picture of MuJoCo has more."""
 _ENCODING = (
     *("-an", "-c:v", "libx264", "-preset", "fast", "-crf", "21", "-pix_fmt", "yuv420p", "-movflags", "+faststart"),
     # The same pictures give the same file: one thread, no dates and no versions.
@@ -66,8 +68,14 @@ def write_mp4(path: Path, pictures: Iterator[Picture], fps: int) -> None:
 
 
 def write_webp(path: Path, pictures: Iterator[Picture], fps: int) -> None:
-    """Write an animated WebP file that repeats for ever."""
-    _write_pillow(path, pictures, fps, "WEBP", quality=_WEBP_QUALITY, method=4)
+    """Write an animated WebP file that repeats for ever: drawings without loss, which is smaller, too, renders with."""
+    from PIL import Image  # noqa: PLC0415 - films only
+
+    images = map(Image.fromarray, pictures)
+    start = next(images)
+    drawn = start.getcolors(_COLOURS_OF_A_DRAWING) is not None
+    how = {"lossless": True, "quality": 40, "method": 2} if drawn else {"quality": 65, "method": 4}
+    start.save(path, format="WEBP", save_all=True, append_images=images, duration=round(1000 / fps), loop=0, **how)
 
 
 def write_gif(path: Path, pictures: Iterator[Picture], fps: int) -> None:
@@ -90,14 +98,6 @@ def write_png(path: Path, pictures: Iterator[Picture], _fps: int) -> None:
 
     *_, last = pictures
     Image.fromarray(last).save(path, format="PNG", optimize=True)
-
-
-def _write_pillow(path: Path, pictures: Iterator[Picture], fps: int, kind: str, **settings: object) -> None:
-    from PIL import Image  # noqa: PLC0415 - films only
-
-    images = map(Image.fromarray, pictures)
-    start = next(images)
-    start.save(path, format=kind, save_all=True, append_images=images, duration=round(1000 / fps), loop=0, **settings)
 
 
 WRITERS: dict[str, Callable[[Path, Iterator[Picture], int], None]] = {

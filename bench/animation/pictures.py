@@ -21,6 +21,7 @@ from diffdrive_mpc.bench.animation.film import Film
 from diffdrive_mpc.bench.animation.playback import Playback
 from diffdrive_mpc.bench.animation.shooting import shots_of
 from diffdrive_mpc.bench.animation.view_from_above import AMBER, BLUE, GREEN, VERMILLION, ViewFromAbove
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 from diffdrive_mpc.sim.view.body import Body, robot_body
@@ -55,10 +56,18 @@ def pictures(playback: Playback, film: Film, body: Body | None) -> Iterator[Pict
 
     Raises
     ------
+    models.checked_yaml.ConfigError
+        If no pose is known in this part of the drive.
     sim.view.offscreen.NoOpenGLError
         If MuJoCo's picture is asked for and cannot be made.
     """
     times = film.times(playback)
+    start, end = film.span(playback)
+    first, last = playback.instants(np.array([start, end])).tolist()
+    if not np.isfinite(playback.pose[first : last + 1]).all(axis=1).any():
+        raise ConfigError(
+            f"from {start:.1f} to {end:.1f} s the log knows no pose; choose another part by --from and --to"
+        )
     with ExitStack() as stack:
         scenes: Iterator[Picture] | None = None
         if film.render or film.alone:
@@ -103,9 +112,10 @@ class _Page:
         band = metric_settings().band
         plan_axes, charts = self._axes(film)
         self._curves = self._draw_charts(charts, shown, band, span)
-        self._above = ViewFromAbove(plan_axes, playback, band, body, self._thickness)
+        self._above = ViewFromAbove(plan_axes, playback, shown, band, body, self._thickness)
         if film.render:
             plan_axes.set(xlabel="", ylabel="x, y [m]")
+            plan_axes.locator_params(nbins=3)
         self._legend(plan_axes, self._above.legend, 3)
         self._header()
         self._moving: list[Artist] = [*self._above.moving, *(one for part in self._curves for one in part.moving)]

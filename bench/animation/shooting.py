@@ -17,15 +17,16 @@ def shots_of(playback: Playback, film: Film, body: Body, size: tuple[int, int]) 
     """The shots of a film, `size` pixels wide and high."""
     times = film.times(playback)
     instants = playback.instants(times)
+    first, last = playback.instants(np.array(film.span(playback))).tolist()
     plans = playback.plans[instants, :, :2] if playback.plans.size else np.empty((len(times), 0, 2))
     angles = wheel_angles(playback, body)
     return Shots(
         time=times,
         poses=_held(playback.at(times)),
         wheel_angles=np.column_stack([np.interp(times, playback.time, column) for column in angles.T]),
-        passed=instants + 1,
+        passed=instants + 1 - first,
         plans=plans,
-        way=playback.pose[:, :2],
+        way=playback.pose[first : last + 1, :2],
         reference=playback.reference[:, :2],
         band=metric_settings().band,
         body=body,

@@ -34,8 +34,10 @@ class ViewFromAbove:
     ----------
     axes
         Where; they get equal scales.
-    playback, band, body
-        What is shown; half the width of the strip along the path [m]; lengths of the robot, None where not known.
+    playback, shown
+        The drive, and which of its instants.
+    band, body
+        Half the width of the strip along the path [m]; lengths of the robot, None where not known.
     thickness
         Of lines, 1.0 in a picture 720 pixels high.
 
@@ -47,10 +49,12 @@ class ViewFromAbove:
         The lines that there are.
     """
 
-    def __init__(self, axes: Axes, playback: Playback, band: float, body: Body | None, thickness: float = 1.0) -> None:
-        self._playback = playback
+    def __init__(
+        self, axes: Axes, playback: Playback, shown: slice, band: float, body: Body | None, thickness: float = 1.0
+    ) -> None:
+        self._playback, self._first = playback, shown.start
         axes.set_aspect("equal", adjustable="box")
-        low, high = _extent(playback)
+        low, high = _extent(playback, shown)
         length = body.footprint[0] if body is not None else _UNKNOWN * float(np.max(high - low) + 0.5)
         axes.set(
             xlim=(low[0] - _MARGIN * length, high[0] + _MARGIN * length),
@@ -81,9 +85,10 @@ class ViewFromAbove:
         """Show instant `k` with the robot at `pose` (3,); one of NaN is not drawn."""
         playback = self._playback
         way, arrived, plan = self._lines
-        passed = playback.pose[: k + 1]
+        so_far = slice(self._first, k + 1)
+        passed = playback.pose[so_far]
         way.set_data(np.append(passed[:, 0], pose[0]), np.append(passed[:, 1], pose[1]))
-        arrived.set_data(*playback.arrived[: k + 1, :2].T)
+        arrived.set_data(*playback.arrived[so_far, :2].T)
         if playback.plans.size:
             plan.set_data(*playback.plans[k, :, :2].T)
         c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -92,8 +97,8 @@ class ViewFromAbove:
             patch.set_xy(pose[:2] + corners @ np.array([[c, s], [-s, c]]))
 
 
-def _extent(playback: Playback) -> tuple[FloatArray, FloatArray]:
-    seen = np.concatenate([playback.pose[:, :2], playback.reference[:, :2]])
+def _extent(playback: Playback, shown: slice) -> tuple[FloatArray, FloatArray]:
+    seen = np.concatenate([playback.pose[shown, :2], playback.reference[:, :2]])
     seen = seen[np.isfinite(seen).all(axis=1)]
     return seen.min(axis=0), seen.max(axis=0)
 

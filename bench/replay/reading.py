@@ -11,9 +11,11 @@ import numpy as np
 from diffdrive_mpc.bench.replay.bag import read_bag_drive
 from diffdrive_mpc.bench.replay.own_log import is_own_csv, read_own_csv, read_own_mcap
 from diffdrive_mpc.bench.replay.pose_stand_in import STAND_IN
-from diffdrive_mpc.bench.replay.recording import Recording
+from diffdrive_mpc.bench.replay.recording import Recording, Tick
+from diffdrive_mpc.bench.replay.settings import replay_settings
 from diffdrive_mpc.bench.replay.signals import read_mapped_csv
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.bags import is_bag
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log
 from diffdrive_mpc.models.logs.mapping import load_mapping
@@ -73,6 +75,15 @@ def up_to(recording: Recording, end: float | None) -> Recording:
     return replace(recording, ticks=ticks)
 
 
+def _moves(tick: Tick, most: FloatArray) -> bool:
+    """Whether the robot moves at the first tick: by its wheels, or else by a command beyond `most` (2,) from rest."""
+    wheels = tick.measurement.wheel_twist
+    if wheels is None:
+        return bool((np.abs(tick.command) > most).any())
+    settings = replay_settings()
+    return bool((np.abs(np.asarray(wheels.value)) > [settings.moving_v, settings.moving_omega]).any())
+
+
 def from_mid_drive(recording: Recording, slew: tuple[float, float], sample_time: float) -> Recording:
     """Say so where the log begins while the robot drives, and take the first command for that of the time before.
 
@@ -90,7 +101,7 @@ def from_mid_drive(recording: Recording, slew: tuple[float, float], sample_time:
         if known or (number and tick.start is not None and not tick.start.reset):
             continue
         assert tick.start is not None
-        if (np.abs(tick.command) <= most).all():
+        if not _moves(tick, most):
             continue
         v, omega = tick.command
         words = words or (

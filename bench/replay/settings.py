@@ -24,6 +24,8 @@ class ReplaySettings(StrictModel):
     innovations_large: float
     innovations_small: float
     least_readings: int
+    moving_v: float
+    moving_omega: float
     share_unused: float
 
 

@@ -50,24 +50,24 @@ SIDES = ("left", "right")
 FOUR_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
-def _name_or(whole: JsonSchemaValue) -> JsonSchemaValue:
-    return {"anyOf": [{"type": "string", "minLength": 1}, whole]}
-
-
-class Column(StrictModel):
-    """One column; a plain name stands for a column in SI units."""
-
-    column: str = Field(min_length=1, description="name in the header")
+class _NameOrMore(StrictModel):
+    """A plain name stands for a value of the first field, and defaults for all others."""
 
     @model_validator(mode="before")
     @classmethod
     def _plain_name(cls, data: Any) -> Any:  # noqa: ANN401 - whatever the file holds
-        return {"column": data} if isinstance(data, str) else data
+        return {next(iter(cls.model_fields)): data} if isinstance(data, str) else data
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         """A name, or what follows from the fields."""
-        return _name_or(handler(core))
+        return {"anyOf": [{"type": "string", "minLength": 1}, handler(core)]}
+
+
+class Column(_NameOrMore):
+    """One column; a plain name stands for a column in SI units."""
+
+    column: str = Field(min_length=1, description="name in the header")
 
 
 class TimeColumn(Column):
@@ -215,7 +215,7 @@ class Columns(StrictModel):
         return names | set(self.where) | ({self.segment} if self.segment else set())
 
 
-class Topic(StrictModel):
+class Topic(_NameOrMore):
     """One topic of a bag; a plain name stands for a topic without sign or delay."""
 
     topic: str = Field(min_length=1)
@@ -225,16 +225,6 @@ class Topic(StrictModel):
         None, description="where its numbers stand in a message of another type, such as twist.linear.x"
     )
     on_change: bool = Field(False, description="of commands: sent when they change, and in force until the next")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _plain_name(cls, data: Any) -> Any:  # noqa: ANN401 - whatever the file holds
-        return {"topic": data} if isinstance(data, str) else data
-
-    @classmethod
-    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """A name, or what follows from the fields."""
-        return _name_or(handler(core))
 
 
 class Topics(StrictModel):

@@ -239,6 +239,18 @@ def test_from_and_to_outside_the_drive_are_named(run, tmp_path):
     assert not (tmp_path / "film.webp").exists()
 
 
+def test_a_part_without_poses_is_named(playback):
+    """A log with a gap in it."""
+    unknown = np.where((playback.time > 4.0)[:, None] & (playback.time < 6.0)[:, None], np.nan, playback.pose)
+    gap = replace(playback, pose=unknown)
+    with pytest.raises(ConfigError, match="from 4.5 to 5.5 s the log knows no pose"):
+        next(pictures(gap, replace(SMALL, start=4.5, end=5.5), robot_body()))
+    frames = list(pictures(gap, replace(SMALL, start=3.0, end=5.5), robot_body()))
+    front = [(frame == (0xE6, 0x9F, 0x00)).all(axis=2).sum() for frame in frames]
+    assert min(front[:2]) > 0
+    assert max(front[3:]) == 0
+
+
 def test_a_drive_that_is_watched_is_the_same_bit_for_bit(tmp_path):
     (tmp_path / "short.yaml").write_text(SHORT)
     simulate_it = [str(Path(sys.executable).with_name("diffdrive-mpc")), "simulate", "--trajectory", "short.yaml"]

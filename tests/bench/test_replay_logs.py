@@ -120,6 +120,8 @@ def test_a_log_that_begins_in_mid_drive_says_so(run, log, tmp_path):
     assert "begins in mid-drive, at 0.5" in recording.approximated[-1]
     assert np.allclose(recording.ticks[0].start.before[0], run.command[199])
     whole = read_own_csv(log)
+    # Another configuration with less slew does not make it so.
+    assert from_mid_drive(whole, (0.01, 0.01), DT) is whole
     assert from_mid_drive(whole, (2.0, 6.0), DT) is whole
 
 

@@ -451,6 +451,24 @@ static void disturb(ddmpc_controller *c, const ddmpc_sizes *s, const ddmpc_const
     }
 }
 
+/* Somebody else has driven for a while: for nothing, a tick, and longer than is remembered. It draws nothing at random. */
+static void overrule(ddmpc_controller *c, double t, ddmpc_input *input)
+{
+    static real sent[2 * 2000];
+    const int counts[] = {0, 1, 3, 2000};
+    for (int i = 0; i < 2 * 2000; i++)
+        sent[i] = (real)(0.2 * sin(0.01 * i));
+    for (int k = 0; k < 4; k++) {
+        if (!ddmpc_overrule(c, sent, counts[k]))
+            abort();
+        ddmpc_step(c, t + 0.02 * (k + 1), input);
+        ddmpc_give_up(c);
+    }
+    sent[1] = (real)NAN;
+    if (ddmpc_overrule(c, sent, 1))
+        abort();
+}
+
 static void drive(const subject *one)
 {
     const ddmpc_sizes *s = &one->sizes;
@@ -500,6 +518,8 @@ static void drive(const subject *one)
         counts[result->mode]++;
         ways[result->solver.path]++;
     }
+    ddmpc_give_up(c);
+    overrule(c, r.t, &input);
     printf("%-20s %5d ticks: tracking %d, reused %d, braking %d, stopped %d, finished %d; unlimited %d, active set %d, "
            "backend %d\n", one->name, one->ticks, counts[0], counts[1], counts[2], counts[3], counts[4], ways[1], ways[2],
            ways[3]);
