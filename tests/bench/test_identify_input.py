@@ -128,7 +128,8 @@ def test_a_fit_below_zero_leaves_the_report_alone(folder, tmp_path):
     words = ["identify", str(log), "--validate", str(other), "--mapping", str(folder / "map.yaml")]
     result = runner.invoke(app, [*words, "--out", str(tmp_path / "o")])
     assert result.exit_code == 2 and "below zero (omega -" in result.stderr and "--force" in result.stderr
-    assert sorted(path.name for path in (tmp_path / "o").iterdir() if path.is_file()) == ["report.json", "report.md"]
+    files = ["report.html", "report.json", "report.md"]
+    assert sorted(path.name for path in (tmp_path / "o").iterdir() if path.is_file()) == files
     assert runner.invoke(app, [*words, "--force", "--out", str(tmp_path / "o")]).exit_code == 0
     assert (tmp_path / "o" / "config.yaml").exists()
 

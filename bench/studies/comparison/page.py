@@ -220,7 +220,7 @@ def _warnings(drivers: Mapping[str, Sequence[Outcome]]) -> list[Warned]:
                 found.setdefault((name, one.remedy), []).append(one)
     made = []
     for alike in found.values():
-        more = f" The same kind in {len(alike) - 1} other runs of it." if len(alike) > 1 else ""
+        more = f" The same kind in {len(alike) - 1} more of its runs." if len(alike) > 1 else ""
         made.append(Warned(alike[0].what + more, alike[0].remedy))
     if len(made) > _WARNINGS_SHOWN:
         rest = Warned(f"And {len(made) - _WARNINGS_SHOWN} other kinds of warning: see the tables.")
