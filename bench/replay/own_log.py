@@ -29,7 +29,8 @@ from diffdrive_mpc.mpc import ControllerConfig
 _TEXTS = ("mode", "solver_status", "solver_path", "message")
 _BETWEEN = (
     "The reference is known at the ticks alone, and interpolated between them: where the robot was off its path or its "
-    "time, commands may differ by some mm/s and mrad/s; --trajectory with its file makes that exact."
+    "time, commands may differ, by up to 0.03 m/s or rad/s where limits press; --trajectory with its file makes that "
+    "exact."
 )
 _LAPS = (
     "The log is the last of several laps: what the controller had learned in those before is not in it, so that "

@@ -19,7 +19,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.controller import Controller
-from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, RefusedError
+from diffdrive_mpc.mpc.ros.control_loop import Begun, ControlLoop, RefusedError, Tick
 from diffdrive_mpc.mpc.ros.diagnostics import diagnostics
 from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.parameter_changes import ParameterChanges
@@ -132,7 +132,7 @@ class TrackingNode(LifecycleNode):
         self._loop = ControlLoop(
             self._controller, self._settings, self._inbox, self._trajectory, in_sim_time=in_sim_time
         )
-        self._records = TickRecords(self._controller)
+        self._records: TickRecords | None = TickRecords(self._controller)
         if self._settings.record:
             self._recording = self._recorded(config)
         # A full collection walks all that was built, for some 60 ms, three ticks: it is set aside until deactivation.
@@ -235,10 +235,7 @@ class TrackingNode(LifecycleNode):
             if self._recording is not None:
                 self._recording.reference(loop.begun, time)
         if loop.begun is not None and (outgoing.recorded or self._recording is not None):
-            lines = self._records.lines(loop.begun, tick)
-            outgoing.record(lines)
-            if self._recording is not None:
-                self._recording.record(lines, time)
+            self._say(loop.begun, tick, time)
         if tick.result is not None:
             outgoing.error(tick.result, time)
             if self._ticks % self._visual_ticks == 0:
@@ -246,6 +243,19 @@ class TrackingNode(LifecycleNode):
         self._ticks += 1
         if self._recording is not None:
             self._recording.tick(tick, time, loop.inbox)
+
+    def _say(self, begun: Begun, tick: Tick, time: int) -> None:
+        """Say what makes a tick replayable; a fault in that is not worth the robot, and ends it for this activation."""
+        if self._records is None:
+            return
+        try:
+            lines = self._records.lines(begun, tick)
+            self._outgoing.record(lines)
+            if self._recording is not None:
+                self._recording.record(lines, time)
+        except Exception as error:
+            self._records = None
+            self.get_logger().warning(f"its ticks cannot be replayed from here on: {type(error).__name__}: {error}")
 
     def _diagnose(self) -> None:
         time = self.get_clock().now().nanoseconds

@@ -95,6 +95,18 @@ def test_a_fault_in_recording_ends_the_recording_and_not_the_drive(tmp_path, mon
     assert not read_drive_log(path).cut
 
 
+def test_a_fault_in_what_makes_ticks_replayable_ends_that_alone(tmp_path, monkeypatch, capfd):
+    def broken(*_):
+        raise KeyError("nobody thought of this")
+
+    with stack(drive=True, record=True, record_folder=str(tmp_path)) as s:
+        s.base.run(20)
+        monkeypatch.setattr(s.node._records, "lines", broken)
+        s.base.run(40)
+        assert s.loop.last.command[0] > 0.1 and not s.node._recording.incomplete
+    assert capfd.readouterr().err.count("its ticks cannot be replayed from here on: KeyError") == 1
+
+
 def test_where_no_recording_can_begin_the_robot_drives(tmp_path, monkeypatch, capfd):
     def none_left(*_, **__):
         raise OSError(24, "Too many open files")
