@@ -12,8 +12,8 @@ from diffdrive_mpc.models.logs.drive_log.tick import Cell
 from diffdrive_mpc.models.logs.drive_log.writer import drive_writer
 from diffdrive_mpc.models.path_times import path_times
 from diffdrive_mpc.models.whole_file import whole_file
-from diffdrive_mpc.sim.ros.odometry import Odometry
 from diffdrive_mpc.sim.run import Run
+from diffdrive_mpc.sim.sensing.odometry import Odometry
 
 START = 10**9
 """Time of the file [ns] at which the run's is 0: to ROS, a stamp of zero says that nobody set it."""

@@ -21,7 +21,7 @@ from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.bag_recorder import MessageRecorder
 from diffdrive_mpc.sim.ros.base_settings import BaseSettings
 from diffdrive_mpc.sim.ros.command_inbox import CommandInbox
-from diffdrive_mpc.sim.ros.odometry import Odometry
+from diffdrive_mpc.sim.sensing.odometry import Odometry
 
 # What the node says of each tick; with it a recording in real time, too, can be replayed exactly.
 _SAID_BY_CONTROLLER = (TICK, DRIVE)

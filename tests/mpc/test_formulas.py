@@ -206,14 +206,19 @@ def test_without_curves_a_curved_formula_is_the_flat_one(name, data):
         assert found[1] == pytest.approx(expected[1], abs=1e-10)
 
 
-@given(arguments(FORMULAS["feed_forward_curved"]))
-def test_the_feed_forward_is_undone_by_curved_slip(values):
-    wanted, slip, _ = values
-    (y,) = call(FORMULAS["feed_forward_curved"], [wanted, slip, [1, 0, 0, 1]])
+@given(
+    st.lists(st.floats(-0.05, 0.05), min_size=7, max_size=7),
+    st.tuples(st.floats(-0.45, 0.1), st.floats(-0.12, 0.12)),
+    st.floats(-1, 1),
+    st.floats(-1, 1),
+)
+def test_the_feed_forward_is_undone_by_the_slip_of_floors(small, turning, v, omega):
+    """Of those of P4 and around: a32 is -0.34 to -0.41 there, a33 up to 0.12, the others mostly far below 0.05."""
+    coefficients = np.array([*small, *turning])
+    slip = [getattr(Slip.of_polynomial(coefficients), name) for name in SLIPS]
+    (y,) = call(FORMULAS["feed_forward_curved"], [[v, omega], slip, [1, 0, 0, 1]])
     twist, _ = call(FORMULAS["twist_curved"], [y, slip])
-    # Three rounds leave what is beyond the wheel's own speeds; a track that shrinks has an end.
-    if slip[12] >= 0 and np.abs(y).max() < 4:
-        assert twist == pytest.approx(wanted, abs=5e-3)
+    assert twist == pytest.approx([v, omega], abs=5e-3)
 
 
 @given(

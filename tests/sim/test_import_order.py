@@ -34,6 +34,7 @@ ALLOWED: dict[str, set[str]] = {
     "plants": {"core", "sensing", "disturbances"},
     "ros": {"sensing", "plants"},
     "twin": {"sensing", "plants"},
+    "view": {"sensing", "disturbances", "plants"},
     "": {"sensing", "disturbances", "plants", "metrics"},
 }
 """By room, the others that it may build on; "" stands for the files beside the rooms."""

@@ -12,8 +12,8 @@ from diffdrive_mpc.models.pose import integrate_pose, wrap_angle
 from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.base_settings import load_base_settings
 from diffdrive_mpc.sim.ros.command_inbox import STOP, CommandInbox
-from diffdrive_mpc.sim.ros.odometry import Odometry
 from diffdrive_mpc.sim.ros.pace import SteppedClock, WallClock
+from diffdrive_mpc.sim.sensing.odometry import Odometry
 
 SECOND = 10**9
 DT = 0.02
