@@ -12,8 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim.run import Run
+
+TEXTS = ("mode", "solver_status", "solver_path", "message")
+"""Columns that hold words; the others hold numbers."""
 
 
 def write_log(run: Run, path: str | Path) -> None:
@@ -43,3 +48,51 @@ def _cells(column: NDArray[Any]) -> list[str]:
     if column.dtype == object:
         return list(column)
     return ["" if np.isnan(cell) else repr(cell) for cell in column.tolist()]
+
+
+def read_rows(path: Path) -> tuple[dict[str, FloatArray], dict[str, list[str]], list[str]]:
+    """Read a log as it stands.
+
+    Returns
+    -------
+    tuple
+        Numbers by column, NaN in empty cells; texts by column; and what was left out, a line each.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If it is no CSV, a row before the last has too few or too many cells, a cell is no number, or no row has a time.
+    """
+    findings: list[str] = []
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            header, *rows = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error, ValueError) as error:
+        raise ConfigError(f"{path}: cannot be read as CSV ({error})") from error
+    if rows and len(rows[-1]) < len(header):
+        rows.pop()
+        findings.append(f"{path.name}: the last line is cut off; it is left out")
+    for number, row in enumerate(rows, start=2):
+        if len(row) != len(header):
+            raise ConfigError(f"{path}, line {number}: {len(row)} cells, the header names {len(header)}")
+    if not rows:
+        raise ConfigError(f"{path}: the log holds no row; record for longer")
+    columns = dict(zip(header, zip(*rows, strict=True), strict=True))
+    texts = {name: list(columns.pop(name, ("",) * len(rows))) for name in TEXTS}
+    numbers = {name: _column(path, name, cells) for name, cells in columns.items()}
+    known = np.isfinite(numbers["t_s"])
+    if not known.all():
+        lines = ", ".join(str(line) for line in np.flatnonzero(~known)[:5] + 2)
+        findings.append(f"{path.name}, line {lines}: the row has no time; it is left out")
+        numbers = {name: column[known] for name, column in numbers.items()}
+        texts = {name: [text for text, keep in zip(cells, known, strict=True) if keep] for name, cells in texts.items()}
+    if not len(numbers["t_s"]):
+        raise ConfigError(f"{path}: no row has a time")
+    return numbers, texts, findings
+
+
+def _column(path: Path, name: str, cells: tuple[str, ...]) -> FloatArray:
+    try:
+        return np.array([cell or "nan" for cell in cells], dtype=float)
+    except ValueError as error:
+        raise ConfigError(f"{path}, column '{name}': {error}; leave a cell empty where a reading is missing") from error

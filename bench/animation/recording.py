@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from diffdrive_mpc.bench.animation.playback import NO_PLANS, Playback, from_columns
+from diffdrive_mpc.models.bounded_yaml import parse_yaml
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.bags import is_bag
@@ -20,9 +19,9 @@ from diffdrive_mpc.models.logs.csv_table import read_header
 from diffdrive_mpc.models.logs.drive_log.reader import DriveLog, is_drive_log, read_drive_log
 from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.sim.log_csv import read_rows
 from diffdrive_mpc.sim.plants.make import PHYSICS
 
-_TEXTS = ("mode", "solver_status", "solver_path", "message")
 _OWN = {"t_s", "true_x_m", "reference_x_m", "v_ref_m_s", "mode"}
 
 
@@ -59,7 +58,7 @@ def from_drive_log(log: DriveLog, limits: tuple[float, float] | None = None) -> 
             row[: len(plan)] = plan
     told, case = log.metadata.get("configuration", {}).get("yaml"), log.metadata.get("case", {})
     if limits is None and told is not None:
-        said = yaml.safe_load(told)["limits"]
+        said = parse_yaml(told)["limits"]
         limits = said["v"], said["omega"]
     return replace(from_columns(log.columns, plans, limits), plant=case.get("plant"), surface=case.get("surface"))
 
@@ -70,26 +69,14 @@ def read_columns(log: Path) -> Mapping[str, NDArray[Any]]:
     Raises
     ------
     models.checked_yaml.ConfigError
-        If a row has too few cells, or a cell is no number.
+        If it is damaged, or too short for a film.
     """
-    with log.open(encoding="utf-8", newline="") as file:
-        header, *rows = csv.reader(file)
-    for line, row in enumerate(rows, start=2):
-        if len(row) != len(header):
-            raise ConfigError(f"{log}, line {line}: {len(row)} cells where the header has {len(header)}")
-    if len(rows) < 2:
-        raise ConfigError(f"{log}: {len(rows)} rows; a film needs two at least")
-    return {
-        name: np.array(cells, dtype=object) if name in _TEXTS else _numbers(log, name, cells)
-        for name, cells in zip(header, zip(*rows, strict=True), strict=True)
-    }
-
-
-def _numbers(log: Path, name: str, cells: tuple[str, ...]) -> FloatArray:
-    try:
-        return np.array([float(cell) if cell else np.nan for cell in cells])
-    except ValueError as error:
-        raise ConfigError(f"{log}, column '{name}': {error}") from error
+    numbers, texts, findings = read_rows(log)
+    if findings:
+        raise ConfigError(f"{log}: {findings[0]}")
+    if len(numbers["t_s"]) < 2:
+        raise ConfigError(f"{log}: {len(numbers['t_s'])} rows; a film needs two at least")
+    return {**numbers, **{name: np.array(cells, dtype=object) for name, cells in texts.items()}}
 
 
 def from_records(name: str, records: tuple[Record, ...], limits: tuple[float, float] | None) -> Playback:

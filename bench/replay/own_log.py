@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import yaml
-from numpy.typing import NDArray
 
 from diffdrive_mpc.bench.replay.bag_records import recorded_config, recorded_drive
 from diffdrive_mpc.bench.replay.logged_reference import logged_reference
 from diffdrive_mpc.bench.replay.recording import Recording, Start, Tick
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.bounded_yaml import parse_yaml
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.load import MODEL_NAMES
 from diffdrive_mpc.models.logs.csv_log import OWN_FORMAT
@@ -25,8 +22,8 @@ from diffdrive_mpc.models.logs.drive_log.tick import TOLD, measurement_of
 from diffdrive_mpc.models.logs.drive_log.topics import DRIVE, TICK
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.mpc import ControllerConfig
+from diffdrive_mpc.sim.log_csv import TEXTS, read_rows
 
-_TEXTS = ("mode", "solver_status", "solver_path", "message")
 _BETWEEN = (
     "The reference is known at the ticks alone, and interpolated between them: where the robot was off its path or its "
     "time, commands may differ, by up to 0.03 m/s or rad/s where limits press; --trajectory with its file makes that "
@@ -51,7 +48,7 @@ def is_own_csv(path: Path) -> bool:
 
 def read_own_csv(path: Path) -> Recording:
     """Read a log that `simulate --log` has written; raises ConfigError if it is damaged or holds no tick."""
-    numbers, texts, findings = _read(path)
+    numbers, texts, findings = read_rows(path)
     missing = [name for name in TOLD if name not in numbers]
     for name in ("wheel_t_s", "gyro_t_s"):
         numbers.setdefault(name, numbers["t_s"])
@@ -69,7 +66,7 @@ def read_own_mcap(path: Path, scratch: Path) -> Recording:
         return _of_node(path, scratch, cut=log.cut)
     columns = log.columns
     numbers = {name: column for name, column in columns.items() if column.dtype != object}
-    texts = {name: list(columns[name]) for name in _TEXTS}
+    texts = {name: list(columns[name]) for name in TEXTS}
     recording = _recording(path, "MCAP log of `diffdrive-mpc simulate`", (numbers, texts), log.measurements)
     approximated = recording.approximated
     if "--laps" in log.metadata.get("case", {}).get("repeat", "").split():
@@ -117,43 +114,6 @@ def _config(metadata: Mapping[str, Mapping[str, str]], scratch: Path) -> Control
     """The configuration that the file holds; None where its controller had none."""
     if "configuration" not in metadata:
         return None
-    values = yaml.safe_load(metadata["configuration"]["yaml"])
+    values = parse_yaml(metadata["configuration"]["yaml"])
     text = "" if values.get("model") in MODEL_NAMES else metadata.get("model", {}).get("yaml", "")
     return recorded_config(values, text, scratch)
-
-
-def _read(path: Path) -> tuple[dict[str, FloatArray], Mapping[str, list[str]], list[str]]:
-    """Numbers and texts by column, and what was found wrong."""
-    findings: list[str] = []
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            header, *rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error, ValueError) as error:
-        raise ConfigError(f"{path}: cannot be read as CSV ({error})") from error
-    if rows and len(rows[-1]) < len(header):
-        rows.pop()
-        findings.append(f"{path.name}: the last line is cut off; it is left out")
-    for number, row in enumerate(rows, start=2):
-        if len(row) != len(header):
-            raise ConfigError(f"{path}, line {number}: {len(row)} cells, the header names {len(header)}")
-    if not rows:
-        raise ConfigError(f"{path}: the log holds no row; record for longer")
-    columns = dict(zip(header, zip(*rows, strict=True), strict=True))
-    texts = {name: list(columns.pop(name, ("",) * len(rows))) for name in _TEXTS}
-    numbers: dict[str, NDArray[np.float64]] = {name: _numbers(path, name, cells) for name, cells in columns.items()}
-    known = np.isfinite(numbers["t_s"])
-    if not known.all():
-        lines = ", ".join(str(line) for line in np.flatnonzero(~known)[:5] + 2)
-        findings.append(f"{path.name}, line {lines}: the row has no time; it is left out")
-        numbers = {name: column[known] for name, column in numbers.items()}
-        texts = {name: [text for text, keep in zip(cells, known, strict=True) if keep] for name, cells in texts.items()}
-    if not len(numbers["t_s"]):
-        raise ConfigError(f"{path}: no row has a time")
-    return numbers, texts, findings
-
-
-def _numbers(path: Path, name: str, cells: tuple[str, ...]) -> FloatArray:
-    try:
-        return np.array([cell or "nan" for cell in cells], dtype=float)
-    except ValueError as error:
-        raise ConfigError(f"{path}, column '{name}': {error}; leave a cell empty where a reading is missing") from error
