@@ -4,22 +4,33 @@ VENV ?= .venv
 OUT ?= out/bench
 TRACKING_OUT ?= out/tracking
 REPRODUCE_OUT ?= out/reproduce
+TORQUE_OUT ?= out/torque
 SPEED_OUT ?= out/speed
 EDGE_OUT ?= out/edge
 PEERS_OUT ?= out/peers
 ROBUSTNESS_OUT ?= out/robustness
 PROVE_OUT ?= out/prove
+WORLDS_OUT ?= out/worlds
 TUNE_OUT ?= out/tune
 REPORTS_OUT ?= out/reports
 SITE_OUT ?= out/site
+BILL_OUT ?= out/bill.json
 # Options of the studies: make tracking TRACKING=--quick
 TRACKING ?=
 REPRODUCE ?=
 SPEED ?=
 PROVE ?=
+WORLDS ?=
 TUNE ?=
+# What is fuzzed: make fuzz FUZZ="long --seed 7", FUZZ="controller --seed 1 --only 12", FUZZ="live --seconds 600"
+FUZZ ?= short
+GOALS ?=
 # Options of pytest: make test TEST="tests/mpc -x"
 TEST ?=
+# Lists of packages that stand beside the project's own, pinned with hashes too.
+HASHED := --no-config --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links \
+	--no-header --no-annotate --quiet
+PEERS_LIST := bench/studies/speed/subjects/requirements
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
@@ -27,7 +38,7 @@ READY := $(VENV)/.ready
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench edge gallery peers robustness prove tune tracking reproduce speed screenshots wheel test lint types format models calibrate readme schemas site notebooks pictures requirements clean
+.PHONY: help bench edge gallery goals peers robustness worlds prove tune tracking reproduce speed screenshots wheel test fuzz lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -47,6 +58,9 @@ edge: $(READY) ## fast and tight paths, all models beside their peers, path by p
 		--models kinematic,mbm,sm,ssm --horizons none --seeds 2 \
 		--trajectories fast_circle,figure8,slalom,reverse_slalom,k_turn,spiral,tight,spline-0,spline-1,spline-2
 
+goals: $(READY) ## a hundred random goals of the node's action in a row, over DDS, with memory and threads: some minutes
+	$(BIN)/python tests/mpc/follow_long.py --goals 100 $(GOALS)
+
 peers: $(READY) ## tune the peers again, and show that their neighbours are no better: out/peers
 	$(BIN)/diffdrive-mpc peers --out $(PEERS_OUT)
 
@@ -54,11 +68,18 @@ robustness: $(READY) ## every controller on other robots, floors, loads and sens
 	$(BIN)/diffdrive-mpc robustness --out $(ROBUSTNESS_OUT) --controllers mpc,pursuit+slip,kanayama+slip,lqr+slip \
 		--models ssm,sm --trajectories circle,s --seeds 6,7
 
+worlds: $(READY) ## drawn and named worlds with contacts counted, beside peers that see the same: out/worlds, some hours
+	$(BIN)/diffdrive-mpc worlds --out $(WORLDS_OUT) $(WORLDS)
+
 prove: $(READY) ## how often the controller fails on many plants, paths and faults, and where it stops to hold: out/prove
 	$(BIN)/diffdrive-mpc prove ssm --out $(PROVE_OUT) $(PROVE)
 
 tune: $(READY) ## search for a better configuration, and hold it against the shipped one on other seeds: out/tune
 	$(BIN)/diffdrive-mpc tune ssm --out $(TUNE_OUT) $(TUNE)
+
+.PHONY: torque
+torque: $(READY) ## what a turn costs: torque, least radius and energy, measured, learned and predicted: out/torque
+	$(BIN)/diffdrive-mpc torque --out $(TORQUE_OUT)
 
 tracking: $(READY) ## what the tracking reaches, what each part is worth, how much is left: tables and figures in out/tracking
 	$(BIN)/diffdrive-mpc tracking --out $(TRACKING_OUT) $(TRACKING)
@@ -92,6 +113,9 @@ wheel: $(READY) ## a wheel for this machine and a source archive, both in dist/:
 test: $(READY) ## all tests
 	$(BIN)/pytest -n 2 --dist worksteal $(TEST)
 
+fuzz: $(READY) ## odd input at every door: FUZZ=long for minutes, FUZZ="live" for the node over DDS; see CONTRIBUTING.md
+	PYTHONPATH=tests:tests/models $(BIN)/python -m fuzz $(FUZZ)
+
 lint: $(READY) ## style and format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -110,7 +134,7 @@ calibrate: $(READY) ## fit the simulated robot to the published SSM again
 	$(BIN)/diffdrive-mpc models calibrate
 
 readme: $(READY) ## copy tables and figures of the last `make bench` and of the studies that were made into README and docs
-	$(BIN)/python -m diffdrive_mpc.bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT) $(PEERS_OUT) $(EDGE_OUT) $(ROBUSTNESS_OUT) $(PROVE_OUT))
+	$(BIN)/python -m diffdrive_mpc.bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT) $(PEERS_OUT) $(EDGE_OUT) $(ROBUSTNESS_OUT) $(PROVE_OUT) $(TORQUE_OUT))
 
 schemas: $(READY) ## write the JSON Schemas of all kinds of files again
 	$(BIN)/python -m diffdrive_mpc.bench.schemas.generate
@@ -131,6 +155,14 @@ pictures: $(READY) ## pictures of the documents that no study leaves
 requirements: ## pin all dependencies anew (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \
 		--no-emit-index-url --no-emit-find-links --no-header --quiet --output-file requirements.txt
+	for list in .ci/colcon .ci/tools; do uv pip compile $$list.in $(HASHED) --output-file $$list.txt || exit 1; done
+	uv pip compile $(PEERS_LIST).in --no-deps $(HASHED) --output-file $(PEERS_LIST).txt
+
+bill: $(READY) ## what is installed, with versions, hashes and licences, as CycloneDX: out/bill.json
+	$(BIN)/python .ci/tools.py bill $(BIN)/python $(BILL_OUT)
+
+audit: $(READY) ## known vulnerabilities of what is pinned; says so where nobody could be asked
+	$(BIN)/python .ci/tools.py audit requirements.txt .ci/colcon.txt $(PEERS_LIST).txt
 
 clean: ## remove what make has built
 	rm -rf $(VENV) out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info

@@ -1,4 +1,4 @@
-"""Building a wheel compiles its C into it, controller and simulated drivetrain; all else is said in pyproject.toml."""
+"""Building a wheel compiles its C into it: controller, monitor, simulated drivetrain. All else is in pyproject.toml."""
 
 import sys
 import types
@@ -30,11 +30,13 @@ class BuildWithCore(build_py):
             bare_packages()
             from diffdrive_mpc.models.compiled.compiler import NotCompiledError  # noqa: PLC0415
             from diffdrive_mpc.mpc.core.packaged import write_packaged as write_core  # noqa: PLC0415
+            from diffdrive_mpc.mpc.monitor.library import write_packaged as write_judge  # noqa: PLC0415
             from diffdrive_mpc.sim.core.library import write_packaged as write_twin  # noqa: PLC0415
 
             package = Path(self.build_lib, "diffdrive_mpc")
             try:
                 write_core(package / "mpc" / "core")
+                write_judge(package / "mpc" / "monitor" / "core")
                 write_twin(package / "sim" / "core")
             except NotCompiledError as error:
                 sys.exit(f"error: the package's C is not compiled: {error}; install gcc, or take a wheel")

@@ -7,6 +7,7 @@ and the introduction of a report follow from them; docs/recipes/dimension.md sho
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -19,10 +20,13 @@ from diffdrive_mpc.bench.peers import PEERS
 Overrides = tuple[tuple[str, object], ...]
 """Configuration values by dotted key."""
 
-NO_SCENARIO, NO_MODEL, AS_FILED = "none", "none", "file"
-"""The scenario in which nothing happens; the model of a peer without one; the timing that a trajectory file states."""
+NO_SCENARIO, NO_MODEL, AS_FILED, NO_WORLD = "none", "none", "file", "none"
+"""The scenario in which nothing happens; the model of a peer without one; the timing that a trajectory file states; the
+world in which nothing stands."""
 MOST_SEEDS = 10_000
 """More runs of one case than this take days, and their list alone could fill the memory."""
+MOST_CASES = 100_000
+"""Of one study: some days on two cores, and a gigabyte of results."""
 COMPARED = (("pursuit+slip", NO_MODEL), ("mpc", "kinematic"), ("mpc", "mbm"), ("mpc", "sm"), ("mpc", "ssm"))
 """Controllers, each with its model, that `bench` compares without options: the one place to name another."""
 HORIZONS = (5, 10, 20, 30, 50)
@@ -34,20 +38,29 @@ def split_names(text: str, option: str) -> tuple[str, ...]:
     names = tuple(name.strip() for name in text.split(","))
     if not all(names):
         raise ValueError(f"{option} '{text}': give one name, or several with commas between them")
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise ValueError(f"{option} '{text}': '{twice[0]}' is given twice")
+    if len(set(names)) < len(names):
+        seen: set[str] = set()
+        twice = next(name for name in names if name in seen or seen.add(name))  # type: ignore[func-returns-value]
+        raise ValueError(f"{option} '{text}': '{twice}' is given twice")
     return names
 
 
-def split_numbers(text: str, option: str, *, least: int) -> tuple[int, ...]:
-    """Split `1,2,3` into whole numbers of at least `least`; raises ValueError on anything else."""
+def check_count(count: int, most: int = MOST_CASES) -> None:
+    """Raise ValueError where more runs are asked for than one study drives, before they are listed."""
+    if count > most:
+        raise ValueError(f"{count:,} runs are asked for, at most {most:,}; give fewer values or seeds, or split it up")
+
+
+def split_numbers(text: str, option: str, *, least: int, most: int | None = None) -> tuple[int, ...]:
+    """Split `1,2,3` into whole numbers from `least` to `most`; raises ValueError on anything else."""
     try:
         numbers = tuple(int(number) for number in split_names(text.rstrip(","), option))
     except ValueError as error:
         raise ValueError(f"{option} '{text}': give whole numbers with commas between them, each once") from error
     if min(numbers) < least:
         raise ValueError(f"{option} '{text}': each number must be at least {least}")
+    if most is not None and max(numbers) > most:
+        raise ValueError(f"{option} '{text}': each number must be at most {most}")
     return numbers
 
 
@@ -158,6 +171,12 @@ class Case:
     scenario: str = _dimension(
         "scenarios", NO_SCENARIO, "What happens: none, push, ..., or the path of a file.", silent=True
     )
+    world: str = _dimension(
+        "worlds",
+        NO_WORLD,
+        "What stands around: none, doorway, ..., drawn:SEED, drawn:SEED:through, or the path of a file.",
+        silent=True,
+    )
     seed: int = _dimension(
         "seeds",
         0,
@@ -173,6 +192,11 @@ class Case:
     top_speed: float | None = None
     scaled: bool = False
     late: int = 0
+
+    def __post_init__(self) -> None:
+        """A world has a way of its own: the trajectory is called after it where none is asked for."""
+        if self.world != NO_WORLD and self.trajectory == _trajectory_default():
+            object.__setattr__(self, "trajectory", self.world)
 
     @property
     def horizon(self) -> int | None:
@@ -212,9 +236,18 @@ DIMENSIONS: tuple[Dimension, ...] = tuple(
 """Every dimension, in order."""
 
 
+def _trajectory_default() -> str:
+    return str(Case.trajectory)
+
+
 def combinations(**values: Iterable[object]) -> list[Case]:
-    """A case for each combination of values of some fields, the last varying fastest; others have their defaults."""
-    fixed = [dict(zip(values, chosen, strict=True)) for chosen in itertools.product(*values.values())]
+    """A case for each combination of values of some fields, the last varying fastest; others have their defaults.
+
+    Raises ValueError where there are more than `MOST_CASES`.
+    """
+    listed = [tuple(several) for several in values.values()]
+    check_count(math.prod(map(len, listed)))
+    fixed = [dict(zip(values, chosen, strict=True)) for chosen in itertools.product(*listed)]
     return [Case(**one) for one in fixed]  # type: ignore[arg-type]
 
 

@@ -14,6 +14,7 @@ from diffdrive_mpc.bench.commands import (
     excite,
     export,
     identify,
+    monitor,
     prove,
     real_logs,
     replay,
@@ -45,7 +46,9 @@ app.command("tracking", epilog=studies.EXAMPLES["tracking"])(studies.tracking)
 app.command("real-logs", epilog=real_logs.EXAMPLE)(real_logs.real_logs)
 app.command("reproduce", epilog=studies.EXAMPLES["reproduce"])(studies.reproduce)
 app.command("peers", epilog=studies.EXAMPLES["peers"])(studies.peers)
+app.command("torque", epilog=studies.EXAMPLES["torque"])(studies.torque)
 app.command("robustness", epilog=studies.EXAMPLES["robustness"])(studies.robustness)
+app.command("worlds", epilog=studies.EXAMPLES["worlds"])(studies.worlds)
 app.command("campaign", epilog=campaign.EXAMPLE)(campaign.campaign)
 app.command("prove", epilog=prove.EXAMPLE)(prove.prove)
 app.command("commission", epilog=commission.EXAMPLE)(commission.commission)
@@ -56,6 +59,8 @@ app.command("excite", epilog=excite.EXAMPLE)(excite.excite)
 app.command("export", epilog=export.EXAMPLE)(export.export)
 app.command("node", epilog=ros.EXAMPLES["node"], context_settings=PASSED_ON)(ros.node)
 app.command("robot", epilog=ros.EXAMPLES["robot"], context_settings=PASSED_ON)(ros.robot)
+app.command("monitor", epilog=monitor.EXAMPLES["monitor"], context_settings=PASSED_ON)(monitor.monitor)
+app.command("monitor-study", epilog=monitor.EXAMPLES["monitor-study"])(monitor.monitor_study)
 app.command("doctor", epilog=doctor.EXAMPLE)(doctor.doctor)
 app.command("schema", epilog=schema.EXAMPLE)(schema.schema)
 app.add_typer(config_app, name="config")

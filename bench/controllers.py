@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from diffdrive_mpc.bench.case import AS_FILED, Case, Overrides
+from diffdrive_mpc.bench.case import AS_FILED, NO_WORLD, Case, Overrides, label
 from diffdrive_mpc.bench.late_plant import LatePlant
 from diffdrive_mpc.bench.peers import PEERS, make_peer
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -20,7 +21,10 @@ from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc.mpc.trajectories.scaled import scaled_to_robot
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
+from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
 from diffdrive_mpc.sim import Plant, Run, make_plant, simulate
+from diffdrive_mpc.sim.plants.make import plant_outline
+from diffdrive_mpc.sim.worlds.world_file import load_world
 
 CONTROLLERS = ("mpc", *PEERS)
 
@@ -42,7 +46,9 @@ def build_plant(case: Case) -> Plant:
         # What the link of the papers' robot carries is no limit of another robot's model.
         bounds = {name: max(getattr(config.limits, name), getattr(carried, name)) for name in ("v", "omega")}
         told = {"sample_time": config.sample_time, "limits": TwistBounds(**bounds)}
-    plant = make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario, **told)
+    plant = make_plant(
+        case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario, world=case.world, **told
+    )
     return LatePlant(plant, case.late) if case.late > 0 else plant
 
 
@@ -63,8 +69,21 @@ def check_cases(cases: Iterable[Case]) -> None:
 def load_reference(case: Case) -> Trajectory:
     """The trajectory of a case with its timing; raises ConfigError if either cannot be used.
 
-    With a top speed of its own, and scaled to the robot, it stops where the curvature jumps.
+    With a top speed of its own, and scaled to the robot, it stops where the curvature jumps. In a world it is the way
+    that the world's file says, where it says one.
     """
+    if case.world != NO_WORLD:
+        way = load_world(case.world, case.seed).way
+        if way is not None and case.trajectory != case.world:
+            raise ConfigError(
+                f"--trajectory {case.trajectory}: the world '{case.world}' has a way of its own; leave it out, or take "
+                "'way' out of a copy of the world's file"
+            )
+        if way is not None:
+            limits, name = TrajectoryLimits.of_robot(), label(case.world)
+            return lay_waypoints(way.waypoints, limits, name=name, speed=way.speed, timing="smooth")
+        if case.trajectory == case.world:
+            raise ConfigError(f"--world {case.world}: it has no way of its own; give a --trajectory beside it")
     if case.scaled:
         config = controller_config(
             Case().model if case.controller in PEERS else case.model, case.config, case.overrides
@@ -90,7 +109,20 @@ def make_controller(case: Case) -> TrackingController:
         return make_peer(case.controller)
     if case.controller != "mpc":
         raise ConfigError(f"unknown controller '{case.controller}'; known: {', '.join(CONTROLLERS)}")
-    return Controller(controller_config(case.model, case.config, case.overrides))
+    return Controller(case_config(case))
+
+
+def case_config(case: Case) -> ControllerConfig:
+    """The configuration of the predictive controller of a case; in a world it sees, and knows the outline of its robot.
+
+    Raises ConfigError as `controller_config`.
+    """
+    if case.world == NO_WORLD:
+        return controller_config(case.model, case.config, case.overrides)
+    length, width = plant_outline(case.plant)
+    corners = [[x * length / 2, y * width / 2] for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
+    said = {"free_space.enabled": True, "free_space.footprint": json.dumps(corners)} | dict(case.overrides)
+    return controller_config(case.model, case.config, tuple(said.items()))
 
 
 @lru_cache(maxsize=256)

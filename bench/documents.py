@@ -67,7 +67,13 @@ PROVE = ShownReport(
 )
 TUNE = ShownReport("tune", ("front.png", "search.png"), (), "tune.md")
 LOOP_SPEED = ShownReport("loop-speed", (), (), "performance.md")
-SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, LOOP_SPEED, PEERS, EDGE, ROBUSTNESS, PROVE, TUNE)
+TORQUE = ShownReport(
+    "torque",
+    ("torque-default.png", "learned-default.png", "power.png", "learning.png", "payloads.png", "energy.png"),
+    (),
+    "energy.md",
+)
+SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, LOOP_SPEED, PEERS, EDGE, ROBUSTNESS, PROVE, TUNE, TORQUE)
 
 
 def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:

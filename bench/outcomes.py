@@ -78,6 +78,7 @@ class Scored(Protocol):
 
 
 S = TypeVar("S", bound=Scored)
+T = TypeVar("T")
 K = TypeVar("K")
 
 
@@ -202,9 +203,9 @@ def drawn_distances(outcomes: Iterable[Outcome]) -> FloatArray:
     return np.concatenate(found)
 
 
-def group(outcomes: Iterable[S], key: Callable[[S], K]) -> dict[K, list[S]]:
+def group(outcomes: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:
     """Outcomes by a key, in the order of first appearance."""
-    grouped: dict[K, list[S]] = {}
+    grouped: dict[K, list[T]] = {}
     for outcome in outcomes:
         grouped.setdefault(key(outcome), []).append(outcome)
     return grouped

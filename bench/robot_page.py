@@ -31,6 +31,7 @@ _TITLES = {
     "monitor": "Sensors that contradict each other",
     "failure": "Failure",
     "fence": "Fence",
+    "free_space": "Corridors and obstacles",
     "reentry": "Re-entry",
     "finish": "Finish",
     "rehearsal": "Rehearsal, when the same reference is started again",

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import cache
 from typing import TypeVar
 
 from joblib import Parallel, delayed, parallel_config
@@ -17,6 +20,8 @@ from diffdrive_mpc.bench.errors import WorkerDiedError
 
 T = TypeVar("T")
 OnDone = Callable[[], None]
+_LOOKS_EVERY = 1.0
+"""Whether the parent is there [s]."""
 _LASTING: ContextVar[bool] = ContextVar("processes last", default=False)
 
 
@@ -77,7 +82,21 @@ def _end_processes(*, at_once: bool) -> None:
 
 
 def _call(task: Callable[[], T]) -> T:
+    _end_with_parent()
     return task()
+
+
+@cache
+def _end_with_parent() -> None:
+    """Let this process end soon after the one that began it, also where that was killed and could not say so."""
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_LOOKS_EVERY)
+        os._exit(1)
+
+    threading.Thread(target=watch, name="watches its parent", daemon=True).start()
 
 
 def _announced(result: T, on_done: OnDone) -> T:

@@ -77,6 +77,8 @@ class Study(ABC, Generic[P, R]):
 
     name: ClassVar[str]
     title: ClassVar[str]
+    shared: ClassVar[bool] = False
+    """Whether several processes may carry it out in one folder at a time."""
 
     @abstractmethod
     def plan(self) -> P:
@@ -112,7 +114,10 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
     began = time.perf_counter()
     plan = study.plan()
     files = (REPORT, f"{study.name}.json", f"{study.name}.md")
-    with staged(out, files, (FIGURES,)) as folder, ProgressBar("preparing") as bar:
+    with (
+        staged(out, files, (FIGURES,), owner=study.name, shared=study.shared) as folder,
+        ProgressBar("preparing") as bar,
+    ):
         results = study.run(plan, jobs or available_cores(), bar)
         run = describe_run(time.perf_counter() - began)
         report = study.report(results, run["wall_time_s"])

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 
 import yaml
 
-from diffdrive_mpc.bench.case import Overrides
+from diffdrive_mpc.bench.case import Overrides, check_count
 from diffdrive_mpc.models.bounded_yaml import parse_yaml
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
@@ -49,8 +50,9 @@ def sweep_settings(texts: Sequence[str]) -> list[Overrides]:
     for key, values in parsed:
         if keys.count(key) > 1:
             raise ConfigError(f"--set {key}: given twice; list its values in one: {key}=V1,V2")
-        if any(values.count(value) > 1 for value in values):
+        if len(set(values)) < len(values):
             raise ConfigError(f"--set {key}: a value is listed twice")
+    check_count(math.prod(len(values) for _, values in parsed))
     return [tuple(zip(keys, combination, strict=True)) for combination in itertools.product(*(v for _, v in parsed))]
 
 

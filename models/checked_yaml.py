@@ -13,8 +13,11 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from diffdrive_mpc.models.bounded_yaml import parse_yaml
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.input_file import MEGABYTE, read_input
+from diffdrive_mpc.models.plain_text import plain_line
 
 _LARGEST = 50 * MEGABYTE
+_SHOWN = 100
+"""Characters of a wrong value or of a key that a message repeats."""
 
 
 class ConfigError(DiffdriveMpcError, ValueError):
@@ -111,7 +114,7 @@ def check(schema: type[Schema], data: object, where: str) -> Schema:
 def _sentence(schema: type[BaseModel], error: Any) -> str:  # noqa: ANN401 - pydantic's error dictionary
     """One readable sentence for one of pydantic's errors."""
     location = [part for part in error["loc"] if not str(part).startswith("function-")]
-    place = ".".join(str(part) for part in location)
+    place = ".".join(plain_line(str(part), _SHOWN) for part in location)
     kind = error["type"]
     if kind == "extra_forbidden":
         return f"unknown key '{place}'" + _suggestion(schema, location)
@@ -119,7 +122,8 @@ def _sentence(schema: type[BaseModel], error: Any) -> str:  # noqa: ANN401 - pyd
         return f"key '{place}' is missing"
     message = str(error["msg"]).removeprefix("Value error, ")
     found = error.get("input")
-    shown = f" (found {found!r})" if isinstance(found, (int, float, str, bool, type(None))) else ""
+    plain = isinstance(found, (int, float, str, bool, type(None)))
+    shown = f" (found {plain_line(repr(found), _SHOWN)})" if plain else ""
     return f"{place}: {message}{shown}" if place else message
 
 

@@ -8,6 +8,8 @@ import stat
 from pathlib import Path
 from typing import BinaryIO
 
+from diffdrive_mpc.models.read_files import remember
+
 MEGABYTE = 1_000_000
 
 
@@ -22,11 +24,13 @@ def open_input(path: Path) -> BinaryIO:
     # Without waiting for a writer at the other end of a pipe; what is opened is what is looked at.
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
     try:
-        mode = os.fstat(handle).st_mode
+        state = os.fstat(handle)
+        mode = state.st_mode
         if stat.S_ISDIR(mode):
             raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
         if not stat.S_ISREG(mode):
             raise OSError(errno.EINVAL, "it is a pipe or a device; give a file on a disk")
+        remember(state, path)
         return os.fdopen(handle, "rb")
     except BaseException:
         os.close(handle)

@@ -12,6 +12,8 @@ from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(gt=0, le=1)]
+"""A part of a whole that is not nothing."""
 SampleTime = Annotated[float, Field(ge=0.001, le=0.5)]
 """Time between two ticks of a controller [s]."""
 

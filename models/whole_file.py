@@ -5,33 +5,52 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.folder_lock import lock_folder
+from diffdrive_mpc.models.read_files import is_read
+
+_UNFINISHED = ".unfinished-"
+_JUST_MADE = 60.0
+"""A folder that is younger [s] may be about to be locked."""
 
 
 @contextmanager
-def whole_file(path: str | Path) -> Iterator[Path]:
+def whole_file(path: str | Path, *, rewrites: bool = False) -> Iterator[Path]:
     """Give a place to write a file to; on success it becomes `path`, on failure everything stays as it was.
 
     A link is followed, and the file that it leads to is replaced; the permissions of a replaced file are kept.
 
+    Parameters
+    ----------
+    path
+        Where the file belongs.
+    rewrites
+        Whether it may be one that the same command reads.
+
     Raises
     ------
     models.checked_yaml.ConfigError
-        At once, with a message that begins with `path`, if that is something else than a file or cannot be written.
+        At once, with a message that begins with `path`, if that is something else than a file, cannot be written, or
+        is read by the same command; in the end, if it has been read meanwhile.
     """
     with ExitStack() as stack:
         try:
             target = Path(path).resolve()
             _check_replaceable(target, path)
+            if not rewrites:
+                check_not_read(target, path)
             stack.enter_context(new_folder(target.parent))
             draft = stack.enter_context(scratch_folder(target.parent)) / target.name
         except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle, before Python 3.13
             raise ConfigError(f"{path}: cannot be written to ({reason(error)})") from error
         yield draft
+        if not rewrites:
+            check_not_read(target, path)
         if target.exists():
             shutil.copymode(target, draft)
         draft.replace(target)
@@ -58,14 +77,41 @@ def new_folder(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def scratch_folder(parent: Path) -> Iterator[Path]:
-    """Give a hidden folder in `parent`, on the same file system; raises OSError if `parent` cannot be written to."""
-    with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=parent, ignore_cleanup_errors=True) as name:
-        yield Path(name)
+    """Give a hidden folder in `parent`, on the same file system; raises OSError if `parent` cannot be written to.
+
+    What processes left in `parent` that were killed is removed.
+    """
+    _clear_left_over(parent)
+    with tempfile.TemporaryDirectory(prefix=_UNFINISHED, dir=parent, ignore_cleanup_errors=True) as name:
+        handle = lock_folder(Path(name))
+        try:
+            yield Path(name)
+        finally:
+            if handle is not None:
+                os.close(handle)
+
+
+def _clear_left_over(parent: Path) -> None:
+    """Remove the folders that nobody holds any more; one that has just been made may not be held yet."""
+    for folder in parent.glob(f"{_UNFINISHED}*"):
+        with suppress(OSError):
+            if folder.is_symlink() or time.time() - folder.stat().st_mtime < _JUST_MADE:
+                continue
+            handle = lock_folder(folder)
+            if handle is not None:
+                shutil.rmtree(folder, ignore_errors=True)
+                os.close(handle)
 
 
 def reason(error: Exception) -> str:
     """Why the system refused, in words."""
     return getattr(error, "strerror", None) or str(error)
+
+
+def check_not_read(target: Path, path: str | Path) -> None:
+    """Raise ConfigError, which begins with `path`, where the file at `target` is one that the same command reads."""
+    if is_read(target):
+        raise ConfigError(f"{path}: this command reads that file, and would replace it; give another name")
 
 
 def _check_replaceable(target: Path, path: str | Path) -> None:

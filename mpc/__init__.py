@@ -1,15 +1,42 @@
-"""What decides: reference trajectories, the tracking problem, its solver, the estimator and the failure ladder."""
+"""What decides: reference trajectories, the tracking problem, its solver, the estimator and the failure ladder.
 
-from diffdrive_mpc.models.interface import Measurement, Stamped
-from diffdrive_mpc.mpc.config.config_file import load_config
-from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.controller import Controller
-from diffdrive_mpc.mpc.estimation.estimate import Estimate
-from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.mpc.problem.terms import Term
-from diffdrive_mpc.mpc.solver.report import SolverPath, SolverReport, SolverStatus
-from diffdrive_mpc.mpc.step_result import Mode, StepResult
-from diffdrive_mpc.mpc.trajectories import Trajectory, load_trajectory
+Everything is imported on first use: what shares this room with the controller does not load it.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.models.interface import Measurement, Stamped
+    from diffdrive_mpc.mpc.config.config_file import load_config
+    from diffdrive_mpc.mpc.config.schema import ControllerConfig
+    from diffdrive_mpc.mpc.controller import Controller
+    from diffdrive_mpc.mpc.estimation.estimate import Estimate
+    from diffdrive_mpc.mpc.hold import Hold
+    from diffdrive_mpc.mpc.problem.terms import Term
+    from diffdrive_mpc.mpc.solver.report import SolverPath, SolverReport, SolverStatus
+    from diffdrive_mpc.mpc.step_result import Mode, StepResult
+    from diffdrive_mpc.mpc.trajectories import Trajectory, load_trajectory
+
+_HOMES = {
+    "Controller": "mpc.controller",
+    "ControllerConfig": "mpc.config.schema",
+    "Estimate": "mpc.estimation.estimate",
+    "Hold": "mpc.hold",
+    "Measurement": "models.interface",
+    "Mode": "mpc.step_result",
+    "SolverPath": "mpc.solver.report",
+    "SolverReport": "mpc.solver.report",
+    "SolverStatus": "mpc.solver.report",
+    "Stamped": "models.interface",
+    "StepResult": "mpc.step_result",
+    "Term": "mpc.problem.terms",
+    "Trajectory": "mpc.trajectories",
+    "load_config": "mpc.config.config_file",
+    "load_trajectory": "mpc.trajectories",
+}
 
 __all__ = [
     "Controller",
@@ -28,3 +55,14 @@ __all__ = [
     "load_config",
     "load_trajectory",
 ]
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - the type checker sees the imports above
+    """Import a public name when it is first asked for."""
+    if name not in _HOMES:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    return getattr(import_module(f"diffdrive_mpc.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

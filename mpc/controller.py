@@ -28,12 +28,15 @@ from diffdrive_mpc.mpc.dead_time import DeadTime, online_dead_time
 from diffdrive_mpc.mpc.estimation.belief import Belief
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.floor_rehearsal import FloorRehearsal
+from diffdrive_mpc.mpc.free_space.keeper import FreeSpaceKeeper
+from diffdrive_mpc.mpc.free_space.surroundings import Surroundings
+from diffdrive_mpc.mpc.free_space.term import half_space_terms
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import Words
 from diffdrive_mpc.mpc.problem.build import chosen_model, sampled_model
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, SLACK, Problem
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
-from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_parameters
+from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_parameters, parameter_places
 from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
 from diffdrive_mpc.mpc.rehearsal import Rehearsal
 from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask
@@ -105,7 +108,8 @@ class Controller:
         terms: Sequence[Term] = (),
     ) -> None:
         self._config, self._given = config, (model, tuple(terms))
-        self._terms = all_terms(config.terms, terms)
+        self._speed_limit: float | None = None
+        self._terms = all_terms(config.terms, (*terms, *half_space_terms(config.free_space)))
         dt, chosen = config.sample_time, chosen_model(config, model)
         self._predicted = _Predicted.by(chosen, dt)
         self._dead_time = online_dead_time(config, chosen)
@@ -133,13 +137,16 @@ class Controller:
         self._blocked_for = 0.0
         self._rehearsal = self._make_rehearsal(config)
         self._set_defaults()
+        self._free_space = self._make_keeper(config)
         # Looked up once: each look into a library costs as much as a small sum.
         self._step, self._c, self._c_result = self._tick.lib.ddmpc_step, self._tick.c, self._tick.result
         self._input = self._tick.input.struct
         self._not_run: int = self._tick.lib.DDMPC_QP_NOT_RUN
 
     def _problem(self, config: ControllerConfig, predicted: _Predicted) -> Problem:
-        return Problem(config, predicted.sampled, predicted.feed_forward, self._terms, self._window)
+        return Problem(
+            _limited(config, self._speed_limit), predicted.sampled, predicted.feed_forward, self._terms, self._window
+        )
 
     def _make_backend(self, config: ControllerConfig) -> Backend:
         return BACKENDS[config.solver.backend](config.horizon, self._kinds, config.solver, config.weights)
@@ -149,6 +156,11 @@ class Controller:
             return None
         by_floor = config.rehearsal.by == "floor"
         return FloorRehearsal(config, self._predicted.feed_forward.inverse_gain) if by_floor else Rehearsal(config)
+
+    def _make_keeper(self, config: ControllerConfig) -> FreeSpaceKeeper | None:
+        if not config.free_space.enabled:
+            return None
+        return FreeSpaceKeeper(config, self._tick, parameter_places(self._terms)["free_space_0"].start)
 
     def _set_defaults(self) -> None:
         defaults = [value for term in self._terms for value in term.defaults]
@@ -160,6 +172,7 @@ class Controller:
             "config": self._pending.config if self._pending else self._config,
             "given": self._given,
             "parameters": self._tick.parameters.copy(),
+            "speed_limit": self._speed_limit,
             "reference": self._reference,
             "t0": self._t0,
         }
@@ -168,8 +181,10 @@ class Controller:
         """Build it in another process, as it is after `start`."""
         Controller.__init__(self, state["config"], *state["given"])
         self._tick.parameters[:] = state["parameters"]
+        self.limit_speed(state["speed_limit"])
         if state["reference"] is not None:
-            self.start(state["reference"], state["t0"])
+            # It was accepted when it began; limits that were tightened while driving do not end it.
+            self._begin(state["reference"], state["t0"])
 
     @property
     def config(self) -> ControllerConfig:
@@ -270,20 +285,71 @@ class Controller:
         Raises
         ------
         ValueError
-            If `t0` is not finite, or the reference is faster than the limits of the configuration, or takes commands
-            beyond them by the model's gain.
+            If `t0` is not finite, or the reference is not, or is faster than the limits of the configuration, or takes
+            commands beyond them by the model's gain.
         """
+        self._check(reference, t0)
+        self._begin(reference, t0)
+
+    def _check(self, reference: Reference, t0: float) -> None:
         if not math.isfinite(t0):
             raise ValueError(f"t0 = {t0}: the start time must be finite")
         check_speeds(reference, self._config.limits, self._config.sample_time, self.model.dc_gain)
+
+    def _begin(self, reference: Reference, t0: float) -> None:
+        """Track a reference that was checked."""
         tracked = reference if self._rehearsal is None else self._rehearsal.begin(reference, t0)
         self._begin_with_learned()
-        native = NativeReference(tracked)
+        native, tracked = self._laid(tracked)
         self._tick.lib.ddmpc_start(self._c, native.struct, t0)
         # C reads it from now on.
         self._tick.reference, self._reference, self._t0 = native, reference, t0
         self._pursuit.start(tracked, native=native.complete)
         self._result = None
+
+    def _laid(self, reference: Reference) -> tuple[NativeReference, Reference]:
+        """A reference for the core, and as it will be driven."""
+        tracked = reference if self._free_space is None else self._free_space.start(reference)
+        return NativeReference(tracked), tracked
+
+    def relay(self, reference: Reference, t0: float | None = None) -> None:
+        """Go on along `reference`, in the place of the one under way.
+
+        Unlike `start` it forgets nothing: estimate, with what was learned of slip, plan and commands stay. Where the
+        robot is off the path, it rejoins it. With `rehearsal.enabled` it begins anew there.
+
+        Parameters
+        ----------
+        reference
+            The one under way laid elsewhere, such as by a frame that was corrected; or another one, with `t0`.
+        t0
+            Time 0 of another reference [s] on the clock of `step`. None: it is the same one, and its clock goes on.
+
+        Raises
+        ------
+        ValueError
+            If it is another one without `t0`, or as `start`.
+        RuntimeError
+            If there is none under way.
+        """
+        if self._reference is None:
+            raise RuntimeError("no reference: call start(reference, t0) before relay")
+        if t0 is not None:
+            self._check(reference, t0)
+        elif reference.duration != self._reference.duration:
+            raise ValueError("another reference than the one under way: give its t0")
+        if self._rehearsal is not None:
+            self.start(reference, self._t0 if t0 is None else t0)
+            return
+        native, tracked = self._laid(reference)
+        self._t0 = self._t0 if t0 is None else t0
+        self._tick.lib.ddmpc_relay(self._c, native.struct, self._t0)
+        # C reads it from now on.
+        self._tick.reference, self._reference = native, reference
+        if t0 is None:
+            self._pursuit.relay(tracked, native=native.complete)
+        else:
+            self._pursuit.start(tracked, native=native.complete)
 
     def reset(self) -> None:
         """Be as new, for a robot that stands still: forget estimate, plan and commands. The reference stays."""
@@ -294,6 +360,8 @@ class Controller:
             self._begin_with_learned()
         if self._dead_time is not None:
             self._dead_time.forget()
+        if self._free_space is not None:
+            self._free_space.forget()
         self._result = None
 
     def _begin_with_learned(self) -> None:
@@ -319,6 +387,20 @@ class Controller:
         ConfigError
             If a key is unknown or a value out of range; then nothing changes.
         """
+        config = self.updated(weights, limits)
+        self._prepare_limits(config)
+        return config
+
+    def updated(
+        self, weights: Mapping[str, float] | None = None, limits: Mapping[str, float] | None = None
+    ) -> ControllerConfig:
+        """The configuration that `update` would bring into force; nothing changes.
+
+        Raises
+        ------
+        ConfigError
+            If `update` would.
+        """
         changes = {
             f"{group}.{key}": value
             for group, values in zip(_CHANGEABLE, (weights, limits), strict=True)
@@ -330,11 +412,38 @@ class Controller:
                 "limits.least_turn_radius: it can be changed while driving, but neither set nor unset; say it in the "
                 "configuration"
             )
+        return config
+
+    def _prepare_limits(self, config: ControllerConfig) -> None:
         predicted = self._pending.predicted if self._pending else self._predicted
         problem = self._problem(config, predicted)
         constants = self._tick.prepare(problem.constants())
         self._pending = _Prepared(config, predicted, problem.sizes, constants, self._make_backend(config))
-        return config
+
+    @property
+    def speed_limit(self) -> float | None:
+        """Limit of the speed on top of the configuration's [m/s]; None where there is none."""
+        return self._speed_limit
+
+    def limit_speed(self, v: float | None) -> None:
+        """Drive no faster than `v` [m/s] from the next step on, as in a zone; None: as the configuration has it.
+
+        It is a hard limit of |v_ref|, reached at the slew limit, and a soft one of the speed that is predicted.
+        Where the reference is faster its clock goes slower, and catches up afterwards; without `reentry.enabled` the
+        clock goes on, and the robot is left behind. References are still judged by the limits of the configuration.
+
+        Raises
+        ------
+        ValueError
+            If `v` is not a positive number.
+        """
+        if v is not None and not (math.isfinite(v) and v > 0.0):
+            raise ValueError(f"a speed limit of {v} m/s: give a positive number, or None for no limit")
+        if v == self._speed_limit:
+            return
+        self._speed_limit = v
+        self._pursuit.limit_speed(v)
+        self._prepare_limits(self._pending.config if self._pending else self._config)
 
     def set_parameters(self, **values: ArrayLike) -> None:
         """Set the stage parameters of terms by their name, from the next step on.
@@ -352,6 +461,22 @@ class Controller:
         table = self._tick.parameters
         for place, rows in checked_parameters(self._terms, len(table), values):
             table[:, place] = rows
+
+    def see(self, surroundings: Surroundings | None) -> None:
+        """Keep clear of `surroundings` from the next step on; they replace what was seen before, None takes them away.
+
+        What follows from them is worked out here, beside the loop; the step only takes it over.
+
+        Raises
+        ------
+        ConfigError
+            If the configuration does not enable `free_space`.
+        SurroundingsError
+            If something in them cannot be used. The message is one line, and nothing changes.
+        """
+        if self._free_space is None:
+            raise ConfigError("free_space.enabled is false: set it to true for a controller that sees surroundings")
+        self._free_space.see(surroundings)
 
     def step(self, t: float, measurement: Measurement, hold: Hold | None = None) -> StepResult:
         """Decide the command for the tick at `t` [s] from what arrived since the last one.
@@ -372,6 +497,10 @@ class Controller:
             self._apply_pending(self._pending)
         tick, pursuit, given = self._tick, self._pursuit, self._input
         tick.input.fill(measurement)
+        keeper, sent = self._free_space, None
+        if keeper is not None:
+            sent = tick.last_command
+            hold = self._look_around(keeper, t) or hold
         given.request = 0 if hold is None else 2 if hold.failure else 1
         since_start = t - self._t0
         on_time = pursuit.on_time and since_start >= 0.0
@@ -397,9 +526,32 @@ class Controller:
             refused = self._ask_backend()
             solve_time += time.perf_counter() - asked
         result = self._build(hold, message, (started, solve_time), refused=refused)
+        if keeper is not None and sent is not None:
+            kept = self._keep_free(keeper, t, result, sent)
+            result = replace(kept, step_time=time.perf_counter() - started)
         if self._dead_time is not None:
             result = self._learn_dead_time(self._dead_time, t, measurement, result)
         return result if self._rehearsal is None else self._rehearsal.take(t, measurement, result)
+
+    def _look_around(self, keeper: FreeSpaceKeeper, t: float) -> Hold | None:
+        """Let the reference go round things, wait for them, or stop; the tick at `t` [s] has not begun yet."""
+        pursuit = self._pursuit
+        reference, since_start, time = pursuit.reference, t - self._t0, pursuit.time
+        if reference is None or not math.isfinite(since_start):
+            return None
+        now = since_start if not math.isfinite(time) else min(since_start, time + self._config.sample_time)
+        hold = keeper.before(t, now, reference)
+        pursuit.pace, pursuit.room = keeper.pace, keeper.room
+        return hold
+
+    def _keep_free(self, keeper: FreeSpaceKeeper, t: float, result: StepResult, sent: FloatArray) -> StepResult:
+        """The result after the check of the way to rest, where the tick is a new one."""
+        if self._c_result.reasons & self._words.not_a_new_tick:
+            return keeper.again(result)
+        kept = keeper.after(t, result, sent)
+        if kept.mode is not result.mode:
+            self._pursuit.stand()
+        return kept
 
     def _learn_dead_time(
         self, dead_time: DeadTime, t: float, measurement: Measurement, result: StepResult
@@ -439,14 +591,20 @@ class Controller:
         if self._dead_time is not None:
             self._dead_time.used = self._predicted.dead_time
         self._words.configure(prepared.config)
+        if self._free_space is not None:
+            self._free_space.configure(prepared.config)
         self._pursuit.configure(prepared.config)
 
     def _choose_target(self, since_start: float, reference_time: float) -> tuple[int, str]:
         """Go on where the robot is off its path or its time: what it is to track now, in C and in words."""
         tick = self._tick
         estimate = Estimate(tick.layout, tick.layout.copy(), self._c_result.estimate.time)
-        target = self._pursuit.target(since_start, reference_time, estimate, self._ahead, self._c_result.reach)
         self._blocked_for = 0.0
+        try:
+            target = self._pursuit.target(since_start, reference_time, estimate, self._ahead, self._c_result.reach)
+        except (ArithmeticError, ValueError) as error:
+            # A reference that samples nonsense after all; what is left of the last plan is better than an exception.
+            return tick.lib.ddmpc_give_up(self._c), f"there is nothing to track: {error}"
         if isinstance(target, TooFar):
             return tick.lib.ddmpc_too_far(self._c, target.distance), ""
         self._blocked_for = target.blocked_for
@@ -506,6 +664,15 @@ class Controller:
             (layout, block) if c.has_plan else None,
             self._words.unused(c.reasons) if c.reasons else (),
         )
+
+
+def _limited(config: ControllerConfig, speed: float | None) -> ControllerConfig:
+    """`config` with no greater speed than that [m/s]."""
+    limits = config.limits
+    if speed is None or speed >= limits.v:
+        return config
+    lower = {"v": speed, "predicted_v": min(limits.predicted_v, speed)}
+    return config.model_copy(update={"limits": limits.model_copy(update=lower)})
 
 
 def _pairs(commands: ArrayLike) -> FloatArray:

@@ -114,7 +114,8 @@ class Rehearsal:
         lap, now = self._lap, t - self._t0
         words = f"rehearsal: {self.said}" if self.said and not self._told else ""
         self._told = True
-        if now <= self.time[-1] + self._dt and not lap.spoilt:
+        # After a reset nothing is recorded until the next start.
+        if self.time.size and now <= self.time[-1] + self._dt and not lap.spoilt:
             estimate = result.estimate
             if estimate is None or result.mode not in _ON_ITS_WAY or result.reference_delay != 0.0:
                 lap.spoilt = f"at {now:.2f} s it was {result.mode}, {result.reference_delay:.2f} s late"

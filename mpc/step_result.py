@@ -74,6 +74,13 @@ class StepResult:
         Those that the others contradict, and that are not used therefore: "wheel speed", "yaw rate", "pose".
     dead_time
         What was learned of the dead time; None unless `online_dead_time.enabled`.
+    clearance
+        Gap between the robot's footprint and the nearest thing it sees [m], negative in it; infinity: nothing near, NaN
+        without `free_space.enabled` or estimate.
+    clearance_ahead
+        The same along its plan and its way to rest, at most what `clearance` looks for.
+    pressed_by
+        What the plan is pressed against, and when it comes there: "polygon 2 in 0.3 s".
     """
 
     command: FloatArray
@@ -89,6 +96,9 @@ class StepResult:
     _planned: tuple[ResultLayout, FloatArray] | None = None
     unused_sensors: tuple[str, ...] = ()
     dead_time: LearnedDeadTime | None = None
+    clearance: float = float("nan")
+    clearance_ahead: float = float("nan")
+    pressed_by: tuple[str, ...] = ()
 
     @property
     def plan(self) -> FloatArray | None:

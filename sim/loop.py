@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -18,8 +18,20 @@ from diffdrive_mpc.models.interface import (
 )
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
+from diffdrive_mpc.sim.plants.motor_work import NOTHING, MotorWork, motor_work, stacked
 from diffdrive_mpc.sim.plants.plant import Plant, RobotLostError
+from diffdrive_mpc.sim.plants.world_plant import WorldPlant
 from diffdrive_mpc.sim.run import NO_SOLVER, Run
+from diffdrive_mpc.sim.worlds.sight import Seen
+
+
+@runtime_checkable
+class Seeing(Protocol):
+    """A controller that wants to know what is around the robot."""
+
+    def see(self, seen: Seen, /) -> None:
+        """Take in what has arrived of a look, for the next step on."""
+        ...
 
 
 def simulate(
@@ -52,7 +64,8 @@ def simulate(
     -------
     Run
         The ticks from 0 to the first one at or after the end, or to the one after which the robot was lost: then
-        `ended` says why.
+        `ended` says why. In a world the run goes on to its time limit, and ends when the robot has arrived, has touched
+        something or stands for good; a controller with a method `see` is given what the robot sees.
 
     Raises
     ------
@@ -63,7 +76,9 @@ def simulate(
         raise ValueError(f"extra_time = {extra_time}: give a time in seconds, zero or more")
     plant.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, plant.time)
-    ticks = int(np.ceil((reference.duration + extra_time - TIME_TOLERANCE) / plant.sample_time)) + 1
+    around = _Around(plant, controller, reference)
+    until = max(reference.duration + extra_time, around.time_limit)
+    ticks = int(np.ceil((until - TIME_TOLERANCE) / plant.sample_time)) + 1
     time = np.empty(ticks)
     true_pose, true_twist, command = np.empty((ticks, 3)), np.empty((ticks, 3)), np.empty((ticks, 2))
     step_time, solve_time, iterations = np.empty(ticks), np.full(ticks, np.nan), np.full(ticks, np.nan)
@@ -71,10 +86,12 @@ def simulate(
     said: list[_Said] = []
     measurements: list[Measurement] = []
     plans: list[FloatArray | None] = []
+    work: list[MotorWork] = []
     ended = ""
     for k in range(ticks):
         time[k], true_pose[k], true_twist[k] = plant.time, plant.true_pose, plant.true_twist
         measurement = plant.measure()
+        over = around.look()
         step = controller.step(plant.time, measurement)
         command[k] = _checked(step.command, plant.time)
         step_time[k] = step.step_time
@@ -92,15 +109,18 @@ def simulate(
             plans.append(step.plan)
         try:
             plant.advance(command[k])
+            work.append(motor_work(plant))
         except RobotLostError as error:
+            work.append(NOTHING)
             ended = str(error)
         if on_tick is not None:
             on_tick(k + 1, ticks)
-        if ended:
+        if ended or over:
             break
     driven = slice(len(said))
     time = time[driven]
     expected = reference.sample(time)
+    torque, wheel_speed, power, square = stacked(work)
     return Run(
         reference=reference,
         sample_time=plant.sample_time,
@@ -122,9 +142,43 @@ def simulate(
         estimates=estimates[driven],
         estimate_deviations=deviations[driven],
         plans=_stacked(plans),
-        disturbance=plant.disturbance if isinstance(plant, DisturbedPlant) else None,
+        motor_torque=torque,
+        motor_speed=wheel_speed,
+        motor_power=power,
+        motor_square=square,
+        disturbance=plant.disturbance if isinstance(plant, (DisturbedPlant, WorldPlant)) else None,
         ended=ended,
+        **around.kept,
     )
+
+
+class _Around:
+    """What a world does in the loop; nothing where the plant stands in none."""
+
+    def __init__(self, plant: Plant, controller: TrackingController, reference: Reference) -> None:
+        self._plant = plant if isinstance(plant, WorldPlant) else None
+        self._see = controller.see if self._plant and isinstance(controller, Seeing) else None
+        self._end, self._goal = reference.duration + TIME_TOLERANCE, reference.sample([reference.duration]).pose[0]
+
+    @property
+    def time_limit(self) -> float:
+        """By then the robot is to have arrived [s]; zero without a world."""
+        return self._plant.world.time_limit if self._plant else 0.0
+
+    @property
+    def kept(self) -> dict[str, Any]:
+        """What a run keeps of it."""
+        of = self._plant
+        return {"world": of.world, "contacts": of.contacts, "outline": of.footprint} if of else {}
+
+    def look(self) -> bool:
+        """Let the controller see; whether this is the last tick: not before the end of the reference."""
+        if self._plant is None:
+            return False
+        seen = self._plant.look()
+        if self._see is not None and seen is not None:
+            self._see(seen)
+        return self._plant.time > self._end and self._plant.over(self._goal)
 
 
 class _Said(NamedTuple):

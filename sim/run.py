@@ -17,6 +17,9 @@ from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE, Metrics, compute_m
 from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings, tracking_errors
 from diffdrive_mpc.sim.told import told_columns
+from diffdrive_mpc.sim.worlds.contacts import Contact
+from diffdrive_mpc.sim.worlds.passage import Passage, passage_of
+from diffdrive_mpc.sim.worlds.world import World
 
 if TYPE_CHECKING:
     from typing import Self
@@ -77,6 +80,16 @@ class Run(ReadOnlyArrays):
         (n, N + 1, 3) predicted poses x [m], y [m], theta [rad] at each tick, a sample between two, the first at the
         tick itself; in REUSED_PLAN they are those of the last good plan, which began earlier. NaN at ticks without a
         plan; N + 1 = 0 for a controller that does not predict. No rows without `simulate(..., keep_plans=True)`.
+    motor_torque, motor_speed, motor_power, motor_square
+        (n, 4) what each motor really did from this tick to the next, means: torque at the wheel [N m], wheel speed
+        [rad/s], mechanical power [W], square of the torque [N^2 m^2]; front left, front right, rear left, rear right.
+        NaN for a plant without motors.
+    world
+        What was around the robot; None for nothing.
+    contacts
+        What the robot touched, by MuJoCo's contacts.
+    outline
+        Length and width of the robot in that world [m].
     """
 
     reference: Reference
@@ -101,6 +114,13 @@ class Run(ReadOnlyArrays):
     estimates: FloatArray = field(default_factory=lambda: np.empty((0, 5)))
     estimate_deviations: FloatArray = field(default_factory=lambda: np.empty((0, 5)))
     plans: FloatArray = field(default_factory=lambda: np.empty((0, 0, 3)))
+    motor_torque: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    motor_speed: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    motor_power: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    motor_square: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    world: World | None = None
+    contacts: tuple[Contact, ...] = ()
+    outline: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Fill in for a controller that tells nothing of solver and estimate."""
@@ -112,6 +132,7 @@ class Run(ReadOnlyArrays):
             "solver_iterations": np.full(count, np.nan),
             "estimates": np.full((count, 5), np.nan),
             "estimate_deviations": np.full((count, 5), np.nan),
+            **{f"motor_{what}": np.full((count, 4), np.nan) for what in ("torque", "speed", "power", "square")},
         }
         vars(self).update({name: rows for name, rows in nothing.items() if not len(vars(self)[name])})
         super().__post_init__()
@@ -140,6 +161,14 @@ class Run(ReadOnlyArrays):
         return compute_recovery(
             self.time[counted], lateral, command, self.sample_time, self.disturbance, band, lost=bool(self.ended)
         )
+
+    @cached_property
+    def passage(self) -> Passage | None:
+        """How it went through its world; None without one."""
+        if self.world is None:
+            return None
+        goal = self.reference.sample([self.reference.duration]).pose[0]
+        return passage_of(self.world, self.outline, self.contacts, goal, self.time, self.true_pose, self.true_twist)
 
     @property
     def wheel_twist(self) -> FloatArray:
@@ -194,6 +223,15 @@ class Run(ReadOnlyArrays):
             (("step_time_s", "solve_time_s"), np.column_stack([self.step_time, self.solve_time])),
             (("solver_iterations",), self.solver_iterations),
         ]
+        if np.isfinite(self.motor_torque).any():
+            numbers += [
+                (tuple(f"true_{what}_{wheel}_{unit}" for wheel in ("fl", "fr", "rl", "rr")), rows)
+                for what, unit, rows in (
+                    ("torque", "n_m", self.motor_torque),
+                    ("motor_power", "w", self.motor_power),
+                    ("torque_square", "n2_m2", self.motor_square),
+                )
+            ]
         columns = {
             name: column for names, rows in numbers for name, column in zip(names, np.atleast_2d(rows.T), strict=True)
         }

@@ -7,7 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.documents import SHOWN, with_report
 
 ROOT = Path(__file__).parents[1]
@@ -20,9 +22,10 @@ COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 # What make would set up is set up already; .ci/run calls these as they stand.
 CI_SCRIPT = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 RUN_IN_CI = {line.strip() for line in CI_SCRIPT.splitlines()}
+OWN_PROCESS = ("node", "robot", "monitor")
 # These say how to install it: .ci/tour.py runs them as they stand, where only a wheel is installed.
 TOURED = {ROOT / "README.md", ROOT / "docs" / "install.md"}
-RUN_BY_CI = re.compile(r"make (bench|tracking|reproduce|speed|site|test|lint|types|wheel)$")
+RUN_BY_CI = re.compile(r"make (bench|tracking|reproduce|speed|site|test|lint|types|wheel|fuzz)$")
 
 
 def blocks(document):
@@ -34,8 +37,9 @@ def named(document):
 
 
 @pytest.mark.parametrize("document", sorted({*DOCUMENTS} - TOURED), ids=named)
-def test_every_command_and_example_runs(document, tmp_path):
+def test_every_command_and_example_runs(document, tmp_path, monkeypatch):
     """In order, in one folder: files first written as the document shows them."""
+    monkeypatch.chdir(tmp_path)
     for language, body in blocks(document):
         if language == "yaml":
             name = re.match(r"# file: (\S+)\n", body)
@@ -54,9 +58,18 @@ def test_every_command_and_example_runs(document, tmp_path):
                     raise AssertionError(f"{named(document)}: .ci/run does not have `{line}`")
                 else:
                     assert words[0] == "diffdrive-mpc"
-                    run([str(COMMAND), *words[1:]], tmp_path)
+                    command(words[1:], tmp_path)
         else:
             raise AssertionError(f"{named(document)}: nothing runs a block of {language}")
+
+
+def command(words, folder):
+    """In this process, which saves each its imports; but nodes take over signals and contexts of theirs."""
+    if words[0] in OWN_PROCESS:
+        run([str(COMMAND), *words], folder)
+        return
+    result = CliRunner().invoke(app, words, prog_name="diffdrive-mpc")
+    assert result.exit_code == 0, f"{words}: {result.output}\n{result.exception!r}"
 
 
 def run(command, folder):
@@ -74,7 +87,7 @@ def test_a_page_is_named_by_its_question_and_begins_with_the_answer(document):
 
 def test_ci_runs_what_the_documents_leave_to_it():
     called = " ".join(line for line in CI_SCRIPT.splitlines() if line.lstrip().startswith("make "))
-    for target in ("bench", "tracking", "reproduce", "speed", "site", "test", "lint", "types", "wheel"):
+    for target in ("bench", "tracking", "reproduce", "speed", "site", "test", "lint", "types", "wheel", "fuzz"):
         assert re.search(rf"\b{target}\b", called), target
     (tour,) = (line for line in CI_SCRIPT.splitlines() if ".ci/tour.py" in line)
     assert all(f'"$root/{named(page)}"' in tour for page in TOURED)

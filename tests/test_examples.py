@@ -48,6 +48,13 @@ def test_own_plant(tmp_path):
     assert float(RUN.search(run("own_plant.py", tmp_path))[1]) < 0.015
 
 
+def test_narrow_places(tmp_path):
+    said = run("narrow_places.py", tmp_path)
+    assert "waits for disc 0, which crosses its way" in said
+    assert abs(float(re.search(r"at x = (\S+) m", said)[1]) - 8.0) < 0.05
+    assert (tmp_path / "narrow-places.png").stat().st_size > 10_000
+
+
 def test_loop_without_ros(tmp_path):
     x, y = map(float, re.search(r"x = (\S+) m, y = (\S+) m", run("loop_without_ros.py", tmp_path)).groups())
     # The end of the cane, as its wheels and gyro have it.

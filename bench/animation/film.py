@@ -13,6 +13,8 @@ from diffdrive_mpc.sim.view.shots import Camera
 
 SMALLEST, LARGEST = 160, 3840
 """Pixels of a side."""
+MOST_PICTURES = 100_000
+"""Nearly an hour, which takes hours to draw."""
 
 
 @dataclass(frozen=True)
@@ -55,12 +57,17 @@ class Film:
     def times(self, playback: Playback) -> FloatArray:
         """(m,) instants of the pictures [s]: the last is the last that fits; of a still picture the end alone.
 
-        Raises ConfigError as `span` does.
+        Raises ConfigError as `span` does, and for more than `MOST_PICTURES`.
         """
         start, end = self.span(playback)
         if self.still:
             return np.array([end])
         step = self.speed / self.fps
+        if (end - start) / step > MOST_PICTURES:
+            raise ConfigError(
+                f"{(end - start) / step:,.0f} pictures, at most {MOST_PICTURES:,}; give a part by --from and --to, a "
+                "higher --film-speed, or fewer --fps"
+            )
         return np.asarray(start + step * np.arange(int((end - start) / step + 1e-6) + 1))
 
     def span(self, playback: Playback) -> tuple[float, float]:

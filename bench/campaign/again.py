@@ -24,7 +24,7 @@ def simulate_again(file: Path, out: Path | None = None, log: Path | None = None)
     definition = told.definition
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
-        folder = None if out is None else stack.enter_context(staged(out))
+        folder = None if out is None else stack.enter_context(staged(out, owner="simulate"))
         began = time.perf_counter()
         with ProgressBar("simulating") as bar:
             run, row = drive_whole(definition, bar.at, keep_plans=folder is not None or holds_plans(log))

@@ -61,9 +61,12 @@ class Campaign(StrictModel):
     def definitions(self, runs: int | None = None) -> list[Definition]:
         """The runs in order, `runs` of them or as many as the file says.
 
-        Raises ConfigError if two factors contradict each other, or a value is of another kind than its factor.
+        Raises ConfigError if there are too many, two factors contradict each other, or a value is of another kind than
+        its factor.
         """
         count = self.runs if runs is None else runs
+        if count > MOST_RUNS:
+            raise ConfigError(f"--runs {count}: give at most {MOST_RUNS}")
         conditions = load_conditions(None if self.conditions is None else Path(self.conditions))
         sampled = [name for name, draw in self.varying.items() if draw.sampled]
         points = spread_points(self.sampler, count, len(sampled), self.draw_seed)

@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from diffdrive_mpc.bench.campaign.campaign_file import MOST_RUNS, load_campaign
+from diffdrive_mpc.bench.campaign.campaign_file import load_campaign
 from diffdrive_mpc.bench.campaign.engine import Driven, Place, drive_all, failed
 from diffdrive_mpc.bench.campaign.outcome import TIME
 from diffdrive_mpc.bench.campaign.parquet import needs_arrow, write_table
@@ -52,8 +52,6 @@ def run_campaign(file: Path, place: Place, runs: int | None = None, part: Part |
     Raises ConfigError or ValueError if the file has a mistake, and MissingPackageError without pyarrow, before anything
     is driven; StudyFailedError if runs could not be driven.
     """
-    if runs is not None and runs > MOST_RUNS:
-        raise ConfigError(f"--runs {runs}: give at most {MOST_RUNS}")
     needs_arrow()
     chosen = part or Part()
     campaign = load_campaign(file)
@@ -64,8 +62,10 @@ def run_campaign(file: Path, place: Place, runs: int | None = None, part: Part |
     with ProgressBar("preparing") as bar:
         driven = drive_all(definitions, place, bar)
     write_table([one.columns for one in driven], place.folder / RESULTS, {"description": campaign.description})
-    with whole_file(place.folder / CAMPAIGN) as draft:
-        shutil.copyfile(file, draft)
+    kept = place.folder / CAMPAIGN
+    if not (kept.exists() and kept.samefile(file)):
+        with whole_file(kept) as draft:
+            shutil.copyfile(file, draft)
     console = output_console()
     console.print(_sentence(driven, time.perf_counter() - began), highlight=False, markup=False)
     console.print(f"table in {place.folder / RESULTS}", highlight=False, markup=False)

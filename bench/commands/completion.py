@@ -107,4 +107,5 @@ _OFFERS: dict[str, Callable[[], Offered]] = {
     "surface": _shipped("surface"),
     "timing": _timings,
     "trajectory": _shipped("trajectory"),
+    "world": _shipped("world"),
 }

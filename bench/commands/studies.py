@@ -36,13 +36,17 @@ from diffdrive_mpc.bench.commands.options import (
 DEFAULTS = {one.name: None if one.name == "model" else one.default for one in DIMENSIONS}
 """Values of the options of `simulate` where they are not given."""
 _BENCH_OUT = "out/bench"
+_QUICK = 2
+"""Runs of each part of `worlds --quick`."""
 EXAMPLES = {
     "simulate": "Example: diffdrive-mpc simulate --model ssm --trajectory square --set horizon=20 --out results",
     "bench": "Example: diffdrive-mpc bench --out results --models ssm --set weights.across=60,120,240",
     "tracking": "Example: diffdrive-mpc tracking --out results --quick --only cross,bound",
     "reproduce": "Example: diffdrive-mpc reproduce --out results --only virtual_track",
     "peers": "Example: diffdrive-mpc peers --out results --peers pursuit,lqr+slip",
+    "torque": "Example: diffdrive-mpc torque --out results --quick",
     "robustness": "Example: diffdrive-mpc robustness --out results --only mass_left,frozen_pose --models sm,ssm",
+    "worlds": "Example: diffdrive-mpc worlds --out results --quick --controllers mpc,rpp+stop",
     "speed": "Example: diffdrive-mpc speed --out results --quick --peers ours,acados",
     "loop-speed": "Example: diffdrive-mpc loop-speed --out results --models ssm --trajectories circle,s",
 }
@@ -61,7 +65,7 @@ def simulate(
         str | None,
         typer.Option(metavar="live|FILE.rrd", help="Show it in Rerun, or write a file for it.", show_default=False),
     ] = None,
-    laps: Annotated[int, typer.Option(min=1, help="Drive it so often, and learn from lap to lap.")] = 1,
+    laps: Annotated[int, typer.Option(min=1, max=1000, help="Drive it so often, and learn from lap to lap.")] = 1,
     scale_to_robot: Scaled = False,
     animate: Annotated[
         Path | None,
@@ -217,10 +221,12 @@ def peers(
     """Tune the peers, each by the same search with the same budget on the same runs: about 20 minutes on two cores."""
     from diffdrive_mpc.bench.studies.peers.study import GAINS_FILE, PeersStudy, gains_text, load_settings  # noqa: PLC0415 - --help does without it
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+    from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
 
     loaded = load_settings(settings, quick=quick)
     found = carry_out(PeersStudy(loaded, None if only is None else split_names(only, "--peers")), out, jobs)
-    (out / GAINS_FILE).write_text(gains_text(found, loaded), encoding="utf-8")
+    with whole_file(out / GAINS_FILE) as draft:
+        draft.write_text(gains_text(found, loaded), encoding="utf-8")
 
 
 def robustness(
@@ -255,6 +261,31 @@ def robustness(
     carry_out(study, out, jobs)
 
 
+def worlds(
+    *,
+    out: Annotated[Path, out_option("report.html, worlds.json, worlds.md and figures/")],
+    quick: Annotated[bool, typer.Option("--quick", help="Two runs of each part.")] = False,
+    only: Annotated[str | None, parts_option("drawn, doorway, crossing, named")] = None,
+    controllers: Annotated[str, typer.Option(metavar="NAMES", help="mpc, or peers.")] = "mpc,mppi+grid,rpp+stop",
+    model: Annotated[str, typer.Option(metavar="NAME", help="Model of mpc.")] = "ssm",
+    runs: Annotated[int | None, typer.Option(min=1, help="Drawn worlds.", show_default="1000")] = None,
+    crossings: Annotated[int | None, typer.Option(min=1, help="Persons who cross.", show_default="1000")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="The first seed.")] = 0,
+    jobs: Jobs = None,
+) -> None:
+    """Drive through drawn and named worlds, count contacts, and compare with peers that see the same: hours in full."""
+    from diffdrive_mpc.bench.studies.worlds.settings import PARTS, load_settings  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.studies.worlds.study import WorldsStudy  # noqa: PLC0415
+    from diffdrive_mpc.bench.study import carry_out, check_parts  # noqa: PLC0415
+
+    parts = PARTS if only is None else split_names(only, "--only")
+    check_parts(parts, PARTS)
+    names = split_names(controllers, "--controllers")
+    counts = dict.fromkeys(PARTS, _QUICK) if quick else {}
+    counts |= {part: asked for part, asked in (("drawn", runs), ("crossing", crossings)) if asked is not None}
+    carry_out(WorldsStudy(load_settings(), parts, controllers=names, model=model, runs=counts, first=seed), out, jobs)
+
+
 def speed(
     *,
     out: Annotated[Path, out_option("report.html, speed.json, speed.md and figures/")],
@@ -277,7 +308,7 @@ def speed(
     ] = None,
 ) -> None:
     """Time whole steps of the controller and of its peers on the same problem: about a quarter of an hour."""
-    from diffdrive_mpc.bench.studies.speed.settings import chosen, load_speed_settings  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.studies.speed.settings import MOST_STEPS, chosen, load_speed_settings  # noqa: PLC0415 - --help does without it
     from diffdrive_mpc.bench.studies.speed.study import SpeedStudy  # noqa: PLC0415
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
@@ -286,7 +317,7 @@ def speed(
     if models is not None:
         changes["models"] = split_names(models, "--models")
     if horizons is not None:
-        changes["horizons"] = split_numbers(horizons, "--horizons", least=1)
+        changes["horizons"] = split_numbers(horizons, "--horizons", least=1, most=MOST_STEPS)
     names = None if peers is None else split_names(peers, "--peers")
     carry_out(SpeedStudy(chosen(loaded.model_copy(update=changes), names), environment), out)
 
@@ -298,7 +329,7 @@ def loop_speed(
     trajectories: Annotated[str, typer.Option(metavar="NAMES", help="Paths.")] = "circle,square,s,cane",
     plant: Annotated[str, typer.Option(metavar="NAME", help="Plant.")] = "mujoco",
     scenario: Annotated[str, typer.Option(metavar="NAME", help="What happens on the way.")] = "none",
-    repeats: Annotated[int, typer.Option(min=1, help="How often each is driven; the least time counts.")] = 5,
+    repeats: Annotated[int, typer.Option(min=1, max=1000, help="How often each is driven; the least time counts.")] = 5,
 ) -> None:
     """Say how many times as fast as real time the closed loop is simulated on one core, whole and by part."""
     from diffdrive_mpc.bench.studies.loop_speed.study import LoopSpeedStudy  # noqa: PLC0415 - --help does without it
@@ -306,3 +337,26 @@ def loop_speed(
 
     paths = split_names(trajectories, "--trajectories")
     carry_out(LoopSpeedStudy(split_names(models, "--models"), paths, plant, scenario, repeats), out)
+
+
+def torque(
+    *,
+    out: Annotated[Path, out_option("report.html, torque.json, torque.md and figures/")],
+    quick: Annotated[bool, typer.Option("--quick", help="One floor and few turns, to see that it works.")] = False,
+    study: Annotated[Path | None, file_option("Study file", "--study")] = None,
+    surfaces: Annotated[
+        str | None,
+        typer.Option(metavar="NAMES", help="Floors, with commas between.", show_default="those of the study"),
+    ] = None,
+    jobs: Jobs = None,
+) -> None:
+    """What a turn costs: torque, least radius and energy, measured, learned and predicted; minutes on two cores."""
+    from diffdrive_mpc.bench.studies.torque import settings  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.studies.torque.study import TorqueStudy  # noqa: PLC0415
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+
+    asked = settings.load_study(study)
+    asked = settings.quick(asked) if quick else asked
+    if surfaces is not None:
+        asked = asked.model_copy(update={"surfaces": split_names(surfaces, "--surfaces")})
+    carry_out(TorqueStudy(asked), out, jobs)

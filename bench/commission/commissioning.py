@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -19,13 +19,16 @@ from diffdrive_mpc.bench.commission.settings import DriveSettings, commission_se
 from diffdrive_mpc.bench.studies.identification.first_drive import FIRST_CIRCLE
 from diffdrive_mpc.bench.studies.twin.report import PLANT
 from diffdrive_mpc.bench.tune.optuna_study import needs_optuna
+from diffdrive_mpc.bench.tune.tune_file import load_plan
+from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.identification.configuration import MODEL_FILE
 from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE
 from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.mpc.trajectories.model_excitation import Room
-from diffdrive_mpc.sim.plants.simulated_robot import ROBOTS, load_simulated_robot
+from diffdrive_mpc.sim.plants.simulated_robot import ROBOTS, SimulatedRobot, load_simulated_robot
 
 RESULT = "robot"
 """Folder of what is to be used: model, configuration, twin, proof, report."""
@@ -112,6 +115,14 @@ class NeedsAPersonError(DiffdriveMpcError):
     """The robot has to be driven before the next step; the message says how."""
 
 
+def _check_known(path: Path) -> None:
+    """Refuse what is no part of a robot file; its numbers are checked with those that the log tells."""
+    known = read_yaml(path)
+    keys = list(SimulatedRobot.model_fields)
+    if not isinstance(known, Mapping) or not set(known) <= set(keys):
+        raise ConfigError(f"--known {path}: it holds something else than what is known of a robot: {', '.join(keys)}")
+
+
 def commission(
     asked: Asked, out: Path, *, one: bool = False, on_step: Callable[[str, Done, bool], None] = lambda *_: None
 ) -> bool:
@@ -142,8 +153,14 @@ def commission(
     """
     if asked.robot is not None:
         load_simulated_robot(asked.robot)
+    if asked.known is not None:
+        _check_known(named_file("robot", ROBOTS, asked.known))
+    if asked.mapping is not None:
+        load_mapping(asked.mapping)
     if asked.tuned:
         needs_optuna()
+        if asked.plan is not None:
+            load_plan(Path(asked.plan))
     ledger, fresh = Ledger(out), list(asked.logs)
     for step in _steps(asked, out, ledger, fresh):
         key = key_of(step.name, step.options | commission_settings().gates.model_dump(), step.inputs)

@@ -46,7 +46,10 @@ def export_library(
     name = chosen_model(model, config)
     values = controller_config(name, None if config is None else str(config), single_settings(settings))
     reference = load_trajectory(trajectory)
-    with staged(out, files=(*FILES, README, REPORT), folders=FOLDERS) as folder, ProgressBar("exporting") as bar:
+    with (
+        staged(out, files=(*FILES, README, REPORT), folders=FOLDERS, owner="export") as folder,
+        ProgressBar("exporting") as bar,
+    ):
         exported = export_controller(values, reference, folder, Precision(precision))
         sizes = measure_sizes(folder)
         facts = {

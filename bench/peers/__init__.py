@@ -24,7 +24,10 @@ robot's delay; with "+slip" it makes up for the estimated side-slip too."""
 
 PEERS = dict.fromkeys(LAWS, "") | {
     "kanayama-plain": "kanayama.KanayamaController",
+    "rpp": "rpp.RegulatedPurePursuit",
     "do-mpc": "do_mpc.DoMpcController",
+    "rpp+stop": "seeing.PursuitThatStops",
+    "mppi+grid": "seeing.MppiWithGrid",
 }
 """Every peer to choose on the command line, by name: module and class, or one of `LAWS`. None has a model to choose."""
 

@@ -38,30 +38,30 @@ class MppiLaw:
 
     gains = MppiGains
 
-    def __init__(self, gains: MppiGains, robot: Delayed, samples: int = SAMPLES) -> None:
-        self._gains, self._dt, self._samples = gains, robot.sample_time, samples
+    def __init__(self, gains: MppiGains, robot: Delayed, samples: int = SAMPLES, steps: int = STEPS) -> None:
+        self._gains, self._dt, self._samples, self._steps = gains, robot.sample_time, samples, steps
         self._noise = np.array([gains.v_noise, gains.omega_noise], dtype=np.float32)
         self._most = np.array([robot.limits.v, robot.limits.omega], dtype=np.float32)
         self._lag = robot.time_constant
         decay = np.exp(-robot.sample_time / robot.time_constant)
-        steps = np.arange(STEPS + 1)
-        since = steps[:, None] - 1 - steps[None, :-1]
+        ends = np.arange(steps + 1)
+        since = ends[:, None] - 1 - ends[None, :-1]
         # Twist at the ends of all steps: what is left of the first, and what every command since has added.
-        self._left = (decay[:, None] ** steps).astype(np.float32)
+        self._left = (decay[:, None] ** ends).astype(np.float32)
         response = (1 - decay)[:, None, None] * np.where(since >= 0, decay[:, None, None] ** np.maximum(since, 0), 0.0)
         self._response = response.transpose(0, 2, 1).astype(np.float32)
 
     def start(self, reference: Reference) -> None:
         """Begin to track `reference`."""
         self._reference, self._random = reference, np.random.default_rng(_SEED)
-        self._plan = np.zeros((2, STEPS), dtype=np.float32)
+        self._plan = np.zeros((2, self._steps), dtype=np.float32)
 
     def decide(self, sight: Sight) -> FloatArray:
         """(2,) wanted v [m/s] and omega [rad/s]."""
         dt = self._dt
-        ahead = self._reference.sample(sight.time + dt * np.arange(1, STEPS + 1))
+        ahead = self._reference.sample(sight.time + dt * np.arange(1, self._steps + 1))
         wanted = self._feed_forward(sight)
-        noise = self._random.standard_normal((2, self._samples, STEPS), dtype=np.float32)
+        noise = self._random.standard_normal((2, self._samples, self._steps), dtype=np.float32)
         noise *= self._noise[:, None, None]
         noise[:, 0] = 0.0
         most = self._most[:, None, None]
@@ -75,9 +75,9 @@ class MppiLaw:
 
     def _feed_forward(self, sight: Sight) -> Floats32:
         """(2, N) commands without a deviation: the reference's twist, one lag ahead."""
-        times = sight.time + self._dt * np.arange(STEPS)
+        times = sight.time + self._dt * np.arange(self._steps)
         later = self._reference.sample(np.concatenate([times + lag for lag in self._lag])).twist
-        wanted = np.stack([later[:STEPS, 0], later[STEPS:, 1]]).astype(np.float32)
+        wanted = np.stack([later[: self._steps, 0], later[self._steps :, 1]]).astype(np.float32)
         wanted[:, 0] = sight.feed_forward
         return wanted
 
@@ -101,4 +101,11 @@ class MppiLaw:
         pose += gains.heading * (turned - goal) ** 2
         deviation = (commands - wanted[:, None]) / self._noise[:, None, None]
         steps = np.diff(deviation, axis=2)
-        return np.asarray(pose.sum(axis=1) + gains.smoothness * (steps * steps).sum(axis=(0, 2)), dtype=np.float32)
+        cost = pose.sum(axis=1) + gains.smoothness * (steps * steps).sum(axis=(0, 2))
+        beside = self._beside(sight, x, y, turned)
+        return np.asarray(cost if beside is None else cost + beside, dtype=np.float32)
+
+    def _beside(self, sight: Sight, x: Floats32, y: Floats32, turned: Floats32) -> Floats32 | None:
+        """(S,) what else a plan costs, by its poses (S, N) in the robot's frame of now; None for nothing."""
+        del sight, x, y, turned
+        return None

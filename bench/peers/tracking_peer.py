@@ -21,6 +21,7 @@ from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
 from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.schema import Limits
+from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.problem.formulas import formula
 
@@ -150,7 +151,8 @@ class TrackingPeer:
         began = time.perf_counter()
         if self._reference is None:
             raise RuntimeError("call start(reference, t0) before step")
-        estimate, since_start = self._estimator.step(t, measurement), t - self._t0
+        estimate = self._estimator.step(t, measurement)
+        since_start = self._since_start(t, estimate)
         wish, mode, message, took = np.zeros(2), "TRACKING", "", 0.0
         if estimate is None or not estimate.pose_age <= self._config.failure.max_pose_age:
             mode, message = "BRAKING", "no recent pose"
@@ -161,14 +163,25 @@ class TrackingPeer:
             motion = self._predictor.predict(estimate.pose, estimate.state, slip)
             sight = self._sight(self._reference, since_start, motion, slip if self._side_slip else Slip())
             thinking = time.perf_counter()
-            twist = self._law.decide(sight)
+            twist, message = self._allowed(self._law.decide(sight), sight)
             took = time.perf_counter() - thinking
+            mode = "BRAKING" if message else mode
             wish = np.array(self._feed_forward(twist, slip.flat, self._inverse_gain)).ravel()
         command = nearest_command(wish, self._config.limits, self._config.sample_time, self._last)
         self._estimator.sent(command)
         self._predictor.sent(command)
         self._last = command
         return PeerStep(command, mode, message, time.perf_counter() - began, took)
+
+    def _since_start(self, t: float, estimate: Estimate | None) -> float:
+        """Where on the reference's clock the robot is at `t` [s]."""
+        del estimate
+        return t - self._t0
+
+    def _allowed(self, twist: FloatArray, sight: Sight) -> tuple[FloatArray, str]:
+        """What becomes of the twist (2,) that the law wants, and why, or an empty text."""
+        del sight
+        return twist, ""
 
     def _sight(self, reference: Reference, since_start: float, motion: Motion, slip: Slip) -> Sight:
         sample = reference.sample(since_start + np.array([self._lead, *self._lag]))
@@ -190,9 +203,14 @@ def make_tracking_peer(name: str, gains: Gains | None = None, config: Controller
     kind = law_kind(name)
     config = config or load_config(MODEL)
     gains = gains or load_gains(name)
-    model = load_linear_model(MODEL)
-    robot = Delayed(config.sample_time, model.lag - model.dead_time, config.limits)
+    robot = delayed(config)
     return TrackingPeer(kind(gains, robot), gains.lead, side_slip=name.endswith("+slip"), config=config)
+
+
+def delayed(config: ControllerConfig) -> Delayed:
+    """What laws know of the robot of a configuration."""
+    model = load_linear_model(MODEL)
+    return Delayed(config.sample_time, model.lag - model.dead_time, config.limits)
 
 
 def law_kind(name: str) -> Any:  # noqa: ANN401 - each law has gains of its own type

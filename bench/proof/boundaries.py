@@ -48,7 +48,8 @@ class Boundary:
             return self.search.beyond if self.held != self.search.beyond else None
         if abs(self.failed - self.held) <= self.search.within:
             return None
-        return float(f"{0.5 * (self.held + self.failed):.9g}")
+        middle = float(f"{0.5 * (self.held + self.failed):.9g}")
+        return None if middle in self.values else middle  # no number of nine digits lies between
 
     def take(self, value: float, held: int, seeds: int) -> None:
         """Take what came of a value."""

@@ -7,8 +7,9 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from diffdrive_mpc.bench.campaign.campaign_file import Campaign, files_beside, whole_paths
+from diffdrive_mpc.bench.campaign.campaign_file import MOST_RUNS, Campaign, files_beside, whole_paths
 from diffdrive_mpc.bench.campaign.definition import check_factor
+from diffdrive_mpc.bench.case import check_count
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 
 DEFAULT = Path(__file__).with_name("default.yaml")
@@ -73,6 +74,13 @@ class Proof(Campaign):
         default_factory=dict, description="two factors at a time, by name, with the first seed of the probe"
     )
     boundaries: dict[str, Search] = Field(default_factory=dict, description="by factor")
+
+    @model_validator(mode="after")
+    def _can_be_driven(self) -> Proof:
+        mapped = sum(one.x.steps * one.y.steps for one in self.maps.values())
+        # A search ends at nine digits, after some thirty bisections.
+        check_count(self.runs + mapped + 30 * len(self.boundaries) * len(self.probe.seeds), MOST_RUNS)
+        return self
 
     @model_validator(mode="after")
     def _factors_exist(self) -> Proof:

@@ -78,6 +78,7 @@ class ProofStudy(Study[ProofPlan, Proven]):
 
     name = "prove"
     title = "Proof"
+    shared = True
 
     def __init__(self, config: str, proof: Proof, place: Place, runs: int | None = None, kept: int = 10) -> None:
         self._config, self._proof, self._place, self._runs, self._kept = config, proof, place, runs, kept

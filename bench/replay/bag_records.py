@@ -92,7 +92,9 @@ def _begin(
             "learned by then is not in it. Commands may differ until the estimate has settled, some seconds."
         )
     reference = None if drive.reference is None else TabledTrajectory.of(drive.reference)
-    return replace(tick, start=Start(reference, drive.t0, drive.reset), config=config if not drive.starts else None)
+    # Of a drive that is recorded from its middle nothing is there to go on from.
+    start = Start(reference, drive.t0, drive.reset, goes_on=drive.goes_on and not first)
+    return replace(tick, start=start, config=config if not drive.starts else None)
 
 
 def _numbered(records: Sequence[Any]) -> list[tuple[tuple[int, int], Any]]:

@@ -9,10 +9,12 @@ from diffdrive_mpc.bench.progress import output_console
 from diffdrive_mpc.bench.replay.replay_csv import NAME, write_replay
 from diffdrive_mpc.bench.replay.study import Asked, ReplayStudy, agreement
 from diffdrive_mpc.bench.study import carry_out
+from diffdrive_mpc.models.whole_file import check_not_read
 
 
 def replay_into(asked: Asked, out: Path) -> None:
     """Replay a log into the folder `out`, and say what was found; raises as `carry_out` does."""
+    check_not_read(out / NAME, f"--out {out / NAME}")
     with tempfile.TemporaryDirectory() as folder:
         found = carry_out(ReplayStudy(asked, Path(folder)), out)
         recording = found.plan.recording

@@ -93,7 +93,8 @@ def replay(
                 controller.reset()
             if tick.start.before is not None:
                 controller.overrule(tick.start.before)
-            controller.start(next(waiting), tick.start.t0)
+            begin = controller.relay if tick.start.goes_on else controller.start
+            begin(next(waiting), tick.start.t0)
         if tick.config is not None and as_recorded:
             controller.update(weights=tick.config.weights.model_dump(), limits=_changeable(tick.config))
         steps.append(controller.step(tick.time, tick.measurement, tick.hold))

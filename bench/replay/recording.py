@@ -26,6 +26,8 @@ class Start(NamedTuple):
     """Whether everything was forgotten before, for a robot that stands."""
     before: FloatArray | None = None
     """(K, 2) commands sent before it; None where the log does not hold them."""
+    goes_on: bool = False
+    """Whether it took the place of another reference in mid-drive, and nothing was forgotten."""
 
 
 @dataclass(frozen=True)

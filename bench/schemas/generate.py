@@ -19,17 +19,23 @@ from diffdrive_mpc.bench.schemas.variations import Schema, closed, only_what_dif
 from diffdrive_mpc.bench.studies.robustness.conditions import Conditions
 from diffdrive_mpc.bench.tune.tune_file import TunePlan
 from diffdrive_mpc.models.drives.drive_file import DRIVE_FILES
+from diffdrive_mpc.models.energy.drive_constants import DriveConstants
 from diffdrive_mpc.models.hybrids.hybrid_file import HybridFile
 from diffdrive_mpc.models.logs.mapping import LogMapping
 from diffdrive_mpc.models.networks.network_file import NetworkFile
 from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.models.terrain.terrain_file import Terrain
+from diffdrive_mpc.models.terrain.vehicle import Vehicle
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.monitor.rules import Rules
 from diffdrive_mpc.mpc.trajectories.segments import SegmentFile
 from diffdrive_mpc.mpc.trajectories.waypoints import WaypointFile
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, SimulatedRobot, digital_twin
 from diffdrive_mpc.sim.plants.surface import Surface
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
+from diffdrive_mpc.sim.worlds.settings import world_settings
+from diffdrive_mpc.sim.worlds.world import World
 
 
 def json_schema(kind: str) -> str:
@@ -57,6 +63,13 @@ def _trajectories() -> Schema:
     return {"title": "Trajectory", **TypeAdapter(SegmentFile | WaypointFile).json_schema()}
 
 
+def _worlds() -> Schema:
+    """What differs in sight from the shipped one is said; what movers do may be drawn, the rest is said."""
+    whole = only_what_differs(World.model_json_schema(), {"sight": world_settings().sight.model_dump()})
+    defs = whole["$defs"]
+    return {**whole, "$defs": {**defs, "Mover": with_draws({**defs["Mover"], "$defs": {}})}}
+
+
 def _with_factors(schema: type[BaseModel]) -> Callable[[], Schema]:
     """A campaign's factors are read one by one, each by what it is."""
 
@@ -75,13 +88,18 @@ def _with_factors(schema: type[BaseModel]) -> Callable[[], Schema]:
 
 _MADE: dict[str, Callable[[], Schema]] = {
     "controller": _as_it_is(ControllerConfig),
+    "monitor": _as_it_is(Rules),
     "trajectory": _trajectories,
     "model": _models,
     "mapping": _as_it_is(LogMapping),
+    "vehicle": _as_it_is(Vehicle),
+    "terrain": _as_it_is(Terrain),
+    "drive": _as_it_is(DriveConstants),
     "robot": lambda: only_what_differs(SimulatedRobot.model_json_schema(), digital_twin()),
     "surface": _as_it_is(Surface),
     "sensors": lambda: only_what_differs(SensorSet.model_json_schema(), load_sensor_set(DEFAULT).model_dump()),
     "scenario": lambda: with_draws(Scenario.model_json_schema()),
+    "world": _worlds,
     "campaign": _with_factors(Campaign),
     "proof": _with_factors(Proof),
     "tune": _with_factors(TunePlan),

@@ -60,6 +60,7 @@ KINDS: dict[str, Kind] = {
     kind.name: kind
     for kind in (
         Kind("controller", "mpc", "configuration of a controller", "--config", ("config/parameters/*.yaml",)),
+        Kind("monitor", "mpc", "rules of the monitor", "monitor --rules", ("monitor/rules/*.yaml",)),
         Kind("trajectory", "mpc", "path to follow", "--trajectory", ("trajectories/built_in/*.yaml",)),
         Kind(
             "model",
@@ -70,10 +71,14 @@ KINDS: dict[str, Kind] = {
             besides=("robot.yaml",),
         ),
         Kind("mapping", "models", "columns or topics of a log", "--mapping", ("logs/mappings/*.yaml",)),
+        Kind("vehicle", "models", "robot as the floor feels it", "load_vehicle", ("terrain/vehicles/*.yaml",)),
+        Kind("terrain", "models", "shear and slip of a floor", "load_terrain", ("terrain/terrains/*.yaml",)),
+        Kind("drive", "models", "motors and drivers", "load_drive_constants", ("energy/drives/*.yaml",)),
         Kind("robot", "sim", "simulated robot", "--plant mujoco:FILE", ("plants/robots/*.yaml",)),
         Kind("surface", "sim", "floor", "--surface", ("plants/surfaces/*.yaml",)),
         Kind("sensors", "sim", "sensor set", "--sensors", ("sensing/sensor_sets/*.yaml",)),
         Kind("scenario", "sim", "what happens to the robot", "--scenario", ("disturbances/scenarios/*.yaml",)),
+        Kind("world", "sim", "what stands and moves around the robot", "--world", ("worlds/shipped/*.yaml",)),
         Kind("campaign", "bench", "runs drawn from distributions", "campaign FILE"),
         Kind("proof", "bench", "campaign with maps and boundaries", "prove --campaign", ("proof/default.yaml",)),
         Kind("tune", "bench", "what is tuned, and on which runs", "tune --plan", ("tune/default.yaml",)),

@@ -22,6 +22,7 @@ from diffdrive_mpc.bench.tune.search import Search
 from diffdrive_mpc.bench.tune.tune_file import TunePlan, load_plan
 from diffdrive_mpc.bench.tune.verdict import Verdict, judge
 from diffdrive_mpc.models.checked_yaml import check
+from diffdrive_mpc.models.whole_file import check_not_read
 
 CONFIG = "config.yaml"
 
@@ -72,7 +73,7 @@ class TuneStudy(Study[Search, Tuned]):
         Those of `tune.search.Search`.
     """
 
-    name, title = "tune", "Tuning"
+    name, title, shared = "tune", "Tuning", True
 
     def __init__(self, config: str, plan: TunePlan, place: Place, storage: str = "", worker: int = 1) -> None:
         self._config, self._plan, self._place = config, plan, place
@@ -168,6 +169,7 @@ def tune(
     if points is not None:
         read = check(TunePlan, read.model_dump() | {"points": points}, "--points")
     folder = Path(out)
+    check_not_read(folder / CONFIG, f"--out {folder / CONFIG}")
     study = TuneStudy(str(config), read, Place(folder, workers, scheduler), storage, worker)
     tuned = carry_out(study, folder, workers)
     path = folder / CONFIG

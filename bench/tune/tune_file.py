@@ -9,10 +9,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from diffdrive_mpc.bench.campaign.campaign_file import Campaign, whole_paths
+from diffdrive_mpc.bench.campaign.campaign_file import MOST_RUNS, Campaign, whole_paths
 from diffdrive_mpc.bench.campaign.definition import Definition, check_factor
 from diffdrive_mpc.bench.campaign.draws import Value, read_factor
 from diffdrive_mpc.bench.campaign.stated import stated
+from diffdrive_mpc.bench.case import check_count
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.sim import Metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery
@@ -156,6 +157,15 @@ class TunePlan(StrictModel):
         judged = range(self.verdict.first_seed, self.verdict.first_seed + self.verdict.runs)
         if max(tuned.start, judged.start) < min(tuned.stop, judged.stop):
             raise ValueError(f"verdict.first_seed: seeds from {judged.start} on are those of the tuning; give others")
+        return self
+
+    @model_validator(mode="after")
+    def _can_be_driven(self) -> TunePlan:
+        # At least: each fidelity drives what the one before has kept.
+        kept = [-(-self.points // self.keep**k) for k in range(len(self.fidelities))]
+        searched = sum(points * of.runs for points, of in zip(kept, self.fidelities, strict=True))
+        alone = self.verdict.put_back * len(self.parameters)
+        check_count(searched + 2 * self.verdict.runs + alone, MOST_RUNS)
         return self
 
     def runs(self, of: Runs, count: int, told: Mapping[str, Value], factors: Mapping[str, object]) -> list[Definition]:

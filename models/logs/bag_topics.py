@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.input_file import MEGABYTE, read_input
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.bag_bounds import check_messages, within_bounds
 from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.models.logs.record import BoolArray
 
@@ -119,10 +121,13 @@ def opened(path: Path) -> Iterator[Reader]:
     from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log  # noqa: PLC0415
 
     try:
-        # The library takes no file in which a channel holds something else than ROS messages.
-        make = Reader1 if of_ros1(path) else DriveBag if is_drive_log(path) else Reader2
-        with make(path) as reader:
-            yield reader
+        with within_bounds(path) as there:
+            # The library takes no file in which a channel holds something else than ROS messages.
+            make = Reader1 if of_ros1(there) else DriveBag if is_drive_log(there) else Reader2
+            with make(there) as reader:
+                if isinstance(reader, Reader2):
+                    check_messages(path, reader)
+                yield reader
     except ConfigError:
         raise
     except Exception as error:  # a damaged file fails in as many ways as there are bytes
@@ -205,7 +210,8 @@ def _register(path: Path, store: Any, kind: str, definitions: Mapping[str, str])
 
     for name, file in definitions.items():
         try:
-            store.register(get_types_from_msg(Path(file).read_text(encoding="utf-8"), name))
+            text = read_input(Path(file), MEGABYTE).decode("utf-8")
+            store.register(get_types_from_msg(text, name))
         except Exception as error:  # the library's own, and those of reading
             raise ConfigError(f"{file}: cannot be read as the definition of {name} ({error})") from error
     if kind not in store.fielddefs:

@@ -15,7 +15,7 @@ from diffdrive_mpc.models.logs.clock_checks import drifting_clocks, require_one_
 from diffdrive_mpc.models.logs.long_logs import decimated, most_driven, needed_stride, subset
 from diffdrive_mpc.models.logs.mapping import LogMapping, Topic, Topics
 from diffdrive_mpc.models.logs.record import Finding, ranges
-from diffdrive_mpc.models.logs.sampling import RawLog, RawStretch, Signal, increasing, unwrapped, usual_step
+from diffdrive_mpc.models.logs.sampling import ABSURD, RawLog, RawStretch, Signal, increasing, unwrapped, usual_step
 
 if TYPE_CHECKING:
     from diffdrive_mpc.models.logs.bag_topics import Reader
@@ -138,7 +138,7 @@ def _times(path: Path, rows: dict[str, TopicRows], topics: Topics, findings: lis
 def _signal(path: Path, rows: TopicRows, time: FloatArray, topic: Topic, role: str, findings: list[Finding]) -> Signal:
     """One topic's messages in order of time, without those that are not finite or come out of order."""
     where = f"{path.name}, {rows.topic}, message "
-    finite = np.isfinite(rows.value).all(axis=1)
+    finite = (np.abs(rows.value) < ABSURD).all(axis=1)
     ordered = increasing(time)
     for good, kind, words in (
         (finite, "NaN rows", "messages are not finite"),

@@ -70,6 +70,7 @@ class CheckSettings(StrictModel):
     shortest_step: Positive = Field(description="sample time, below which rows are left out [s]")
     needed_step: Positive = Field(description="sample time that they are thinned to [s]")
     most_rows: int = Field(ge=1000, description="of a log that are used")
+    most_samples: int = Field(ge=1000, description="of all stretches together, evenly sampled")
     sample_times: tuple[Positive, Positive] = Field(description="shortest and longest of a log [s]")
     collinear: Share = Field(description="correlation of the two commands")
     pose_window: Positive = Field(description="over which poses are turned into speeds [s]")

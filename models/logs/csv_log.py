@@ -30,7 +30,7 @@ from diffdrive_mpc.models.logs.mapping import (
     load_mapping,
 )
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, ranges
-from diffdrive_mpc.models.logs.sampling import RawLog, RawStretch, Signal, increasing, unwrapped
+from diffdrive_mpc.models.logs.sampling import ABSURD, RawLog, RawStretch, Signal, increasing, unwrapped
 from diffdrive_mpc.models.wheels import WheelKinematics
 
 Rows = NDArray[np.intp]
@@ -95,7 +95,13 @@ class RowReader:
                 "or leave it "
                 "out of the mapping"
             )
+        values = np.where(np.abs(values) < ABSURD, values, np.nan)
         bad = np.isnan(values) & ~empty
+        if bad.all():
+            raise ConfigError(
+                f"{self.table.path}: column '{column.column}' holds no usable number in any row; name the right one, "
+                "or leave it out of the mapping"
+            )
         if bad.any():
             place = f"{self.table.path.name}, line {ranges(self.table.lines[bad])}"
             words = f"column '{column.column}' is not finite in {bad.sum()} rows; they are left out"
@@ -295,6 +301,13 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
     if columns.pose is not None:
         axes = (columns.pose.x, columns.pose.y, columns.pose.theta)
         add("pose", columns.pose, {"pose": np.column_stack([reader.column(axis)[0] for axis in axes])})
+    for field, sensor, names in (
+        ("battery", columns.battery, ("voltage", "current")),
+        ("motor_current", columns.motors, SIDES),
+    ):
+        if sensor is not None:
+            values = [reader.column(getattr(sensor, name))[0] for name in names]
+            add(field, sensor, {field: np.column_stack(values)})
     return signals
 
 

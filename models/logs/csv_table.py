@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import difflib
 import io
+from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,10 +19,14 @@ from diffdrive_mpc.models.input_file import open_input
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.growing import Growing
 from diffdrive_mpc.models.logs.record import BoolArray, Finding
+from diffdrive_mpc.models.plain_text import plain_line
 
 _SEPARATORS = ",;\t"
 _BLOCK = 1 << 24
 """Bytes that are parsed at a time."""
+_LONGEST_LINE, _MOST_COLUMNS = 1 << 20, 10_000
+# Characters of a cell that is no number.
+_SHOWN = 60
 
 
 @dataclass
@@ -69,9 +74,8 @@ class CsvTable:
             at = int(np.argmax(wrong))
             cell = next(word for word, number in self.words.items() if number == values[at])
             raise ConfigError(
-                f"{self.path}, line {self.lines[at]}, column '{name}': '{cell}' is no number; leave the cell "
-                "empty where a "
-                "reading is missing"
+                f"{self.path}, line {self.lines[at]}, column '{name}': '{plain_line(cell, _SHOWN)}' is no number; "
+                "leave the cell empty where a reading is missing"
             )
         empty = self.empty.get(name, np.zeros(len(values), dtype=bool))
         return np.where(np.isfinite(values), values, np.nan), empty
@@ -126,15 +130,15 @@ def read_table(path: Path, names: Collection[str]) -> CsvTable:
     findings: list[Finding] = []
     with _opened(path) as file:
         header, separator = _header(path, file)
-        twice = next((name for i, name in enumerate(header) if name in header[:i]), None)
-        if twice is not None:
+        if len(set(header)) < len(header):
+            twice = Counter(header).most_common(1)[0][0]
             raise ConfigError(f"{path}: column '{twice}' is there twice; rename one")
         wanted = [name for name in header if name in names]
         values: dict[str, Growing[np.float64]] = {name: Growing(np.float64) for name in wanted}
         missing: dict[str, Growing[np.bool_]] = {}
         line = 2
         try:
-            for text, last in _blocks(file):
+            for text, last in _blocks(path, file):
                 parsed = _quick(text, separator, header, wanted)
                 if parsed is None:
                     parsed = _careful(path, text, separator, header, wanted, line, words, findings if last else None)
@@ -166,21 +170,33 @@ def _opened(path: Path) -> BinaryIO:
 def _header(path: Path, file: BinaryIO) -> tuple[list[str], str]:
     """Names in the first line, and the separator."""
     try:
-        first = file.readline().decode("utf-8-sig")
+        first = _line(path, file).decode("utf-8-sig")
         if "\0" in first:
             raise ConfigError(f"{path}: cannot be read as CSV (it holds bytes that are no text)")
         separator = max(_SEPARATORS, key=first.count)
+        if first.count(separator) >= _MOST_COLUMNS:
+            raise ConfigError(
+                f"{path}: {first.count(separator) + 1:,} columns, at most {_MOST_COLUMNS:,}; is it a log?"
+            )
         return [name.strip() for name in next(csv.reader([first], delimiter=separator), [])], separator
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(f"{path}: cannot be read as CSV ({getattr(error, 'strerror', None) or error})") from error
 
 
-def _blocks(file: BinaryIO) -> Iterator[tuple[str, bool]]:
+def _line(path: Path, file: BinaryIO) -> bytes:
+    """The rest of a line; raises ConfigError where it does not end."""
+    line = file.readline(_LONGEST_LINE)
+    if len(line) == _LONGEST_LINE:
+        raise ConfigError(f"{path}: a line of more than {_LONGEST_LINE:,} bytes; is it a log?")
+    return line
+
+
+def _blocks(path: Path, file: BinaryIO) -> Iterator[tuple[str, bool]]:
     """Whole lines, a block at a time, and whether the block is the last."""
-    text = file.read(_BLOCK) + file.readline()
+    text = file.read(_BLOCK) + _line(path, file)
     while text:
         following = file.read(_BLOCK)
-        following += file.readline() if following else b""
+        following += _line(path, file) if following else b""
         yield text.decode("utf-8").replace("\r\n", "\n"), not following
         text = following
 

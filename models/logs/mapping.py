@@ -19,6 +19,8 @@ LengthUnit = Literal["m", "cm", "mm"]
 AngleUnit = Literal["rad", "deg"]
 SpeedUnit = Literal["m/s", "cm/s", "mm/s", "km/h"]
 RateUnit = Literal["rad/s", "deg/s", "rpm"]
+VoltageUnit = Literal["V", "mV"]
+CurrentUnit = Literal["A", "mA"]
 WheelUnit = Literal["rad/s", "deg/s", "rpm", "ticks/s", "ticks", "m/s"]
 
 FACTORS: dict[str, float] = {
@@ -38,6 +40,10 @@ FACTORS: dict[str, float] = {
     "rad/s": 1.0,
     "deg/s": math.pi / 180.0,
     "rpm": 2.0 * math.pi / 60.0,
+    "V": 1.0,
+    "mV": 1e-3,
+    "A": 1.0,
+    "mA": 1e-3,
 }
 """SI value of one of each unit. A wheel's ticks and rim speeds also need its ticks per turn or its radius."""
 
@@ -111,7 +117,21 @@ class WheelColumn(Column):
     sign: Sign = 1
 
 
-SignalColumn = LengthColumn | AngleColumn | SpeedColumn | RateColumn | WheelColumn
+class VoltageColumn(Column):
+    """A column of voltages."""
+
+    unit: VoltageUnit = "V"
+    sign: Sign = 1
+
+
+class CurrentColumn(Column):
+    """A column of currents; positive after `sign` where it drives the robot forward, or leaves the battery."""
+
+    unit: CurrentUnit = "A"
+    sign: Sign = 1
+
+
+SignalColumn = LengthColumn | AngleColumn | SpeedColumn | RateColumn | WheelColumn | VoltageColumn | CurrentColumn
 
 
 class _TwistOrWheels(StrictModel):
@@ -185,6 +205,20 @@ class PoseColumns(SensorColumns):
     theta: AngleColumn
 
 
+class BatteryColumns(SensorColumns):
+    """What the battery gives."""
+
+    voltage: VoltageColumn
+    current: CurrentColumn
+
+
+class MotorColumns(SensorColumns):
+    """Currents of the motors, of a side together."""
+
+    left: CurrentColumn
+    right: CurrentColumn
+
+
 class Columns(StrictModel):
     """The columns of a CSV file."""
 
@@ -198,6 +232,8 @@ class Columns(StrictModel):
     encoders: EncoderColumns | None = None
     gyro: GyroColumns | None = None
     pose: PoseColumns | None = None
+    battery: BatteryColumns | None = Field(None, description="for what the robot's energy is; nothing else needs it")
+    motors: MotorColumns | None = Field(None, description="for torques; nothing else needs it")
 
     @model_validator(mode="after")
     def _timed_and_measured(self) -> Self:
@@ -209,7 +245,7 @@ class Columns(StrictModel):
 
     def names(self) -> set[str]:
         """Names of all columns that the mapping uses."""
-        groups = [self.command, self.encoders, self.gyro, self.pose]
+        groups = [self.command, self.encoders, self.gyro, self.pose, self.battery, self.motors]
         parts = [part for group in groups if group is not None for _, part in group]
         names = {part.column for part in [self.time, *parts] if isinstance(part, Column)}
         return names | set(self.where) | ({self.segment} if self.segment else set())

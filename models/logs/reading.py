@@ -45,8 +45,9 @@ def read_log(path: str | Path, mapping: str | Path | None = None, sample_time: f
     Raises
     ------
     models.checked_yaml.ConfigError
-        If the file or the mapping cannot be read, names are missing, the times come from two clocks, or no stretch is
-        long enough. Commands that excite nothing, wrong signs and wrong units are findings of severity "error".
+        If the file or the mapping cannot be read, names are missing, the times come from two clocks, no stretch is long
+        enough, or pauses make the log too long to be sampled. Commands that excite nothing, wrong signs and wrong units
+        are findings of severity "error".
     """
     path = Path(path)
     if sample_time is not None and not (np.isfinite(sample_time) and sample_time > 0):
@@ -58,7 +59,7 @@ def read_log(path: str | Path, mapping: str | Path | None = None, sample_time: f
     raw = without_spikes(_raw(path, loaded), settings)
     period = usual_step([stretch.clock for stretch in raw.stretches])
     dt = sample_time or raw.sample_time or period
-    if not np.isfinite(dt):
+    if not (np.isfinite(dt) and np.isfinite(period)):
         raise ConfigError(f"{path}: no two rows follow each other in time; is the column of times the right one?")
     if odd := check_period(raw.name, period, settings):
         raise ConfigError(str(odd))
@@ -88,12 +89,19 @@ def _records(
     """The stretches that are long enough, and findings about gaps and those that are not."""
     records: list[Record] = []
     findings: list[Finding] = []
-    longest, end = 0, np.inf
+    longest, end, left = 0, np.inf, settings.most_samples
     for stretch in raw.stretches:
         for first, last in pieces(stretch, longest_step, times):
             if not times and first - end > longest_step:
                 findings.append(gap_finding(raw.name, end, first, settings))
             end = last
+            left -= int(min((last - first) / dt + 1, 2 * settings.most_samples))
+            if left < 0:
+                raise ConfigError(
+                    f"{raw.name}, {first:.1f} to {last:.1f} s: sampled every {dt:.3g} s, the log is more than "
+                    f"{settings.most_samples:,} samples; give a shorter 'gap' in the mapping "
+                    f"(now {longest_step:.3g} s), other 'times', or a longer sample time"
+                )
             record = resample(raw.name, stretch, first, last, dt, settings)
             count = 0 if record is None else len(record.command)
             longest = max(longest, count)

@@ -59,6 +59,10 @@ class Record:
         (K, 4) front left, front right, rear left, rear right [rad/s]; None where the log has not all four.
     wheel_commands
         (K, 2) commanded wheel speeds left, right [rad/s]; None where the log commands (v, omega).
+    battery
+        (K, 2) voltage [V], current [A] of the battery, NaN without a reading near; None where it is not logged.
+    motor_current
+        (K, 2) current of the motors left, right [A], of a side together, NaN without one near; None if not logged.
     fresh_twist, fresh_yaw_rate, fresh_pose
         (K,) True where a reading of the encoders (twist and wheels), the gyro, the pose falls on the sample.
 
@@ -78,6 +82,8 @@ class Record:
     wheels: FloatArray | None = None
     wheel_speeds: FloatArray | None = None
     wheel_commands: FloatArray | None = None
+    battery: FloatArray | None = None
+    motor_current: FloatArray | None = None
     fresh_twist: BoolArray | None = None
     fresh_yaw_rate: BoolArray | None = None
     fresh_pose: BoolArray | None = None
@@ -87,6 +93,10 @@ class Record:
         if not (np.isfinite(self.dt) and self.dt > 0):
             raise ValueError(f"record '{self.name}': sample time {self.dt} s; it must be positive and finite")
         count = len(self.command)
+        for name in ("battery", "motor_current"):
+            value = getattr(self, name)
+            if value is not None and value.shape != (count, 2):
+                raise ValueError(f"record '{self.name}': {name} has shape {value.shape}, expected {(count, 2)}")
         for name in ("command", "wheel_commands", *_MASKS):
             value = getattr(self, name)
             if value is None:

@@ -12,6 +12,9 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
 from diffdrive_mpc.models.logs.record import BoolArray, Finding, Record
 
+ABSURD = 1e20
+"""No reading is as large in any unit, counts of ticks included; what is would overflow where it is squared."""
+
 
 @dataclass(frozen=True)
 class Signal:
@@ -196,6 +199,7 @@ def resample(
         part = signal.between(first - tolerance, last + tolerance)
         values, fresh = sample(part, grid, dt, tolerance, reach)
         sampled[field] = values[:, 0] if field == "yaw_rate" else values
-        sampled[f"fresh_{field}" if field in ("yaw_rate", "pose") else "fresh_twist"] = fresh
+        if field not in ("battery", "motor_current"):
+            sampled[f"fresh_{field}" if field in ("yaw_rate", "pose") else "fresh_twist"] = fresh
     place = f"{name}, {start:.1f} to {grid[-1]:.1f} s"
     return Record(name=place, start=start, dt=dt, **sampled)

@@ -121,6 +121,8 @@ class DriveRecord:
         The whole configuration, keys and values as in its file.
     model
         Text of the file of the model where that is no shipped one; empty otherwise.
+    goes_on
+        Whether a start took the place of another reference in mid-drive, and nothing was forgotten.
     """
 
     number: int
@@ -130,6 +132,7 @@ class DriveRecord:
     reference: Mapping[str, Any] | None
     config: Mapping[str, Any]
     model: str = ""
+    goes_on: bool = False
 
     def line(self) -> str:
         """The record as a line."""
@@ -141,7 +144,7 @@ class DriveRecord:
         data = _parsed(line)
         try:
             names = ("number", "starts", "reset", "t0", "reference", "config", "model")
-            return cls(**{name: data[name] for name in names})
+            return cls(**{name: data[name] for name in names}, goes_on=bool(data.get("goes_on", False)))
         except (KeyError, TypeError) as error:
             raise TickRecordError(f"no record of a drive ({error})") from error
 

@@ -4,13 +4,24 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from diffdrive_mpc.models.checked_yaml import StrictModel
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 
+SMALLEST, LARGEST = 1e-12, 1e12
+"""Sizes of numbers in a configuration, in whatever unit: beyond them is a mistake, and arithmetic would suffer."""
+
 
 class Group(StrictModel, strict=True):
     """Base of every group: no silent conversion, so that `true` is not taken for 1."""
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _can_be_squared(cls, value: object) -> object:
+        """Zero, or of a size that products of such numbers neither overflow nor vanish."""
+        if isinstance(value, float) and value != 0.0 and not SMALLEST <= abs(value) <= LARGEST:
+            raise ValueError(f"give zero or a size from {SMALLEST:g} to {LARGEST:g}, in the unit of the field")
+        return value

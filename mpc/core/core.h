@@ -323,6 +323,10 @@ int ddmpc_configure(ddmpc_controller *controller, const ddmpc_constants *constan
 /* Track `reference` from now on; its time 0 is `t0` [s]. The robot may be moving. Returns 0, and changes nothing, if
    `t0` or the duration is not finite. */
 int ddmpc_start(ddmpc_controller *controller, const ddmpc_reference *reference, ddmpc_time t0);
+/* Go on along `reference` in the place of the one under way: that one laid elsewhere, or another one. Its time 0 is `t0`
+   [s]. Estimate, plan and fence stay. Returns 0, and changes nothing, if there is none under way, or `t0` or the duration
+   is not finite. */
+int ddmpc_relay(ddmpc_controller *controller, const ddmpc_reference *reference, ddmpc_time t0);
 /* Forget estimate, plan and commands, for a robot that stands still. The reference stays. */
 void ddmpc_reset(ddmpc_controller *controller);
 /* Forget the estimate and the plan, keep the commands on their way. */

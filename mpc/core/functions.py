@@ -38,7 +38,9 @@ def generated_functions(model: VelocityModel | NonlinearModel, terms: Sequence[T
     functions: list[ca.Function] = []
     if isinstance(model, NonlinearModel) and built_in(model) is None:
         functions += [user_step(model.step, STEP), user_output(model.output, OUTPUT, model.order)]
-    functions += [user_term(term.function, term_name(index)) for index, term in enumerate(terms)]
+    functions += [
+        user_term(term.function, term_name(index)) for index, term in enumerate(terms) if not _symbol_of(term)
+    ]
     return generate(functions, "ddmpc_user", "the user's functions") if functions else None
 
 
@@ -69,6 +71,16 @@ def compile_functions(
     elif isinstance(model, NonlinearModel):
         step_and_output = address(STEP), address(OUTPUT)
     places = parameter_places(terms)
+
+    def of_term(index: int, term: Term) -> Any:  # noqa: ANN401 - cffi has no types
+        symbol = _symbol_of(term)
+        return ffi.addressof(core, symbol) if symbol else address(term_name(index))
+
     return step_and_output, [
-        (address(term_name(index)), term.rows, term.soft, places[term.name].start) for index, term in enumerate(terms)
+        (of_term(index, term), term.rows, term.soft, places[term.name].start) for index, term in enumerate(terms)
     ]
+
+
+def _symbol_of(term: Term) -> str:
+    """Name of a shipped term's function in the core; empty for one of the user."""
+    return str(getattr(term, "symbol", ""))

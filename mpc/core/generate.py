@@ -14,6 +14,7 @@ import casadi as ca
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.problem.formulas import formulas
+from diffdrive_mpc.mpc.problem.half_space import half_space_formula
 from diffdrive_mpc.mpc.problem.network_formulas import network_formulas
 
 _SIGNATURE = "int {name}(const real **arg, real **res, long long *iw, real *w, int mem)"
@@ -109,6 +110,11 @@ def generate_formulas() -> GeneratedC:
 def generate_network_formulas() -> GeneratedC:
     """C of the formulas of a network's units, `models/networks/equations.py`."""
     return generate_inline(network_formulas(), "ddmpc_network_formulas", "models/networks/equations.py")
+
+
+def generate_half_space() -> GeneratedC:
+    """C of the term that keeps a plan on its side of a plane, `mpc/problem/half_space.py`."""
+    return generate((half_space_formula(),), "ddmpc_half_space", "mpc/problem/half_space.py")
 
 
 def generate(functions: Sequence[ca.Function], stem: str, origin: str) -> GeneratedC:

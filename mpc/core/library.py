@@ -19,7 +19,7 @@ from diffdrive_mpc.models.compiled.compiler import NATIVE, NotCompiledError, bui
 from diffdrive_mpc.models.compiled.packaged import load_library
 from diffdrive_mpc.mpc.core.generate import GeneratedC
 from diffdrive_mpc.mpc.core.packaged import packaged_libraries
-from diffdrive_mpc.mpc.core.sources import core_declarations, core_origin, core_texts, shared_headers
+from diffdrive_mpc.mpc.core.sources import core_declarations, core_origin, library_texts, shared_headers
 
 _FUNCTION = "int {name}(const real **, real **, long long *, real *, int);"
 
@@ -35,7 +35,7 @@ def load_core() -> tuple[cffi.FFI, Any]:
     """
 
     def build(folder: Path) -> Path:
-        return build_library(core_texts(), folder, NATIVE)
+        return build_library(library_texts(), folder, NATIVE)
 
     made_of = {"core": core_origin(), "casadi": ca.CasadiMeta.version()}
     complaint = "the controller's core is not compiled: {}, which holds the core"

@@ -78,6 +78,17 @@ int ddmpc_start(ddmpc_controller *c, const ddmpc_reference *reference, ddmpc_tim
     return 1;
 }
 
+int ddmpc_relay(ddmpc_controller *c, const ddmpc_reference *reference, ddmpc_time t0)
+{
+    if (!c->has_reference || !isfinite(t0) || !isfinite(reference->duration))
+        return 0;
+    /* Another one is not finished because the one before was. */
+    c->finished = c->finished && t0 == c->t0;
+    c->reference = *reference;
+    c->t0 = t0;
+    return 1;
+}
+
 /* The nearest command inside `share` of range, and inside `step` of the last one. */
 static void clip(const ddmpc_controller *c, const real wanted[2], real share, const real step[2], real command[2])
 {
@@ -553,6 +564,9 @@ int ddmpc_step(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
         c->result.notes = 0;
         ddmpc_estimator_update(c, t, input);
         c->result.reasons = DDMPC_TIME_REPEATED;
+        /* What was sent, if somebody else has decided that meanwhile: to repeat another would be a leap. */
+        if (c->result.mode != DDMPC_STOPPED)
+            memcpy(c->result.command, c->last, sizeof c->last);
         return DDMPC_DONE;
     }
     clear(&c->result);

@@ -127,6 +127,16 @@ class Tick:
         shape = (self._sizes["steps"] + 1, self._sizes["parameters"])
         return self.view(self.lib.ddmpc_parameters(self.c), shape) if shape[1] else np.zeros(shape)
 
+    @property
+    def window(self) -> int:
+        """Commands that may be on their way."""
+        return self._sizes["window"]
+
+    @property
+    def last_command(self) -> FloatArray:
+        """(2,) the last command sent, a copy."""
+        return self.view(self.lib.ddmpc_last_command(self.c), (2,)).copy()
+
     def overrule(self, commands: FloatArray) -> None:
         """Take what was sent from `commands` (K, 2), finite, in place of the last K."""
         given = np.ascontiguousarray(commands, dtype=float)

@@ -84,6 +84,11 @@ def export_controller(
         backend at every tick.
     """
     _check(config.solver)
+    if config.free_space.enabled:
+        raise ConfigError(
+            "free_space.enabled: an exported controller sees no surroundings; set it to false, and keep the robot "
+            "clear of things by other means"
+        )
     chosen = chosen_model(config, model)
     everything = all_terms(config.terms, terms)
     # Off its path an exported controller chases the reference, or brakes.

@@ -18,8 +18,8 @@ from diffdrive_mpc.mpc.reentry.options import Course
 from diffdrive_mpc.mpc.reentry.path_window import PathWindow
 from diffdrive_mpc.mpc.reentry.reference_clock import ReferenceClock
 from diffdrive_mpc.mpc.reentry.rejoin import Rejoin
-from diffdrive_mpc.mpc.reentry.target import Target, TooFar
-from diffdrive_mpc.mpc.reentry.way_back import rejoin
+from diffdrive_mpc.mpc.reentry.target import Standing, Target, TooFar
+from diffdrive_mpc.mpc.reentry.way_back import Room, rejoin
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 
 # Steps of the window in samples of the controller.
@@ -29,6 +29,8 @@ _NOW = np.zeros(1)
 # Share of what the wheels reach that the reference may ask for: the rest is for holding the path. How far ahead it is
 # looked for [s].
 _USABLE, _LOOK = 0.85, 0.6
+# Share of a speed limit that the reference may ask for: the rest is for holding the path.
+_KEPT = 0.95
 # The band is no narrower than the deviation of the position times this.
 _UNSURE = 3.0
 
@@ -65,6 +67,11 @@ class Pursuit:
         self._reference: Reference | None = None
         self._native = False
         self._top = (0.0, 0.0)
+        self._speed_limit = math.inf
+        self.pace = math.inf
+        """Largest progress rate for what lies ahead, set before each tick [-]."""
+        self.room: Room | None = None
+        """Where the robot may be on its way back, set before each tick; None: everywhere."""
         self.configure(config)
         self.restart()
 
@@ -73,10 +80,14 @@ class Pursuit:
         self._config, self._settings = config, config.reentry
         self._fastest = self._fastest_rate()
 
+    def limit_speed(self, v: float | None) -> None:
+        """Go through the reference no faster than at a forward speed `v` [m/s] from now on; None: at any speed."""
+        self._speed_limit = math.inf if v is None else v
+
     def start(self, reference: Reference, *, native: bool) -> None:
         """Follow `reference` from now on; `native` says whether the core can sample it by itself."""
         self._reference, self._native = reference, native
-        samples = min(int(reference.duration / self._config.sample_time) + 2, _MOST_SAMPLES)
+        samples = int(min(reference.duration / self._config.sample_time + 2.0, _MOST_SAMPLES))
         twist = reference.sample(np.linspace(0.0, reference.duration, samples)).twist
         v, omega = np.abs(twist).max(axis=0).tolist()
         self._top = (v, omega)
@@ -92,12 +103,18 @@ class Pursuit:
         self._driving, self._resumes = True, False
         self._time = -math.inf
 
+    def relay(self, reference: Reference, *, native: bool) -> None:
+        """Follow `reference`, which is the one followed laid elsewhere; a way back led to where it was."""
+        self._reference, self._native = reference, native
+        self._way_back = None
+
     @property
     def on_time(self) -> bool:
         """Whether the robot may follow the reference as it stands, unless it has left its path since."""
         if not self._settings.enabled:
             return self._native
-        return self._native and self._driving and self._way_back is None and self._clock.on_time
+        free = self._top[0] <= _KEPT * self._speed_limit
+        return self._native and self._driving and self._way_back is None and self._clock.on_time and free
 
     def passed(self, since_start: float, *, followed: bool) -> None:
         """A tick at `since_start` [s] went by on time; `followed` says whether the robot was driving."""
@@ -118,6 +135,20 @@ class Pursuit:
     def delay(self) -> float:
         """How far the reference's clock is behind the controller's [s]."""
         return self._clock.delay
+
+    @property
+    def reference(self) -> Reference | None:
+        """What is pursued: the reference, or the way back to it."""
+        return self._way_back or self._reference
+
+    @property
+    def time(self) -> float:
+        """Time of the reference at the last tick [s]; minus infinity before the first."""
+        return self._time
+
+    def stand(self) -> None:
+        """Somebody else has braked: the reference waits until it is followed again."""
+        self._driving = False
 
     def advance(self, since_start: float) -> float:
         """Go on to `since_start` [s] of the controller; returns the reference's time [s].
@@ -160,8 +191,9 @@ class Pursuit:
         off, v = self._stray(sample)
         if off.outside:
             found = self._return(reference, time, since_start, estimate)
-            if isinstance(found, TooFar):
-                return found
+            if isinstance(found, TooFar | Standing):
+                no_way = "no way: nothing free leads back to the path; waits"
+                return Target(found, since_start, no_way) if isinstance(found, Standing) else found
             if found is not None:
                 self._way_back = followed = found
                 time = found.begins
@@ -173,7 +205,9 @@ class Pursuit:
         self._driving = True
         late = float(off.late)
         within = self._within_reach(reach, sample.twist[ahead <= _LOOK])
-        most = min(self._fastest * min(1.0, max(0.0, 2.0 - late)), within)
+        most = min(self._fastest * min(1.0, max(0.0, 2.0 - late)), within, self.pace)
+        if math.isfinite(self._speed_limit):
+            most = min(most, self._within_limit(float(np.abs(sample.twist[ahead <= _LOOK, 0]).max())))
         self._clock.plan(most, catch_up=self._way_back is None)
         if late <= 1.0 and self._way_back is None:
             self._blocked.restart()
@@ -181,6 +215,8 @@ class Pursuit:
                 return Target(followed, time, sample=sample)
         still = self._blocked.look(since_start, estimate.pose) if late > 1.0 or self._way_back else 0.0
         words = self._words(still)
+        if self._top[0] > _KEPT * self._speed_limit:
+            words = "; ".join(filter(None, [f"limited to {self._speed_limit:.2f} m/s", words]))
         if within < 1.0:
             words += f"; the wheels get no faster than {reach:.2f} m/s"
         return Target(self._clock.clocked(followed), since_start, words, still)
@@ -191,6 +227,12 @@ class Pursuit:
             return math.inf
         needed = float((np.abs(twist) @ [1.0, 0.5 * self._config.wheels.track]).max())
         return _USABLE * reach / max(needed, STANDING)
+
+    def _within_limit(self, fastest: float) -> float:
+        """Progress rate for a reference that is soon as fast as `fastest` [m/s]; it falls as gently as robots brake."""
+        fastest = max(fastest, STANDING)
+        slowed = self._clock.rate - self._settings.v_acceleration / fastest * self._config.sample_time
+        return max(_KEPT * self._speed_limit / fastest, slowed)
 
     def _chase(self, reference: Reference, time: float, estimate: Estimate) -> Target | TooFar:
         """The reference on time, whatever the robot does."""
@@ -210,8 +252,11 @@ class Pursuit:
 
     def _return(
         self, reference: Reference, time: float, since_start: float, estimate: Estimate
-    ) -> Rejoin | TooFar | None:
-        """A way back; None if the robot is on its path after all, only earlier or later than the reference."""
+    ) -> Rejoin | TooFar | Standing | None:
+        """A way back; standing where there is room for none.
+
+        None if the robot is on its path after all, only earlier or later than the reference.
+        """
         settings = self._settings
         window = PathWindow.around(reference, time, settings.window, _WINDOW_STEP * self._config.sample_time)
         here = window.nearest(estimate.pose, time)
@@ -235,7 +280,10 @@ class Pursuit:
             since_start,
             (settings.look_ahead_min, settings.look_ahead_max),
             self._limits(),
+            self.room,
         )
+        if found is None:
+            return Standing(estimate.pose)
         if beside or not (aside or displaced):
             reason = f"outside the band by {max(0.0, distance - band):.2f} m"
         else:
@@ -254,7 +302,7 @@ class Pursuit:
         settings, limits = self._settings, self._config.limits
         cruise = settings.max_progress * self._top[0] if self._top[0] > STANDING else limits.v
         return TrajectoryLimits(
-            v=min(cruise, settings.effort * limits.v),
+            v=min(cruise, settings.effort * limits.v, _KEPT * self._speed_limit),
             omega=settings.effort * limits.omega,
             v_acceleration=settings.v_acceleration,
             omega_acceleration=settings.omega_acceleration,

@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from diffdrive_mpc.models.interface import Reference, ReferenceSample
+import numpy as np
+from numpy.typing import ArrayLike
+
+from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 
 
 class Target(NamedTuple):
@@ -28,6 +31,20 @@ class Target(NamedTuple):
     message: str = ""
     blocked_for: float = 0.0
     sample: ReferenceSample | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """Satisfies `models.interface.Reference`: standing at `pose` (3,), for a robot that has no way back to its path."""
+
+    pose: FloatArray
+    name: str = "standing"
+    duration: float = 0.0
+
+    def sample(self, times: ArrayLike) -> ReferenceSample:
+        """The same at all `times` (n,) [s]."""
+        count = np.asarray(times, dtype=float).size
+        return ReferenceSample(np.tile(self.pose, (count, 1)), np.zeros((count, 2)), np.zeros(count))
 
 
 @dataclass(frozen=True)

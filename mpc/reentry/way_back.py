@@ -7,7 +7,10 @@ limits, and the cheapest is taken: in time, in delay of the reference's clock, a
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc.reentry.motion_line import SAME_PLACE, MotionLine, turning_times
@@ -36,6 +39,11 @@ _ACROSS = 20.0
 # the spot [-].
 _TOO_TIGHT = 100.0
 _ON_THE_SPOT = 100.0
+# Every so many nodes of a path it is looked at whether there is room, and at so many headings of a turn on the spot.
+_LOOKED_AT, _HEADINGS = 4, 5
+
+Room = Callable[[FloatArray], NDArray[np.bool_]]
+"""Whether there is room for the robot at poses (k, 3)."""
 
 
 def rejoin(
@@ -46,7 +54,8 @@ def rejoin(
     since_start: float,
     look_ahead: tuple[float, float],
     limits: TrajectoryLimits,
-) -> Rejoin:
+    room: Room | None = None,
+) -> Rejoin | None:
     """Connect the robot to `reference`.
 
     Parameters
@@ -61,6 +70,13 @@ def rejoin(
         Least and largest distance along the path to the point of rejoining [m].
     limits
         Speed and acceleration limits of the connection.
+    room
+        Where the robot may be, if not everywhere.
+
+    Returns
+    -------
+    Rejoin or None
+        The cheapest connection; None if there is room for none.
     """
     options = all_options(window, here, course, look_ahead, limits)
     paths = quintic_paths(options.start, options.start_curvature, options.end, options.end_curvature, _NODES)
@@ -83,6 +99,10 @@ def rejoin(
         turns = np.abs(options.first_turn) + np.abs(options.last_turn)
         tightest = np.abs(paths.curvature).max(axis=1)
         cost += _TOO_TIGHT * (np.maximum(0.0, tightest * limits.least_turn_radius - 1.0) + _ON_THE_SPOT * turns)
+    if room is not None:
+        cost[:, ~_has_room(options, paths, room)] = np.inf
+        if not np.isfinite(cost).any():
+            return None
     pace, best = (int(index) for index in np.unravel_index(np.argmin(cost), cost.shape))
 
     line = MotionLine(course.pose)
@@ -95,6 +115,20 @@ def rejoin(
     connection = line.trajectory(reference.name, float(window.pose[end, 2]))
     length = float(connection.sample([connection.duration]).arc_length[0])
     return Rejoin(connection, reference, float(window.times[end]), length)
+
+
+def _has_room(options: Options, paths: Paths, room: Room) -> NDArray[np.bool_]:
+    """(C,) whether there is room along each motion: its path, and the turns on the spot at its ends."""
+    back = np.where(options.travel > 0, 0.0, np.pi)[:, None]
+    points, heading = paths.points[:, ::_LOOKED_AT], paths.heading[:, ::_LOOKED_AT] - back
+    share = np.linspace(0.0, 1.0, _HEADINGS)
+    begins = options.start[:, 2:] - back + (share - 1.0) * options.first_turn[:, None]
+    ends = options.end[:, 2:] - back + share * options.last_turn[:, None]
+    parts = [(points, heading)]
+    for place, turning in ((options.start, begins), (options.end, ends)):
+        parts.append((np.repeat(place[:, None, :2], _HEADINGS, axis=1), turning))
+    poses = np.concatenate([np.concatenate([where, angle[..., None]], axis=2) for where, angle in parts], axis=1)
+    return np.asarray(room(poses.reshape(-1, 3)).reshape(poses.shape[:2]).all(axis=1))
 
 
 def _price_of_distance(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
@@ -16,9 +18,15 @@ from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.latency import LoopTimes
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.ros.transforms.frames import Placement
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
-from diffdrive_mpc.mpc.trajectories.moved import starting_at
+from diffdrive_mpc.mpc.trajectories.moved import MovedReference, starting_at
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
+
+HELD = "held; call hold with false to let go"
+
+# A frame that has moved by less is where it was: at the robot [m], a radian counting as a metre.
+_STAYS = 1e-4
 
 
 class LoopState(StrEnum):
@@ -50,11 +58,15 @@ class Asked:
 
 @dataclass(frozen=True)
 class Begun:
-    """A start of the controller: the reference as it was placed, its time 0 [s], and whether a reset came before."""
+    """A start of the controller: the reference as it was placed, its time 0 [s], and whether a reset came before.
+
+    Where it `goes_on`, it took the place of another one in mid-drive, and nothing was forgotten.
+    """
 
     reference: Reference
     t0: float
     reset: bool
+    goes_on: bool = False
 
 
 @dataclass(frozen=True)
@@ -102,6 +114,23 @@ class ControlLoop:
         What to drive along until another reference is offered; None: nothing.
     in_sim_time
         Whether the period is to be judged by the node's clock instead of the computer's.
+    held
+        Whether it begins held, see `hold`.
+
+    Attributes
+    ----------
+    state
+        What it does; a hold does not change it.
+    held
+        Whether the robot is kept from moving, whatever the state.
+    objection
+        Why the robot must not drive, by the node around the loop: it brakes as for stale odometry. Empty: it may.
+    relaid
+        How often the reference under way was laid anew, as its frame lay elsewhere.
+    warning
+        What else is out of the ordinary around the loop, for diagnostics.
+    blocked
+        Whether it paused because the robot was blocked.
     """
 
     def __init__(
@@ -112,6 +141,7 @@ class ControlLoop:
         trajectory: Reference | None,
         *,
         in_sim_time: bool,
+        held: bool = False,
     ) -> None:
         self._controller, self._settings, self.inbox = controller, settings, inbox
         self._steady: Callable[[], float] = (lambda: self.inbox.now) if in_sim_time else time.perf_counter
@@ -121,28 +151,92 @@ class ControlLoop:
         self._reason = ""
         self._begin_when_ready = settings.drive_on_activate
         self._reference = trajectory
+        self._placement: Placement | None = None
+        self._laid: MovedReference | None = None
+        self._lost = ""
+        self.relaid = 0
         self._moves_to_robot = settings.start_at_robot
+        self._next: tuple[Reference, float | None] | None = None
+        self._set_aside: tuple[Reference | None, Placement | None, bool] | None = None
+        self.blocked = False
         self.begun: Begun | None = None
+        self.held = held
+        self.objection = self.warning = ""
         self._asked = 0
         # So it is when the node is activated.
         self._was_reset = True
         self.last: Tick | None = None
 
-    def offer(self, reference: Reference) -> None:
+    @property
+    def speed_limit(self) -> float | None:
+        """Limit of the speed from outside [m/s]; None where there is none."""
+        return self._controller.speed_limit
+
+    def offer(self, reference: Reference, placement: Placement | None = None) -> None:
         """Take `reference` for the next start, or at once where the robot drives or shall drive as one arrives.
+
+        With `placement` it is stated in another frame than that of control, and goes where that lies.
 
         Raises
         ------
         ValueError
-            If it is faster than the limits.
+            If it is faster than the limits, or it is not known where it lies.
         """
         self._check_speeds(reference)
+        if placement is not None:
+            placement.motion()
         # It states its frame, so it stays where it is.
-        self._reference, self._moves_to_robot = reference, False
+        self._reference, self._placement, self._moves_to_robot = reference, placement, False
         if self.state is LoopState.DRIVING:
-            self._start_controller(reference)
+            self._next = self._set_aside = None
+            self._start_controller(reference, self.inbox.now)
         elif self._settings.drive_on_reference and self.state is LoopState.IDLE:
             self._begin_when_ready = True
+
+    def follow(self, reference: Reference, t0: float | None = None) -> None:
+        """Drive along `reference` from the next tick on that has a pose, whatever it does now, until `release`.
+
+        Parameters
+        ----------
+        reference
+            Stays where it is.
+        t0
+            Its time 0 on the controller's clock [s]; None: when it begins.
+
+        Raises
+        ------
+        ValueError
+            If measurements are missing, or it is faster than the limits.
+        """
+        missing = self.missing()
+        if missing:
+            raise RefusedError(missing)
+        self._check_speeds(reference)
+        self._next = (reference, t0)
+
+    def brake(self, reason: str) -> None:
+        """Brake and stand, from whatever it does; nothing else."""
+        self._next, self._begin_when_ready = None, False
+        if self.state in (LoopState.DRIVING, LoopState.PAUSED):
+            self.state, self._reason = LoopState.PAUSED, reason
+
+    def release(self) -> None:
+        """Stand idle after `follow`, with the reference of before; a fault stays one."""
+        self._next, self._begin_when_ready, self.blocked = None, False, False
+        if self._set_aside is not None:
+            (self._reference, self._placement, self._moves_to_robot), self._set_aside = self._set_aside, None
+        if self.state is not LoopState.FAULT:
+            self.state, self._reason = LoopState.IDLE, ""
+
+    def whereabouts(self) -> tuple[FloatArray, tuple[float, float]] | None:
+        """Pose (3,) of the robot and its twist [m/s, rad/s], as far as is known; None where it is not."""
+        if self.missing():
+            return None
+        result = None if self.last is None else self.last.result
+        if result is not None and result.estimate is not None:
+            return result.estimate.pose.copy(), (float(result.estimate.twist[0]), float(result.estimate.twist[1]))
+        pose = self.inbox.newest_pose
+        return None if pose is None else (np.array(pose.value, dtype=float), (0.0, 0.0))
 
     def start(self) -> str:
         """Begin to drive with the next tick, or drive on after a pause; returns what it does.
@@ -154,8 +248,8 @@ class ControlLoop:
         """
         if self.state is LoopState.PAUSED:
             self._refuse_if_missing()
-            self.state, self._reason = LoopState.DRIVING, ""
-            return "drives on"
+            self.state, self._reason, self.blocked = LoopState.DRIVING, "", False
+            return f"drives on{self._once_let_go()}"
         standing = self.last is not None and self.last.mode in (Mode.FINISHED, Mode.STOPPED)
         if self.state is LoopState.DRIVING and not standing:
             raise RefusedError("it is driving already; pause it first")
@@ -165,17 +259,30 @@ class ControlLoop:
         if self.state is LoopState.FAULT:
             self._reset_controller()
         self.state, self._reason, self._begin_when_ready = LoopState.IDLE, "", True
-        return f"begins '{self._reference.name}', {self._reference.duration:.1f} s"
+        return f"begins '{self._reference.name}', {self._reference.duration:.1f} s{self._once_let_go()}"
 
     def pause(self, reason: str = "paused; call start to drive on") -> str:
         """Brake and stand; the reference waits. Returns what it does; raises RefusedError if it stands idle."""
-        if self._begin_when_ready:
-            self._begin_when_ready = False
+        if self._begin_when_ready or (self._next is not None and self.state is not LoopState.DRIVING):
+            self._begin_when_ready, self._next = False, None
             return "does not begin any more"
         if self.state is not LoopState.DRIVING:
             raise RefusedError(f"it does not drive ({self.state})")
-        self.state, self._reason = LoopState.PAUSED, reason
+        self.state, self._reason, self._next = LoopState.PAUSED, reason, None
         return "brakes"
+
+    def hold(self, *, on: bool) -> str:
+        """Brake and stand for as long as it is on, whatever is asked; nothing else changes. Returns what it does."""
+        before, self.held = self.held, on
+        standing = self.last is None or not self.last.command.any()
+        if on:
+            return "is held already" if before else "is held" if standing else "is held; brakes"
+        if not before:
+            return "was not held"
+        if self.state is LoopState.DRIVING:
+            return "let go; drives on"
+        waits = " begins when it can" if self._begin_when_ready else " stands; call start to drive"
+        return f"let go;{waits} ({self.state})"
 
     def reset(self) -> str:
         """Forget estimate, measurements and progress; returns what it does; raises RefusedError while it moves."""
@@ -184,6 +291,7 @@ class ControlLoop:
         self._reset_controller()
         self.inbox.restart()
         self.state, self._reason, self._begin_when_ready, self.begun = LoopState.IDLE, "", False, None
+        self._next, self.blocked = None, False
         return "is as new; call start to begin"
 
     def tick(self) -> Tick:
@@ -201,12 +309,16 @@ class ControlLoop:
         return tick
 
     def _decide(self, t: float) -> Tick:
+        self.inbox.look_up_pose()
         if self._begin_when_ready and self._reference is not None and not self._missing():
             self._begin_when_ready = False
-            self._start_controller(self._reference)
+            self._start_controller(self._reference, t)
             self.state = LoopState.DRIVING
+        if self._next is not None and self.inbox.has_pose and not self.missing():
+            self._begin_next(t)
         if self.state in (LoopState.IDLE, LoopState.FAULT):
             return self._standing()
+        self._follow_frame()
         self._asked += 1
         asked = Asked(self._asked, t, self.inbox.measurement(), self._hold(t))
         result = self._controller.step(t, asked.measurement, asked.hold)
@@ -214,26 +326,70 @@ class ControlLoop:
         self.fallbacks += result.mode in (Mode.REUSED_PLAN, Mode.BRAKING)
         if self.state is LoopState.DRIVING and result.blocked_for >= self._settings.blocked_timeout:
             self.pause(f"blocked for {result.blocked_for:.1f} s; clear the way and call start")
+            self.blocked = True
         return Tick(result.command, self.state, result.message, result, asked)
+
+    def _begin_next(self, t: float) -> None:
+        assert self._next is not None
+        (reference, t0), self._next = self._next, None
+        if self.state is LoopState.FAULT:
+            self._reset_controller()
+        if self._set_aside is None:
+            self._set_aside = (self._reference, self._placement, self._moves_to_robot)
+        self._reference, self._placement, self._moves_to_robot = reference, None, False
+        self._start_controller(reference, t if t0 is None else t0)
+        self.state, self._reason, self.blocked, self._begin_when_ready = LoopState.DRIVING, "", False, False
 
     def _hold(self, t: float) -> Hold | None:
         if self.state is LoopState.PAUSED:
             return Hold(self._reason)
-        fault = self.inbox.odometry.fault(t, self._settings.odom_timeout)
+        if self.held:
+            return Hold(HELD)
+        fault = self.objection or self.inbox.odometry.fault(t, self._settings.odom_timeout) or self._lost
         return Hold(fault, failure=True) if fault else None
+
+    def _follow_frame(self) -> None:
+        """Lay the reference where its frame now lies; where that is not known the robot has to stand."""
+        self._lost = ""
+        if self._placement is None or self._laid is None:
+            return
+        try:
+            motion = self._placement.motion()
+        except ValueError as error:
+            self._lost = str(error)
+            return
+        here = self.inbox.newest_pose
+        if here is None or _apart(self._laid.motion, motion, here.value) <= _STAYS:
+            return
+        self._laid = MovedReference(self._laid.original, motion)
+        self._controller.relay(self._laid)
+        self.relaid += 1
+
+    def _once_let_go(self) -> str:
+        return ", once it is let go (hold)" if self.held else ""
 
     def _standing(self) -> Tick:
         waiting = self._missing() if self._begin_when_ready else ""
-        return Tick(np.zeros(2), self.state, self._reason or waiting)
+        return Tick(np.zeros(2), self.state, "; ".join(filter(None, [self._reason or waiting, HELD * self.held])))
 
     def _missing(self) -> str:
         """What is missing to begin, in words; empty if nothing is."""
-        inbox = self.inbox
-        fault = inbox.odometry.fault(inbox.now, self._settings.odom_timeout)
-        if not fault and self._settings.use_pose_topic:
-            fault = inbox.pose.fault(inbox.now, self._controller.config.failure.max_pose_age)
+        fault = self.missing()
         if not fault and self._reference is None:
             fault = "there is no reference: set the parameter trajectory, or publish one"
+        if not fault and self._placement is not None:
+            try:
+                self._placement.motion()
+            except ValueError as error:
+                fault = str(error)
+        return fault
+
+    def missing(self) -> str:
+        """Which measurement is missing to drive, or who objects, in words; empty if nothing is."""
+        inbox = self.inbox
+        fault = self.objection or inbox.odometry.fault(inbox.now, self._settings.odom_timeout)
+        if not fault and self._settings.poses_from != "odometry":
+            fault = inbox.pose.fault(inbox.now, self._controller.config.failure.max_pose_age)
         return fault
 
     def _refuse_if_missing(self) -> None:
@@ -245,14 +401,32 @@ class ControlLoop:
         config = self._controller.config
         check_speeds(reference, config.limits, config.sample_time, self._controller.model.dc_gain)
 
-    def _start_controller(self, reference: Reference) -> None:
+    def _start_controller(self, reference: Reference, t0: float) -> None:
         pose = self.inbox.newest_pose
-        if self._moves_to_robot and pose is not None:
+        self._laid = None
+        if self._placement is not None:
+            reference = self._laid = MovedReference(reference, self._placement.motion())
+        elif self._moves_to_robot and pose is not None:
             reference = starting_at(reference, pose.value)
-        t0 = self.inbox.now
-        self._controller.start(reference, t0)
-        self.begun = Begun(reference, t0, self._was_reset)
+        # A planner sends a new path each second: what was learned of the floor outlasts that.
+        goes_on = self.state is LoopState.DRIVING and self.last is not None and self.last.mode is Mode.TRACKING
+        if goes_on:
+            self._controller.relay(reference, t0)
+        else:
+            self._controller.start(reference, t0)
+        self.begun = Begun(reference, t0, self._was_reset, goes_on)
 
     def _reset_controller(self) -> None:
         self._controller.reset()
         self._was_reset = True
+
+
+def _apart(before: FloatArray, after: FloatArray, pose: ArrayLike) -> float:
+    """How far two motions take what lies at `pose` (3,) apart [m], and turn it [rad], added up."""
+    (ax, ay, a), (bx, by, b) = before, after
+    here = np.asarray(pose, dtype=float)
+    x, y = here[0] - ax, here[1] - ay
+    # Where it lay before it was moved, and where the other motion takes that.
+    x, y = math.cos(a) * x + math.sin(a) * y, -math.sin(a) * x + math.cos(a) * y
+    there = bx + math.cos(b) * x - math.sin(b) * y, by + math.sin(b) * x + math.cos(b) * y
+    return math.hypot(there[0] - here[0], there[1] - here[1]) + abs(math.remainder(b - a, math.tau))

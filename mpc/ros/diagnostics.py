@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from diffdrive_mpc.models.velocity_model import CHANNELS
+from diffdrive_mpc.mpc.ros.bond import Bond
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopState
 from diffdrive_mpc.mpc.ros.conversions import time_message
 from diffdrive_mpc.mpc.ros.latency import Durations
 from diffdrive_mpc.mpc.ros.recording import Recording
+from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
 from diffdrive_mpc.mpc.ros.tracking_error import tracking_error
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
 
 
 def diagnostics(
-    name: str, time: int, lifecycle: str, loop: ControlLoop | None, recording: Recording | None = None
+    name: str,
+    time: int,
+    lifecycle: str,
+    loop: ControlLoop | None,
+    recording: Recording | None = None,
+    bond: Bond | None = None,
+    surroundings: Sequence[TopicWatch] = (),
 ) -> DiagnosticArray:
     """One status named after the node.
 
@@ -32,15 +41,22 @@ def diagnostics(
         The control loop; None while the node is not active.
     recording
         The recording of the drive; None where there is none.
+    bond
+        The bond with a lifecycle manager; None where there is none.
+    surroundings
+        The topics that tell what lies around the robot.
     """
     status = DiagnosticStatus(name=f"{name}: control", hardware_id=name, level=DiagnosticStatus.OK, message=lifecycle)
     values = {"lifecycle": lifecycle}
     if loop is not None:
-        values |= _values(loop)
+        values |= _values(loop) | _watches(surroundings, loop.inbox.now)
         status.level = _level(loop)
         if loop.last is not None:
-            words = "; ".join(filter(None, [loop.last.message, loop.inbox.fault]))
+            objection = "" if loop.objection in loop.last.message else loop.objection
+            words = "; ".join(filter(None, [loop.last.message, objection, loop.inbox.fault, loop.warning]))
             status.message = f"{loop.last.mode}: {words}" if words else loop.last.mode
+    if bond is not None:
+        values["bond"] = bond.words
     if recording is not None:
         values["recording"] = recording.words
         if recording.incomplete and status.level == DiagnosticStatus.OK:
@@ -54,12 +70,15 @@ def diagnostics(
 def _level(loop: ControlLoop) -> bytes:
     if loop.state is LoopState.FAULT:
         return DiagnosticStatus.ERROR
+    if loop.objection:
+        return DiagnosticStatus.ERROR
     tick = loop.last
     if tick is None or tick.result is None:
-        return DiagnosticStatus.OK
-    if tick.result.mode in (Mode.BRAKING, Mode.STOPPED) and loop.state is LoopState.DRIVING:
+        return DiagnosticStatus.WARN if loop.held or loop.warning else DiagnosticStatus.OK
+    if tick.result.mode in (Mode.BRAKING, Mode.STOPPED) and loop.state is LoopState.DRIVING and not loop.held:
         return DiagnosticStatus.ERROR
     well = tick.result.mode in (Mode.TRACKING, Mode.FINISHED) and not tick.message and not loop.inbox.fault
+    well = well and not loop.warning
     return DiagnosticStatus.OK if well else DiagnosticStatus.WARN
 
 
@@ -67,20 +86,33 @@ def _values(loop: ControlLoop) -> dict[str, str]:
     times, inbox = loop.times, loop.inbox
     values = {
         "state": str(loop.state),
+        "held": "yes" if loop.held else "no",
+        "speed limit [m/s]": "none" if loop.speed_limit is None else f"{loop.speed_limit:.3f}",
         "step time p50/p99/max [ms]": _milliseconds(times.step),
         "period jitter p50/p99/max [ms]": _milliseconds(times.jitter),
         "odometry stamp to command p50/p99/max [ms]": _milliseconds(times.latency),
         "deadline misses": str(times.misses),
         "fallbacks": str(loop.fallbacks),
     }
-    for watch in inbox.topics:
-        values[f"{watch.name} age [s]"] = f"{watch.age(inbox.now):.3f}"
+    values |= _watches(inbox.topics, inbox.now)
+    if inbox.frames is not None:
+        values["transforms"] = f"{inbox.frames.accepted} accepted, {inbox.frames.refused} refused"
+        values["reference laid anew by its frame"] = str(loop.relaid)
+        if inbox.frames.last_refusal:
+            values["transforms last refusal"] = inbox.frames.last_refusal
+    if loop.last is not None and loop.last.result is not None:
+        values |= _result(loop.last.result)
+    return values
+
+
+def _watches(topics: Sequence[TopicWatch], now: float) -> dict[str, str]:
+    values = {}
+    for watch in topics:
+        values[f"{watch.name} age [s]"] = f"{watch.age(now):.3f}"
         values[f"{watch.name} delay on arrival [s]"] = f"{watch.delay:.3f}"
         values[f"{watch.name} messages"] = f"{watch.accepted} accepted, {watch.refused} refused"
         if watch.last_refusal:
             values[f"{watch.name} last refusal"] = watch.last_refusal
-    if loop.last is not None and loop.last.result is not None:
-        values |= _result(loop.last.result)
     return values
 
 
@@ -98,6 +130,9 @@ def _result(result: StepResult) -> dict[str, str]:
             values[f"dead time of {channel} found, deviation, used [s]"] = (
                 f"{found.value[i]:.3f}, {found.deviation[i]:.3f}, {found.used[i]:.3f}"
             )
+    if not math.isnan(result.clearance):
+        values["clearance now, ahead [m]"] = f"{result.clearance:.3f}, {result.clearance_ahead:.3f}"
+        values["pressed by"] = ", ".join(result.pressed_by) or "nothing"
     error = tracking_error(result)
     if error is not None:
         values["error along, across [m], heading [rad]"] = "{:.4f}, {:.4f}, {:.4f}".format(*error)

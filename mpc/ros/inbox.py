@@ -20,6 +20,8 @@ from diffdrive_mpc.mpc.ros.conversions import (
 )
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
+from diffdrive_mpc.mpc.ros.transforms.buffer import TransformError
+from diffdrive_mpc.mpc.ros.transforms.frames import Frames
 
 
 class Inbox:
@@ -33,11 +35,17 @@ class Inbox:
         The node's clock [ns].
     epoch
         Where the controller's time begins on that clock [ns].
+    frames
+        Transforms, where they are heard.
     """
 
-    def __init__(self, settings: NodeSettings, clock: Callable[[], int], epoch: int) -> None:
-        self._settings, self._clock, self._epoch = settings, clock, epoch
-        self.odometry, self.imu, self.pose = TopicWatch("odometry"), TopicWatch("imu"), TopicWatch("pose")
+    def __init__(
+        self, settings: NodeSettings, clock: Callable[[], int], epoch: int, frames: Frames | None = None
+    ) -> None:
+        self._settings, self._clock, self._epoch, self.frames = settings, clock, epoch, frames
+        self.odometry, self.imu = TopicWatch("odometry"), TopicWatch("imu")
+        by_tf = settings.poses_from == "tf"
+        self.pose = TopicWatch(f"transform {settings.map_frame} -> {settings.base_frame}" if by_tf else "pose")
         self.restart()
 
     def restart(self) -> None:
@@ -46,19 +54,31 @@ class Inbox:
         self._pose: Stamped | None = None
         self._twist: Stamped | None = None
         self._yaw_rate: Stamped | None = None
+        self._transformed = 0
         for watch in (self.odometry, self.imu, self.pose):
             watch.restart()
+        if self.frames is not None:
+            self.frames.buffer.clear()
 
     @property
     def now(self) -> float:
         """Time on the controller's clock [s]."""
         return seconds(self._clock(), self._epoch)
 
+    def time_of(self, stamp: int) -> float:
+        """A stamp [ns] on the controller's clock [s]."""
+        return seconds(stamp, self._epoch)
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether the next measurement has a pose."""
+        return self._pose is not None
+
     @property
     def topics(self) -> list[TopicWatch]:
         """Those that are used."""
         settings = self._settings
-        chosen = ((self.odometry, True), (self.imu, settings.use_imu), (self.pose, settings.use_pose_topic))
+        chosen = ((self.odometry, True), (self.imu, settings.use_imu), (self.pose, settings.poses_from != "odometry"))
         return [topic for topic, used in chosen if used]
 
     @property
@@ -70,7 +90,7 @@ class Inbox:
     @property
     def frame(self) -> str:
         """Frame that control is in."""
-        return self._settings.map_frame if self._settings.use_pose_topic else self._settings.odom_frame
+        return self._settings.control_frame
 
     def take_odometry(self, message: Odometry) -> None:
         """Take in wheel odometry: its twist, and its pose unless poses have a topic of their own."""
@@ -79,7 +99,7 @@ class Inbox:
             check_frame(message.child_frame_id, settings.base_frame, "base_frame", "child_frame_id")
             twist = odometry_twist(message, self._epoch)
             pose = None
-            if not settings.use_pose_topic:
+            if settings.poses_from == "odometry":
                 check_frame(message.header.frame_id, settings.odom_frame, "odom_frame")
                 pose = odometry_pose(message, self._epoch)
             self.odometry.accept(twist.time, self.now, self._settings.odom_timeout)
@@ -110,6 +130,25 @@ class Inbox:
             self.pose.refuse(str(error))
             return
         self.newest_pose = self._pose = pose
+
+    def look_up_pose(self) -> None:
+        """Take in the newest pose by transforms, if there is a newer one than at the last call."""
+        if self.frames is None or self._settings.poses_from != "tf":
+            return
+        try:
+            value, stamp = self.frames.pose()
+            if stamp <= self._transformed:
+                self.pose.reason = ""
+                return
+            time = seconds(stamp, self._epoch)
+            self.pose.accept(time, self.now, self._settings.odom_timeout)
+        except (TransformError, MessageError) as error:
+            if self.pose.reason.endswith(str(error)):
+                return
+            self.pose.refuse(str(error))
+            return
+        self._transformed = stamp
+        self.newest_pose = self._pose = Stamped(value, time)
 
     def measurement(self) -> Measurement:
         """What arrived since the last call."""

@@ -4,35 +4,58 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from nav_msgs.msg import Odometry, Path
+from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import Imu
-from std_srvs.srv import Trigger
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import Imu, PointCloud2
+from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.config_file import load_config
-from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
 from diffdrive_mpc.mpc.controller import Controller
+from diffdrive_mpc.mpc.ros.bond import Bond
+from diffdrive_mpc.mpc.ros.bounded_messages import subscribe_bounded, too_long
 from diffdrive_mpc.mpc.ros.control_loop import Begun, ControlLoop, RefusedError, Tick
+from diffdrive_mpc.mpc.ros.conversions import check_frame
 from diffdrive_mpc.mpc.ros.diagnostics import diagnostics
+from diffdrive_mpc.mpc.ros.follow_goal import Following, FrameError, lay_for_robot
 from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.parameter_changes import ParameterChanges
 from diffdrive_mpc.mpc.ros.parameters import declare, fields, from_file_only, read
-from diffdrive_mpc.mpc.ros.publishers import Publishers
+from diffdrive_mpc.mpc.ros.publishers import COMMANDS, Publishers
 from diffdrive_mpc.mpc.ros.recording import Recording
-from diffdrive_mpc.mpc.ros.reference_input import path_reference, trajectory_reference
+from diffdrive_mpc.mpc.ros.reference_input import MOST_BYTES, StatedReference, nothing, read_path, read_trajectory
+from diffdrive_mpc.mpc.ros.rivals import Others, Rivals, drive_too, publish_too
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.ros.side_process import SideProcess
+from diffdrive_mpc.mpc.ros.speed_limit import SpeedLimit, read_speed_limit
+from diffdrive_mpc.mpc.ros.surroundings_input import SurroundingsInput
 from diffdrive_mpc.mpc.ros.tick_records import TickRecords
+from diffdrive_mpc.mpc.ros.transform_listener import listen
+from diffdrive_mpc.mpc.ros.transforms.buffer import TransformError
+from diffdrive_mpc.mpc.ros.transforms.frames import Frames, Placement, moved_poses
 from diffdrive_mpc.mpc.ros.transitions import logged, refuse_what_is_not_allowed
+from diffdrive_mpc.mpc.ros.type_support import message_type
 from diffdrive_mpc.mpc.trajectories import Trajectory, load_trajectory
+from diffdrive_mpc.mpc.trajectories.planned.lay import Laid
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
-from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.mpc.ros.follow_path import FollowPathServer
+
+# How often to look for others that publish commands [s].
+_LOOK_AROUND = 0.2
+_REFERENCES = "set_path", "set_trajectory"
+# To read a reference may take so long [s]: what takes longer than this is none.
+_LONGEST_READING = 10.0
 
 
 class TrackingNode(LifecycleNode):
@@ -73,18 +96,27 @@ class TrackingNode(LifecycleNode):
         config = load_config(self.get_parameter("config").value, overrides)
         declare(self, config)
         self._fixed = from_file_only(config)
-        self._changes = ParameterChanges(self, lambda: None if self._loop is None else self._controller, self._fixed)
+        self._changes = ParameterChanges(
+            self, lambda: None if self._loop is None else self._controller, self._fixed, self._limit_speed
+        )
         self.failure = ""
         self._label = "unconfigured"
         self._controller: Controller | None = None
         self._loop: ControlLoop | None = None
         self._recording: Recording | None = None
+        self._bond: Bond | None = None
         self._timer: Any = None
+        self._door: FollowPathServer | None = None
+        self._following: Following | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._diagnostics_timer: Any = None
         self.create_service(Trigger, "~/start", self._serve(lambda loop: loop.start()))
         self.create_service(Trigger, "~/pause", self._serve(lambda loop: loop.pause()))
         self.create_service(Trigger, "~/reset", self._serve(lambda loop: loop.reset()))
+        self._held = False
+        # A limit of a zone, too, outlasts the node's being inactive: the zone does.
+        self._speed_limit: SpeedLimit | None = None
+        self.create_service(SetBool, "~/hold", self._hold)
 
     def bring_up(self) -> None:
         """Configure and activate, if the parameter autostart says so; raises ValueError with the reason if it fails."""
@@ -99,9 +131,14 @@ class TrackingNode(LifecycleNode):
         if self._loop is None:
             return
         self._loop = None
+        if self._door is not None:
+            self._door.shut("the node was deactivated")
+        self._following = None
         gc.unfreeze()
         self.destroy_timer(self._timer)
+        self.destroy_timer(self._rivals_timer)
         self._outgoing.stop(self.get_clock().now().nanoseconds)
+        self._rivals.release()
         if self._recording is not None:
             self._recording.close()
             self._recording = None
@@ -115,10 +152,15 @@ class TrackingNode(LifecycleNode):
 
     @logged
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to send commands: zero until driving begins."""
+        """Begin to send commands, zero until driving begins, unless another node of this project does so already."""
         if self._changes.pending:
             self._tear_down()
             self._build()
+        others = self._rivals.claim(self._settings.discovery_wait)
+        objection = self._objection(others)
+        if objection:
+            self._rivals.release()
+            raise RefusedError(objection)
         answer = super().on_activate(state)
         assert self._controller is not None
         config = self._controller.config
@@ -128,9 +170,20 @@ class TrackingNode(LifecycleNode):
         )
         in_sim_time = bool(self.get_parameter("use_sim_time").value)
         self._controller.reset()
+        self._limit_speed()
         self._inbox.restart()
+        if self._surroundings is not None:
+            self._surroundings.restart()
         self._loop = ControlLoop(
-            self._controller, self._settings, self._inbox, self._trajectory, in_sim_time=in_sim_time
+            self._controller, self._settings, self._inbox, self._trajectory, in_sim_time=in_sim_time, held=self._held
+        )
+        if self._door is not None:
+            self._following = self._followed(self._loop, self._controller)
+            self._door.open(self._following)
+        self._others: Others | None = None
+        self._look_around()
+        self._rivals_timer = self.create_timer(
+            _LOOK_AROUND, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
         self._records: TickRecords | None = TickRecords(self._controller)
         if self._settings.record:
@@ -146,12 +199,15 @@ class TrackingNode(LifecycleNode):
         self._ticks, self._visual_ticks = 0, max(1, round(1.0 / (self._settings.visual_rate * period)))
         self._shown: object = None
         self._label = "active"
+        self._bind()
         return answer
 
     @logged
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Send zero, then no more commands."""
         self.stop()
+        if self._bond is not None:
+            self._bond.leave()
         self._label = "inactive"
         return super().on_deactivate(state)
 
@@ -182,27 +238,164 @@ class TrackingNode(LifecycleNode):
 
     def _build(self) -> None:
         settings, config = read(self, NodeSettings), read(self, ControllerConfig, fixed=self._fixed)
+        if (settings.use_costmap or settings.use_obstacles) and not config.free_space.enabled:
+            raise RefusedError("use_costmap or use_obstacles is set: set free_space.enabled, too")
         trajectory: Trajectory | None = None
         if settings.trajectory:
             trajectory = load_trajectory(settings.trajectory)
             check_speeds(trajectory, config.limits, config.sample_time)
         self._controller = Controller(config)
         self._settings, self._trajectory, self._changes.pending = settings, trajectory, False
-        self._inbox = Inbox(settings, lambda: self.get_clock().now().nanoseconds, self.get_clock().now().nanoseconds)
+        self._frames: Frames | None = None
+        hears: list[Subscription] = []
+        if settings.use_tf or settings.poses_from == "tf":
+            self._frames = Frames(settings.control_frame, settings.base_frame, settings.tf_timeout, self._now)
+            hears = listen(self, self._frames)
+        self._inbox = Inbox(settings, self._now, self._now(), self._frames)
         self._outgoing = Publishers(self, settings, self._inbox.frame)
+        self._rivals = Rivals(self, COMMANDS)
         sensors, inbox = qos_profile_sensor_data, self._inbox
         self._inputs = [
-            self.create_subscription(Odometry, "odom", inbox.take_odometry, sensors),
-            self.create_subscription(Path, "set_path", self._take_path, 1),
-            self.create_subscription(MultiDOFJointTrajectory, "set_trajectory", self._take_trajectory, 1),
+            subscribe_bounded(self, Odometry, "odom", inbox.take_odometry, sensors, refuse=inbox.odometry.refuse),
+            self.create_subscription(Path, _REFERENCES[0], self._reads(read_path), 1, raw=True),
+            self.create_subscription(
+                MultiDOFJointTrajectory, _REFERENCES[1], self._reads(read_trajectory), 1, raw=True
+            ),
         ]
         if settings.use_imu:
-            self._inputs.append(self.create_subscription(Imu, "imu", inbox.take_imu, sensors))
-        if settings.use_pose_topic:
-            self._inputs.append(self.create_subscription(PoseWithCovarianceStamped, "pose", inbox.take_pose, sensors))
+            self._inputs.append(subscribe_bounded(self, Imu, "imu", inbox.take_imu, sensors, refuse=inbox.imu.refuse))
+        if settings.poses_from == "topic":
+            kind = PoseWithCovarianceStamped
+            self._inputs.append(
+                subscribe_bounded(self, kind, "pose", inbox.take_pose, sensors, refuse=inbox.pose.refuse)
+            )
+        self._inputs += [*hears, *self._optional_inputs()]
+        self._read = self.create_guard_condition(lambda: None)
+        self._aside = SideProcess(self._read.trigger, _LONGEST_READING)
+        self._read.callback = self._aside.deliver
+        self._surroundings = self._see_around(settings, self._controller)
+        self._door = self._follow_path(settings)
         self._diagnostics_timer = self.create_timer(
             1.0 / settings.diagnostics_rate, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
+
+    def _see_around(self, settings: NodeSettings, controller: Controller) -> SurroundingsInput | None:
+        """What hears of surroundings; None where no topic of them is used."""
+        if not (settings.use_costmap or settings.use_obstacles):
+            return None
+        seen = SurroundingsInput(settings, controller, self._inbox, self._aside, self.get_logger().warning)
+        if settings.use_costmap:
+            self._inputs.append(self.create_subscription(OccupancyGrid, "costmap", seen.take_costmap, 1, raw=True))
+        if settings.use_obstacles:
+            take, sensors = seen.take_obstacles, qos_profile_sensor_data
+            self._inputs.append(self.create_subscription(PointCloud2, "obstacles", take, sensors, raw=True))
+        self._aside.prepare(nothing)
+        return seen
+
+    def _now(self) -> int:
+        """The node's time [ns]."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def _bind(self) -> None:
+        """Begin a bond with the lifecycle manager, where its type is installed."""
+        self._unbind()
+        if not self._settings.bond_heartbeat_period:
+            return
+        if message_type("bond", "Status") is None:
+            self.get_logger().info("no bond with a lifecycle manager: bond is not installed; set its bond_timeout to 0")
+            return
+        self._bond = Bond(self, self._settings.bond_heartbeat_period)
+
+    def _unbind(self) -> None:
+        if self._bond is not None:
+            self._bond.close()
+            self._bond = None
+
+    def _follow_path(self, settings: NodeSettings) -> FollowPathServer | None:
+        """The action server; None, with a word, where it is not wanted or its type is not there."""
+        if not settings.follow_path:
+            return None
+        try:
+            from diffdrive_mpc.mpc.ros.follow_path import FollowPathServer  # noqa: PLC0415 - needs nav2_msgs
+        except ImportError as error:
+            self.get_logger().info(f"no action follow_path: {error} (it needs nav2_msgs)")
+            return None
+        return FollowPathServer(self, settings)
+
+    def _followed(self, loop: ControlLoop, controller: Controller) -> Following:
+        def lay(arguments: tuple[object, ...], done: Callable[[Laid], None], failed: Callable[[str], None]) -> None:
+            self._aside.submit("follow_path", lay_for_robot, arguments, done, failed)
+
+        self._aside.prepare(nothing)
+        settings, config = self._settings, lambda: controller.config
+        return Following(loop, settings, config, lambda: controller.model.dc_gain, lay, self._in_control_frame)
+
+    def _in_control_frame(self, poses: FloatArray, frame: str, stamp: int) -> FloatArray:
+        """Poses (n, 3) in the frame of control, as they lie now; raises FrameError where they cannot be brought there.
+
+        They stay there: whoever plans on sends a newer path where a localisation has corrected itself.
+        """
+        if self._frames is None and frame != self._inbox.frame:
+            raise FrameError(
+                f"the path is in '{frame}', control in '{self._inbox.frame}': plan in that frame, or set use_tf"
+            )
+        try:
+            placement = None if self._frames is None else self._frames.placement(frame, stamp)
+            return poses if placement is None else moved_poses(poses, placement.motion())
+        except TransformError as error:
+            raise FrameError(str(error)) from error
+
+    def _objection(self, others: Others) -> str:
+        """Why the robot must not be driven beside `others`; empty where it may."""
+        found = drive_too(others, self._rivals.topic)
+        if not found and others.foreign and self._settings.exclusive_cmd_vel:
+            found = f"{publish_too(others, self._rivals.topic)}; stop that, or set exclusive_cmd_vel to false"
+        return found
+
+    def _look_around(self) -> None:
+        """Tell the loop who else publishes commands. Whoever appears while it drives makes it brake, or is named."""
+        loop, others = self._loop, self._rivals.others()
+        if loop is None or others == self._others:
+            return
+        self._others = others
+        loop.objection = self._objection(others)
+        loop.warning = "" if loop.objection else publish_too(others, self._rivals.topic)
+        if loop.objection or loop.warning:
+            self.get_logger().warning(loop.objection or loop.warning)
+
+    def _optional_inputs(self) -> list[Subscription]:
+        """Those whose types not every installation has."""
+        if not self._settings.use_speed_limit:
+            return []
+        kind = message_type("nav2_msgs", "SpeedLimit")
+        if kind is None:
+            self.get_logger().info("speed_limit is not heard: nav2_msgs is not installed")
+            return []
+        refuse = self._refuse_speed_limit
+        return [subscribe_bounded(self, kind, "speed_limit", self._take_speed_limit, 10, refuse=refuse)]
+
+    def _take_speed_limit(self, message: Any) -> None:  # noqa: ANN401 - ROS messages have no types to check
+        try:
+            limit = read_speed_limit(message)
+        except ValueError as error:
+            self._refuse_speed_limit(str(error))
+            return
+        if limit != self._speed_limit:
+            self._speed_limit = limit
+            self._limit_speed()
+
+    def _refuse_speed_limit(self, reason: str) -> None:
+        self.get_logger().error(f"speed limit refused, the last one stays: {reason}")
+
+    def _limit_speed(self) -> None:
+        """Have the controller keep to the limit as it stands, by the greatest speed of its configuration."""
+        if self._controller is None or self._speed_limit is None:
+            return
+        before = self._controller.speed_limit
+        wanted = self._speed_limit.speed(self.get_parameter("limits.v").value)
+        if wanted != before:
+            self._controller.limit_speed(wanted)
+            self.get_logger().info("speed limit off" if wanted is None else f"speed limit {wanted:.3g} m/s")
 
     def _recorded(self, config: ControllerConfig) -> Recording | None:
         """The recording of this activation; None, with a warning, where none can begin."""
@@ -215,11 +408,18 @@ class TrackingNode(LifecycleNode):
     def _tear_down(self) -> None:
         if self._controller is None:
             return
+        self._unbind()
         self._controller = None
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
+        self._rivals.release()
+        if self._door is not None:
+            self._door.close()
+            self._door = None
         self._outgoing.destroy()
         self.destroy_timer(self._diagnostics_timer)
+        self._aside.close()
+        self.destroy_guard_condition(self._read)
 
     def _tick(self) -> None:
         loop, outgoing = self._loop, self._outgoing
@@ -227,6 +427,8 @@ class TrackingNode(LifecycleNode):
             return
         time = self.get_clock().now().nanoseconds
         tick = loop.tick()
+        if self._following is not None:
+            self._following.after(tick)
         outgoing.command(tick.command, time)
         outgoing.mode(tick)
         if loop.begun is not None and loop.begun is not self._shown:
@@ -257,9 +459,18 @@ class TrackingNode(LifecycleNode):
             self._records = None
             self.get_logger().warning(f"its ticks cannot be replayed from here on: {type(error).__name__}: {error}")
 
+    def destroy_node(self) -> None:
+        """Send zero if active, and drop everything."""
+        self.stop()
+        self._tear_down()
+        super().destroy_node()
+
     def _diagnose(self) -> None:
+        if self._loop is not None and any(self.count_publishers(topic) for topic in _REFERENCES):
+            self._aside.prepare(nothing)
         time = self.get_clock().now().nanoseconds
-        message = diagnostics(self.get_name(), time, self._label, self._loop, self._recording)
+        seen = () if self._surroundings is None else self._surroundings.topics
+        message = diagnostics(self.get_name(), time, self._label, self._loop, self._recording, self._bond, seen)
         self._diagnostics.publish(message)
         if self._recording is not None:
             self._recording.diagnostics(message, time)
@@ -279,21 +490,51 @@ class TrackingNode(LifecycleNode):
 
         return answer
 
-    def _take_path(self, message: Path) -> None:
-        self._offer(lambda config: path_reference(message, self._inbox.frame, config.limits))
-
-    def _take_trajectory(self, message: MultiDOFJointTrajectory) -> None:
-        self._offer(lambda config: trajectory_reference(message, self._inbox.frame, config.limits))
-
-    def _offer(self, read_reference: Callable[[ControllerConfig], SplineTrajectory]) -> None:
-        """Pass a reference on if it can be used; else say why not and go on as before."""
-        if self._loop is None or self._controller is None:
-            self.get_logger().error(f"reference refused: the node is {self._label}; activate it first")
-            return
-        try:
-            reference = read_reference(self._controller.config)
-            self._loop.offer(reference)
-        except ValueError as error:
-            self.get_logger().error(f"reference refused: {error}")
+    def _hold(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        """Kept here, too: whoever stopped the robot did not mean until the next activation."""
+        self._held = bool(request.data)
+        if self._loop is None:
+            said = "is held once it is active" if self._held else "is not held"
         else:
-            self.get_logger().info(f"reference accepted: {reference.duration:.1f} s")
+            said = self._loop.hold(on=self._held)
+        response.success, response.message = True, said
+        self.get_logger().info(f"hold: {said}")
+        return response
+
+    def _reads(self, read_reference: Callable[[bytes, Limits], StatedReference]) -> Callable[[bytes], None]:
+        """A subscription's callback that has references read beside the loop, where they are not too long for it."""
+
+        def take(raw: bytes) -> None:
+            if self._loop is None or self._controller is None:
+                self._refuse(f"the node is {self._label}; activate it first")
+            elif len(raw) > MOST_BYTES:
+                self._refuse(too_long(len(raw), MOST_BYTES))
+            else:
+                loop, limits = self._loop, self._controller.config.limits
+                self._aside.submit(
+                    "reference", read_reference, (raw, limits), lambda found: self._offer(loop, found), self._refuse
+                )
+
+        return take
+
+    def _refuse(self, reason: str) -> None:
+        self.get_logger().error(f"reference refused: {reason}")
+
+    def _offer(self, loop: ControlLoop, found: StatedReference) -> None:
+        """Pass a reference on if it can be used; else say why not and go on as before."""
+        try:
+            if loop is not self._loop:
+                raise RefusedError("the node was deactivated while it was read")
+            loop.offer(found.reference, self._placement(found.frame, found.stamp))
+        except ValueError as error:
+            self._refuse(str(error))
+        else:
+            self.get_logger().info(f"reference accepted: {found.reference.duration:.1f} s")
+
+    def _placement(self, frame: str, stamp: int) -> Placement | None:
+        """Where a reference lies that is stated in `frame` at `stamp` [ns]; raises ValueError where that is unknown."""
+        if self._frames is not None:
+            return self._frames.placement(frame, stamp)
+        parameter = "odom_frame, or map_frame with use_pose_topic; with use_tf it may be any that /tf knows"
+        check_frame(frame, self._inbox.frame, parameter)
+        return None

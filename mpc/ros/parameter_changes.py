@@ -29,6 +29,8 @@ class ParameterChanges:
         The controller that drives; None while the node is not active.
     fixed
         What of the controller's configuration is no parameter.
+    changed
+        Called when weights or limits of the controller that drives have changed.
 
     Attributes
     ----------
@@ -37,9 +39,13 @@ class ParameterChanges:
     """
 
     def __init__(
-        self, node: Node, running: Callable[[], Controller | None], fixed: Mapping[str, object] | None = None
+        self,
+        node: Node,
+        running: Callable[[], Controller | None],
+        fixed: Mapping[str, object] | None = None,
+        changed: Callable[[], None] = lambda: None,
     ) -> None:
-        self._node, self._running, self._fixed = node, running, fixed
+        self._node, self._running, self._fixed, self._changed = node, running, fixed, changed
         self.pending = False
         node.add_on_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._apply)
@@ -55,6 +61,10 @@ class ParameterChanges:
             config = read(self._node, ControllerConfig, changes, self._fixed)
             if any(not name.startswith(_WHILE_DRIVING) for name in changes):
                 Controller(config)
+            controller = self._running()
+            if controller is not None:
+                # What cannot be changed while driving would otherwise be known only when nobody can be told any more.
+                controller.updated(*_groups(changes, config))
         except (ValueError, OSError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -70,13 +80,21 @@ class ParameterChanges:
         self.pending = self.pending or bool(changes)
         controller = self._running()
         if controller is not None and changes:
-            weights, limits = (_of_group(changes, prefix) for prefix in _WHILE_DRIVING)
-            controller.update(weights=weights, limits=limits)
+            controller.update(*_groups(changes, read(self._node, ControllerConfig, fixed=self._fixed)))
+            self._changed()
 
 
 def _ours(parameters: Iterable[Parameter]) -> dict[str, Any]:
     return {item.name: item.value for item in parameters if item.name in _KNOWN}
 
 
-def _of_group(changes: Mapping[str, Any], prefix: str) -> dict[str, float]:
-    return {name.removeprefix(prefix): value for name, value in changes.items() if name.startswith(prefix)}
+def _groups(changes: Mapping[str, Any], config: ControllerConfig) -> list[dict[str, float]]:
+    """Changed weights and limits as `config` has them, in which what stands for None is None."""
+    return [
+        {
+            name.removeprefix(prefix): getattr(getattr(config, prefix[:-1]), name.removeprefix(prefix))
+            for name in changes
+            if name.startswith(prefix)
+        }
+        for prefix in _WHILE_DRIVING
+    ]

@@ -22,6 +22,7 @@ from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.ros.tracking_error import tracking_error
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
 
+COMMANDS = "cmd_vel"
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # How long the last command may take to reach the base when the node stops [s].
 _LAST_WORDS = 0.3
@@ -45,7 +46,7 @@ class Publishers:
     def __init__(self, node: LifecycleNode, settings: NodeSettings, frame: str) -> None:
         self._node, self._settings, self._frame = node, settings, frame
         create = node.create_lifecycle_publisher
-        self._command = create(TwistStamped if settings.stamped else Twist, "cmd_vel", QoSProfile(depth=1))
+        self._command = create(TwistStamped if settings.stamped else Twist, COMMANDS, QoSProfile(depth=1))
         self._predicted = create(Path, "~/predicted_path", 1)
         self._reference = create(Path, "~/reference_path", _LATCHED)
         self._marker = create(Marker, "~/error_marker", 1)

@@ -64,7 +64,7 @@ class Recording:
         self._logger, self._warned = logger, False
         self._period = round(1e9 * config.sample_time)
         self._recorder = DriveRecorder(
-            path, _told(settings, config), patience=_PATIENCE, frame=frame, pose_topic=settings.use_pose_topic
+            path, _told(settings, config), patience=_PATIENCE, frame=frame, pose_topic=settings.poses_from != "odometry"
         )
         if not self._recorder.fault:
             logger.info(f"records into {self._recorder.path}")

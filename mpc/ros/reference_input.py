@@ -1,35 +1,67 @@
-"""References that arrive as messages: checked as strictly as those from files."""
+"""References that arrive as messages: checked as strictly as those from files.
+
+They are read beside the loop, in a process of its own, in the frame that they state.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import Point, Pose
 from nav_msgs.msg import Path
+from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.config.schema import Limits
-from diffdrive_mpc.mpc.ros.conversions import NANOSECONDS, MessageError, check_frame, nanoseconds, planar_pose
+from diffdrive_mpc.mpc.ros.bounded_messages import path_bytes
+from diffdrive_mpc.mpc.ros.conversions import NANOSECONDS, MessageError, nanoseconds, planar_pose
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timed_poses import lay_timed_poses
 
-# Checking more would take longer than a tick; these take 15 ms.
+# To lay them takes 15 ms, beside the loop; to begin with them a part of a tick.
 _MOST_POSES = 1000
+MOST_BYTES = path_bytes(_MOST_POSES)
+"""Bytes of a message at most that can be accepted."""
 
 
-def path_reference(message: Path, frame: str, limits: Limits) -> SplineTrajectory:
+class StatedReference(NamedTuple):
+    """A reference, the frame that it is stated in, and the time that it is stated for [ns; 0: now]."""
+
+    reference: SplineTrajectory
+    frame: str
+    stamp: int
+
+
+def nothing() -> None:
+    """Who has this called has loaded what reads references."""
+
+
+def read_path(raw: bytes, limits: Limits) -> StatedReference:
+    """A serialised Path; see `path_reference`."""
+    message: Path = deserialize_message(raw, Path)
+    return StatedReference(path_reference(message, limits), message.header.frame_id, nanoseconds(message.header.stamp))
+
+
+def read_trajectory(raw: bytes, limits: Limits) -> StatedReference:
+    """A serialised MultiDOFJointTrajectory; see `trajectory_reference`."""
+    message: MultiDOFJointTrajectory = deserialize_message(raw, MultiDOFJointTrajectory)
+    return StatedReference(
+        trajectory_reference(message, limits), message.header.frame_id, nanoseconds(message.header.stamp)
+    )
+
+
+def path_reference(message: Path, limits: Limits) -> SplineTrajectory:
     """A path whose poses carry their times in their headers; only the differences count.
 
     Parameters
     ----------
     message
-        The path.
-    frame
-        Frame that control is in; the path, and each pose that names one, must have the same.
+        The path, in the frame that it names; a pose that names one must have the same.
     limits
         Speeds to respect.
 
@@ -38,20 +70,22 @@ def path_reference(message: Path, frame: str, limits: Limits) -> SplineTrajector
     MessageError, models.checked_yaml.ConfigError
         With one line that says what is wrong.
     """
-    _check_header(message.header.frame_id, frame, len(message.poses))
-    for pose in message.poses:
-        check_frame(pose.header.frame_id or frame, frame, _parameter(), "frame_id of a pose")
+    frame = message.header.frame_id
+    _check_header(frame, len(message.poses))
+    for index, pose in enumerate(message.poses):
+        if (pose.header.frame_id or frame) != frame:
+            raise MessageError(f"pose {index} is in '{pose.header.frame_id}', the path in '{frame}': give it one frame")
     first = nanoseconds(message.poses[0].header.stamp)
     times = [(nanoseconds(pose.header.stamp) - first) / NANOSECONDS for pose in message.poses]
     return _lay(times, [planar_pose(pose.pose) for pose in message.poses], limits, "path")
 
 
-def trajectory_reference(message: MultiDOFJointTrajectory, frame: str, limits: Limits) -> SplineTrajectory:
+def trajectory_reference(message: MultiDOFJointTrajectory, limits: Limits) -> SplineTrajectory:
     """A trajectory of one joint, the planar pose of the robot: the first transform of each point at its time.
 
     Parameters and errors are those of `path_reference`.
     """
-    _check_header(message.header.frame_id, frame, len(message.points))
+    _check_header(message.header.frame_id, len(message.points))
     times, poses = [], []
     for index, point in enumerate(message.points):
         if len(point.transforms) != 1:
@@ -62,12 +96,9 @@ def trajectory_reference(message: MultiDOFJointTrajectory, frame: str, limits: L
     return _lay(times, poses, limits, "trajectory")
 
 
-def _parameter() -> str:
-    return "odom_frame, or map_frame with use_pose_topic"
-
-
-def _check_header(found: str, frame: str, count: int) -> None:
-    check_frame(found, frame, _parameter())
+def _check_header(frame: str, count: int) -> None:
+    if not frame:
+        raise MessageError("it names no frame: set header.frame_id")
     if not 2 <= count <= _MOST_POSES:
         raise MessageError(f"it has {count} poses; give 2 to {_MOST_POSES}, further apart if need be")
 

@@ -5,15 +5,17 @@ Units stand in brackets at the end of each description. Nothing here needs ROS.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import StrictModel
 
 Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
 Frame = Annotated[str, Field(min_length=1)]
 Rate = Annotated[float, Field(gt=0, le=50)]
+Share = Annotated[float, Field(gt=0, le=1)]
 
 
 class NodeSettings(StrictModel, strict=True):
@@ -34,20 +36,59 @@ class NodeSettings(StrictModel, strict=True):
         True, description="lay the trajectory so that it starts where the robot stands; false: as its file has it [-]"
     )
     stamped: bool = Field(True, description="publish TwistStamped; false: Twist [-]")
-    use_pose_topic: bool = Field(
+    exclusive_cmd_vel: bool = Field(
         False,
-        description="control in map_frame by the poses on `pose`, odometry gives the twist; false: in odom_frame [-]",
+        description="refuse activation, and brake, while anybody else publishes on `cmd_vel`; false: only warn, unless "
+        "it is an active node of this project, which is never let through [-]",
+    )
+    discovery_wait: NotNegative = Field(
+        1.0, description="a node is as old at least before it is activated: it looks who else is there [s]"
+    )
+    pose_source: Literal["odometry", "topic", "tf"] = Field(
+        "odometry",
+        description="odometry: control in odom_frame by the poses of odometry; topic: in map_frame by those on `pose`; "
+        "tf: in map_frame by the transform of base_frame in it; odometry always gives the twist [-]",
+    )
+    use_pose_topic: bool = Field(False, description="true: as pose_source topic, whose older name it is [-]")
+    use_tf: bool = Field(
+        False,
+        description="hear /tf, so that references may be stated in other frames than that of control; pose_source tf "
+        "hears it anyway [-]",
+    )
+    tf_timeout: Positive = Field(
+        1.0,
+        description="without a transform newer than this of the frame that its reference is stated in, the robot "
+        "brakes; of that of the robot it is failure.max_pose_age [s]",
     )
     pose_covariance: bool = Field(
         True, description="believe the covariance on `pose` where it states one; false: the estimator's noise [-]"
     )
+    use_speed_limit: bool = Field(
+        True, description="keep to the limits of the speed on `speed_limit`, where nav2_msgs is installed [-]"
+    )
+    use_costmap: bool = Field(
+        False,
+        description="keep clear of what is occupied on `costmap` (nav_msgs/OccupancyGrid), in the frame of control; "
+        "needs free_space.enabled [-]",
+    )
+    use_obstacles: bool = Field(
+        False,
+        description="keep clear of the discs on `obstacles` (sensor_msgs/PointCloud2 with x, y, radius, vx, vy) in the "
+        "frame of control; needs free_space.enabled [-]",
+    )
     use_imu: bool = Field(True, description="use the yaw rate on `imu` [-]")
     odom_frame: Frame = Field("odom", description="frame_id that odometry must have [-]")
-    map_frame: Frame = Field("map", description="frame_id that poses must have [-]")
+    map_frame: Frame = Field(
+        "map", description="frame_id that poses must have; with pose_source tf the frame that control is in [-]"
+    )
     base_frame: Frame = Field("base_link", description="child_frame_id that odometry must have [-]")
     odom_timeout: Positive = Field(0.2, description="without good odometry for longer, the robot brakes [s]")
     blocked_timeout: Positive = Field(
         3.0, description="a robot that does not move for so long though it is asked to is paused [s]"
+    )
+    bond_heartbeat_period: NotNegative = Field(
+        0.1,
+        description="of the bond with nav2_lifecycle_manager, which then knows when the node has died; 0: no bond [s]",
     )
     autostart: bool = Field(False, description="configure and activate at start-up [-]")
     drive_on_activate: bool = Field(
@@ -65,3 +106,46 @@ class NodeSettings(StrictModel, strict=True):
     statistics_window: Annotated[int, Field(ge=10, le=100_000)] = Field(
         3000, description="ticks that the percentiles in diagnostics are taken over [-]"
     )
+    follow_path: bool = Field(
+        True, description="offer the action follow_path (nav2_msgs/FollowPath) where its type is installed [-]"
+    )
+    follow_controller_id: str = Field(
+        "", description="goals for another controller_id are aborted (INVALID_CONTROLLER); empty: any will do [-]"
+    )
+    follow_speed_share: Share = Field(
+        0.4, description="paths of follow_path are driven at so much of limits.v and limits.omega [-]"
+    )
+    follow_acceleration_share: Share = Field(
+        0.25, description="the same of limits.v_slew and limits.omega_slew, for accelerations along a path [-]"
+    )
+    follow_deviation: Annotated[float, Field(gt=0, le=0.5)] = Field(
+        0.05, description="how far the smoothed path may be from the planner's: a cell, or its diagonal [m]"
+    )
+    follow_backwards: bool = Field(
+        True, description="drive backwards where poses point against the travel; false: turn round instead [-]"
+    )
+    follow_goal_position: Positive = Field(0.1, description="arrived if no further from the goal's place [m]")
+    follow_goal_heading: Positive = Field(0.15, description="arrived if no further from the goal's heading [rad]")
+    follow_patience: Positive = Field(
+        1.0, description="a goal is aborted if the robot cannot be driven for longer: no pose, no way, no solution [s]"
+    )
+    follow_feedback_rate: Rate = Field(10.0, description="how often feedback is sent [Hz]")
+    follow_most_poses: Annotated[int, Field(ge=2, le=100_000)] = Field(
+        10_000, description="a path of more poses is refused [-]"
+    )
+
+    @model_validator(mode="after")
+    def _one_source_of_poses(self) -> NodeSettings:
+        if self.use_pose_topic and self.pose_source == "tf":
+            raise ValueError("use_pose_topic means pose_source topic, and pose_source is tf: set one of them")
+        return self
+
+    @property
+    def poses_from(self) -> Literal["odometry", "topic", "tf"]:
+        """Where poses come from, by either name."""
+        return "topic" if self.use_pose_topic else self.pose_source
+
+    @property
+    def control_frame(self) -> str:
+        """Frame that control is in."""
+        return self.odom_frame if self.poses_from == "odometry" else self.map_frame

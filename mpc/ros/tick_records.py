@@ -41,7 +41,8 @@ class TickRecords:
         self._told = (begun, config)
         self._number += 1
         reference, values = table_of(begun.reference), config.model_dump(mode="json")
-        return DriveRecord(self._number, starts, begun.reset, begun.t0, reference, values, _model_text(config.model))
+        model = _model_text(config.model)
+        return DriveRecord(self._number, starts, begun.reset, begun.t0, reference, values, model, begun.goes_on)
 
     def tick(self, tick: Tick) -> TickRecord | None:
         """The record of a tick at which the controller was asked; it belongs to the drive of the last `drive`."""

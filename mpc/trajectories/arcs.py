@@ -49,15 +49,16 @@ class ArcTrajectory(Trajectory):
     @classmethod
     def lay(cls, name: str, start: ArrayLike, stretches: Sequence[Stretch]) -> ArcTrajectory:
         """Lay `stretches` one after the other from the pose `start` (3,) [m, m, rad]."""
-        pose, arc_length, time = np.asarray(start, dtype=float), 0.0, 0.0
+        forward, turn, length = np.array([stretch[:3] for stretch in stretches], dtype=float).reshape(-1, 3).T
+        poses = chained(start, forward, turn, length).tolist()
+        time, arc_length = 0.0, 0.0
         columns: list[list[float]] = []
-        for stretch in stretches:
+        for stretch, pose in zip(stretches, poses, strict=False):
             for phase in stretch.phases:
                 columns.append([time, *pose, arc_length, stretch.forward, stretch.turn, *phase[:2], phase[2] / 2])
                 time += phase.duration
-            pose = integrate_pose(pose, stretch.forward, stretch.turn, stretch.length)
             arc_length += abs(stretch.forward) * stretch.length
-        columns.append([time, *pose, arc_length, 0.0, 0.0, 0.0, 0.0, 0.0])
+        columns.append([time, *poses[-1], arc_length, 0.0, 0.0, 0.0, 0.0, 0.0])
         table = np.ascontiguousarray(np.transpose(columns))
         return cls(name, time, table[0].copy(), table)
 
@@ -73,3 +74,16 @@ class ArcTrajectory(Trajectory):
     def __getstate__(self) -> dict[str, object]:
         """Without the memory of C."""
         return {name: value for name, value in self.__dict__.items() if name != "native"}
+
+
+def chained(start: ArrayLike, forward: FloatArray, turn: FloatArray, length: FloatArray) -> FloatArray:
+    """Poses (n + 1, 3) [m, m, rad] at the ends of n arcs, one after the other from the pose `start` (3,).
+
+    Each drives `forward` (n,) metres and turns by `turn` (n,) radians for each unit of its `length` (n,).
+    """
+    first = np.asarray(start, dtype=float)
+    heading = np.cumsum(np.append(first[2], turn * length))
+    at = np.zeros((len(length), 3))
+    at[:, 2] = heading[:-1]
+    moved = integrate_pose(at, forward, turn, length)[:, :2]
+    return np.column_stack([np.cumsum(np.vstack([first[:2], moved]), axis=0), heading])

@@ -14,6 +14,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc.trajectories.segments import Segment
+from diffdrive_mpc.mpc.trajectories.settings import load_settings
 
 SPEEDS = (1 / 3, 2 / 3, 1.0)
 """Shares of the largest speed; Ordonez et al., 2017 drive at 0.2, 0.4 and 0.6 m/s."""
@@ -54,6 +55,9 @@ def slip_excitation(
     for name, value in (("side", side), ("time", seconds), ("speed", speed), ("yaw rate", yaw_rate)):
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"{name} {value}: give a positive number")
+    longest = load_settings().longest_excitation
+    if seconds > longest:
+        raise ValueError(f"time {seconds:g} s: give at most {longest:g} s; drive it several times for more")
     # Both directions of travel: a robot that backs up stays in small squares, and tells the same terms.
     twists = [
         np.array([sign * share * speed, turn * yaw_rate])

@@ -26,6 +26,7 @@ from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.settings import load_settings
 
 Worth = Callable[[FloatArray], float]
 """Of twists (K, 2), one a tick: the more, the better."""
@@ -134,6 +135,9 @@ def model_excitation(room: Room, seconds: float, limits: TrajectoryLimits, worth
     least = 2 * settings.holds[1] + 2 * settings.calm
     if not (math.isfinite(seconds) and seconds >= least):
         raise ConfigError(f"{seconds:g} s: a drive that tells lags and dead times takes {least:g} s or more")
+    longest = load_settings().longest_excitation
+    if seconds > longest:
+        raise ConfigError(f"{seconds:g} s: give at most {longest:g} s; drive it several times for more")
     families: dict[str, _Steps | _Sines] = {
         "steps": _Steps(room, seconds, limits),
         "multi-sine": _Sines(room, seconds, limits),

@@ -23,6 +23,7 @@ from pydantic import Field
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory, Stretch
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.settings import load_settings
 from diffdrive_mpc.mpc.trajectories.timing import Phase, Timing, between, rest_to_rest
 
 # A slower twist is a wait: over any duration it leads nowhere, and its square would underflow.
@@ -75,7 +76,7 @@ def lay_segments(
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no segment, or one is faster than `limits`.
+        If there is no segment, or too many, or one is faster than `limits`.
     """
     check_segments(segments, limits, where)
     return ArcTrajectory.lay(name, start, [stretch for run in runs(segments) for stretch in timed_run(run, limits)])
@@ -108,9 +109,12 @@ def lay_commanded(
 
 
 def check_segments(segments: Sequence[Segment], limits: TrajectoryLimits, where: str) -> None:
-    """Raise ConfigError if there is no segment, or one is faster than `limits`; `where` names their source."""
+    """Raise ConfigError for no segment, too many, or one faster than `limits`; `where` names their source."""
     if not segments:
         raise ConfigError(f"{where}: segments is empty; give at least one {{v, omega, duration}}")
+    most = load_settings().most_segments
+    if len(segments) > most:
+        raise ConfigError(f"{where}: {len(segments):,} segments, at most {most:,}; join some, or split the file")
     for i, segment in enumerate(segments):
         for key, unit in (("v", "m/s"), ("omega", "rad/s")):
             value, bound = getattr(segment, key), getattr(limits, key)

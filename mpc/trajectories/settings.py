@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 
 
 class TrajectorySettings(StrictModel):
@@ -23,6 +23,33 @@ class TrajectorySettings(StrictModel):
     reach_share: float = Field(gt=0, lt=1, description="share of what a robot reaches that a scaled path asks for")
     slew_share: float = Field(gt=0, lt=1, description="share of its slew, for the same")
     longest_duration: float = Field(gt=0, description="longest trajectory [s]")
+    longest_excitation: float = Field(gt=0, description="longest drive that is searched for [s]")
+    full_pieces: int = Field(ge=1, description="pieces of a path, above which there are fewer from point to point")
+    least_pieces_per_row: int = Field(ge=1, description="between two of very many timed poses")
+    least_pieces_per_waypoint: int = Field(ge=1, description="between two of very many waypoints")
+    most_pieces: int = Field(ge=1, description="of a path; longer ones are refused")
+    most_segments: int = Field(ge=1, description="of a file")
+    most_joints: int = Field(ge=1, description="different ones that smooth timing rounds")
+
+    def pieces_between(self, points: int, usual: int, least: int, where: str) -> int:
+        """Pieces from one of `points` to the next: the usual number, and fewer where there are very many points.
+
+        Raises
+        ------
+        models.checked_yaml.ConfigError
+            If even the `least` would make more than `most_pieces`; the message begins with `where`.
+        """
+        most = self.most_pieces // least
+        if points > most:
+            raise ConfigError(f"{where}: {points:,} points, at most {most:,}; leave some out, or split it")
+        return min(usual, max(least, self.full_pieces // max(1, points - 1)))
+
+    def check_pieces(self, count: float, where: str, remedy: str) -> None:
+        """Raise ConfigError where a path would be cut into more than `most_pieces`, before it is."""
+        if not count <= self.most_pieces:
+            raise ConfigError(
+                f"{where}: it is so long that it is cut into {count:.3g} pieces, at most {self.most_pieces:,}; {remedy}"
+            )
 
 
 @cache

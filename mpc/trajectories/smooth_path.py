@@ -11,6 +11,8 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.trajectories.settings import load_settings
 
+_COINCIDE = 1e-9
+"""Points nearer than this are one [m]."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -32,23 +34,33 @@ class SmoothPath:
     """(m,) largest |d curvature / d arc length| on each piece [1/m^2]."""
 
 
-def smooth_path(waypoints: FloatArray, where: str) -> SmoothPath:
+def smooth_path(
+    waypoints: FloatArray,
+    where: str,
+    pieces: int | None = None,
+    ends: tuple[float | None, float | None] = (None, None),
+) -> SmoothPath:
     """Lay a natural cubic spline over chord length through `waypoints` (k, 2) [m], k >= 2, and cut it into pieces.
 
-    `where` names the source of the waypoints in error messages.
+    `where` names the source of the waypoints in error messages; `pieces` is into how many pieces the path is cut
+    between two of them, by default as the settings say; `ends` are the headings [rad] with which it begins and ends,
+    each where it is not free.
 
     Raises
     ------
     models.checked_yaml.ConfigError
-        If two waypoints that follow each other coincide, or the path turns too tightly.
+        If two waypoints that follow each other coincide, there are too many, or the path turns too tightly.
     """
     settings = load_settings()
+    if pieces is None:
+        least = settings.least_pieces_per_waypoint
+        pieces = settings.pieces_between(len(waypoints), settings.pieces_per_waypoint, least, where)
     chords = np.hypot(*np.diff(waypoints, axis=0).T)
-    if not chords.all():
+    if chords.min() < _COINCIDE:
         at = int(np.argmin(chords))
         raise ConfigError(f"{where}: waypoints.{at} and waypoints.{at + 1} coincide; remove one")
-    spline = CubicSpline(np.concatenate([[0.0], np.cumsum(chords)]), waypoints, bc_type="natural")
-    pieces = settings.pieces_per_waypoint
+    bounds = tuple((2, np.zeros(2)) if end is None else (1, np.array([np.cos(end), np.sin(end)])) for end in ends)
+    spline = CubicSpline(np.concatenate([[0.0], np.cumsum(chords)]), waypoints, bc_type=bounds)
     u = np.append((spline.x[:-1, None] + chords[:, None] * np.arange(pieces) / pieces).ravel(), spline.x[-1])
     inside = u[:-1, None] + np.diff(u)[:, None] * (_NODES + 1) / 2
 

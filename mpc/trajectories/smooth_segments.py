@@ -13,6 +13,7 @@ from itertools import groupby, pairwise
 
 import numpy as np
 
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.mpc.trajectories.clothoids import Clothoid, Joint, along, distances, joint
@@ -53,19 +54,43 @@ def lay_smooth(
     Raises
     ------
     models.checked_yaml.ConfigError
-        If there is no segment, or one is faster than `limits`.
+        If there is no segment, or too many, or one is faster than `limits`, or the path is too long to be cut.
     """
     check_segments(segments, limits, where)
     distance = load_settings().smoothing if smoothing is None else smoothing
+    _check_work(segments, where)
     pose, time = np.asarray(start, dtype=float), 0.0
     laid: list[Nodes] = [(np.zeros(1), pose[None], np.zeros((1, 3)), np.zeros(1))]
     for sense, group in groupby(segments, _sense):
         run = list(group)
-        pieces = (_driven(run, sense, pose, limits, distance),) if sense else _turned(run, pose, limits)
+        pieces = (_driven(run, sense, pose, limits, distance),) if sense else turned(run, pose, limits)
         for times, poses, rates, drawn in pieces:
+            if time + float(times[-1]) == time:  # a phase that rounding has left over
+                continue
             laid.append((time + times[1:], poses[1:], rates[1:], drawn[1:]))
             time, pose = time + float(times[-1]), poses[-1]
     return SplineTrajectory.through(name, *(np.concatenate(rows) for rows in zip(*laid, strict=True)))
+
+
+def _check_work(segments: Sequence[Segment], where: str) -> None:
+    """Raise ConfigError where there are too many pieces or joints, before any is made."""
+    settings = load_settings()
+    driven = [(segment, bool(_sense(segment))) for segment in segments]
+    pieces = sum(
+        (abs(one.v) / settings.smooth_piece if moves else abs(one.omega) / _TURN_STEP) * one.duration
+        for one, moves in driven
+    )
+    settings.check_pieces(pieces, where, "split it, or take another timing")
+    joints = {
+        (one.v, one.omega, other.v, other.omega)
+        for (one, first), (other, second) in pairwise(driven)
+        if first and second
+    }
+    if len(joints) > settings.most_joints:
+        raise ConfigError(
+            f"{where}: {len(joints):,} different joints of segments, at most {settings.most_joints:,} are rounded; "
+            "split it, or take another timing"
+        )
 
 
 def _sense(segment: Segment) -> int:
@@ -74,7 +99,7 @@ def _sense(segment: Segment) -> int:
     return 0 if turning or not segment.cruise else int(math.copysign(1, segment.v))
 
 
-def _turned(group: Sequence[Segment], pose: FloatArray, limits: TrajectoryLimits) -> Iterator[Nodes]:
+def turned(group: Sequence[Segment], pose: FloatArray, limits: TrajectoryLimits) -> Iterator[Nodes]:
     """Nodes of turns on the spot and waits, as they are without smoothing."""
     for stretch in (stretch for run in runs(group) for stretch in timed_run(run, limits)):
         for phase in stretch.phases:
@@ -110,13 +135,20 @@ def _driven(run: Sequence[Segment], sense: int, pose: FloatArray, limits: Trajec
     at: list[FloatArray] = [np.zeros(1)]
     cruises: list[FloatArray] = []
     drawn: list[FloatArray] = [np.zeros(1)]
+    off: dict[Joint, FloatArray] = {}
     for parts, cruise, rounded in blocks:
-        counts = [math.ceil(part.length / spacing) for part in parts]
+        # From rest to rest there has to be a node at which it moves.
+        least = 2 if len(blocks) == len(parts) == 1 else 1
+        counts = [max(least, math.ceil(part.length / spacing)) for part in parts]
         since = np.cumsum(np.repeat([part.length / n for part, n in zip(parts, counts, strict=True)], counts))
         at.append(at[-1][-1] + since)
         cruises.append(np.full(since.size, cruise))
-        local, _ = along(parts, np.append(0.0, since))
-        drawn.append(np.zeros(since.size) if rounded is None else distances(local, rounded)[1:])
+        if rounded is None:
+            drawn.append(np.zeros(since.size))
+        else:
+            if rounded not in off:
+                off[rounded] = distances(along(parts, np.append(0.0, since))[0], rounded)[1:]
+            drawn.append(off[rounded])
     arc_lengths = np.concatenate(at)
     local, curvature = along([part for parts, *_ in blocks for part in parts], arc_lengths)
     cos, sin = sense * math.cos(pose[2]), sense * math.sin(pose[2])

@@ -12,6 +12,9 @@ _SPEED_EXCESS = 1.01
 # A little beyond the limits by the model's gain the reference waits; far beyond it there is no use.
 _COMMAND_EXCESS = 1.25
 _MOST_SAMPLES = 100_000
+_LONGEST = 1e9
+# Position [m] and heading [rad]; the differences of larger ones are rounding.
+_FURTHEST = 1e9
 # A turn counts as too tight when it is so beyond rounding and what a spline rings [-, m/s].
 _LEAST_TURN_SHARE, _LEAST_TURN = 0.99, 1e-3
 
@@ -24,10 +27,17 @@ def check_speeds(reference: Reference, limits: Limits, dt: float, gain: FloatArr
     Raises
     ------
     ValueError
-        With one line that names reference, time, value and limit.
+        With one line that names reference, time, value and limit; also where duration or poses are not finite.
     """
     times = _instants(reference, dt)
-    twist = reference.sample(times).twist
+    sample = reference.sample(times)
+    odd = np.flatnonzero(~(np.abs(sample.pose) <= _FURTHEST).all(axis=1))
+    if odd.size:
+        raise ValueError(
+            f"reference '{reference.name}': its pose at {times[odd[0]]:.2f} s is not finite, or further than "
+            f"{_FURTHEST:g} m from the origin"
+        )
+    twist = sample.twist
     needed = np.abs(twist if gain is None else np.linalg.solve(gain, twist.T).T)
     twist = np.abs(twist)
     for row, (name, limit) in enumerate((("v", limits.v), ("omega", limits.omega))):
@@ -79,4 +89,8 @@ def steps_beyond_slew(reference: Reference, limits: Limits, dt: float) -> str:
 
 
 def _instants(reference: Reference, dt: float) -> FloatArray:
-    return np.linspace(0.0, reference.duration, min(int(reference.duration / dt) + 2, _MOST_SAMPLES))
+    if not 0.0 <= reference.duration <= _LONGEST:
+        raise ValueError(
+            f"reference '{reference.name}': it lasts {reference.duration:g} s; give a time from 0 to {_LONGEST:g} s"
+        )
+    return np.linspace(0.0, reference.duration, int(min(reference.duration / dt + 2.0, _MOST_SAMPLES)))

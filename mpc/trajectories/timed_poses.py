@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from array import array
 from io import TextIOWrapper
 from pathlib import Path
 
@@ -12,11 +13,14 @@ from scipy.interpolate import CubicSpline
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.input_file import open_input
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.plain_text import plain_line
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.settings import load_settings
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
-_COLUMNS = ("t", "x", "y", "theta")
+_MOST = {"t": 1e12, "x": 1e6, "y": 1e6, "theta": 1e6}
+"""A thousand kilometres and turns beyond counting are mistakes of units, and squares of more would overflow."""
+_COLUMNS = tuple(_MOST)
 
 
 def read_timed_poses(path: Path, limits: TrajectoryLimits) -> SplineTrajectory:
@@ -51,10 +55,12 @@ def lay_timed_poses(rows: FloatArray, limits: TrajectoryLimits, *, name: str, wh
     Raises
     ------
     models.checked_yaml.ConfigError
-        If a speed is beyond `limits`, or a heading does not point along the direction of travel.
+        If there are too many rows, a speed is beyond `limits`, or a heading does not point along the direction of
+        travel.
     """
+    settings = load_settings()
+    pieces = settings.pieces_between(len(rows), settings.pieces_per_row, settings.least_pieces_per_row, where)
     splines = CubicSpline(rows[:, 0] - rows[0, 0], np.column_stack([rows[:, 1:3], np.unwrap(rows[:, 3])]))
-    pieces = load_settings().pieces_per_row
     share = np.arange(pieces) / pieces
     times = np.append((splines.x[:-1, None] + np.diff(splines.x)[:, None] * share).ravel(), splines.x[-1])
     poses, rates = splines(times), splines(times, 1)
@@ -65,26 +71,36 @@ def lay_timed_poses(rows: FloatArray, limits: TrajectoryLimits, *, name: str, wh
 
 def _read(path: Path) -> FloatArray:
     """Columns t, x, y, theta of the file, (m, 4), checked for form."""
+    settings = load_settings()
+    most = settings.most_pieces // settings.least_pieces_per_row
     try:
         with TextIOWrapper(open_input(path), encoding="utf-8-sig", newline="") as file:
             reader = csv.reader(file)
             header = [cell.strip() for cell in next(reader, [])]
-            lines = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
+            missing = [name for name in _COLUMNS if name not in header]
+            if missing:
+                raise ConfigError(
+                    f"{path}, line 1: column '{missing[0]}' is missing; the header must name {','.join(_COLUMNS)}"
+                )
+            columns = [header.index(name) for name in _COLUMNS]
+            lines, numbers = array("q"), array("d")
+            for cells in reader:
+                if any(cell.strip() for cell in cells):
+                    numbers.extend(_numbers(path, reader.line_num, cells, columns))
+                    lines.append(reader.line_num)
+                if len(lines) > most:
+                    raise ConfigError(
+                        f"{path}: more than {most:,} timed poses; leave rows out, the path between them is smooth"
+                    )
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
-    missing = [name for name in _COLUMNS if name not in header]
-    if missing:
-        raise ConfigError(
-            f"{path}, line 1: column '{missing[0]}' is missing; the header must name {','.join(_COLUMNS)}"
-        )
     if len(lines) < 2:
         raise ConfigError(f"{path}: {len(lines)} timed poses; give at least two rows below the header")
-    columns = [header.index(name) for name in _COLUMNS]
-    rows = np.array([_numbers(path, line, cells, columns) for line, cells in lines])
+    rows = np.array(numbers).reshape(-1, len(_COLUMNS))
     late = np.flatnonzero(np.diff(rows[:, 0]) <= 0)
     if late.size:
         raise ConfigError(
-            f"{path}, line {lines[late[0] + 1][0]}: t = {rows[late[0] + 1, 0]:g} s does not come after the row before; "
+            f"{path}, line {lines[late[0] + 1]}: t = {rows[late[0] + 1, 0]:g} s does not come after the row before; "
             "sort the rows and drop double ones"
         )
     return rows
@@ -102,7 +118,11 @@ def _numbers(path: Path, line: int, cells: list[str], columns: list[int]) -> lis
             number = np.nan
         if not np.isfinite(number):
             raise ConfigError(
-                f"{path}, line {line}: {name} = '{cells[column].strip()}' is not a finite number; correct it"
+                f"{path}, line {line}: {name} = '{plain_line(cells[column], 40)}' is not a finite number; correct it"
+            )
+        if abs(number) > _MOST[name]:
+            raise ConfigError(
+                f"{path}, line {line}: {name} = {number:g} is beyond {_MOST[name]:g}; is it in m, s, rad?"
             )
         numbers.append(number)
     return numbers

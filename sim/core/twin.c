@@ -77,15 +77,18 @@ void twin_torque(twin_loops *loops, const double *set_points, const double *seen
     const double error = set_points[i] - seen[i];
     /* At a zero set-point the driver brakes and forgets: otherwise it would hunt for a fraction of a count. */
     const int resting = set_points[i] == 0.0 && fabs(seen[i]) < loops->rest_speed;
-    double wanted, duty;
+    double wanted, duty, wanted_torque;
     if (resting)
       loops->sum[i] = 0.0;
     wanted = set_points[i] / loops->no_load_speed + loops->proportional * error + loops->sum[i];
     duty = resting ? 0.0 : wanted < -1.0 ? -1.0 : wanted > 1.0 ? 1.0 : wanted;
-    /* The integrators stand still while the duty is at its limit. */
-    if (duty == wanted)
+    wanted_torque = loops->stall_torque[i] * (loops->supply * duty - speeds[i] / loops->no_load_speed);
+    torques[i] = wanted_torque < -loops->torque_limit  ? -loops->torque_limit
+                 : wanted_torque > loops->torque_limit ? loops->torque_limit
+                                                       : wanted_torque;
+    /* The integrators stand still while duty or current are at their limit. */
+    if (duty == wanted && torques[i] == wanted_torque)
       loops->sum[i] += loops->integral * error;
-    torques[i] = loops->stall_torque[i] * (loops->supply * duty - speeds[i] / loops->no_load_speed);
   }
 }
 
@@ -132,6 +135,15 @@ int twin_step(twin *t, const double *torques)
   return fate;
 }
 
+static void note_motors(const twin_chassis *chassis, const double *torques, double *motors)
+{
+  int i;
+  for (i = 0; i < 4; i++) {
+    motors[i] = torques[i];
+    motors[4 + i] = chassis->velocity[6 + i];
+  }
+}
+
 static void note_pose(const twin_chassis *chassis, double *pose)
 {
   pose[0] = chassis->position[0];
@@ -150,6 +162,7 @@ int twin_advance(twin *t, int steps, const double *edges, double *poses)
     if (fate != TWIN_SOUND)
       return fate;
     note_pose(t->chassis, poses + 3 * (k + 1));
+    note_motors(t->chassis, torques, t->motors + 8 * k);
   }
   return TWIN_SOUND;
 }

@@ -37,6 +37,7 @@ typedef struct {
   double proportional, integral; /* gains; the integral one over a step */
   double no_load_speed, rest_speed;
   double stall_torque[4];
+  double torque_limit; /* by the drivers' limit of the current */
   double supply;
   double sum[4]; /* the integrators */
 } twin_loops;
@@ -60,6 +61,7 @@ typedef struct {
   twin_observer *observer;
   twin_loops *loops;
   twin_chassis *chassis;
+  double *motors; /* [steps][2][4] torques during each step, speeds at its end */
 } twin;
 
 enum { TWIN_SOUND = 0, TWIN_DIVERGED = 1, TWIN_TIPPED = 2 };

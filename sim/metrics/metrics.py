@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from diffdrive_mpc.models.energy.drive_constants import DriveConstants, load_drive_constants
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.table import Table, number
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings
@@ -43,7 +45,9 @@ class Metrics:
     """Statistics of one run; the field names are those of `bench.json`, units in their endings. They print as a table.
 
     `heading_*` other than the RMSE are of the absolute error. A value that cannot be computed (the robot never moved,
-    a pose was not finite, nothing was solved) is NaN. Times and iterations are those of the ticks that have one.
+    a pose was not finite, nothing was solved, the plant has no motors) is NaN. Times and iterations are those of the
+    ticks that have one. `motor_work_j` is what the motors gave to the wheels less what they took back, `energy_j` what
+    the battery gave for it by the constants of `models/energy/drives/default.yaml`, the motors of the papers' robot.
     """
 
     steps: int
@@ -74,6 +78,8 @@ class Metrics:
     iterations_max: float
     deadline_misses: int
     fallbacks: int
+    motor_work_j: float = math.nan
+    energy_j: float = math.nan
 
     def __str__(self) -> str:
         """A table: a row per error, a column per statistic, "-" where there is none."""
@@ -87,6 +93,8 @@ class Metrics:
             f"{self.steps} steps, {'completed' if self.completed else 'not completed'}; in the band "
             f"{self.in_band_percent:.1f} %; deadlines missed {self.deadline_misses}, fall-backs {self.fallbacks}"
         )
+        if math.isfinite(self.energy_j):
+            note += f"; energy {self.energy_j:.1f} J, work of the motors {self.motor_work_j:.1f} J"
         return str(Table("", ("", *names), tuple(rows), note=note))
 
 
@@ -154,6 +162,16 @@ class ScoredRun(Protocol):
         ...
 
     @property
+    def motor_power(self) -> FloatArray:
+        """(n, 4) mechanical power of each motor until the next tick [W]; NaN for a plant without motors."""
+        ...
+
+    @property
+    def motor_square(self) -> FloatArray:
+        """(n, 4) mean square of its torque [N^2 m^2]."""
+        ...
+
+    @property
     def counted(self) -> NDArray[np.bool_]:
         """(n,) True for the ticks that the statistics cover."""
         ...
@@ -196,7 +214,24 @@ def compute_metrics(run: ScoredRun) -> Metrics:
         iterations_max=float(np.max(iterations)) if iterations.size else math.nan,
         deadline_misses=int(np.count_nonzero(step_time > run.sample_time)),
         fallbacks=sum(mode in FALLBACK_MODES for mode, used in zip(run.modes, counted, strict=True) if used),
+        **_energy(run, counted),
     )
+
+
+@cache
+def _motors() -> DriveConstants:
+    return load_drive_constants()
+
+
+def _energy(run: ScoredRun, counted: NDArray[np.bool_]) -> dict[str, float]:
+    """Work of the motors and what the battery gave for it [J]; a sample in which the robot was lost does not count."""
+    known = counted & np.isfinite(run.motor_power).all(axis=1)
+    if not known.any():
+        return {}
+    work, square = run.motor_power[known], run.motor_square[known]
+    constants = _motors()
+    power = constants.motor_power(work, square).sum() + constants.idle_power * len(work)
+    return {"motor_work_j": float(work.sum() * run.sample_time), "energy_j": float(power * run.sample_time)}
 
 
 def _percentiles(name: str, times: FloatArray) -> dict[str, float]:

@@ -137,7 +137,7 @@ def calibrate(
     models.checked_yaml.ConfigError
         At once, if `path` cannot be written. Whatever goes wrong, `path` stays as it was.
     """
-    with whole_file(path) as unfinished:
+    with whole_file(path, rewrites=True) as unfinished:
         firmware = _calibrated(date or datetime.date.today(), on_evaluation)
         write_firmware(firmware, unfinished)
     return firmware

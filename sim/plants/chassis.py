@@ -14,6 +14,9 @@ from diffdrive_mpc.sim.core.library import address, load_twin, physics_step
 from diffdrive_mpc.sim.disturbances.disturbance_types import Payload, Slope
 from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, Tyre
+from diffdrive_mpc.sim.worlds.scene import Scene
+from diffdrive_mpc.sim.worlds.settings import world_settings
+from diffdrive_mpc.sim.worlds.world import World
 
 _TIPPED = math.pi / 4
 """Lean from which no robot with its wheels below its body comes back [rad]."""
@@ -45,6 +48,8 @@ class Chassis:
         Tilt of the floor; positions and headings stay those in its plane.
     sideways
         Sliding friction across the rolling direction over that along it.
+    world
+        What stands and moves around it; without one it meets the floor alone.
     """
 
     def __init__(
@@ -56,6 +61,7 @@ class Chassis:
         payload: Payload | None = None,
         slope: Slope | None = None,
         sideways: float = 1.0,
+        world: World | None = None,
     ) -> None:
         import mujoco  # noqa: PLC0415 - an optional dependency, needed by this plant only
 
@@ -63,7 +69,9 @@ class Chassis:
         mujoco.set_mju_user_warning(_ignore)
         self._forward = mujoco.mj_forward
         self._restart = mujoco.mj_resetData
-        self._model: Any = mujoco.MjModel.from_xml_string(_mjcf(robot, twin, step, payload, sideways != 1.0))
+        self.scene = None if world is None else Scene(world, *outline(robot, twin))
+        xml = _mjcf(robot, twin, step, payload, sideways != 1.0, self.scene)
+        self._model: Any = mujoco.MjModel.from_xml_string(xml)
         self._data: Any = mujoco.MjData(self._model)
         self._sideways = sideways
         self.set_friction(np.full(4, friction))
@@ -81,8 +89,10 @@ class Chassis:
                 "least_upright": math.cos(_TIPPED),
             },
         )
-        self._step = _step_in_c(self._model, self._data)
+        self._step = _step_in_c(self._model, self._data, self.scene)
         self.c.step = self._step
+        if self.scene is not None:
+            self.scene.enter(self._model, self._data)
         mujoco.mj_step(self._model, self._data, nstep=round(_SETTLING_TIME / step))
         self._resting_height = float(self._position[2])
         if slope is not None:
@@ -96,6 +106,8 @@ class Chassis:
         self._restart(self._model, self._data)
         self._position[:7] = [x, y, self._resting_height, math.cos(theta / 2), 0.0, 0.0, math.sin(theta / 2)]
         self._position[7:] = 0.0
+        if self.scene is not None:
+            self.scene.restart()
         self._forward(self._model, self._data)
         self.c.yaw = theta
 
@@ -172,7 +184,7 @@ class Chassis:
     @property
     def wheels_on_floor(self) -> int:
         """Number of wheels that touch the floor."""
-        return len({self._data.contact[i].geom2 for i in range(self._data.ncon)})
+        return len({self._data.contact[i].geom2 for i in self._floor_contacts})
 
     @property
     def wheel_loads(self) -> FloatArray:
@@ -180,11 +192,16 @@ class Chassis:
         import mujoco  # noqa: PLC0415 - see above
 
         loads, force = np.zeros(len(WHEELS)), np.zeros(6)
-        for i in range(self._data.ncon):
+        for i in self._floor_contacts:
             mujoco.mj_contactForce(self._model, self._data, i, force)
             name = mujoco.mj_id2name(self._model, mujoco.mjtObj.mjOBJ_GEOM, self._data.contact[i].geom2)
             loads[WHEELS.index(name)] += force[0]
         return loads
+
+    @property
+    def _floor_contacts(self) -> list[int]:
+        """Contacts of the floor, which is the first geom."""
+        return [i for i in range(self._data.ncon) if self._data.contact[i].geom1 == 0]
 
     @property
     def energy(self) -> float:
@@ -196,12 +213,23 @@ class Chassis:
         return float(0.5 * self._velocity @ momentum)
 
 
-def _step_in_c(model: Any, data: Any) -> Any:  # noqa: ANN401 - neither MuJoCo nor cffi has types
-    """`mj_step` for C: MuJoCo's own, or where its library cannot be found the way through Python."""
+def outline(robot: Robot, twin: TwinParameters) -> tuple[float, float]:
+    """Length and width of the robot as seen from above [m]: body and wheels."""
+    length, width, _ = twin.chassis.body_size
+    return (
+        max(length, twin.chassis.wheel_base + 2 * robot.wheel_radius),
+        max(width, robot.track + world_settings().body.tyre_width),
+    )
+
+
+def _step_in_c(model: Any, data: Any, scene: Scene | None) -> Any:  # noqa: ANN401 - neither MuJoCo nor cffi has types
+    """`mj_step` for C: MuJoCo's own, or where its library cannot be found or a scene watches the way through Python."""
     import mujoco  # noqa: PLC0415 - see above
 
     ffi, _ = load_twin()
     kind, found = "void(*)(const void *, void *)", physics_step()
+    if scene is not None:
+        return ffi.callback(kind, lambda _model, _data: scene.step())
     if found is not None:
         return ffi.cast(kind, found)
     return ffi.callback(kind, lambda _model, _data: mujoco.mj_step(model, data))
@@ -236,7 +264,9 @@ def _of_two(tyre: Tyre) -> Tyre:
     )
 
 
-def _mjcf(robot: Robot, twin: TwinParameters, step: float, payload: Payload | None, aligned: bool) -> str:
+def _mjcf(
+    robot: Robot, twin: TwinParameters, step: float, payload: Payload | None, aligned: bool, scene: Scene | None
+) -> str:
     """The model in MuJoCo's XML format; `aligned` gives contacts whose first tangent is along the axle."""
     chassis, tyre, radius = twin.chassis, twin.tyre, robot.wheel_radius
     half_base, half_track = chassis.wheel_base / 2, robot.track / 2
@@ -246,8 +276,10 @@ def _mjcf(robot: Robot, twin: TwinParameters, step: float, payload: Payload | No
         shapes = [f'type="capsule" size="{one} {_CAPSULE}" euler="90 0 0"' for one in rolling]
         tyre = _of_two(tyre)
     places = [(half_base, half_track), (half_base, -half_track), (-half_base, half_track), (-half_base, -half_track)]
+    # Without it the joints have no constraint at all: robots that leave it out move as ever, bit for bit.
+    drag = f' frictionloss="{chassis.wheel_drag}"' if chassis.wheel_drag else ""
     wheels = "".join(
-        f'<body pos="{x} {y} 0"><joint type="hinge" axis="0 1 0" armature="{twin.motor.rotor_inertia}"/>'
+        f'<body pos="{x} {y} 0"><joint type="hinge" axis="0 1 0" armature="{twin.motor.rotor_inertia}"{drag}/>'
         f'<geom name="{name}" {shape} mass="{chassis.wheel_mass}"/></body>'
         for name, shape, (x, y) in zip(WHEELS, shapes, places, strict=True)
     )
@@ -270,12 +302,14 @@ def _mjcf(robot: Robot, twin: TwinParameters, step: float, payload: Payload | No
         )
     # Reset by MuJoCo, a diverged robot would stand at its start as if nothing had happened. There is one body with its
     # wheels: to look for islands of contacts that do not meet takes time and finds none.
+    assets, obstacles, hull = (scene.assets, scene.obstacles, scene.hull(max(rolling))) if scene else ("", "", "")
     return (
         f'<mujoco><option timestep="{step!r}" cone="elliptic" impratio="{tyre.creep_stiffness}"'
         ' integrator="implicitfast"><flag autoreset="disable" island="disable"/></option>'
-        '<default><geom contype="0" conaffinity="0"/></default>'
+        f'<default><geom contype="0" conaffinity="0"/></default>{assets}'
         '<worldbody><geom name="floor" type="plane" size="0 0 1"/>'
         f'<body pos="0 0 {max(rolling)}"><freejoint/><geom type="box" size="{length} {width} {height}"'
-        f' pos="{ahead} {left} {chassis.body_height}" mass="{body_mass}"/>{load}{wheels}</body></worldbody>'
+        f' pos="{ahead} {left} {chassis.body_height}" mass="{body_mass}"/>{load}{hull}{wheels}</body>'
+        f"{obstacles}</worldbody>"
         f"<contact>{contacts}</contact></mujoco>"
     )

@@ -5,6 +5,8 @@ What each of them does stands in `sim/core/twin.c`. Here is what their numbers c
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
@@ -111,6 +113,7 @@ class VelocityLoops:
             # Slower than one count per control sample or so the counter cannot tell from rest.
             "rest_speed": pulse / step / 10,
             "stall_torque": [motor.stall_torque * share for share in motor.spread],
+            "torque_limit": math.inf if driver.torque_limit is None else driver.torque_limit,
             "supply": 1.0,
         }
         self.c = ffi.new("twin_loops *", numbers)

@@ -8,11 +8,15 @@ from pathlib import Path
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.robot import Robot, TwistBounds, load_robot
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
+from diffdrive_mpc.sim.plants.chassis import outline
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.plants.twin_parameters import load_twin_parameters
+from diffdrive_mpc.sim.plants.world_plant import WorldPlant
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from diffdrive_mpc.sim.worlds.world_file import NO_WORLD, load_world
 
 PHYSICS = "mujoco"
 """Name of the physics plant, and before a colon the kind of another robot in it."""
@@ -29,6 +33,7 @@ def make_plant(
     scenario: str | Path = "none",
     sample_time: float | None = None,
     limits: TwistBounds | None = None,
+    world: str | Path = NO_WORLD,
 ) -> Plant:
     """Build a plant.
 
@@ -56,6 +61,9 @@ def make_plant(
         Time for which a command holds [s]; by default that of the robot. The physics has steps of its own.
     limits
         For "model:" plants: commands beyond this are cut off; by default as the link of the robot of the papers does.
+    world
+        Name of a shipped world, path of a world file, `drawn:SEED` or `drawn:SEED:through`: obstacles and persons
+        around the robot, for the physics only. What its file leaves open is drawn from `seed`.
 
     Raises
     ------
@@ -68,6 +76,7 @@ def make_plant(
         raise ConfigError(f"seed {seed!r}: give an integer that is not negative")
     floor, sensor_set = load_surface(surface), load_sensor_set(sensors)
     happening = load_scenario(scenario).draw(seed)
+    around = None if str(world) == NO_WORLD else load_world(world, seed)
     if name == PHYSICS or name.startswith(f"{PHYSICS}:"):
         if floor.friction is None:
             raise ConfigError(f"surface '{surface}' has no friction: it is for 'model:' plants; wheels need it to push")
@@ -91,14 +100,19 @@ def make_plant(
             scenario=happening if happening.physical else None,
             sideways=floor.sideways,
             sample_time=sample_time,
+            world=around,
         )
-        if not happening.kinds:
-            return robot
-        return DisturbedPlant(robot, happening, build.robot if build else load_robot(), lambda: robot.crossed)
+        whole: Plant = robot
+        if happening.kinds:
+            whole = DisturbedPlant(robot, happening, build.robot if build else load_robot(), lambda: robot.crossed)
+        scene = robot.chassis.scene
+        return whole if scene is None else WorldPlant(whole, scene, seed)
     if name.startswith(_MODEL_PREFIX):
         from diffdrive_mpc.models.load import load_base_effects, load_model  # noqa: PLC0415 - only this plant needs it
         from diffdrive_mpc.sim.plants.model_plant import ModelPlant  # noqa: PLC0415
 
+        if around is not None:
+            raise ConfigError(f"world '{world}' needs a plant with a body to touch it: '{name}' has none; use 'mujoco'")
         if not extra_dead_time >= 0:
             raise ConfigError(f"extra_dead_time {extra_dead_time} s: it must not be negative")
         model, named_dead_time = _split(name.removeprefix(_MODEL_PREFIX))
@@ -123,6 +137,16 @@ def make_plant(
         "file) or 'model:NAME' (mbm, sm, ssm, a robot such as 'husky', or the path of a model file), with more "
         "dead time 'model:NAME+SECONDS'"
     )
+
+
+def plant_outline(name: str) -> tuple[float, float]:
+    """Length and width from above [m] of the robot of a plant's name, that of the papers for "model:NAME".
+
+    Raises ConfigError where a robot file is named that cannot be used.
+    """
+    kind, colon, file = name.partition(":")
+    build = load_simulated_robot(file) if colon and kind == PHYSICS else None
+    return outline(build.robot, build.twin) if build else outline(load_robot(), load_twin_parameters())
 
 
 def _model_robot(sample_time: float | None, limits: TwistBounds | None) -> Robot:

@@ -19,6 +19,7 @@ from diffdrive_mpc.sim.plants.twin import Twin
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 from diffdrive_mpc.sim.sensing.sensors import TIME_TOLERANCE, Sensors
+from diffdrive_mpc.sim.worlds.world import World
 
 # Spawn keys of the sensors' streams are 0, 1, 2, ...: this one can never meet them.
 _ENCODER_PHASE_KEY = 1_000
@@ -45,6 +46,8 @@ class MujocoPlant:
         Friction across the rolling direction of the wheels over that along it.
     sample_time
         Time for which a command holds [s]; by default that of `robot`. Steps of the physics are about as long as there.
+    world
+        What stands and moves around it.
     """
 
     def __init__(
@@ -60,6 +63,7 @@ class MujocoPlant:
         scenario: Scenario | None = None,
         sideways: float = 1.0,
         sample_time: float | None = None,
+        world: World | None = None,
     ) -> None:
         robot, twin = robot or load_robot(), twin or load_twin_parameters()
         self._robot = robot
@@ -69,7 +73,7 @@ class MujocoPlant:
         pulse = 2 * np.pi / robot.encoder_pulses
         phase = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_ENCODER_PHASE_KEY,))).random(4)
         load, slope = (scenario.payload, scenario.slope) if scenario else (None, None)
-        self._chassis = Chassis(robot, twin, friction, step, load, slope, sideways)
+        self._chassis = Chassis(robot, twin, friction, step, load, slope, sideways, world)
         self._line = DelayLine(twin.link.dead_time)
         self._shaping = None if base is None else CommandShaping(base, self._sample_time)
         self._shaper = CommandShaper(firmware or load_firmware(), robot, step)
@@ -110,6 +114,14 @@ class MujocoPlant:
     def chassis(self) -> Chassis:
         """The body in MuJoCo, for a look at energy, contacts and true wheel speeds."""
         return self._chassis
+
+    @property
+    def motors(self) -> FloatArray:
+        """(steps, 2, 4) torques [N m] and wheel speeds [rad/s] in the sample before; see `sim.plants.motor_work`.
+
+        Front left, front right, rear left, rear right. They are written over by the next sample.
+        """
+        return self._twin.motors
 
     @property
     def crossed(self) -> list[Span]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Literal
 
@@ -13,6 +13,7 @@ from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.results import ReadOnlyArrays
 from diffdrive_mpc.models.robot import NotNegative, Positive, Robot, load_robot
+from diffdrive_mpc.sim.plants.motor_work import MotorWork, motor_work, stacked
 from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.plants.surface import Slip
 from diffdrive_mpc.sim.plants.twin_parameters import PARAMETERS
@@ -124,6 +125,8 @@ class Drive(ReadOnlyArrays):
         (K, 3) x [m], y [m], theta [rad, unwrapped].
     true_twist
         (K, 3) forward and lateral speed [m/s], yaw rate [rad/s].
+    motor_torque, motor_speed, motor_power, motor_square
+        (K, 4) what `sim.plants.motor_work` says of the sample that begins here; NaN for a plant without motors.
     """
 
     time: FloatArray
@@ -133,6 +136,10 @@ class Drive(ReadOnlyArrays):
     yaw_rate: FloatArray
     true_pose: FloatArray
     true_twist: FloatArray
+    motor_torque: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    motor_speed: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    motor_power: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    motor_square: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
 
     @property
     def output(self) -> FloatArray:
@@ -156,6 +163,7 @@ def drive_open_loop(plant: Plant, commands: ArrayLike, pose: ArrayLike = (0.0, 0
     time, yaw_rate = np.empty(count), np.empty(count)
     wheel_speeds, wheel_twist = np.empty((count, 4)), np.empty((count, 2))
     true_pose, true_twist = np.empty((count, 3)), np.empty((count, 3))
+    work: list[MotorWork] = []
     for k, command in enumerate(rows):
         measurement = plant.measure()
         if measurement.wheel_speeds is None or measurement.wheel_twist is None or measurement.yaw_rate is None:
@@ -164,7 +172,8 @@ def drive_open_loop(plant: Plant, commands: ArrayLike, pose: ArrayLike = (0.0, 0
         wheel_speeds[k], wheel_twist[k] = measurement.wheel_speeds.value, measurement.wheel_twist.value
         yaw_rate[k] = measurement.yaw_rate.value
         plant.advance(command)
-    return Drive(time, rows.copy(), wheel_speeds, wheel_twist, yaw_rate, true_pose, true_twist)
+        work.append(motor_work(plant))
+    return Drive(time, rows.copy(), wheel_speeds, wheel_twist, yaw_rate, true_pose, true_twist, *stacked(work))
 
 
 def measure_slip(drive: Drive, on_default: Drive) -> Slip:

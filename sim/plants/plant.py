@@ -89,3 +89,9 @@ class PlantAround:
     def true_twist(self) -> FloatArray:
         """(3,) forward and lateral speed [m/s] and yaw rate [rad/s], body frame."""
         return self._plant.true_twist
+
+    @property
+    def motors(self) -> FloatArray | None:
+        """(steps, 2, 4) torques [N m] and wheel speeds [rad/s] in the sample before; None without motors."""
+        found: FloatArray | None = getattr(self._plant, "motors", None)
+        return found

@@ -27,6 +27,9 @@ class Twin:
         (steps + 1,) begin and end of each step of this control sample [s]; the caller writes them.
     poses
         (steps + 1, 3) x [m], y [m], theta [rad, unwrapped] at these instants.
+    motors
+        (steps, 2, 4) torque of each motor during each step [N m], speed of its wheel at the step's end [rad/s]: their
+        product is the work over the step's length, exactly, as the physics turns the wheels by the new speed.
     """
 
     def __init__(
@@ -41,8 +44,9 @@ class Twin:
         ffi, self._lib = load_twin()
         self._chassis, self._steps = chassis, steps
         self._parts = line, shaper, observer, loops, chassis  # C reads them
-        self._c = ffi.new("twin *", [part.c for part in self._parts])
         self.edges, self.poses, self._torques = np.zeros(steps + 1), np.zeros((steps + 1, 3)), np.zeros(4)
+        self.motors = np.zeros((steps, 2, 4))
+        self._c = ffi.new("twin *", [*(part.c for part in self._parts), address(self.motors)])
         self._addresses = address(self.edges), address(self.poses)
         self._torques_address = address(self._torques)
 
@@ -61,3 +65,4 @@ class Twin:
         self._torques[:] = torques
         self._chassis.check(self._lib.twin_step(self._c, self._torques_address))
         self.poses[step + 1] = self._chassis.pose
+        self.motors[step] = torques, self._chassis.wheel_speeds

@@ -29,6 +29,10 @@ class ChassisParameters(StrictModel):
         default=(1.0, 1.0),
         description="of the left, of the right wheels over what firmware and encoders take",
     )
+    wheel_drag: NotNegative = Field(
+        default=0.0,
+        description="torque of each wheel against the friction of its drive train, whatever its speed [N m]",
+    )
 
 
 class Tyre(StrictModel):
@@ -56,6 +60,9 @@ class Driver(StrictModel):
     proportional_gain: NotNegative = Field(description="duty per speed error [s/rad]")
     integral_gain: NotNegative = Field(description="duty per angle error [1/rad]")
     observer_bandwidth: Positive = Field(description="double pole of the speed observer [rad/s]")
+    torque_limit: Positive | None = Field(
+        default=None, description="largest torque of a motor by the driver's limit of its current [N m]; without: none"
+    )
 
 
 class Link(StrictModel):

@@ -11,6 +11,7 @@ from log_parts import TEXTS, read_columns
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.contents import CONTENTS
 
 runner = CliRunner()
 
@@ -19,7 +20,7 @@ def test_a_quick_bench_writes_its_report(tmp_path: Path) -> None:
     arguments = "--quick --models ssm --trajectories cane --jobs 1 --controller mpc,kanayama"
     result = runner.invoke(app, ["bench", "--out", str(tmp_path / "out"), *arguments.split()])
     assert result.exit_code == 0, result.stderr
-    files = ["bench.json", "bench.md", "figures", "report.html"]
+    files = [CONTENTS, "bench.json", "bench.md", "figures", "report.html"]
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == files
     ours, peer = json.loads((tmp_path / "out" / "bench.json").read_text())["runs"]
     assert (ours["controller"], ours["plant"], peer["controller"]) == ("mpc", "mujoco", "kanayama")
@@ -45,7 +46,7 @@ def test_simulate_draws_and_logs_the_same_run_every_time(tmp_path: Path) -> None
         arguments = ["--trajectory", "cane", "--seed", "3", "--log", str(tmp_path / f"{name}.csv")]
         result = runner.invoke(app, ["simulate", *arguments, "--out", str(tmp_path / name)])
         assert result.exit_code == 0, result.stderr
-        files = ["report.html", "ssm-cane-step-time.png", "ssm-cane.png"]
+        files = [CONTENTS, "report.html", "ssm-cane-step-time.png", "ssm-cane.png"]
         assert sorted(path.name for path in (tmp_path / name).iterdir()) == files
         logs.append(read_columns(tmp_path / f"{name}.csv"))
     clock = [logs[0].pop(name) for name in ("step_time_s", "solve_time_s")]  # the clock of the computer makes no other

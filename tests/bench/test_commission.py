@@ -204,3 +204,14 @@ def test_a_ledger_of_something_else_is_refused(tmp_path):
     (tmp_path / "commission.json").write_text("[1]")
     with pytest.raises(ConfigError, match="not written by this command"):
         Ledger(tmp_path)
+
+
+@pytest.mark.parametrize("option", ["--known", "--mapping", "--plan"])
+def test_files_that_are_named_are_read_before_a_drive_is_searched_for(option, tmp_path):
+    """The step that needs them comes minutes later."""
+    file = tmp_path / "bad.yaml"
+    file.write_text("structure: [ssm]\n", encoding="utf-8")
+    result = CliRunner().invoke(app, ["commission", option, str(file), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 2
+    assert "bad.yaml" in result.stderr
+    assert not (tmp_path / "out").exists()

@@ -18,7 +18,7 @@ from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
 from diffdrive_mpc.bench.studies.comparison.tables import path_table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
-NAMES = ["controller", "model", "trajectory", "timing", "plant", "surface", "sensors", "scenario", "seed"]
+NAMES = ["controller", "model", "trajectory", "timing", "plant", "surface", "sensors", "scenario", "world", "seed"]
 PLACES = [one for one in DIMENSIONS if one.place]
 
 

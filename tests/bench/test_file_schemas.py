@@ -24,21 +24,29 @@ from diffdrive_mpc.bench.studies.robustness.conditions import load_conditions
 from diffdrive_mpc.bench.tune.tune_file import load_plan
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.editor_line import EDITOR_LINE, kept_editor_line
+from diffdrive_mpc.models.energy import load_drive_constants
 from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.logs.mapping import load_mapping
+from diffdrive_mpc.models.terrain import load_terrain, load_vehicle
 from diffdrive_mpc.models.velocity_model import ModelError
 from diffdrive_mpc.mpc import load_config, load_trajectory
+from diffdrive_mpc.mpc.monitor.rules import load_rules
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from diffdrive_mpc.sim.worlds.world_file import load_world
 
 ROOT = Path(__file__).parents[2]
 READERS: dict[str, Callable[[Path], object]] = {
     "controller": load_config,
+    "monitor": load_rules,
     "trajectory": load_trajectory,
     "model": load_model,
     "mapping": load_mapping,
+    "vehicle": load_vehicle,
+    "terrain": load_terrain,
+    "drive": load_drive_constants,
     "robot": load_simulated_robot,
     "surface": load_surface,
     "sensors": load_sensor_set,
@@ -47,6 +55,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "proof": load_proof,
     "tune": load_plan,
     "conditions": load_conditions,
+    "world": load_world,
 }
 CAMPAIGN = {
     "description": "a test",
@@ -180,7 +189,7 @@ def test_a_schema_is_printed_and_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["trajektory"], "error: unknown kind of file 'trajektory': give one of controller, trajectory,"),
+        (["trajektory"], "error: unknown kind of file 'trajektory': give one of controller, "),
         (["--path"], "error: which schema?"),
         (["model", "--path", "--out", "x.json"], "error: --path names a file that is there already"),
     ],

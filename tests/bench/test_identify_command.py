@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc import identify
 from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.contents import CONTENTS
 from diffdrive_mpc.bench.studies.identification.page import remedies
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.doubt import VERDICTS
@@ -181,7 +182,7 @@ def test_the_configuration_drives_the_plant(mine, logs):
 
 def files_of(folder):
     """Content of every file without the times: the line that says how long it took, and the page."""
-    files = [path for path in folder.rglob("*") if path.is_file() and path.name != "report.html"]
+    files = [path for path in folder.rglob("*") if path.is_file() and path.name not in ("report.html", CONTENTS)]
     return {path.relative_to(folder): without_times(path) for path in files}
 
 

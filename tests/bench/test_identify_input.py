@@ -8,6 +8,7 @@ from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_ma
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.contents import CONTENTS
 
 runner = CliRunner()
 COLUMNS = drive(seconds=12.0)
@@ -52,7 +53,7 @@ def folder(tmp_path_factory):
         ("degrees.csv --mapping map.yaml", "`unit: deg/s`"),
         ("constant.csv --mapping map.yaml", "constant.csv"),
         ("ten.csv --mapping map.yaml", "10 samples in the longest stretch, at least 20 are needed"),
-        ("nan.csv --mapping map.yaml", "no row has both a time and a command"),
+        ("nan.csv --mapping map.yaml", "nan.csv: column 'v_ref' holds no usable number"),
         ("stamped.csv --mapping two_clocks.yaml", "two clocks"),
         ("reversed.csv --mapping map.yaml", "reversed.csv"),
         (
@@ -128,7 +129,7 @@ def test_a_fit_below_zero_leaves_the_report_alone(folder, tmp_path):
     words = ["identify", str(log), "--validate", str(other), "--mapping", str(folder / "map.yaml")]
     result = runner.invoke(app, [*words, "--out", str(tmp_path / "o")])
     assert result.exit_code == 2 and "below zero (omega -" in result.stderr and "--force" in result.stderr
-    files = ["report.html", "report.json", "report.md"]
+    files = [CONTENTS, "report.html", "report.json", "report.md"]
     assert sorted(path.name for path in (tmp_path / "o").iterdir() if path.is_file()) == files
     assert runner.invoke(app, [*words, "--force", "--out", str(tmp_path / "o")]).exit_code == 0
     assert (tmp_path / "o" / "config.yaml").exists()
@@ -176,6 +177,7 @@ def test_without_out_the_results_go_to_a_folder_of_that_name(folder, tmp_path, m
     assert result.exit_code == 0
     assert result.stderr == ""
     assert sorted(path.name for path in (tmp_path / "identified").iterdir()) == [
+        CONTENTS,
         "config.yaml",
         "figures",
         "first_circle.yaml",

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from diffdrive_mpc.bench.sweep import parse_setting
 from diffdrive_mpc.models.bounded_yaml import DEEPEST, parse_yaml
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc.mpc.config.config_file import load_config
 
 BOMB = "\n".join(["a0: &a0 [x, x]"] + [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 30)])
 UNFIT = [
@@ -104,3 +105,13 @@ def test_a_large_file_is_refused(tmp_path):
 def test_a_setting_whose_value_does_not_fit_is_one_line():
     with pytest.raises(ConfigError, match="cannot be read as values"):
         parse_setting("horizon=!!bool z")
+
+
+def test_a_message_repeats_no_more_of_a_value_or_a_key_than_shows_what_it_is(tmp_path):
+    file = tmp_path / "long.yaml"
+    for text in (f"horizon: {'a' * 5000}\n", f"{'k' * 100_000}: 1\n", f'weights: {{along: "\\e[31m{"b" * 5000}"}}\n'):
+        file.write_text(text, encoding="utf-8")
+        with pytest.raises(ConfigError) as caught:
+            load_config(str(file))
+        assert len(str(caught.value)) < 600
+        assert "\x1b" not in str(caught.value)

@@ -93,6 +93,15 @@ def test_nan_rows_of_a_sensor_are_left_out(tmp_path):
     assert list(np.flatnonzero(~record.fresh_yaw_rate)) == [100, 101, 300]
 
 
+def test_numbers_too_large_to_be_squared_are_no_readings(tmp_path):
+    """They used to end in what a library says of its own overflow."""
+    log = read(tmp_path, changed("gyro", [100, 300], 1e308))
+    assert "column 'gyro' is not finite in 2 rows" in lines(log, "NaN rows")[0]
+    for value in (1e308, -1e308, np.nan):
+        with pytest.raises(ConfigError, match="column 'v_ref' holds no usable number in any row"):
+            read(tmp_path, changed("v_ref", slice(None), value))
+
+
 def test_an_unknown_command_ends_a_stretch(tmp_path):
     log = read(tmp_path, changed("v_ref", 400, np.nan))
     assert "column 'v_ref' is not finite in 1 rows" in lines(log, "NaN rows")[0]

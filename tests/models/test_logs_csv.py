@@ -248,3 +248,20 @@ def test_empty_cells_read_the_same_in_a_block_as_cell_by_cell(tmp_path, monkeypa
     for name in names:
         assert np.array_equal(quick.values[name], careful.values[name], equal_nan=True)
         assert np.array_equal(quick.numbers(name)[1], careful.numbers(name)[1])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (",".join(f"c{i}" for i in range(20_000)) + "\n", "20,000 columns, at most 10,000"),
+        ("t,v\n0,1\n1," + "1" * 20_000_000, "a line of more than 1,048,576 bytes"),
+        ("x" * 2_000_000, "a line of more than 1,048,576 bytes"),
+        ("a,b," * 2000 + "a\n1\n", "column 'a' is there twice"),
+    ],
+)
+def test_what_is_no_table_is_refused_before_it_is_taken_apart(tmp_path, text, words):
+    """A million columns took minutes, a file without an end of line all memory."""
+    file = tmp_path / "wide.csv"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match=words):
+        read_table(file, {"t", "v"})

@@ -163,6 +163,8 @@ class Stack:
         self, overrides=None, *, plant="model:ssm+0.005", pose_topic=False, drive=False, sim_time=True, **parameters
     ):
         parameters = {"autostart": True, "start_at_robot": False, "use_pose_topic": pose_topic, **parameters}
+        # Nobody else has this test's domain: there is nobody to wait for.
+        parameters = {"discovery_wait": 0.0, **parameters}
         words = ["--ros-args", "-p", f"use_sim_time:={str(sim_time).lower()}", "--log-level", "warn"]
         for name, value in parameters.items():
             words += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]

@@ -100,6 +100,7 @@ def test_the_way_back_turns_no_tighter(side):
     for radius in (0.0, 0.8):
         limits = TrajectoryLimits(0.7, 1.5, 0.7, 2.0, least_turn_radius=radius)
         found = rejoin(reference, window, here, Course(pose, 0.5, 0.125), 2.0, (0.3, 2.0), limits)
+        assert found is not None
         twist = found.connection.sample(np.linspace(0, found.connection.duration, 300)).twist
         assert radius == 0.0 or excess(twist, radius).max() <= 0.02
 

@@ -167,10 +167,10 @@ def test_beside_a_moving_reference_it_keeps_course_and_joins_with_twist(where, a
     name, time = where
     twist = REFERENCES[name].sample([time]).twist[0]
     _, way, _ = connect(name, time, across, turned, *twist)
-    # The way back begins with the robot's speed and ends with the reference's, with its curvature; a difference of
-    # 0.1 m/s is 0.05 s of command slew.
+    # The way back begins with the robot's speed, or so much slower as its first bend is too tight for it, and ends with
+    # the reference's, with its curvature; a difference of 0.16 m/s is 0.08 s of command slew.
     start, end = way.connection.sample([0.0]), way.connection.sample([way.connection.duration])
-    assert start.twist[0, 0] == pytest.approx(twist[0], abs=0.1)
+    assert start.twist[0, 0] == pytest.approx(twist[0], abs=0.16)
     assert end.twist[0] == pytest.approx(REFERENCES[name].sample([way.joins]).twist[0], abs=0.1)
     # Smooth: forwards all the way, without a stop.
     times = np.linspace(0.0, way.connection.duration, 400)

@@ -179,9 +179,9 @@ def test_false_poses_teach_nothing():
 
 def test_the_node_takes_each_start_of_the_same_reference_for_a_lap():
     topic = SimpleNamespace(fault=lambda *_: "", age=lambda _: 0.0)
-    inbox = SimpleNamespace(now=0.0, odometry=topic, newest_pose=None)
+    inbox = SimpleNamespace(now=0.0, odometry=topic, newest_pose=None, look_up_pose=lambda: None)
     settings = SimpleNamespace(
-        statistics_window=10, drive_on_activate=True, start_at_robot=True, use_pose_topic=False, odom_timeout=1.0,
+        statistics_window=10, drive_on_activate=True, start_at_robot=True, poses_from="odometry", odom_timeout=1.0,
         blocked_timeout=9.0,
     )  # fmt: skip
     loop = ControlLoop(controller(), settings, inbox, BEND, in_sim_time=True)

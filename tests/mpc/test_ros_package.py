@@ -1,9 +1,11 @@
 """The files of the colcon package fit the code that they start."""
 
 import ast
+import inspect
 import re
 import sys
 import tomllib
+import types
 from importlib import import_module
 from pathlib import Path
 from xml.etree import ElementTree
@@ -14,13 +16,19 @@ import yaml
 from rclpy.context import Context
 from ros_parts import stack
 
+from diffdrive_mpc.bench.commands.monitor import monitor
+from diffdrive_mpc.mpc.monitor.ros.node import CHECKED, UNCHECKED
+from diffdrive_mpc.mpc.monitor.ros.settings import MonitorSettings
 from diffdrive_mpc.mpc.ros.node import TrackingNode
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 ROOT = Path(__file__).parents[2]
 ROS = ROOT / "ros"
 MANIFEST = ElementTree.parse(ROS / "package.xml").getroot()
+NODES = [path for room in ("mpc/ros", "mpc/monitor/ros") for path in sorted((ROOT / room).glob("*.py"))]
 NAME = MANIFEST.findtext("name")
+WITHOUT_WHEEL = {"bond", "nav2_msgs", "tf2_msgs"}
+"""Used where they are installed, as with Nav2; the node does without them, and says so."""
 
 
 def imported(path):
@@ -33,11 +41,11 @@ def imported(path):
 
 def test_the_manifest_names_every_ros_package_that_the_code_imports():
     listed = {element.text for element in MANIFEST.findall("exec_depend")}
-    sources = [*(ROOT / "mpc" / "ros").glob("*.py"), *(ROOT / "sim").glob("ros/*.py"), *(ROS / "launch").glob("*.py")]
+    sources = [*NODES, *(ROOT / "sim").glob("ros/*.py"), *(ROS / "launch").glob("*.py")]
     found = set().union(*(imported(path) for path in sources))
     ros = {name for name in found if name == "rclpy" or name.startswith("launch") or name.endswith(("_msgs", "_srvs"))}
     assert "rclpy" in ros
-    assert ros <= listed
+    assert ros | WITHOUT_WHEEL <= listed
     assert MANIFEST.get("format") == "3"
     assert MANIFEST.findtext("export/build_type") == "ament_python"
 
@@ -45,10 +53,10 @@ def test_the_manifest_names_every_ros_package_that_the_code_imports():
 def test_the_extra_installs_every_ros_package_that_the_node_imports():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extra = {re.split(r"[<>=]", name)[0] for name in project["optional-dependencies"]["ros"]}
-    found = set().union(*(imported(path) for path in (ROOT / "mpc" / "ros").glob("*.py")))
+    found = set().union(*(imported(path) for path in NODES))
     # rclpy itself brings the interfaces that it is made of.
     own = {"builtin_interfaces", "rcl_interfaces"}
-    for name in found - own:
+    for name in found - own - WITHOUT_WHEEL:
         if name == "rclpy" or name.endswith(("_msgs", "_srvs")):
             assert f"ros-jazzy-{name.replace('_', '-')}" in extra
     assert MANIFEST.findtext("version") == project["version"]
@@ -61,7 +69,8 @@ def test_what_setup_installs_is_there(monkeypatch):
     exec(compile((ROS / "setup.py").read_text(), str(ROS / "setup.py"), "exec"), {"__file__": str(ROS / "setup.py")})
     installed = {name for _, names in calls["data_files"] for name in names}
     assert all((ROS / name).is_file() for name in installed)
-    expected = {"launch/node.launch.py", "launch/simulated.launch.py", "config/node.yaml", "config/tracking.rviz"}
+    launched = {f"launch/{name}.launch.py" for name in ("node", "simulated", "monitored")}
+    expected = launched | {"config/node.yaml", "config/tracking.rviz"}
     assert expected | {"package.xml", f"resource/{NAME}"} == installed
     entry = calls["entry_points"]["console_scripts"][0]
     name, module, function = re.fullmatch(r"(\w+) = ([\w.]+):(\w+)", entry).groups()
@@ -109,3 +118,44 @@ def test_the_entry_point_ends_bad_arguments_in_one_line(monkeypatch, word, line)
     with pytest.raises(SystemExit, match=line) as ended:
         import_module("diffdrive_mpc.mpc.ros.main").main()
     assert "\n" not in str(ended.value)
+
+
+class Recorded(types.ModuleType):
+    """Stands for a module of ROS's launch system, which has no wheel: every name makes a record of its call."""
+
+    def __getattr__(self, name):
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return lambda *arguments, **words: (name, arguments, words)
+
+
+def entities(monkeypatch, name):
+    """What a launch file starts, by kind."""
+    for module in ("launch", "launch.actions", "launch.conditions", "launch.substitutions", "launch_ros.actions"):
+        monkeypatch.setitem(sys.modules, module, Recorded(module))
+    monkeypatch.setitem(sys.modules, "launch_ros", Recorded("launch_ros"))
+    packages = Recorded("ament_index_python.packages")
+    packages.get_package_share_directory = lambda _: str(ROS)
+    monkeypatch.setitem(sys.modules, "ament_index_python", Recorded("ament_index_python"))
+    monkeypatch.setitem(sys.modules, "ament_index_python.packages", packages)
+    path = ROS / "launch" / f"{name}.launch.py"
+    space = {}
+    exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), space)
+    _, (listed,), _ = space["generate_launch_description"]()
+    return listed
+
+
+def test_the_monitor_alone_commands_the_base(monkeypatch):
+    """The node's commands go to the topic that the monitor reads, and its words are those of the command line."""
+    listed = entities(monkeypatch, "monitored")
+    (node,) = [words for kind, _, words in listed if kind == "LifecycleNode"]
+    assert node["remappings"] == [(CHECKED, UNCHECKED)]
+    started = [words["cmd"] for kind, _, words in listed if kind == "ExecuteProcess"]
+    assert [words[1] for words in started] == ["robot", "monitor"]
+    assert started[1][:3] == ["diffdrive-mpc", "monitor", "--rules"]
+    assert "rules" in inspect.signature(monitor).parameters
+    # Parameters that depend on an argument are put together when it is launched.
+    made = [word[1][0] for word in started[1] if word[0] == "PythonExpression"]
+    texts = ["".join(part for part in parts if isinstance(part, str)) for parts in made]
+    assert texts == ["'use_sim_time:=' + ''", "'use_pose_topic:=' + ''"]
+    assert "use_pose_topic" in MonitorSettings.model_fields

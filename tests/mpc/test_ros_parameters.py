@@ -178,5 +178,17 @@ def test_the_configuration_file_gives_the_defaults(tmp_path):
 
 def test_parameters_of_others_are_let_through():
     with stack() as s:
-        s.node.declare_parameter("bond_heartbeat_period", 0.1)
-        assert set_over_dds(s, bond_heartbeat_period=0.2).successful
+        s.node.declare_parameter("robot_base_frame", 0.1)
+        assert set_over_dds(s, robot_base_frame=0.2).successful
+
+
+def test_a_limit_that_cannot_be_set_while_driving_is_refused_and_the_node_drives_on():
+    """Zero stands for none: to say again that there is none changes nothing."""
+    with stack(drive=True) as s:
+        s.base.run(10)
+        refused = set_over_dds(s, limits__least_turn_radius=0.8)
+        assert not refused.successful
+        assert "neither set nor unset" in refused.reason
+        assert set_over_dds(s, limits__least_turn_radius=0.0, limits__v=0.7).successful
+        assert s.base.run(20)[-1, 0] > 0.1
+        assert s.node._controller.config.limits.v == 0.7

@@ -67,8 +67,11 @@ class Drivetrain:
                 self.integral[i] = 0.0
             wanted = set_point / motor.no_load_speed + driver.proportional_gain * error + self.integral[i]
             duty = 0.0 if resting else min(max(wanted, -1.0), 1.0)
-            if duty == wanted:
-                self.integral[i] += self.step * driver.integral_gain * error
             stall = motor.stall_torque * motor.spread[i]
-            torques.append(stall * (self.supply * duty - speeds[i] / motor.no_load_speed))
+            torque = stall * (self.supply * duty - speeds[i] / motor.no_load_speed)
+            limit = math.inf if driver.torque_limit is None else driver.torque_limit
+            given = min(max(torque, -limit), limit)
+            if duty == wanted and given == torque:
+                self.integral[i] += self.step * driver.integral_gain * error
+            torques.append(given)
         return torques

@@ -31,11 +31,12 @@ ALLOWED: dict[str, set[str]] = {
     "disturbances": set(),
     "metrics": set(),
     "core": set(),
-    "plants": {"core", "sensing", "disturbances"},
+    "worlds": {"disturbances"},
+    "plants": {"core", "sensing", "disturbances", "worlds"},
     "ros": {"sensing", "plants"},
     "twin": {"sensing", "plants"},
     "view": {"sensing", "disturbances", "plants"},
-    "": {"sensing", "disturbances", "plants", "metrics"},
+    "": {"sensing", "disturbances", "plants", "metrics", "worlds"},
 }
 """By room, the others that it may build on; "" stands for the files beside the rooms."""
 

@@ -38,6 +38,7 @@ from diffdrive_mpc.bench.outcomes import (
 )
 from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
 from diffdrive_mpc.bench.study import Draw
+from diffdrive_mpc.bench.world_drawing import draw_world
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
@@ -228,6 +229,8 @@ def draw_path(figure: Figure, axes: Axes, run: Run) -> None:
     label = f"largest error, {error[worst]:.1f} mm"
     axes.plot(*position[worst], "X", color="#D55E00", markersize=10, markeredgecolor="white", label=label, zorder=5)
     axes.plot(*position[0], "o", color="black", markersize=5, label="start", zorder=4)
+    if run.world is not None:
+        draw_world(axes, run.world)
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.margins(0.08)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)

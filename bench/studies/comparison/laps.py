@@ -98,7 +98,7 @@ def simulate_laps(
         raise ConfigError(f"--laps: the controller '{case.controller}' does not learn from laps; mpc does")
     with ExitStack() as stack:
         write_log = stack.enter_context(run_log(log))
-        folder = None if out is None else stack.enter_context(staged(out))
+        folder = None if out is None else stack.enter_context(staged(out, owner="simulate"))
         began = time.perf_counter()
         with ProgressBar("laps") as bar:
             learned = drive_laps(

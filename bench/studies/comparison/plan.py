@@ -10,7 +10,17 @@ from typing import Annotated, Any
 
 from pydantic import Field, create_model
 
-from diffdrive_mpc.bench.case import DIMENSIONS, HORIZONS, NO_MODEL, Case, Overrides, combinations, label, split_numbers
+from diffdrive_mpc.bench.case import (
+    DIMENSIONS,
+    HORIZONS,
+    NO_MODEL,
+    Case,
+    Overrides,
+    check_count,
+    combinations,
+    label,
+    split_numbers,
+)
 from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases, chosen_model, controller_config
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.sweep import sweep_settings
@@ -168,16 +178,19 @@ def plan_cases(settings: ComparisonSettings) -> CasePlan:
     several = {one.name: settings.values(one.several) for one in DIMENSIONS if one.place}
     several |= {"trajectory": settings.values("trajectories"), "seed": settings.values("seeds")}
     places = [{name: getattr(case, name) for name in several} for case in combinations(**several)]
-    main = [replace(driver, **place) for name in controllers for driver in peers.get(name, drivers) for place in places]
+    driven_by = {name: peers.get(name, drivers) for name in controllers}
+    check_count(sum(map(len, driven_by.values())) * len(places))
+    main = [replace(driver, **place) for name in controllers for driver in driven_by[name] for place in places]
     first = {name: values[0] for name, values in several.items() if name != "trajectory"}
     swept = [one for one in several["trajectory"] if not settings.beyond or one in SWEPT_TRAJECTORIES]
+    check_count(len(ours) * len(settings.horizons) * len(swept))
     horizon = [
         _at_horizon(replace(case, overrides=settings.settings[0], trajectory=trajectory, **first), steps)
         for case, steps, trajectory in itertools.product(ours, settings.horizons, swept)
     ]
     plan = CasePlan(tuple(main), tuple(horizon))
     if settings.beyond:
-        each = [replace(case, **first) for name in controllers for case in peers.get(name, drivers)]
+        each = [replace(case, **first) for name in controllers for case in driven_by[name]]
         seeds = several["seed"][:SPEED_SEEDS]
         plan = replace(
             plan,

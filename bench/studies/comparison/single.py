@@ -21,7 +21,13 @@ from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.rerun_view import ShownController, rerun_view
 from diffdrive_mpc.bench.run_log import holds_plans, run_log
 from diffdrive_mpc.bench.studies.comparison.single_page import single_page
-from diffdrive_mpc.bench.studies.comparison.tables import error_table, path_table, scenario_table, summary_table
+from diffdrive_mpc.bench.studies.comparison.tables import (
+    error_table,
+    path_table,
+    scenario_table,
+    summary_table,
+    world_table,
+)
 from diffdrive_mpc.bench.sweep import single_settings
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -67,7 +73,7 @@ def simulate_one(
         if rerun is not None:
             shown = stack.enter_context(rerun_view(rerun, reference.name))
             controller = ShownController(controller, plant, shown)
-        folder = None if out is None else stack.enter_context(staged(out))
+        folder = None if out is None else stack.enter_context(staged(out, owner="simulate"))
         reel = None if film is None else stack.enter_context(film_draft(film.path, "--animate"))
         if view:
             controller = stack.enter_context(watched(controller, plant, reference, case.plant, case.surface))
@@ -124,8 +130,10 @@ def report(outcome: Outcome) -> None:
 def tables(outcome: Outcome) -> list[Table]:
     """The tables of one run."""
     shown = [summary_table, error_table, path_table]
-    made = (*shown, scenario_table) if outcome.case.scenario != NO_SCENARIO else shown
-    return [make([outcome]) for make in made]
+    made = [make([outcome]) for make in shown]
+    if outcome.case.scenario != NO_SCENARIO:
+        made.append(scenario_table([outcome]))
+    return [world_table([outcome]), *made] if outcome.run.passage else made
 
 
 def draw(outcome: Outcome, folder: Path, seconds: float) -> None:

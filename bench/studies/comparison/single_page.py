@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -18,6 +19,7 @@ from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim import Run
+from diffdrive_mpc.sim.metrics.metrics import Metrics
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 POINTS = 2000
@@ -55,7 +57,14 @@ def key_figures(run: Run) -> list[KeyFigure]:
         KeyFigure("inside the band", f"{number(of.in_band_percent, 1)} %", band),
         KeyFigure("step time, p99", step, late),
         KeyFigure("fallbacks", str(of.fallbacks), "ticks without a fresh plan", "bad" if of.fallbacks else "good"),
+        *_energy(of),
     ]
+
+
+def _energy(of: Metrics) -> list[KeyFigure]:
+    if not math.isfinite(of.energy_j):
+        return []
+    return [KeyFigure("energy", f"{number(of.energy_j, 1)} J", f"work of the motors {number(of.motor_work_j, 1)} J")]
 
 
 def sentences(case: Case, run: Run) -> list[str]:

@@ -31,6 +31,7 @@ from diffdrive_mpc.bench.outcomes import (
     solve_times,
     step_times,
     time_percentile,
+    who_drives,
     with_mean,
 )
 from diffdrive_mpc.bench.studies.comparison.order import order_table
@@ -38,6 +39,7 @@ from diffdrive_mpc.bench.studies.comparison.properties import property_table
 from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.sim.worlds.passage import Passage
 
 Group = Sequence[Outcome]
 
@@ -128,6 +130,9 @@ def path_table(outcomes: Group) -> Table:
     if drawn_distances(outcomes).any():
         columns |= {f"reference to drawn path, {what} [m]": cell for what, cell in _DRAWN.items()}
         note += " The path is that of the reference, which smooth timing lays beside the drawn one."
+    if math.isfinite(mean(outcomes, "energy_j")):
+        columns |= {"energy [J]": mean_of("energy_j", partial(number, digits=1))}
+        note += " Energy: what the battery gives, from the motors' true torques."
     return _by_trajectory("Error against the path", outcomes, columns, note)
 
 
@@ -146,6 +151,29 @@ def scenario_table(outcomes: Group) -> Table:
         "end. Overshoot: beyond the path. v_ref², omega_ref²: integrals, means."
     )
     return Table.of("Scenarios", ("scenario", "controller"), columns, entries, note)
+
+
+def world_table(outcomes: Sequence[Outcome]) -> Table:
+    """How runs went through their worlds."""
+
+    def cell(write: Callable[[Passage], str]) -> Callable[[Outcome], str]:
+        return lambda outcome: "-" if outcome.run.passage is None else write(outcome.run.passage)
+
+    columns: dict[str, Callable[[Outcome], str]] = {
+        "arrived": cell(lambda of: "yes" if of.arrived else "no"),
+        "time [s]": cell(lambda of: number(of.time_s, 1)),
+        "contacts": cell(lambda of: str(of.contacts)),
+        "contact speed [m/s]": cell(lambda of: number(of.contact_speed_m_s, 2)),
+        "walked into": cell(lambda of: str(of.walked_into)),
+        "least clearance [m]": cell(lambda of: number(of.clearance_m, 3)),
+        "stood [s]": cell(lambda of: number(of.standing_s, 1)),
+    }
+    entries = [((one.case.labels["world"], who_drives(one.case)), one) for one in outcomes]
+    note = (
+        "Contacts: MuJoCo's, of the robot's hull while it moves. Walked into: by persons while it stands. Clearance: "
+        "of the hull from anything."
+    )
+    return Table.of("World", ("world", "controller"), columns, entries, note)
 
 
 def time_table(outcomes: Group) -> Table:

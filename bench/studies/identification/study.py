@@ -54,7 +54,7 @@ def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **opt
     """
     began = time.perf_counter()
     files = (*FILES, FIRST_CIRCLE, REPORT)
-    with staged(out, files=files, folders=(FOLDER,)) as folder, ProgressBar("reading", 1) as bar:
+    with staged(out, files=files, folders=(FOLDER,), owner="identify") as folder, ProgressBar("reading", 1) as bar:
         outcome = _write(_identified(logs, bar, force, options), folder, bar, force)
         page = identification_page(outcome.found, folder, outcome.drives, time.perf_counter() - began)
         write_page(page, folder / REPORT)

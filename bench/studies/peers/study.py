@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 from pydantic import Field
 
+from diffdrive_mpc.bench.case import MOST_CASES
 from diffdrive_mpc.bench.peers import LAWS
 from diffdrive_mpc.bench.peers.tracking_peer import law_kind, make_tracking_peer
 from diffdrive_mpc.bench.progress import ProgressBar
@@ -28,7 +29,7 @@ GAINS_FILE = "gains.yaml"
 _FOLDER = Path(__file__).parent
 _LOST = 1.0
 """Error that counts for a run that does not complete [m]."""
-Count = Annotated[int, Field(ge=1)]
+Count = Annotated[int, Field(ge=1, le=MOST_CASES)]
 
 
 class PeersSettings(StrictModel):

@@ -39,7 +39,7 @@ def prove_log(name: str, data: Path, out: Path, seeds: int) -> Proof:
         If there is no such log, it cannot be used, or `out` cannot be written to; then `out` keeps what it held.
     """
     log = load_protocol().log(name)
-    with staged(out, files=(*FILES, REPORT)) as folder, ProgressBar("identifying") as bar:
+    with staged(out, files=(*FILES, REPORT), owner="real-logs") as folder, ProgressBar("identifying") as bar:
         proof = prove(log, data, lambda text: bar.begin(text, 1))
         write_robot_files(proof, folder)
         tables = [score_table(proof), effect_table(proof), parameter_table(proof)]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.case import Case, check_count
 from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases
 from diffdrive_mpc.bench.outcomes import STATISTICS
 from diffdrive_mpc.bench.peers import PEERS
@@ -52,6 +53,8 @@ class RobustnessStudy(Study[Plan, Rows]):
 
     def plan(self) -> Plan:
         """The cases; raises ConfigError or ValueError if one of them cannot be run."""
+        several = (self._conditions, self._controllers, self._models, self._trajectories, self._seeds)
+        check_count(math.prod(map(len, several)))
         unknown = [name for name in self._controllers if name not in CONTROLLERS]
         if unknown:
             raise ConfigError(f"--controllers: unknown controller '{unknown[0]}'; known: {', '.join(CONTROLLERS)}")

@@ -11,7 +11,9 @@ from pydantic import Field
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 
 Names = Annotated[tuple[str, ...], Field(min_length=1)]
-Count = Annotated[int, Field(ge=1)]
+Count = Annotated[int, Field(ge=1, le=100_000)]
+MOST_STEPS = 200
+"""Of a horizon, as the configuration has it."""
 
 
 class SubjectSettings(StrictModel):
@@ -35,7 +37,7 @@ class SpeedSettings(StrictModel):
     plant_sensors: str
     seed: Annotated[int, Field(ge=0)]
     models: Names
-    horizons: Annotated[tuple[Count, ...], Field(min_length=1)]
+    horizons: Annotated[tuple[Annotated[int, Field(ge=1, le=MOST_STEPS)], ...], Field(min_length=1)]
     repetitions: Count
     block: Count
     replayed_below: Annotated[float, Field(gt=0)]

@@ -47,7 +47,7 @@ def twin_into(logs: Sequence[Path], out: Path, *, jobs: int | None = None, **opt
     """
     count = jobs or available_cores()
     files = (NUMBERS, REPORT, PLANT)
-    with staged(out, files=files, folders=(FIGURES,)) as folder, ProgressBar("reading", 1) as bar:
+    with staged(out, files=files, folders=(FIGURES,), owner="twin") as folder, ProgressBar("reading", 1) as bar:
         with Parallel(n_jobs=count) as pool:
 
             def together(tasks: Sequence[Task]) -> list[list[Motion] | None]:

@@ -21,19 +21,22 @@ def without_spikes(raw: RawLog, settings: CheckSettings) -> RawLog:
     findings = []
     stretches = list(raw.stretches)
     for sensor in ("encoders", "gyro", "pose"):
-        fields = [name for name in raw.stretches[0].measured if _SENSOR[name] == sensor]
+        fields = [name for name in raw.stretches[0].measured if _SENSOR.get(name) == sensor]
         if not fields:
             continue
         masks = [_spikes([stretch.measured[name].value for stretch in stretches], settings) for name in fields]
-        hit = [np.any(parts, axis=0) for parts in zip(*masks, strict=True)]
-        count, total = sum(int(part.sum()) for part in hit), sum(len(part) for part in hit)
+        # By their times: where a cell is missing, one signal of a sensor has a reading less than the others.
+        hit = [
+            np.unique(
+                np.concatenate([stretch.measured[name].time[part] for name, part in zip(fields, parts, strict=True)])
+            )
+            for stretch, *parts in zip(stretches, *masks, strict=True)
+        ]
+        count = sum(len(times) for times in hit)
+        total = sum(max(len(stretch.measured[name].time) for name in fields) for stretch in stretches)
         if not count or count > settings.most_spikes * total:
             continue
-        first = next(
-            stretch.measured[fields[0]].time[part][0]
-            for stretch, part in zip(stretches, hit, strict=True)
-            if part.any()
-        )
+        first = next(times[0] for times in hit if len(times))
         words = (
             f"{count} readings of the {sensor} ({100 * count / total:.2g} %) stand far off from those before "
             "and after: "
@@ -67,10 +70,12 @@ def _leaps(values: FloatArray) -> FloatArray:
     return leap
 
 
-def _without(stretch: RawStretch, fields: list[str], hit: BoolArray) -> RawStretch:
+def _without(stretch: RawStretch, fields: list[str], times: FloatArray) -> RawStretch:
+    """A stretch without what a sensor's signals read at these times."""
     measured = dict(stretch.measured)
     for name in fields:
-        measured[name] = Signal(measured[name].time[~hit], measured[name].value[~hit])
+        keep = ~np.isin(measured[name].time, times)
+        measured[name] = Signal(measured[name].time[keep], measured[name].value[keep])
     return replace(stretch, measured=measured)
 
 

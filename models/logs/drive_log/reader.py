@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.input_file import open_input
 from diffdrive_mpc.models.interface import FloatArray, Measurement
+from diffdrive_mpc.models.logs.bag_bounds import Budget, WithinFile, plain_chunk
 from diffdrive_mpc.models.logs.drive_log import ros_messages as ros
 from diffdrive_mpc.models.logs.drive_log import topics as topic
 from diffdrive_mpc.models.logs.drive_log.tick import TickRow, measurement_of, tick_schema
@@ -161,14 +165,32 @@ def _records(path: Path) -> Iterator[Metadata | tuple[str, Channel, Message]]:
 
 
 def _first(path: Path) -> Iterator[McapRecord]:
-    """The records of the data section, from the first on."""
-    from mcap.records import DataEnd  # noqa: PLC0415
+    """The records of the data section, from the first on, with one chunk unpacked at a time."""
+    from mcap.records import Chunk, DataEnd  # noqa: PLC0415
     from mcap.stream_reader import StreamReader  # noqa: PLC0415
 
-    with path.open("rb") as file:
-        for record in StreamReader(file).records:
+    with open_input(path) as file:
+        budget = Budget(path, os.fstat(file.fileno()).st_size)
+        stream: Any = WithinFile(file)
+        for record in StreamReader(stream, emit_chunks=True).records:
             if isinstance(record, DataEnd):
                 return
+            if isinstance(record, Chunk):
+                yield from _inside(plain_chunk(path, record, budget).data)
+            else:
+                yield record
+
+
+def _inside(chunk: bytes) -> Iterator[McapRecord]:
+    """The records of a chunk, one after another."""
+    from mcap.records import Chunk  # noqa: PLC0415
+    from mcap.stream_reader import StreamReader  # noqa: PLC0415
+
+    stream = BytesIO(chunk)
+    records = StreamReader(stream, skip_magic=True, emit_chunks=True).records
+    while stream.tell() < len(chunk):
+        record = next(records)
+        if not isinstance(record, Chunk):  # none has another in it
             yield record
 
 
@@ -180,7 +202,7 @@ def _broken() -> tuple[type[Exception], ...]:
     from mcap.exceptions import McapError  # noqa: PLC0415
     from zstandard import ZstdError  # noqa: PLC0415
 
-    return (McapError, ZstdError, zlib.error, struct.error, EOFError, ValueError, KeyError, IndexError)
+    return (McapError, ZstdError, zlib.error, struct.error, EOFError, ValueError, KeyError, IndexError, OverflowError)
 
 
 def _words(error: Exception) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -15,6 +16,8 @@ from diffdrive_mpc.models.compiled.cache import user_folder
 
 REQUIREMENTS = Path(__file__).parents[1] / "subjects" / "requirements.txt"
 _READY = ".ready"
+_FIRST = "comma-deps-acados"
+"""It brings parts of an older CasADi, over which ours is installed."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +52,6 @@ def peer_environment(folder: Path | None = None) -> PeerEnvironment:
 
 def _make(folder: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
-    lines = REQUIREMENTS.read_text(encoding="utf-8").splitlines()
-    first = next(line for line in lines if not line.startswith("#"))
     _run(sys.executable, "-m", "venv", str(folder))
     pip = (
         str(folder / "bin" / "python"),
@@ -60,10 +61,24 @@ def _make(folder: Path) -> None:
         "--quiet",
         "--disable-pip-version-check",
         "--no-deps",
+        "--require-hashes",
     )
-    _run(*pip, first)
+    first = folder / "first.txt"
+    first.write_text(pinned(_FIRST, REQUIREMENTS.read_text(encoding="utf-8")), encoding="utf-8")
+    _run(*pip, "--requirement", str(first))
     _run(*pip, "--requirement", str(REQUIREMENTS))
     (folder / _READY).touch()
+
+
+def pinned(name: str, requirements: str) -> str:
+    """The part of a list of requirements that is of one package: its version and the hashes of its files.
+
+    Raises SubjectError where the list does not have it.
+    """
+    found = re.search(rf"^{re.escape(name)}==(?:.*\\\n)*.*\n", requirements, re.MULTILINE)
+    if found is None:
+        raise SubjectError(f"its environment cannot be made: {name} is not in {REQUIREMENTS.name}")
+    return found[0]
 
 
 def _run(*command: str) -> None:

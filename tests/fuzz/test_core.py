@@ -2,36 +2,15 @@
 UndefinedBehaviorSanitizer: see `fuzz_core.c`."""
 
 import subprocess
-from pathlib import Path
 
 import pytest
 
-from diffdrive_mpc.mpc.core.sources import core_texts
-
-HERE = Path(__file__).parent
-FLAGS = (
-    "-std=c99",
-    "-D_POSIX_C_SOURCE=199309L",
-    "-O1",
-    "-Wall",
-    "-Wextra",
-    "-Werror",
-    "-fsanitize=address,undefined,float-cast-overflow",
-    "-fno-sanitize-recover=all",
-    "-fno-omit-frame-pointer",
-    "-include",
-    str(HERE / "fuzz_guard.h"),
-)
+from fuzz.core import build_core
 
 
 @pytest.fixture(scope="module")
 def fuzz_core(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("fuzz")
-    for name, text in core_texts().items():
-        (folder / name).write_text(text)
-    sources = [*map(str, sorted(folder.glob("*.c"))), str(HERE / "fuzz_core.c")]
-    subprocess.run(["gcc", *FLAGS, f"-I{folder}", *sources, "-lm", "-o", str(folder / "fuzz_core")], check=True)
-    return folder / "fuzz_core"
+    return build_core(tmp_path_factory.mktemp("fuzz"))
 
 
 @pytest.mark.parametrize("seed", range(1))

@@ -37,6 +37,14 @@ static double spoilt(double value, int seldom)
     return once_in(seldom) ? odd[below(sizeof odd / sizeof odd[0])] : value;
 }
 
+/* Mostly `value`; else one that a schema allows, too: many times as much or as little, or none. */
+static real wild(double value, int seldom)
+{
+    if (!once_in(seldom))
+        return (real)value;
+    return once_in(6) ? R(0.0) : (real)(value * pow(10.0, uniform(-9.0, 9.0)));
+}
+
 static void fail(const char *what, const ddmpc_result *result)
 {
     fprintf(stderr, "%s: command %g %g, mode %d, reasons %u\n", what, (double)result->command[0],
@@ -211,6 +219,8 @@ static void free_model(const ddmpc_constants *k)
 static ddmpc_constants make_constants(const ddmpc_sizes *s)
 {
     ddmpc_constants k;
+    /* Every other robot is an ordinary one but for what is drawn below. */
+    const int seldom = once_in(2) ? 1000000 : 8;
     real *upper = array(s->soft), *lower = array(s->soft);
     memset(&k, 0, sizeof k);
     fill_model(s, &k);
@@ -222,15 +232,15 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
             k.most_slip[i] = gain ? R(1.5) : i < FLAT_SLIPS ? (real)INFINITY : R(0.5);
         }
         k.prior[i] = gain ? R(1.0) : R(0.0);
-        k.drift[i] = R(1e-5);
-        k.uncertainty[i] = R(0.1);
+        k.drift[i] = wild(1e-5, seldom);
+        k.uncertainty[i] = wild(0.1, seldom);
     }
     k.prior[4] = k.prior[7] = R(0.05);
     for (int i = 0; i < 3; i++) {
-        k.pose_noise[i] = R(1e-6);
-        k.pose_variance[i] = k.twist_variance[i] = R(1e-4);
-        k.largest_twist[i] = R(4.0);
-        k.largest_twist_jump[i] = R(2.0);
+        k.pose_noise[i] = wild(1e-6, seldom);
+        k.pose_variance[i] = k.twist_variance[i] = wild(1e-4, seldom) + R(1e-12);
+        k.largest_twist[i] = wild(4.0, seldom);
+        k.largest_twist_jump[i] = wild(2.0, seldom);
     }
     k.wheel_yaw_ratio = R(1.2);
     k.least_turn_radius = s->turns ? R(0.7) : R(0.0);
@@ -244,17 +254,18 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
     k.monitor_trust = (real)uniform(0.1, 1.0);
     k.largest_position_jump = k.largest_heading_jump = R(0.5);
     for (int i = 0; i < 2; i++) {
-        k.command_weight[i] = R(5.0);
-        k.increment_weight[i] = R(10.0);
+        k.command_weight[i] = wild(5.0, seldom);
+        k.increment_weight[i] = wild(10.0, seldom) + R(1e-12);
         k.inverse_gain[3 * i] = R(1.0);
         k.lag_rest[i] = R(0.3);
-        k.largest_command[i] = (real)uniform(0.5, 1.0 + i);
-        k.slew[i] = (real)uniform(0.001, 0.1);
-        k.braking[i] = (real)uniform(0.01, 0.1);
+        k.largest_command[i] = wild(uniform(0.5, 1.0 + i), seldom) + R(1e-12);
+        k.slew[i] = wild(uniform(0.001, 0.1), seldom) + R(1e-12);
+        k.braking[i] = wild(uniform(0.01, 0.1), seldom) + R(0.004);
     }
-    k.price = k.price_slope = R(50.0);
+    k.price = wild(50.0, seldom) + R(1e-12);
+    k.price_slope = wild(50.0, seldom) + R(1e-12);
     for (int i = 0; i < s->soft; i++) {
-        upper[i] = (real)uniform(0.1, 1.5);
+        upper[i] = wild(uniform(0.1, 1.5), seldom);
         lower[i] = -upper[i];
     }
     k.soft_upper = upper, k.soft_lower = lower;
@@ -262,17 +273,18 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
     k.slack = R(1e-6);
     k.active_set = once_in(4) ? below(5) : 400;
     k.forced = once_in(8);
-    k.max_pose_age = R(0.5);
-    k.max_position_error = R(5.0);
+    k.max_pose_age = wild(0.5, seldom);
+    k.max_position_error = wild(5.0, seldom);
     k.fence = once_in(3);
     k.fence_at_start = once_in(2);
     k.fence_reach[0] = R(2.0), k.fence_reach[1] = R(1.0);
-    k.finish_position = k.finish_speed = R(0.02);
-    k.finish_timeout = R(2.0);
+    k.finish_position = k.finish_speed = wild(0.02, seldom);
+    k.finish_timeout = wild(2.0, seldom);
     k.max_reused_ticks = below(6);
     k.resume = !once_in(4);
     k.reentry = once_in(2);
-    k.band = R(0.3), k.heading_band = R(1.0), k.wait = R(0.1), k.heading_wait = R(0.5);
+    k.band = wild(0.3, seldom), k.heading_band = wild(1.0, seldom);
+    k.wait = wild(0.1, seldom) + R(1e-12), k.heading_wait = wild(0.5, seldom) + R(1e-12);
     k.behind = k.ahead = R(0.2);
     k.standing = k.turning = R(0.01);
     return k;
@@ -307,14 +319,15 @@ static void fill_message(ddmpc_stamped *message, ddmpc_time t, const double *val
 static void check(const ddmpc_result *result, const ddmpc_constants *k, const real last[2])
 {
     for (int i = 0; i < 2; i++) {
-        const real command = result->command[i], rounding = R(1e-12);
+        const real command = result->command[i], rounding = R(1e-12) * (R(1.0) + ddmpc_fabs(last[i]));
         const int brakes = result->mode == DDMPC_BRAKING || result->mode == DDMPC_FINISHED;
         const real step = brakes ? k->braking[i] : k->slew[i];
         const real reachable = ddmpc_fabs(last[i]) - step;
         if (!isfinite(command))
             fail("not finite", result);
         if (result->reasons & DDMPC_TIME_REPEATED) {
-            if (command != last[i])
+            /* After ddmpc_overrule what was sent is another; who stands goes on to stand. */
+            if (command != (result->mode == DDMPC_STOPPED ? R(0.0) : last[i]))
                 fail("a repeated tick changes the command", result);
             continue;
         }
@@ -422,8 +435,13 @@ static void disturb(ddmpc_controller *c, const ddmpc_sizes *s, const ddmpc_const
 {
     const ddmpc_reference reference = {sample_reference, 0, spoilt(20.0, 4)};
     const double t0 = spoilt(r->t, 4);
+    const real sent[4] = {(real)uniform(-2.0, 2.0), (real)uniform(-2.0, 2.0), (real)uniform(-0.5, 0.5), (real)uniform(-0.5, 0.5)};
     real *parameters = ddmpc_parameters(c);
     switch (below(200)) {
+    case 6: /* somebody else has driven, for longer than it looks back or for a tick */
+        if (!ddmpc_overrule(c, sent, 1 + below(2)))
+            abort();
+        break;
     case 0: ddmpc_reset(c); break;
     case 1: ddmpc_forget(c); break;
     case 2:
@@ -447,6 +465,17 @@ static void disturb(ddmpc_controller *c, const ddmpc_sizes *s, const ddmpc_const
         for (int i = 0; i < (s->steps + 1) * s->parameters; i++)
             parameters[i] = (real)spoilt(uniform(-1.0, 1.0), 30);
         break;
+    case 5: { /* the reference laid elsewhere, whose clock goes on, or another one */
+        const int same = !once_in(4);
+        const double from = same ? c->t0 : t0;
+        if (!ddmpc_relay(c, &reference, from))
+            break;
+        if (!isfinite(from) || !isfinite(reference.duration))
+            abort();
+        if (!same)
+            put_at_start(r);
+        break;
+    }
     default: break;
     }
 }

@@ -1,0 +1,527 @@
+"""Controllers, robots and sensors broken on purpose: one class a fault, and what the monitor is held to for it."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, Stamped
+from diffdrive_mpc.mpc.trajectories.moved import starting_at
+
+SAMPLE = 0.0202
+"""Time between two commands of the robot of the papers [s]."""
+_SLEW = (2.0, 6.0)
+"""Within which most of these faults keep: one that jumps is found by that alone [m/s^2, rad/s^2]."""
+_FASTEST = (1.45, 1.95)
+"""And within which range [m/s, rad/s]."""
+
+
+class Sent(NamedTuple):
+    """A command as it leaves the controller: stamp [s], v [m/s], omega [rad/s]."""
+
+    stamp: float
+    v: float
+    omega: float
+
+
+class Fault:
+    """Nothing is wrong; subclasses break one thing from `begins` on.
+
+    Parameters
+    ----------
+    begins
+        When it begins [s].
+    """
+
+    def __init__(self, begins: float = math.inf) -> None:
+        self.begins = begins
+        self._last: Sent | None = None
+
+    def start(self, reference: Reference) -> None:
+        """A drive along `reference` begins at time 0."""
+        self._end = reference.duration
+
+    def followed(self, reference: Reference) -> Reference:
+        """What the controller follows of what it was given."""
+        return reference
+
+    def told(self, points: FloatArray) -> FloatArray:
+        """(n, 4) when, x, y, theta: the reference as it is told to others."""
+        return points
+
+    def measures(self, measurement: Measurement) -> Measurement:
+        """What the sensors say from `begins` on, to controller and monitor alike."""
+        return measurement
+
+    def sees(self, measurement: Measurement) -> Measurement:
+        """What the controller makes of that."""
+        return measurement
+
+    def sends(self, command: Sent) -> list[Sent]:
+        """What it sends at a tick instead of `command`."""
+        return [command]
+
+    def says(self, mode: str) -> str:
+        """What it says that it does."""
+        return mode
+
+    def obeys(self, command: tuple[float, float]) -> tuple[float, float]:
+        """What the robot does of what it is told."""
+        return command
+
+    def smooth(self, stamp: float, v: float, omega: float) -> list[Sent]:
+        """A wrong command that keeps range and slew, as one that went through a limiter."""
+        before = self._last or Sent(stamp, 0.0, 0.0)
+        wanted, sent = (v, omega), []
+        for value, old, slew, most in zip(wanted, before[1:], _SLEW, _FASTEST, strict=True):
+            step = 0.98 * slew * SAMPLE
+            sent.append(min(max(min(max(value, old - step), old + step), -most), most))
+        return [Sent(stamp, *sent)]
+
+    def went(self, sent: list[Sent]) -> None:
+        """What left the controller, sound or not."""
+        if sent:
+            self._last = sent[-1]
+
+    def active(self, t: float) -> bool:
+        """Whether something is wrong at `t` [s]."""
+        return t >= self.begins
+
+
+class _Late(Fault):
+    """Keeps what came, to give it again later."""
+
+    def __init__(self, begins: float, ticks: int) -> None:
+        super().__init__(begins)
+        self.kept: deque[Sent] = deque(maxlen=ticks + 1)
+
+    def went(self, sent: list[Sent]) -> None:
+        """Nothing is remembered of what was late itself."""
+
+
+class WrongSign(Fault):
+    """Turns left where it should turn right."""
+
+    def sends(self, command: Sent) -> list[Sent]:
+        return self.smooth(command.stamp, command.v, -command.omega)
+
+
+class Backwards(Fault):
+    """Drives backwards where it should drive forwards."""
+
+    def sends(self, command: Sent) -> list[Sent]:
+        return self.smooth(command.stamp, -command.v, command.omega)
+
+
+class Frozen(Fault):
+    """Sends its last command for ever, with fresh stamps."""
+
+    def sends(self, command: Sent) -> list[Sent]:
+        return [(self._last or command)._replace(stamp=command.stamp)]
+
+
+class NotANumber(Fault):
+    """Sends what is no number."""
+
+    def sends(self, command: Sent) -> list[Sent]:
+        return [command._replace(omega=math.nan)]
+
+
+class Infinite(Fault):
+    """Sends infinity."""
+
+    def sends(self, command: Sent) -> list[Sent]:
+        return [command._replace(v=math.inf)]
+
+
+class SlowTicks(Fault):
+    """Sends every fifth command only."""
+
+    count = 0
+
+    def sends(self, command: Sent) -> list[Sent]:
+        self.count += 1
+        return [command] if self.count % 5 == 0 else []
+
+
+class Races(Fault):
+    """Drives as fast as it may."""
+
+    def sends(self, command: Sent) -> list[Sent]:
+        return self.smooth(command.stamp, _FASTEST[0], command.omega)
+
+
+class LimitsCreep(Fault):
+    """What it takes for its limits grows, and it uses it."""
+
+    def sends(self, command: Sent) -> list[Sent]:
+        v = (self._last or command).v
+        return [command._replace(v=v + 0.15 * SAMPLE)]
+
+
+class TooFast(Fault):
+    """Sends three times the speed, at once and beyond all limits."""
+
+    def sends(self, command: Sent) -> list[Sent]:
+        return [command._replace(v=3.0 * command.v + 1.0)]
+
+
+class LateAndStamped(_Late):
+    """Its commands are half a second old when they leave, and say so."""
+
+    def went(self, sent: list[Sent]) -> None:
+        self.kept.extend(sent if len(self.kept) < 25 else ())
+
+    def sends(self, command: Sent) -> list[Sent]:
+        self.kept.append(command)
+        return [self.kept.popleft()]
+
+
+class LateUnsaid(_Late):
+    """Its commands are 0.6 s late, with fresh stamps."""
+
+    def sends(self, command: Sent) -> list[Sent]:
+        self.kept.append(command)
+        return [self.kept[0]._replace(stamp=command.stamp)]
+
+
+class Alternates(Fault):
+    """Changes sign from command to command."""
+
+    sign = 1.0
+
+    def sends(self, command: Sent) -> list[Sent]:
+        self.sign = -self.sign
+        return [command._replace(v=self.sign * command.v)]
+
+
+class Swings(Fault):
+    """Steers to the left and to the right as much as it can, half a second each."""
+
+    count = 0
+
+    def sends(self, command: Sent) -> list[Sent]:
+        self.count += 1
+        return self.smooth(command.stamp, command.v, 1.9 if self.count // 25 % 2 else -1.9)
+
+
+class NeverStops(Fault):
+    """Goes on at the end of its path as if there were none."""
+
+    def active(self, t: float) -> bool:
+        return t >= self._end - 0.6
+
+    def sends(self, command: Sent) -> list[Sent]:
+        last = self._last or command
+        return [last._replace(stamp=command.stamp)]
+
+    def says(self, mode: str) -> str:
+        return "TRACKING"
+
+
+class NeverStopsButSaysSo(NeverStops):
+    """The same, and says that it has finished."""
+
+    def says(self, mode: str) -> str:
+        return mode
+
+
+class StraightOn(Fault):
+    """Ignores its path and drives straight on."""
+
+    def sends(self, command: Sent) -> list[Sent]:
+        return self.smooth(command.stamp, 0.5, 0.0)
+
+
+class Spins(Fault):
+    """Turns on the spot."""
+
+    def sends(self, command: Sent) -> list[Sent]:
+        return self.smooth(command.stamp, 0.0, 1.9)
+
+
+class Drifts(Fault):
+    """Believes to be where it is not, by 0.1 m more every second."""
+
+    since: float | None = None
+
+    def sees(self, measurement: Measurement) -> Measurement:
+        pose = measurement.pose
+        if pose is None:
+            return measurement
+        self.since = pose.time if self.since is None else self.since
+        away = 0.1 * (pose.time - self.since)
+        value = np.asarray(pose.value, dtype=float) + np.array([away, away, 0.0]) / math.sqrt(2.0)
+        return replace(measurement, pose=Stamped(value, pose.time, pose.covariance))
+
+
+class ScaledOmega(Fault):
+    """Commands twelve times the yaw rate that it means: it swings between its limits."""
+
+    def sends(self, command: Sent) -> list[Sent]:
+        return self.smooth(command.stamp, command.v, 12.0 * command.omega)
+
+
+class NoOmega(Fault):
+    """Its yaw rate is lost on the way."""
+
+    def sends(self, command: Sent) -> list[Sent]:
+        return self.smooth(command.stamp, command.v, 0.0)
+
+
+class Swapped(Fault):
+    """Takes v for omega, and omega for v."""
+
+    def sends(self, command: Sent) -> list[Sent]:
+        return self.smooth(command.stamp, command.omega, command.v)
+
+
+class ReplaysStamped(_Late):
+    """Sends the commands of three seconds ago, as they were."""
+
+    def went(self, sent: list[Sent]) -> None:
+        self.kept.extend(sent)
+
+    def sends(self, command: Sent) -> list[Sent]:
+        return [self.kept[0]]
+
+
+class Replays(Fault):
+    """Sends the commands of three seconds ago, with fresh stamps, and goes over to them smoothly."""
+
+    def __init__(self, begins: float) -> None:
+        super().__init__(begins)
+        self._kept: deque[Sent] = deque(maxlen=150)
+
+    def went(self, sent: list[Sent]) -> None:
+        super().went(sent)
+        self._kept.extend(sent)
+
+    def sends(self, command: Sent) -> list[Sent]:
+        old = self._kept[0]
+        return self.smooth(command.stamp, old.v, old.omega)
+
+
+class MovesWhilePaused(Fault):
+    """Says that it stands, and drives on."""
+
+    def says(self, mode: str) -> str:
+        return "PAUSED"
+
+
+class Silent(Fault):
+    """Sends nothing any more."""
+
+    def sends(self, command: Sent) -> list[Sent]:
+        return []
+
+
+class SeesThePast(Fault):
+    """Takes what its sensors said for what they say, for ever."""
+
+    seen: Measurement | None = None
+
+    def sees(self, measurement: Measurement) -> Measurement:
+        if self.seen is None or self.seen.pose is None:
+            self.seen = measurement
+        names = ("pose", "wheel_twist", "yaw_rate")
+        old = {name: getattr(self.seen, name) for name in names}
+        new = {name: getattr(measurement, name) for name in names}
+        fresh = {
+            name: None if new[name] is None or old[name] is None else replace(old[name], time=new[name].time)
+            for name in names
+        }
+        return replace(measurement, **fresh)
+
+
+class WrongFrame(Fault):
+    """Follows its path in a frame that is turned by 50 degrees."""
+
+    def followed(self, reference: Reference) -> Reference:
+        return starting_at(reference, reference.sample([0.0]).pose[0] + [0.0, 0.0, math.radians(50.0)])
+
+
+class JumpingReference(Fault):
+    """Its reference jumps by a metre."""
+
+    def told(self, points: FloatArray) -> FloatArray:
+        jumped = points.copy()
+        jumped[len(jumped) // 2 :, 1] += 1.0
+        return jumped
+
+
+class NoReference(Fault):
+    """Drives without telling anybody where."""
+
+    def told(self, points: FloatArray) -> FloatArray:
+        return points[:0]
+
+
+class Floods(Fault):
+    """Sends every command twenty times."""
+
+    def sends(self, command: Sent) -> list[Sent]:
+        return 20 * [command]
+
+
+class StampedAhead(Fault):
+    """Its commands are of a second from now."""
+
+    def sends(self, command: Sent) -> list[Sent]:
+        return [command._replace(stamp=command.stamp + 1.0)]
+
+
+class OutOfOrder(Fault):
+    """Its commands come in the wrong order, by twos."""
+
+    held: Sent | None = None
+
+    def sends(self, command: Sent) -> list[Sent]:
+        if self.held is None:
+            self.held = command
+            return []
+        first, self.held = self.held, None
+        return [command, first]
+
+
+class Shakes(Fault):
+    """Adds noise, more than the robot can follow."""
+
+    def __init__(self, begins: float) -> None:
+        super().__init__(begins)
+        self._noise = np.random.default_rng(1)
+
+    def sends(self, command: Sent) -> list[Sent]:
+        v, omega = self._noise.uniform(-0.5, 0.5, 2)
+        return [command._replace(v=command.v + v, omega=command.omega + omega)]
+
+
+class DeafBase(Fault):
+    """The robot does what it was last told, whatever it is told then: stopped, it drives on."""
+
+    held: tuple[float, float] | None = None
+
+    def obeys(self, command: tuple[float, float]) -> tuple[float, float]:
+        if self.held is None:
+            self.held = command
+        return self.held
+
+
+class Runaway(Fault):
+    """The robot drives as fast as it can, whatever it is told."""
+
+    def obeys(self, command: tuple[float, float]) -> tuple[float, float]:
+        return 1.5, command[1]
+
+
+class Miswired(Fault):
+    """The robot turns to the other side than it is told."""
+
+    def obeys(self, command: tuple[float, float]) -> tuple[float, float]:
+        return command[0], -command[1]
+
+
+class TurnedGyro(Fault):
+    """The gyro has the wrong sign."""
+
+    def measures(self, measurement: Measurement) -> Measurement:
+        gyro = measurement.yaw_rate
+        return (
+            measurement if gyro is None else replace(measurement, yaw_rate=Stamped(-np.asarray(gyro.value), gyro.time))
+        )
+
+
+class FrozenPose(Fault):
+    """Poses come and never change."""
+
+    held: Stamped | None = None
+
+    def measures(self, measurement: Measurement) -> Measurement:
+        pose = measurement.pose
+        if pose is None:
+            return measurement
+        self.held = pose if self.held is None else self.held
+        return replace(measurement, pose=replace(self.held, time=pose.time))
+
+
+class NoOdometry(Fault):
+    """There is no odometry any more."""
+
+    def measures(self, measurement: Measurement) -> Measurement:
+        return replace(measurement, wheel_twist=None)
+
+
+@dataclass(frozen=True)
+class Held:
+    """What the monitor is held to for a fault.
+
+    Attributes
+    ----------
+    make
+        The fault, from when it begins [s].
+    stated
+        So long after that the monitor has stopped the robot [s].
+    of
+        What is broken: "controller", or "robot" for robot and sensors.
+    stoppable
+        Whether the robot can be stopped by commands.
+    controller
+        Who drives. The MPC finds some faults itself and stops; then one drives that has no checks.
+    """
+
+    make: Callable[[float], Fault]
+    stated: float
+    of: str = "controller"
+    stoppable: bool = True
+    controller: str = "mpc"
+
+
+FAULTS: dict[str, Held] = {
+    "not a number": Held(NotANumber, 0.05),
+    "infinite": Held(Infinite, 0.05),
+    "too fast": Held(TooFast, 0.05),
+    "alternates": Held(Alternates, 2.0),
+    "shakes": Held(Shakes, 0.5),
+    "floods": Held(Floods, 0.1),
+    "stamped ahead": Held(StampedAhead, 0.05),
+    "out of order": Held(OutOfOrder, 0.1),
+    "silent": Held(Silent, 0.3),
+    "slow ticks": Held(SlowTicks, 2.0),
+    "late, as stamped": Held(lambda begins: LateAndStamped(begins, 25), 0.1),
+    "replays, as stamped": Held(lambda begins: ReplaysStamped(begins, 150), 0.05),
+    "jumping reference": Held(JumpingReference, 0.05),
+    "no reference": Held(NoReference, 0.5),
+    "moves while paused": Held(MovesWhilePaused, 2.0),
+    "never stops": Held(NeverStops, 4.0),
+    "never stops, and says it has": Held(NeverStopsButSaysSo, 4.0),
+    "spins": Held(Spins, 2.5),
+    "races": Held(Races, 4.0),
+    "limits creep": Held(LimitsCreep, 6.0),
+    "backwards": Held(Backwards, 2.0),
+    "wrong sign": Held(WrongSign, 8.0),
+    "swapped": Held(Swapped, 4.0),
+    "straight on": Held(StraightOn, 6.0),
+    "no omega": Held(NoOmega, 15.0, controller="kanayama-plain"),
+    "frozen": Held(Frozen, 6.0),
+    "swings": Held(Swings, 6.0),
+    "scaled omega": Held(ScaledOmega, 8.0, controller="kanayama-plain"),
+    "late, unsaid": Held(lambda begins: LateUnsaid(begins, 30), 10.0),
+    "replays": Held(Replays, 10.0),
+    "drifts": Held(Drifts, 10.0, controller="kanayama-plain"),
+    "sees the past": Held(SeesThePast, 4.0, controller="kanayama-plain"),
+    "wrong frame": Held(WrongFrame, 6.0),
+    "deaf base": Held(DeafBase, 4.0, "robot", stoppable=False),
+    "runaway": Held(Runaway, 1.5, "robot", stoppable=False),
+    "miswired": Held(Miswired, 3.0, "robot"),
+    "turned gyro": Held(TurnedGyro, 3.0, "robot"),
+    "frozen pose": Held(FrozenPose, 3.0, "robot", controller="kanayama-plain"),
+    "no odometry": Held(NoOdometry, 0.3, "robot"),
+}
+"""By name."""
+AT_START = frozenset({"jumping reference", "no reference", "wrong frame"})
+"""Those that are there from the start."""

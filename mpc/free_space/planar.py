@@ -1,0 +1,98 @@
+"""Polygons in the plane: area, hull, whether one crosses itself, and its convex pieces."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+
+# Corners nearer to each other than this are one [m].
+_SAME = 1e-9
+
+
+def area(corners: FloatArray) -> float:
+    """Signed area of a polygon (k, 2) [m^2]; positive where it runs counter-clockwise."""
+    x, y = corners.T
+    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+
+def hull(points: FloatArray) -> FloatArray:
+    """(k, 2) corners of the convex hull of points (n, 2), counter-clockwise; of points in a line its two ends.
+
+    Source: Andrew, Information Processing Letters 9(5), 1979.
+    """
+    ordered = sorted({(float(x), float(y)) for x, y in points})
+    if len(ordered) < 3:
+        return np.array(ordered, dtype=float).reshape(-1, 2)
+
+    def chain(line: list[tuple[float, float]]) -> list[tuple[float, float]]:
+        kept: list[tuple[float, float]] = []
+        for point in line:
+            while len(kept) > 1 and _turn(kept[-2], kept[-1], point) <= 0.0:
+                kept.pop()
+            kept.append(point)
+        return kept[:-1]
+
+    return np.array(chain(ordered) + chain(ordered[::-1]), dtype=float)
+
+
+def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def cleaned(corners: FloatArray) -> FloatArray:
+    """The polygon without corners that lie on the one before."""
+    return np.asarray(corners[np.hypot(*(corners - np.roll(corners, 1, axis=0)).T) > _SAME], dtype=float)
+
+
+def crosses_itself(corners: FloatArray) -> bool:
+    """Whether two edges of a polygon (k, 2) that are no neighbours meet."""
+    a, b = corners, np.roll(corners, -1, axis=0)
+    along = b - a
+
+    def side(point: FloatArray) -> FloatArray:
+        """[i, j]: on which side of edge i point j lies."""
+        d = point[None, :, :] - a[:, None, :]
+        return np.asarray(np.sign(along[:, None, 0] * d[..., 1] - along[:, None, 1] * d[..., 0]))
+
+    begins, ends = side(a), side(b)
+    astride = begins * ends <= 0
+    meets = astride & astride.T
+    # Edges in one line meet only if they overlap along it.
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    boxes = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
+    count = len(corners)
+    i, j = np.indices((count, count))
+    neighbours = (i == j) | ((i + 1) % count == j) | ((j + 1) % count == i)
+    return bool((meets & boxes & ~neighbours).any())
+
+
+def convex_pieces(corners: FloatArray) -> list[FloatArray]:
+    """Convex polygons, counter-clockwise, that cover a simple one (k, 2): itself where it is convex, else triangles.
+
+    Ear clipping: Meisters, The American Mathematical Monthly 82(6), 1975.
+    """
+    ring = [tuple(point) for point in (corners if area(corners) > 0 else corners[::-1]).tolist()]
+    turns = [_turn(ring[i - 1], ring[i], ring[(i + 1) % len(ring)]) for i in range(len(ring))]
+    if min(turns) >= 0.0:
+        return [hull(np.array(ring))]
+    pieces = []
+    while len(ring) > 3:
+        at = next((i for i in range(len(ring)) if _is_ear(ring, i)), None)
+        if at is None:
+            # Rounding has left no ear: what remains is covered by its hull.
+            break
+        pieces.append(np.array([ring[at - 1], ring[at], ring[(at + 1) % len(ring)]]))
+        del ring[at]
+    pieces.append(hull(np.array(ring)))
+    return [piece for piece in pieces if len(piece) > 1]
+
+
+def _is_ear(ring: list[tuple[float, float]], i: int) -> bool:
+    a, b, c = ring[i - 1], ring[i], ring[(i + 1) % len(ring)]
+    if _turn(a, b, c) < 0.0:
+        return False
+    inside = (
+        _turn(a, b, p) >= 0.0 and _turn(b, c, p) >= 0.0 and _turn(c, a, p) >= 0.0 for p in ring if p not in (a, b, c)
+    )
+    return not any(inside)

@@ -1,0 +1,1 @@
+"""The judge in C, for the monitor and for a microcontroller."""

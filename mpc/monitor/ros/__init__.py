@@ -1,0 +1,1 @@
+"""The monitor as a ROS 2 process of its own."""

@@ -1,0 +1,361 @@
+"""What becomes of a goal of `follow_path`: laid beside the loop, driven, judged at each tick, ended. Needs no ROS.
+
+All of it happens in the thread of the control loop, but for what `Goal` says of itself.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import IntEnum, StrEnum
+
+import numpy as np
+
+from diffdrive_mpc.models.errors import DiffdriveMpcError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopState, Tick
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.mpc.ros.tracking_error import tracking_error
+from diffdrive_mpc.mpc.step_result import Mode
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.planned.lay import Laid, lay_poses
+
+_STANDING = 0.02
+"""A slower robot stands [m/s]."""
+_OUTDATED = 0.3
+"""Where a moving robot was so long ago is not where a reference should begin [s]."""
+_LONGEST_LAYING = 15.0
+"""A path that is not laid after so long is given up, whatever the process beside the loop does [s of the computer]."""
+_SETTLES = 1.0
+"""After a command of zero for so long the robot is taken to stand, whatever its wheels say [s]."""
+
+
+class Code(IntEnum):
+    """Error codes of the result, as in Nav2 for ROS 2 Jazzy."""
+
+    NONE = 0
+    UNKNOWN = 100
+    INVALID_CONTROLLER = 101
+    TF_ERROR = 102
+    INVALID_PATH = 103
+    PATIENCE_EXCEEDED = 104
+    FAILED_TO_MAKE_PROGRESS = 105
+    NO_VALID_CONTROL = 106
+    CONTROLLER_TIMED_OUT = 107
+
+
+class Outcome(StrEnum):
+    """How a goal ends."""
+
+    SUCCEEDED = "succeeded"
+    CANCELED = "canceled"
+    ABORTED = "aborted"
+
+
+@dataclass(frozen=True)
+class End:
+    """How a goal ended, its code, and why in words."""
+
+    outcome: Outcome
+    code: Code
+    words: str
+
+
+@dataclass(eq=False)
+class Goal:
+    """One goal. The loop's thread writes `progress` and `end`, that of the action server `cancelled`.
+
+    Attributes
+    ----------
+    poses
+        (n, 3) of the path, in its frame.
+    frame
+        Frame of the path.
+    stamp
+        Time of the path [ns]; 0: none.
+    fault
+        Why it cannot be driven, as was found before the loop saw it; None if nothing was.
+    cancelled
+        Whether it shall end.
+    progress
+        Distance to the goal along the path [m] and speed [m/s]; None until it is driven.
+    end
+        How it ended; None while it goes on.
+    """
+
+    poses: FloatArray
+    frame: str
+    stamp: int = 0
+    fault: tuple[Code, str] | None = None
+    cancelled: bool = False
+    progress: tuple[float, float] | None = None
+    end: End | None = None
+    laid: Laid | None = field(default=None, repr=False)
+    asked_at: float = 0.0
+    handed_on: float = 0.0
+    began: bool = False
+    since: float = math.nan
+    ending: End | None = None
+
+
+class FrameError(DiffdriveMpcError, ValueError):
+    """A path cannot be brought into the frame of control; says why."""
+
+
+Lay = Callable[[tuple[object, ...], Callable[[Laid], None], Callable[[str], None]], None]
+"""Has `lay_for_robot` called with these arguments, and the one or the other with what came of it."""
+
+
+def lay_for_robot(
+    poses: FloatArray,
+    robot: FloatArray,
+    twist: tuple[float, float],
+    limits: TrajectoryLimits,
+    settings: NodeSettings,
+    beside: float,
+) -> Laid:
+    """What is done beside the loop, see `lay_poses`."""
+    return lay_poses(
+        poses,
+        limits,
+        robot=robot,
+        twist=twist,
+        deviation=settings.follow_deviation,
+        beside=beside,
+        backwards=settings.follow_backwards,
+    )
+
+
+def path_limits(config: ControllerConfig, gain: FloatArray, settings: NodeSettings) -> TrajectoryLimits:
+    """Speeds and accelerations of a path: shares of those of the commands, times the model's steady-state `gain`."""
+    limits, (v, omega) = config.limits, np.minimum(1.0, np.abs(np.diag(gain))).tolist()
+    share, slew = settings.follow_speed_share, settings.follow_acceleration_share
+    return TrajectoryLimits(
+        v=share * min(v * limits.v, limits.wheel_speed),
+        omega=share * omega * limits.omega,
+        v_acceleration=slew * v * limits.v_slew,
+        omega_acceleration=slew * omega * limits.omega_slew,
+        least_turn_radius=limits.least_turn_radius or 0.0,
+    )
+
+
+def _not_laid(why: str) -> Code:
+    """Code for a path that the process beside the loop gave back with `why`."""
+    ours = why.startswith(("path:", "trajectory limit"))
+    return Code.INVALID_PATH if ours else Code.CONTROLLER_TIMED_OUT if "takes longer" in why else Code.UNKNOWN
+
+
+class Following:
+    """Takes goals to the control loop, one at a time; a newer one takes over from the one that is driven.
+
+    Parameters
+    ----------
+    loop
+        Of this activation.
+    settings
+        The node's.
+    config
+        The controller's configuration as it is now.
+    gain
+        (2, 2) steady-state gain of its model.
+    lay
+        Lays a path beside the loop.
+    transform
+        Brings poses (n, 3) from a frame, at a time [ns], into that of control; FrameError says why it cannot.
+    """
+
+    def __init__(
+        self,
+        loop: ControlLoop,
+        settings: NodeSettings,
+        config: Callable[[], ControllerConfig],
+        gain: Callable[[], FloatArray],
+        lay: Lay,
+        transform: Callable[[FloatArray, str, int], FloatArray],
+    ) -> None:
+        self._loop, self._settings, self._config, self._gain = loop, settings, config, gain
+        self._lay, self._transform = lay, transform
+        self._coming: Goal | None = None
+        self._driven: Goal | None = None
+
+    def take(self, goal: Goal) -> None:
+        """Have a path laid, to be driven then. What cannot be used ends the drive that is under way, too."""
+        if self._coming is not None:
+            self._close(self._coming, Outcome.ABORTED, Code.NONE, "a newer goal took its place before it began")
+        self._coming, goal.handed_on = goal, time.monotonic()
+        if goal.fault is not None:
+            self._refuse(goal, *goal.fault)
+            return
+        if len(goal.poses) < 2:
+            self._refuse(goal, Code.INVALID_PATH, f"the path has {len(goal.poses)} poses; give at least two")
+            return
+        try:
+            goal.poses = self._transform(goal.poses, goal.frame, goal.stamp)
+        except FrameError as error:
+            self._refuse(goal, Code.TF_ERROR, str(error))
+            return
+        self._ask(goal)
+
+    def after(self, tick: Tick) -> None:
+        """Judge the goal that is driven by what the last tick did."""
+        coming, goal = self._coming, self._driven
+        if coming is not None and coming.cancelled:
+            self._coming = None
+            self._close(coming, Outcome.CANCELED, Code.NONE, "cancelled before it began")
+            # Whoever sent it did not mean the one that it was to replace either.
+            self._give_up("a newer goal was cancelled")
+        elif coming is not None and time.monotonic() - coming.handed_on > _LONGEST_LAYING:
+            self._refuse(coming, Code.CONTROLLER_TIMED_OUT, f"to lay the path takes longer than {_LONGEST_LAYING:g} s")
+        if goal is None:
+            return
+        if goal.ending is None:
+            goal.ending = self._verdict(goal, tick)
+            if goal.ending is not None and goal.ending.outcome is not Outcome.SUCCEEDED:
+                self._loop.brake(goal.ending.words)
+        if goal.ending is not None and self._stands(goal, tick):
+            self._driven = None
+            goal.end = goal.ending
+            self._loop.release()
+        elif tick.result is not None and goal.laid is not None:
+            goal.progress = self._progress(goal, tick)
+
+    def stop(self, why: str) -> None:
+        """End all goals: the loop is no more."""
+        for goal in (self._coming, self._driven):
+            if goal is not None:
+                self._close(goal, Outcome.ABORTED, Code.UNKNOWN, why)
+        self._coming = self._driven = None
+
+    def _ask(self, goal: Goal) -> None:
+        loop, config = self._loop, self._config()
+        found = loop.whereabouts()
+        if found is None:
+            self._refuse(goal, Code.TF_ERROR, loop.missing() or "the robot's pose is not known yet")
+            return
+        robot, twist = found
+        goal.asked_at = loop.inbox.now
+        limits = path_limits(config, self._gain(), self._settings)
+        self._lay(
+            (goal.poses, robot, twist, limits, self._settings, config.reentry.band),
+            lambda laid: self._begin(goal, laid, twist[0]),
+            lambda why: self._refuse(goal, _not_laid(why), why),
+        )
+
+    def _begin(self, goal: Goal, laid: Laid, speed: float) -> None:
+        if goal is not self._coming:
+            return
+        loop, farthest = self._loop, self._config().failure.max_position_error
+        moving = abs(speed) > _STANDING
+        if moving and loop.inbox.now - goal.asked_at > _OUTDATED:
+            self._ask(goal)
+            return
+        if laid.begins > farthest:
+            why = f"the path begins {laid.begins:.2f} m from the robot; the limit is {farthest:g} m"
+            self._refuse(goal, Code.INVALID_PATH, f"{why} (failure.max_position_error)")
+            return
+        try:
+            # A robot that moves has gone on meanwhile, and so has the reference that it is given.
+            loop.follow(laid.reference, goal.asked_at if moving else None)
+        except ValueError as error:
+            code = Code.TF_ERROR if loop.missing() else Code.INVALID_PATH
+            self._refuse(goal, code, str(error))
+            return
+        if self._driven is not None:
+            self._driven.end = self._driven.ending or End(Outcome.ABORTED, Code.NONE, "a newer goal took over")
+        goal.laid, goal.since = laid, loop.inbox.now
+        self._driven, self._coming = goal, None
+
+    def _refuse(self, goal: Goal, code: Code, why: str) -> None:
+        if goal is not self._coming:
+            return
+        self._coming = None
+        self._close(goal, Outcome.ABORTED, code, why)
+        self._give_up(f"a newer goal could not be driven: {why}")
+
+    def _give_up(self, why: str) -> None:
+        """End what is driven."""
+        if self._driven is not None and self._driven.ending is None:
+            self._driven.ending = End(Outcome.ABORTED, Code.NONE, why)
+            self._loop.brake(why)
+
+    def _close(self, goal: Goal, outcome: Outcome, code: Code, words: str) -> None:
+        goal.end = End(outcome, code, words)
+
+    def _verdict(self, goal: Goal, tick: Tick) -> End | None:
+        """How the goal ends by what a tick did; None while it goes on."""
+        loop, settings, now = self._loop, self._settings, self._loop.inbox.now
+        assert goal.laid is not None
+        ours = loop.begun is not None and loop.begun.reference is goal.laid.reference
+        goal.began = goal.began or ours
+        if goal.cancelled:
+            return End(Outcome.CANCELED, Code.NONE, "cancelled")
+        if tick.state is LoopState.FAULT:
+            return End(Outcome.ABORTED, Code.UNKNOWN, tick.message)
+        if goal.began and (not ours or tick.state is LoopState.IDLE):
+            return End(Outcome.ABORTED, Code.UNKNOWN, "another reference was begun, or the node was reset")
+        if not goal.began:
+            late = now - goal.since > settings.follow_patience and not loop.held
+            return End(Outcome.ABORTED, Code.TF_ERROR, loop.missing() or "no pose arrives") if late else None
+        if loop.blocked:
+            return End(Outcome.ABORTED, Code.FAILED_TO_MAKE_PROGRESS, tick.message or "blocked")
+        result = tick.result
+        if result is None or tick.state is LoopState.PAUSED or loop.held:
+            goal.since = now
+            return None
+        if result.mode is Mode.FINISHED:
+            return None if tick.command.any() else self._arrived(goal, tick)
+        if result.mode is Mode.TRACKING:
+            goal.since = now
+        if now - goal.since <= settings.follow_patience:
+            return None
+        return End(Outcome.ABORTED, self._code(tick), tick.message or "no command could be found")
+
+    def _arrived(self, goal: Goal, tick: Tick) -> End:
+        assert tick.result is not None
+        settings, estimate = self._settings, tick.result.estimate
+        if estimate is None:
+            return End(Outcome.ABORTED, Code.TF_ERROR, "at the end of the path the robot's pose is not known")
+        gap = estimate.pose - goal.poses[-1]
+        distance, turned = float(np.hypot(gap[0], gap[1])), abs(math.remainder(float(gap[2]), math.tau))
+        words = f"{distance:.3f} m and {turned:.3f} rad from the goal"
+        if distance <= settings.follow_goal_position and turned <= settings.follow_goal_heading:
+            return End(Outcome.SUCCEEDED, Code.NONE, f"arrived, {words}")
+        return End(Outcome.ABORTED, Code.FAILED_TO_MAKE_PROGRESS, f"the path has ended {words}")
+
+    def _code(self, tick: Tick) -> Code:
+        """What to call it that the robot does not drive."""
+        assert tick.result is not None
+        inbox = self._loop.inbox
+        if inbox.odometry.fault(inbox.now, self._settings.odom_timeout) or tick.result.estimate is None:
+            return Code.TF_ERROR
+        if "no pose was accepted" in tick.message:
+            return Code.TF_ERROR
+        if tick.result.mode is Mode.REUSED_PLAN or "no way" in tick.message or "from the reference" in tick.message:
+            return Code.NO_VALID_CONTROL
+        return Code.PATIENCE_EXCEEDED
+
+    def _stands(self, goal: Goal, tick: Tick) -> bool:
+        """Whether the robot has come to rest, as far as is known."""
+        now = self._loop.inbox.now
+        if tick.command.any():
+            goal.since = now
+            return False
+        estimate = None if tick.result is None else tick.result.estimate
+        still = estimate is not None and float(np.abs(estimate.twist).max()) <= _STANDING
+        return still or tick.state in (LoopState.FAULT, LoopState.IDLE) or now - goal.since > _SETTLES
+
+    def _progress(self, goal: Goal, tick: Tick) -> tuple[float, float] | None:
+        result, begun = tick.result, self._loop.begun
+        assert result is not None
+        assert goal.laid is not None
+        reference = goal.laid.reference
+        if result.estimate is None or begun is None or begun.reference is not reference:
+            return goal.progress
+        at = self._loop.inbox.now - begun.t0 - result.reference_delay
+        done, whole = reference.sample([at, reference.duration]).arc_length.tolist()
+        error = tracking_error(result)
+        ahead = error[0] if error is not None else 0.0
+        return max(0.0, whole - done - ahead), abs(float(result.estimate.twist[0]))

@@ -1,0 +1,206 @@
+"""The action server `follow_path` (nav2_msgs/action/FollowPath): Nav2's behaviour tree drives the robot through it.
+
+It has a node and a thread of its own: to take a path of some thousand poses apart takes longer than a tick.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+
+import numpy as np
+import rclpy
+from nav2_msgs.action import FollowPath
+from nav_msgs.msg import Path
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.task import Future
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.ros.conversions import MessageError, nanoseconds, planar_pose
+from diffdrive_mpc.mpc.ros.follow_goal import Code, End, Following, Goal, Outcome
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
+
+ACTION = "follow_path"
+_RESULT_KEPT = 10
+"""How long a result waits for its client [s]."""
+_LOOK = 0.02
+"""How often ends are looked for [s]."""
+_FAREWELL = 0.4
+"""How long the last results may take [s]."""
+
+
+class FollowPathServer:
+    """Accepts goals while there is a `Following` to take them, and tells clients what became of them.
+
+    Parameters
+    ----------
+    node
+        The node that drives; its name, namespace and remappings count.
+    settings
+        The node's.
+    """
+
+    def __init__(self, node: Node, settings: NodeSettings) -> None:
+        self._node, self._settings = node, settings
+        self._following: Following | None = None
+        self._incoming: deque[tuple[Following, Goal]] = deque()
+        self._open: list[tuple[Goal, ServerGoalHandle, Future]] = []
+        self._arrived = node.create_guard_condition(self._pass_on)
+        self._side = rclpy.create_node(
+            f"{node.get_name()}_{ACTION}",
+            context=node.context,
+            namespace=node.get_namespace(),
+            use_global_arguments=False,
+            start_parameter_services=False,
+        )
+        self._server = ActionServer(
+            self._side,
+            FollowPath,
+            # As the node's own remappings have it.
+            node.resolve_topic_name(ACTION),
+            self._execute,
+            goal_callback=self._judge,
+            cancel_callback=self._cancel,
+            result_timeout=_RESULT_KEPT,
+        )
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._side.create_timer(_LOOK, self._look, clock=steady)
+        self._side.create_timer(1.0 / settings.follow_feedback_rate, self._tell, clock=steady)
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(self._side)
+        self._closing = self._said = False
+        self._thread = threading.Thread(target=self._spin, name=ACTION, daemon=True)
+        self._thread.start()
+
+    def open(self, following: Following) -> None:
+        """Accept goals from now on, for `following`."""
+        self._following = following
+
+    def shut(self, why: str) -> None:
+        """Accept no goals from now on, and end those there are."""
+        following, self._following = self._following, None
+        while self._incoming:
+            _, goal = self._incoming.popleft()
+            goal.end = End(Outcome.ABORTED, Code.UNKNOWN, why)
+        if following is not None:
+            following.stop(why)
+
+    def close(self) -> None:
+        """Send the last results, and end."""
+        self._said = bool(self._open)
+        self.shut("the node is shut down")
+        self._closing = True
+        self._thread.join(2.0 * _FAREWELL)
+        self._server.destroy()
+        self._executor.shutdown()
+        self._side.destroy_node()
+        self._node.destroy_guard_condition(self._arrived)
+
+    def _spin(self) -> None:
+        left = round(_FAREWELL / _LOOK)
+        try:
+            while not self._closing or (self._said and left > 0):
+                self._executor.spin_once(timeout_sec=_LOOK)
+                left -= self._closing
+        except ExternalShutdownException:
+            pass
+
+    def _pass_on(self) -> None:
+        """In the thread of the loop: hand on what has arrived."""
+        while self._incoming:
+            following, goal = self._incoming.popleft()
+            if following is self._following:
+                following.take(goal)
+            else:
+                goal.end = End(Outcome.ABORTED, Code.UNKNOWN, "the node was deactivated")
+
+    def _judge(self, _: FollowPath.Goal) -> GoalResponse:
+        if self._following is None:
+            self._node.get_logger().error(f"{ACTION}: goal refused: the node is not active; activate it first")
+            return GoalResponse.REJECT
+        return GoalResponse.ACCEPT
+
+    def _cancel(self, handle: ServerGoalHandle) -> CancelResponse:
+        for goal, held, _ in self._open:
+            if bytes(held.goal_id.uuid) == bytes(handle.goal_id.uuid):
+                goal.cancelled = True
+                return CancelResponse.ACCEPT
+        return CancelResponse.REJECT
+
+    async def _execute(self, handle: ServerGoalHandle) -> FollowPath.Result:
+        end = self._begin(handle)
+        if isinstance(end, Future):
+            end = await end
+        self._log(end)
+        {Outcome.SUCCEEDED: handle.succeed, Outcome.CANCELED: handle.canceled, Outcome.ABORTED: handle.abort}[
+            end.outcome
+        ]()
+        result = FollowPath.Result(error_code=int(end.code))
+        # Nav2 has had it since its first release for Jazzy; older definitions have not.
+        if hasattr(result, "error_msg"):
+            result.error_msg = "" if end.outcome is Outcome.SUCCEEDED else end.words
+        return result
+
+    def _begin(self, handle: ServerGoalHandle) -> Future | End:
+        """Hand a goal to the loop; returns what will hold its end, or the end."""
+        request, following, settings = handle.request, self._following, self._settings
+        # A fault ends the drive that the goal was to replace, too: that is the loop's to do.
+        poses, fault = np.zeros((0, 3)), None
+        try:
+            poses = path_poses(request.path, settings.follow_most_poses)
+        except MessageError as error:
+            fault = (Code.INVALID_PATH, str(error))
+        if settings.follow_controller_id and request.controller_id not in ("", settings.follow_controller_id):
+            why = f"controller_id is '{request.controller_id}', here it is '{settings.follow_controller_id}'"
+            fault = (Code.INVALID_CONTROLLER, f"{why} (parameter follow_controller_id)")
+        if following is None:
+            return End(Outcome.ABORTED, Code.UNKNOWN, "the node was deactivated")
+        header = request.path.header
+        goal = Goal(poses, header.frame_id, nanoseconds(header.stamp), fault=fault)
+        future = Future(executor=self._executor)
+        self._open.append((goal, handle, future))
+        self._incoming.append((following, goal))
+        self._arrived.trigger()
+        return future
+
+    def _look(self) -> None:
+        """Pass on the ends of goals to whoever waits for them."""
+        ended = [entry for entry in self._open if entry[0].end is not None]
+        for entry in ended:
+            self._open.remove(entry)
+            entry[2].set_result(entry[0].end)
+
+    def _tell(self) -> None:
+        for goal, handle, _ in self._open:
+            if goal.progress is not None and goal.end is None:
+                distance, speed = goal.progress
+                handle.publish_feedback(FollowPath.Feedback(distance_to_goal=distance, speed=speed))
+
+    def _log(self, end: End) -> None:
+        log = self._node.get_logger()
+        words = f"{ACTION}: {end.outcome}{f' ({end.code.name})' if end.code else ''}: {end.words}"
+        # One line for each severity: a logger refuses a line that changes it from call to call.
+        if end.outcome is Outcome.ABORTED and end.code:
+            log.error(words)
+        else:
+            log.info(words)
+
+
+def path_poses(message: Path, most: int) -> FloatArray:
+    """Poses (n, 3) of a path; raises MessageError where they are no poses, too many, or not all of one frame."""
+    frame, count = message.header.frame_id, len(message.poses)
+    if count > most:
+        raise MessageError(f"the path has {count} poses, the most is {most} (parameter follow_most_poses)")
+    rows = []
+    for index, pose in enumerate(message.poses):
+        if (pose.header.frame_id or frame) != frame:
+            raise MessageError(f"pose {index} is in '{pose.header.frame_id}', the path in '{frame}': give it one frame")
+        try:
+            rows.append(planar_pose(pose.pose))
+        except MessageError as error:
+            raise MessageError(f"pose {index}: {error}") from error
+    return np.array(rows, dtype=float).reshape(-1, 3)

@@ -1,0 +1,181 @@
+"""A process beside the node, for what takes longer than a tick: a thread would take turns with the loop's.
+
+`python -m diffdrive_mpc.mpc.ros.side_process DESCRIPTOR` is that process: it does what comes through the socket, one
+after the other, until the other end closes, however it ends.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Any, NamedTuple
+
+_MODULE = "diffdrive_mpc.mpc.ros.side_process"
+_NICENESS = 10
+_FAREWELL = 2.0
+"""How long the process may take to end [s]."""
+Done = Callable[[Any], None]
+Failed = Callable[[str], None]
+
+
+class _Job(NamedTuple):
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    done: Done
+    failed: Failed
+
+
+class SideProcess:
+    """Has functions called in a process of its own, one after the other; nothing here waits for it but `close`.
+
+    The process begins with the first of them, and takes a second for that.
+
+    Parameters
+    ----------
+    wake
+        Called from a thread of its own when `deliver` has something to do.
+    patience
+        A function that takes longer is given up, and the process with it [s].
+    """
+
+    def __init__(self, wake: Callable[[], None], patience: float) -> None:
+        self._wake, self._patience = wake, patience
+        self._changed = threading.Condition()
+        self._waiting: OrderedDict[str, _Job] = OrderedDict()
+        self._answers: list[tuple[_Job, bool, Any]] = []
+        self._closed = False
+        self._thread: threading.Thread | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._link: Connection | None = None
+
+    def submit(
+        self, key: str, function: Callable[..., Any], arguments: tuple[Any, ...], done: Done, failed: Failed
+    ) -> None:
+        """Have `function(*arguments)` called, and `done` with what it returns, or `failed` with why it could not.
+
+        The function is one of a module. One that still waits under the same `key` is superseded, and fails.
+        """
+        with self._changed:
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._serve, name="side process", daemon=True)
+                self._thread.start()
+            old = self._waiting.pop(key, None)
+            if old is not None:
+                self._answers.append((old, False, "a newer one came before it was read"))
+            self._waiting[key] = _Job(function, arguments, done, failed)
+            self._changed.notify()
+        if old is not None:
+            self._wake()
+
+    def prepare(self, function: Callable[[], Any]) -> None:
+        """Have the process begin and load the module of `function`, unless it has begun already."""
+        if self._thread is None:
+            self.submit("prepare", function, (), _ignore, _ignore)
+
+    def deliver(self) -> None:
+        """Call `done` or `failed` of all that has been answered, in the caller's thread."""
+        with self._changed:
+            answers, self._answers = self._answers, []
+        for job, well, content in answers:
+            (job.done if well else job.failed)(content)
+
+    def close(self) -> None:
+        """End the process; what it was to answer is forgotten."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+            self._end()
+        if self._thread is not None:
+            self._thread.join(_FAREWELL)
+
+    def _begin(self) -> Connection:
+        ours, theirs = socket.socketpair()
+        command = [sys.executable, "-m", _MODULE, str(theirs.fileno())]
+        # A session of its own: Ctrl-C is for the node.
+        self._process = subprocess.Popen(
+            command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
+        )
+        theirs.close()
+        self._link = Connection(ours.detach())
+        return self._link
+
+    def _end(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            # It is gone as soon as the machine has time for it; who waits longer only waits.
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(_FAREWELL)
+                self._process = None
+
+    def _serve(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._closed)
+                if self._closed:
+                    break
+                _, job = self._waiting.popitem(last=False)
+            well, content = self._ask(job)
+            with self._changed:
+                if self._closed:
+                    break
+                self._answers.append((job, well, content))
+            self._wake()
+        if self._link is not None:
+            self._link.close()
+
+    def _ask(self, job: _Job) -> tuple[bool, Any]:
+        why = "the process that reads it ended; send it again"
+        try:
+            link = self._link or self._begin()
+            link.send((job.function, job.arguments))
+            if link.poll(self._patience):
+                well, content = link.recv()
+                return bool(well), content
+            why = f"to read it takes longer than {self._patience:g} s"
+        except (OSError, EOFError):
+            pass
+        with self._changed:
+            if self._link is not None and not self._closed:
+                self._link.close()
+                self._link = None
+                self._end()
+        return False, why
+
+
+def _ignore(_: object) -> None:
+    """Nobody waits for it."""
+
+
+def _main(descriptor: int) -> None:
+    """Answer until the socket closes."""
+    os.nice(_NICENESS)
+    if hasattr(os, "sched_setscheduler"):
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    link = Connection(descriptor)
+    while True:
+        try:
+            function, arguments = link.recv()
+            answer = _answer(function, arguments)
+            link.send(answer)
+        except (EOFError, OSError):
+            return
+
+
+def _answer(function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[bool, Any]:
+    try:
+        return True, function(*arguments)
+    except ValueError as error:
+        return False, str(error)
+    except Exception as error:
+        return False, f"{type(error).__name__}: {error}"
+
+
+if __name__ == "__main__":
+    _main(int(sys.argv[1]))

@@ -1,0 +1,49 @@
+"""Hears /tf and /tf_static."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.subscription import Subscription
+
+from diffdrive_mpc.mpc.ros.bounded_messages import subscribe_bounded
+from diffdrive_mpc.mpc.ros.conversions import nanoseconds
+from diffdrive_mpc.mpc.ros.transforms.frames import Frames
+from diffdrive_mpc.mpc.ros.transforms.rigid import Rigid
+from diffdrive_mpc.mpc.ros.type_support import message_type
+
+# As many messages wait as for tf2's own listener.
+_DYNAMIC = QoSProfile(depth=100)
+_STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+MOST_BYTES = 200_000
+"""Of one message: some hundred frames, read in some milliseconds."""
+
+
+def listen(node: Node, frames: Frames) -> list[Subscription]:
+    """Subscribe `node` to both topics, for `frames`.
+
+    Raises
+    ------
+    ValueError
+        If the type of their messages is not installed.
+    """
+    kind = message_type("tf2_msgs", "TFMessage")
+    if kind is None:
+        raise ValueError("transforms are to be used (pose_source: tf, or use_tf), but tf2_msgs is not installed")
+
+    def taking(*, static: bool) -> Any:  # noqa: ANN401 - a callback
+        def take(message: Any) -> None:  # noqa: ANN401 - ROS messages have no types to check
+            for each in message.transforms:
+                at, turn = each.transform.translation, each.transform.rotation
+                rigid = Rigid(at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w)
+                stamp = nanoseconds(each.header.stamp)
+                frames.take(each.header.frame_id, each.child_frame_id, stamp, rigid, static=static)
+
+        return take
+
+    return [
+        subscribe_bounded(node, kind, topic, taking(static=static), qos, refuse=frames.refuse, most=MOST_BYTES)
+        for topic, qos, static in (("/tf", _DYNAMIC, False), ("/tf_static", _STATIC, True))
+    ]

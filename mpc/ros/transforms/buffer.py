@@ -1,0 +1,199 @@
+"""Transforms of the last seconds, by the frame that they place; looked up along chains of frames, at any time kept.
+
+As tf2 does it: no transform is guessed beyond its newest stamp, and without a time the newest is taken that the whole
+chain has. Beside that it says what is wrong: loops, frames placed by two parents in turns, stamps from the future.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, insort
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from diffdrive_mpc.models.errors import DiffdriveMpcError
+from diffdrive_mpc.mpc.ros.transforms.rigid import IDENTITY, Rigid
+
+_SECOND = 1_000_000_000
+KEPT = 10 * _SECOND
+"""How long a transform is kept [ns]: as long as tf2 keeps it."""
+AHEAD = 2 * _SECOND
+"""A stamp may be so far in the future [ns]: localisations post-date theirs, AMCL by up to a second."""
+MOST_FRAMES = 500
+MOST_KEPT = 4000
+"""Of one frame: what arrives oftener than at 400 Hz is kept for a shorter time."""
+_NORM_TOLERANCE = 1e-2
+_DISPUTED = 2
+"""A frame whose parent has changed so often within the time that is kept has more than one."""
+
+
+class TransformError(DiffdriveMpcError, ValueError):
+    """A transform cannot be used, or there is none; says why, in few words."""
+
+
+class Found(NamedTuple):
+    """A transform that was looked up.
+
+    Attributes
+    ----------
+    transform
+        From the source's coordinates to the target's.
+    stamp
+        The time that it is valid for [ns]; None: at any, as nothing in it moves.
+    oldest
+        The frame of the chain that was heard of the longest ago; empty where nothing moves.
+    """
+
+    transform: Rigid
+    stamp: int | None
+    oldest: str
+
+
+@dataclass
+class _Placed:
+    """What is known of one frame: the frame it is placed in, and where, oldest first; one without stamp: for ever."""
+
+    parent: str
+    static: bool
+    stamps: list[int] = field(default_factory=list)
+    history: dict[int, Rigid] = field(default_factory=dict)
+    changes: list[int] = field(default_factory=list)
+    other: str = ""
+
+
+class TransformBuffer:
+    """Keeps what /tf and /tf_static state."""
+
+    def __init__(self) -> None:
+        self._frames: dict[str, _Placed] = {}
+
+    def clear(self) -> None:
+        """Forget what moves, for a clock that was set back; what is static stays."""
+        self._frames = {name: placed for name, placed in self._frames.items() if placed.static}
+
+    def __len__(self) -> int:
+        """How many transforms are kept."""
+        return sum(len(placed.stamps) or 1 for placed in self._frames.values())
+
+    def insert(self, parent: str, child: str, stamp: int, transform: Rigid, now: int, *, static: bool = False) -> None:
+        """Take in where `child` is in `parent` at `stamp`, heard at `now` [ns].
+
+        Raises
+        ------
+        TransformError
+            If it is no rigid motion, of no use, older than what is kept, or from the future; then nothing changes.
+        """
+        parent, child = parent.removeprefix("/"), child.removeprefix("/")
+        what = f"'{parent}' -> '{child}'"
+        if not parent or not child or parent == child:
+            raise TransformError(f"{what} names no two frames")
+        norm = math.hypot(*transform[3:])
+        if not (all(map(math.isfinite, transform)) and abs(norm - 1.0) <= _NORM_TOLERANCE):
+            raise TransformError(f"{what} is not finite, or its rotation no unit quaternion")
+        if not static and stamp - now > AHEAD:
+            raise TransformError(f"{what} is {(stamp - now) / _SECOND:.1f} s in the future: are the clocks in step?")
+        placed = self._frames.get(child)
+        if placed is None and len(self._frames) >= MOST_FRAMES:
+            raise TransformError(f"{what} is one frame too many: {MOST_FRAMES} are kept")
+        # Told again in another way it is a change; where that goes to and fro, somebody disputes it.
+        if placed is None or (placed.parent, placed.static) != (parent, static):
+            changes = [] if placed is None else [*(at for at in placed.changes if abs(now - at) <= KEPT), now]
+            placed = _Placed(
+                parent, static, changes=changes[-_DISPUTED:], other="" if placed is None else placed.parent
+            )
+            self._frames[child] = placed
+        unit = Rigid(*transform[:3], *(value / norm for value in transform[3:]))
+        if static:
+            placed.stamps, placed.history = [], {0: unit}
+            return
+        if placed.stamps and stamp < placed.stamps[-1] - KEPT:
+            raise TransformError(f"{what} is {(placed.stamps[-1] - stamp) / _SECOND:.1f} s older than the last")
+        if stamp not in placed.history:
+            insort(placed.stamps, stamp)
+        placed.history[stamp] = unit
+        begin = bisect_left(placed.stamps, placed.stamps[-1] - KEPT)
+        begin = max(begin, len(placed.stamps) - MOST_KEPT)
+        for old in placed.stamps[:begin]:
+            del placed.history[old]
+        del placed.stamps[:begin]
+
+    def lookup(self, target: str, source: str, now: int, time: int | None = None) -> Found:
+        """The transform from `source` to `target` at `time` [ns], or the newest that all of the chain has.
+
+        Raises
+        ------
+        TransformError
+            If there is no chain of frames, if it loops or is disputed, or not all of it is known at that time.
+        """
+        up, down = self._ancestors(source.removeprefix("/")), self._ancestors(target.removeprefix("/"))
+        common = next((name for name in up if name in down), None)
+        if common is None:
+            raise TransformError(self._apart(target, source))
+        chain = [*up[: up.index(common)], *down[: down.index(common)]]
+        moving = []
+        for name in chain:
+            placed = self._frames[name]
+            if len([at for at in placed.changes if abs(now - at) <= KEPT]) >= _DISPUTED:
+                raise TransformError(
+                    f"frame '{name}' is placed in '{placed.parent}' and in '{placed.other}' by turns: it needs one "
+                    "parent"
+                )
+            if not placed.static:
+                moving.append((placed.stamps[-1], name))
+        newest, oldest = min(moving, default=(None, ""))
+        stamp = newest if time is None else time
+        found = IDENTITY
+        for name in down[: down.index(common)]:
+            found = self._at(name, stamp).after(found)
+        back, found = found.inverse(), IDENTITY
+        for name in up[: up.index(common)]:
+            found = self._at(name, stamp).after(found)
+        return Found(back.after(found), stamp if moving else None, oldest)
+
+    def passes(self, source: str, target: str, frame: str) -> bool:
+        """Whether the chain from `source` to `target` goes through `frame`, or begins there."""
+        up, down = self._ancestors(source), self._ancestors(target)
+        common = next((name for name in up if name in down), None)
+        return common is not None and common != frame and frame in up[: up.index(common)]
+
+    def _ancestors(self, frame: str) -> list[str]:
+        """`frame`, its parent, and so on."""
+        return list(self._upwards(frame))
+
+    def _upwards(self, frame: str) -> Iterator[str]:
+        seen = []
+        while frame not in seen:
+            seen.append(frame)
+            yield frame
+            placed = self._frames.get(frame)
+            if placed is None:
+                return
+            frame = placed.parent
+        raise TransformError(f"frames loop: {' -> '.join([*seen[seen.index(frame) :], frame])}")
+
+    def _apart(self, target: str, source: str) -> str:
+        known = {*self._frames, *(placed.parent for placed in self._frames.values())}
+        missing = [name for name in (target, source) if name not in known]
+        if missing:
+            return f"no transform from '{source}' to '{target}': nobody has spoken of '{missing[0]}'"
+        return f"no transform from '{source}' to '{target}': no chain of frames leads from one to the other"
+
+    def _at(self, name: str, stamp: int | None) -> Rigid:
+        placed = self._frames[name]
+        if placed.static:
+            return placed.history[0]
+        stamps = placed.stamps
+        assert stamp is not None
+        if not stamps[0] <= stamp <= stamps[-1]:
+            side, bound = ("after", stamps[-1]) if stamp > stamps[-1] else ("before", stamps[0])
+            raise TransformError(
+                f"'{placed.parent}' -> '{name}' is not known at that time: it is {abs(stamp - bound) / _SECOND:.2f} s "
+                f"{side} the {'last' if side == 'after' else 'first'} that was heard"
+            )
+        right = bisect_left(stamps, stamp)
+        after = stamps[right]
+        if after == stamp:
+            return placed.history[stamp]
+        before = stamps[right - 1]
+        return placed.history[before].towards(placed.history[after], (stamp - before) / (after - before))

@@ -1,0 +1,145 @@
+"""What the node asks of transforms: where the robot is, and where references lie that are stated in other frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.ros.transforms.buffer import TransformBuffer, TransformError
+from diffdrive_mpc.mpc.ros.transforms.rigid import Rigid
+
+_SECOND = 1e9
+
+
+class Frames:
+    """Answers for one frame that control is in.
+
+    Parameters
+    ----------
+    control, base
+        Names of the frame that control is in, and of that of the robot.
+    timeout
+        A transform that has not been renewed for longer cannot be relied on [s].
+    clock
+        The node's clock [ns].
+
+    Attributes
+    ----------
+    buffer
+        What was heard.
+    accepted, refused
+        How many transforms were.
+    last_refusal
+        Why one was; empty if none was.
+    """
+
+    def __init__(self, control: str, base: str, timeout: float, clock: Callable[[], int]) -> None:
+        self.control, self._base, self._timeout, self._clock = control, base, timeout, clock
+        self.buffer = TransformBuffer()
+        self.accepted = self.refused = 0
+        self.last_refusal = ""
+
+    def take(self, parent: str, child: str, stamp: int, transform: Rigid, *, static: bool) -> None:
+        """Take in one transform with its stamp [ns], or count why not."""
+        try:
+            self.buffer.insert(parent, child, stamp, transform, self._clock(), static=static)
+        except TransformError as error:
+            self.refuse(str(error))
+        else:
+            self.accepted += 1
+
+    def refuse(self, reason: str) -> None:
+        """Count what cannot be used, and why."""
+        self.refused += 1
+        self.last_refusal = reason
+
+    def pose(self) -> tuple[FloatArray, int]:
+        """(3,) x, y [m], yaw [rad] of the robot, and their stamp [ns]: the newest of the whole chain.
+
+        Raises
+        ------
+        TransformError
+            If there is none.
+        """
+        found = self.buffer.lookup(self.control, self._base, self._clock())
+        if found.stamp is None:
+            raise TransformError(f"'{self.control}' -> '{self._base}' is static: a robot that drives moves in it")
+        return found.transform.planar, found.stamp
+
+    def oldest(self) -> str:
+        """Which frame of the robot's chain was heard of the longest ago; empty where there is no chain."""
+        try:
+            return self.buffer.lookup(self.control, self._base, self._clock()).oldest
+        except TransformError:
+            return ""
+
+    def placement(self, frame: str, stamp: int) -> Placement | None:
+        """Where a reference stated in `frame` at `stamp` [ns; 0: now] lies; None where that is the frame of control.
+
+        Raises
+        ------
+        TransformError
+            If that is not known.
+        """
+        frame = frame.removeprefix("/")
+        return None if frame == self.control else Placement(self, frame, stamp, self._base, self._timeout, self._clock)
+
+
+def moved_poses(poses: FloatArray, motion: FloatArray) -> FloatArray:
+    """Poses (n, 3) turned by the theta of `motion` (3,) and then moved."""
+    x, y, theta = motion
+    cos, sin = np.cos(theta), np.sin(theta)
+    return np.column_stack(
+        [
+            x + cos * poses[:, 0] - sin * poses[:, 1],
+            y + sin * poses[:, 0] + cos * poses[:, 1],
+            theta + poses[:, 2],
+        ]
+    )
+
+
+class Placement:
+    """Where a reference stated in another frame lies in that of control.
+
+    A frame that moves with the robot, such as its base, is looked up once, at the stamp of the reference: "a metre
+    ahead" means from there. Any other belongs to the world, as the reference does: it is looked up again and again, as
+    the frame of control drifts in it, and jumps where a localisation corrects it.
+
+    Raises
+    ------
+    TransformError
+        If it is not known where the frame is.
+    """
+
+    def __init__(
+        self, frames: Frames, frame: str, stamp: int, base: str, timeout: float, clock: Callable[[], int]
+    ) -> None:
+        self._frames, self.frame, self._timeout, self._clock = frames, frame, timeout, clock
+        self._fixed: FloatArray | None = None
+        if frames.buffer.passes(frame, frames.control, base) or frame == base:
+            found = frames.buffer.lookup(frames.control, frame, clock(), stamp or None)
+            self._fixed = found.transform.planar
+        else:
+            self.motion()
+
+    def motion(self) -> FloatArray:
+        """(3,) x, y [m] by which it is moved, after it was turned by theta [rad].
+
+        Raises
+        ------
+        TransformError
+            If that is not known, or was not renewed for too long.
+        """
+        if self._fixed is not None:
+            return self._fixed
+        now = self._clock()
+        found = self._frames.buffer.lookup(self._frames.control, self.frame, now)
+        age = 0.0 if found.stamp is None else (now - found.stamp) / _SECOND
+        if age > self._timeout:
+            raise TransformError(
+                f"where '{self.frame}' lies in '{self._frames.control}' was last said {age:.2f} s ago, the limit is "
+                f"{self._timeout:g} s (frame '{found.oldest}')"
+            )
+        return found.transform.planar

@@ -1,0 +1,95 @@
+"""Rigid motions in space, as /tf states them, and what of them lies in the plane."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import FloatArray
+
+_NEARLY = 1.0 - 1e-9
+"""Cosine between two quaternions from which they are interpolated along the chord [-]."""
+
+
+class Rigid(NamedTuple):
+    """Takes coordinates in the child's frame to those in the parent's: turned by the unit quaternion, then moved.
+
+    Attributes
+    ----------
+    x, y, z
+        [m].
+    qx, qy, qz, qw
+        [-].
+    """
+
+    x: float
+    y: float
+    z: float
+    qx: float
+    qy: float
+    qz: float
+    qw: float
+
+    def after(self, first: Rigid) -> Rigid:
+        """`first`, and then this one."""
+        ax, ay, az, aw = self[3:]
+        bx, by, bz, bw = first[3:]
+        dx, dy, dz = _turned(self, first.x, first.y, first.z)
+        return Rigid(
+            self.x + dx,
+            self.y + dy,
+            self.z + dz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+            aw * bw - ax * bx - ay * by - az * bz,
+        )
+
+    def inverse(self) -> Rigid:
+        """From the parent's frame to the child's."""
+        back = Rigid(0.0, 0.0, 0.0, -self.qx, -self.qy, -self.qz, self.qw)
+        x, y, z = _turned(back, self.x, self.y, self.z)
+        return back._replace(x=-x, y=-y, z=-z)
+
+    def towards(self, other: Rigid, share: float) -> Rigid:
+        """Between this (`share` 0) and `other` (1): the position along a line, the attitude along the shortest arc."""
+        here, there = np.array(self[3:]), np.array(other[3:])
+        cosine = float(here @ there)
+        if cosine < 0.0:
+            there, cosine = -there, -cosine
+        if cosine > _NEARLY:
+            turned = here + share * (there - here)
+        else:
+            angle = math.acos(cosine)
+            turned = (math.sin((1.0 - share) * angle) * here + math.sin(share * angle) * there) / math.sin(angle)
+        turned /= np.linalg.norm(turned)
+        x, y, z = (a + share * (b - a) for a, b in zip(self[:3], other[:3], strict=True))
+        return Rigid(x, y, z, *turned.tolist())
+
+    @property
+    def yaw(self) -> float:
+        """Heading of the child's x axis in the parent's plane [rad]."""
+        return math.atan2(
+            2.0 * (self.qw * self.qz + self.qx * self.qy), 1.0 - 2.0 * (self.qy * self.qy + self.qz * self.qz)
+        )
+
+    @property
+    def planar(self) -> FloatArray:
+        """(3,) x, y [m], yaw [rad]."""
+        return np.array([self.x, self.y, self.yaw])
+
+
+IDENTITY = Rigid(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+def _turned(by: Rigid, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """A vector turned by a quaternion q: v + 2 w (u x v) + 2 u x (u x v) for q = (u, w)."""
+    ux, uy, uz, w = by[3:]
+    cx, cy, cz = uy * z - uz * y, uz * x - ux * z, ux * y - uy * x
+    return (
+        x + 2.0 * (w * cx + uy * cz - uz * cy),
+        y + 2.0 * (w * cy + uz * cx - ux * cz),
+        z + 2.0 * (w * cz + ux * cy - uy * cx),
+    )

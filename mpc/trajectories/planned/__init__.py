@@ -1,0 +1,1 @@
+"""Paths of a planner, poses without times: read, smoothed inside a distance, and timed."""

@@ -1,0 +1,243 @@
+"""A planner's path as a timed reference: cut at the robot, smoothed, timed, with turns where it has to turn."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds, timed
+from diffdrive_mpc.mpc.trajectories.planned.runs import Run, read_runs
+from diffdrive_mpc.mpc.trajectories.planned.settings import load_settings
+from diffdrive_mpc.mpc.trajectories.planned.tube import least_bent
+from diffdrive_mpc.mpc.trajectories.segments import Segment
+from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath, smooth_path
+from diffdrive_mpc.mpc.trajectories.smooth_segments import Nodes, turned
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+
+_PIECES = 3
+# Of a smoothed line that is to bend at all.
+_LEAST_POINTS = 8
+# Points beyond an end that say how a line gets there; curvature there at most [1/m].
+_BEYOND = 3
+_TIGHTEST = 3.0
+# A smaller turn is rounding [rad], a slower robot stands [m/s].
+_NO_TURN, _STANDING = 1e-3, 0.02
+_AT_ONCE = 1e-9  # [s]
+
+
+@dataclass(frozen=True, eq=False)
+class Laid:
+    """What was made of a path.
+
+    Attributes
+    ----------
+    reference
+        To be tracked.
+    length
+        Of the path from the robot on [m].
+    deviation
+        Furthest distance of the reference from the planner's line [m], beyond where it leads onto it.
+    begins
+        Distance of the robot from where the reference begins [m].
+    """
+
+    reference: SplineTrajectory
+    length: float
+    deviation: float
+    begins: float
+
+
+def lay_poses(
+    poses: FloatArray,
+    limits: TrajectoryLimits,
+    *,
+    robot: FloatArray,
+    twist: tuple[float, float] = (0.0, 0.0),
+    deviation: float,
+    beside: float,
+    backwards: bool = True,
+    name: str = "path",
+) -> Laid:
+    """Lay a reference along a planner's poses, to rest at the last of them, heading included.
+
+    It begins where the robot is along the path, with the twist that the robot has, so that a new path takes over from
+    another without a stop. It stops where the direction changes and where it has to turn on the spot: before the path
+    where the robot stands and looks elsewhere, and at its end where the goal has another heading than the path.
+
+    Parameters
+    ----------
+    poses
+        (n, 3), n >= 2: x, y [m], theta [rad].
+    limits
+        Speeds and accelerations; with a least turn radius nothing turns on the spot.
+    robot
+        (3,) its pose, in the frame of the poses.
+    twist
+        Its forward speed [m/s] and yaw rate [rad/s].
+    deviation
+        How far the reference may be from the planner's line [m].
+    beside
+        A robot that is no further beside the path is led onto it by the path itself [m].
+    backwards
+        Whether parts whose poses point against the travel are driven backwards.
+    name
+        Name of the reference.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If there are too few poses, one is not finite, the path is absurdly long or jagged, or all poses are at one
+        place and the robot may not turn on the spot.
+    """
+    settings = load_settings()
+    _check(poses, settings.longest)
+    poses = _from_robot(poses, robot)
+    runs = read_runs(poses, robot, backwards=backwards)
+    nodes: list[Nodes] = []
+    speed, yaw_rate = twist
+    standing = abs(speed) < _STANDING
+    bend = 0.0 if standing else max(-_TIGHTEST, min(_TIGHTEST, yaw_rate / abs(speed)))
+    may_turn = not limits.least_turn_radius
+    pose = np.array([*poses[0, :2], robot[2]])
+    off = 0.0
+    for index, run in enumerate(runs):
+        line, ends, drawn = _smoothed(run, pose if index == 0 else None, bend, deviation, beside)
+        off = max(off, float(drawn.max()))
+        path = _facing(line, ends, run.sense)
+        gap = float(wrap_angle(path.heading[0] - pose[2]))
+        begins = max(0.0, run.sense * speed * math.cos(gap)) if index == 0 else 0.0
+        if may_turn and (index or (standing and abs(gap) > settings.bendable)) and abs(gap) > _NO_TURN:
+            nodes += _turn(np.array([*path.points[0], pose[2]]), gap, limits)
+        square = squared_speeds(path.lengths, path.bend, path.bend_change, limits, limits.v, lateral=True, enter=begins)
+        times, laid, rates = timed(path, square, limits, run.sense)
+        nodes.append(
+            (times, laid, rates, np.interp(np.linspace(0, 1, len(times)), np.linspace(0, 1, len(drawn)), drawn))
+        )
+        pose = laid[-1]
+    gap = float(wrap_angle(poses[-1, 2] - pose[2]))
+    if may_turn and abs(gap) > _NO_TURN:
+        nodes += _turn(np.array([*poses[-1, :2], pose[2]]), gap, limits)
+    if not nodes:
+        raise ConfigError("path: all of its poses are at one place, and there is nothing to turn there")
+    reference = _joined(nodes, float(robot[2]), name)
+    start = reference.sample([0.0]).pose[0]
+    return Laid(reference, sum(run.length for run in runs), off, float(np.hypot(*(start - robot)[:2])))
+
+
+def _check(poses: FloatArray, longest: float) -> None:
+    if len(poses) < 2:
+        raise ConfigError(f"path: it has {len(poses)} poses; give at least two")
+    wrong = np.flatnonzero(~np.isfinite(poses).all(axis=1))
+    if wrong.size:
+        raise ConfigError(f"path: pose {wrong[0]} is not finite")
+    length = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
+    if length > longest:
+        raise ConfigError(f"path: it is {length:.3g} m long, the longest is {longest:g} m: are places in m?")
+
+
+def _from_robot(poses: FloatArray, robot: FloatArray) -> FloatArray:
+    """The poses that are left to a robot that has driven on since the path was planned."""
+    step = np.diff(poses[:, :2], axis=0)
+    lengths = np.hypot(*step.T)
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    gap = robot[:2] - poses[:-1, :2]
+    share = np.clip((gap * step).sum(axis=1) / np.maximum(lengths**2, 1e-12), 0.0, 1.0)
+    feet = poses[:-1, :2] + share[:, None] * step
+    distance = np.hypot(*(feet - robot[:2]).T)
+    # Not further than it can have come: the path may come by here once more.
+    near = along[:-1] <= 2.0 * float(np.hypot(*(robot - poses[0])[:2])) + load_settings().spacing
+    # Nor beyond a place where it turns back.
+    back = np.flatnonzero((step[1:] * step[:-1]).sum(axis=1) < 0)
+    if back.size:
+        near[back[0] + 1 :] = False
+    at = int(np.argmin(np.where(near, distance, np.inf)))
+    if at == 0 and share[0] == 0.0:
+        return poses
+    first = np.array([*feet[at], poses[at, 2]])
+    return np.concatenate([first[None], poses[at + 1 :]])
+
+
+_Ends = tuple[float | None, float | None]
+
+
+def _smoothed(
+    run: Run, robot: FloatArray | None, bend: float, deviation: float, beside: float
+) -> tuple[FloatArray, _Ends, FloatArray]:
+    """The least bent line (m, 2) along a run, how it begins and ends, and how far its points are from it (m,) [m].
+
+    With `robot` (3,) the line begins there, if it is no further than `beside` [m] from where the run begins, and along
+    its heading, if the line can bend so far, with the curvature `bend` [1/m] that the robot drives.
+    """
+    settings = load_settings()
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(run.points, axis=0).T))])
+    count = max(_LEAST_POINTS, 1 + math.ceil(along[-1] / settings.spacing))
+    at = np.linspace(0.0, along[-1], count)
+    points = np.column_stack([np.interp(at, along, run.points[:, i]) for i in (0, 1)])
+    spacing = float(at[1])
+    wanted, first, led = points.copy(), run.first, np.zeros(count, dtype=bool)
+    if robot is not None:
+        offset = robot[:2] - points[0]
+        if np.hypot(*offset) <= beside:
+            length = min(settings.join, float(along[-1]))
+            wanted += offset * np.maximum(0.0, 1.0 - at / length)[:, None] ** 2
+            led, first = at < length, float(robot[2])
+    look = min(count - 1, max(2, round(2 * settings.hairpin_length / spacing)))
+    ends: list[float | None] = []
+    parts = [wanted]
+    for heading, end, side in ((first, 0, 1), (run.last, count - 1, -1)):
+        ends.append(None)
+        if heading is None:
+            continue
+        travel = heading if run.sense > 0 else heading + math.pi
+        chord = side * (wanted[end + side * look] - wanted[end])
+        if abs(float(wrap_angle(travel - math.atan2(chord[1], chord[0])))) > settings.bendable:
+            continue
+        ends[-1] = travel
+        # Points beyond the end, on the arc or the straight line that leads there: the line goes on from them.
+        beyond = spacing * np.arange(1, _BEYOND + 1)
+        turn = -0.5 * beyond * (bend if side > 0 and robot is not None else 0.0)
+        direction = travel + turn
+        more = wanted[end] - side * beyond[:, None] * np.column_stack([np.cos(direction), np.sin(direction)])
+        parts = [more[::-1], *parts] if side > 0 else [*parts, more]
+    line = np.concatenate(parts)
+    before = _BEYOND if ends[0] is not None else 0
+    pinned = np.ones(len(line), dtype=bool)
+    pinned[before + 1 : before + count - 1] = False
+    smooth = least_bent(line, spacing, deviation, settings.smoothing_length, pinned)[before : before + count]
+    return smooth, (ends[0], ends[1]), np.where(led, 0.0, np.hypot(*(smooth - points).T))
+
+
+def _facing(line: FloatArray, ends: _Ends, sense: int) -> SmoothPath:
+    """The smooth path along a line, with the robot's heading instead of the direction of travel."""
+    path = smooth_path(line, "path", _PIECES, ends)
+    if sense > 0:
+        return path
+    return SmoothPath(path.points, path.heading + math.pi, path.curvature, path.lengths, path.bend, path.bend_change)
+
+
+def _turn(pose: FloatArray, angle: float, limits: TrajectoryLimits) -> list[Nodes]:
+    return list(
+        turned(
+            [Segment(v=0.0, omega=math.copysign(limits.omega, angle), duration=abs(angle) / limits.omega)], pose, limits
+        )
+    )
+
+
+def _joined(nodes: list[Nodes], heading: float, name: str) -> SplineTrajectory:
+    """One trajectory of parts that begin where the one before ends, but for whole turns; the first near `heading`."""
+    time = 0.0
+    kept: list[Nodes] = []
+    for times, poses, rates, drawn in nodes:
+        whole = math.tau * round((heading - poses[0, 2]) / math.tau)
+        shifted = poses + [0.0, 0.0, whole]
+        # Of two nodes at one time, as rounding leaves them in a short turn, and where parts meet, the first is enough.
+        new = np.diff(times, prepend=-1.0 if not kept else 0.0) > _AT_ONCE
+        kept.append((time + times[new], shifted[new], rates[new], drawn[new]))
+        time, heading = time + float(times[-1]), float(shifted[-1, 2])
+    return SplineTrajectory.through(name, *(np.concatenate(rows) for rows in zip(*kept, strict=True)))

@@ -1,0 +1,123 @@
+"""How many runs a command is asked for: said before they are listed."""
+
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+
+import pytest
+
+from diffdrive_mpc.bench.animation.film import Film
+from diffdrive_mpc.bench.case import combinations, split_names
+from diffdrive_mpc.bench.proof.boundaries import Boundary
+from diffdrive_mpc.bench.proof.proof_file import DEFAULT as PROOF
+from diffdrive_mpc.bench.proof.proof_file import Search, load_proof
+from diffdrive_mpc.bench.studies.comparison.plan import plan_cases, read_options
+from diffdrive_mpc.bench.studies.robustness.conditions import load_conditions
+from diffdrive_mpc.bench.studies.robustness.study import RobustnessStudy
+from diffdrive_mpc.bench.sweep import sweep_settings
+from diffdrive_mpc.bench.tune.tune_file import DEFAULT as PLAN
+from diffdrive_mpc.bench.tune.tune_file import load_plan
+from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
+from diffdrive_mpc.models.logs.reading import read_log
+
+
+def test_a_grid_is_counted_before_it_is_listed() -> None:
+    """10^12 combinations of four settings, and of four dimensions."""
+    tracemalloc.start()
+    values = ",".join(map(str, range(1, 1001)))
+    with pytest.raises(ValueError, match="1,000,000,000,000 runs are asked for, at most 100,000"):
+        sweep_settings([f"weights.{name}={values}" for name in ("along", "across", "heading", "v")])
+    names = [str(i) for i in range(1000)]
+    with pytest.raises(ValueError, match="1,000,000,000,000 runs"):
+        combinations(model=names, trajectory=names, surface=names, seed=range(1000))
+    assert tracemalloc.get_traced_memory()[1] < 20e6
+    tracemalloc.stop()
+    assert len(combinations(seed=range(5), model=["a", "b"])) == 10
+
+
+def test_a_bench_counts_its_controllers_and_settings_too() -> None:
+    """Places alone would be few enough."""
+    asked = read_options({"seeds": "10000", "trajectories": "circle,s"}, settings=["weights.across=1,2,3,4,5,6"])
+    with pytest.raises(ValueError, match="480,000 runs"):
+        plan_cases(asked)
+
+
+def test_robustness_counts_its_runs() -> None:
+    """Conditions times everything else."""
+    loaded = load_conditions(None)
+    study = RobustnessStudy(
+        loaded.chosen(None),
+        loaded.settled,
+        controllers=["mpc"],
+        models=["ssm"],
+        trajectories=["circle", "s"],
+        seeds=range(10_000),
+    )
+    with pytest.raises(ValueError, match="runs are asked for"):
+        study.plan()
+
+
+def test_proofs_and_plans_count_what_they_multiply_to(tmp_path: Path) -> None:
+    """Maps of 100 by 100, many of them; points times runs."""
+    proof = read_yaml(PROOF)
+    axis = {"factor": "surface.slope", "low": 0.0, "high": 1.0, "steps": 100}
+    one = next(iter(proof["maps"].values()))
+    axis["factor"] = one["x"]["factor"]
+    letters = "abcdefghijklmnopqrstuvwxyz"
+    proof["maps"] = {f"map-{a}{b}": {"x": axis, "y": axis} for a in letters for b in letters}
+    file = tmp_path / "proof.yaml"
+    file.write_text(str(proof).replace("None", "null").replace("True", "true").replace("False", "false"))
+    with pytest.raises(ConfigError, match=r"6,7\d\d,\d\d\d runs are asked for, at most 1,000,000"):
+        load_proof(file)
+    plan = read_yaml(PLAN) | {"points": 100_000}
+    plan["fidelities"] = [{"runs": 10_000}]
+    plan["verdict"] = {"draw_seed": 1, "first_seed": 1_000_000, "runs": 10}
+    with pytest.raises(ConfigError, match=r"1,000,\d\d\d,\d\d\d runs are asked for"):
+        check(type(load_plan()), plan, "plan.yaml")
+
+
+def test_a_search_for_a_boundary_ends_where_numbers_do() -> None:
+    """It is asked for more digits than there are: every bisection used to give the same value again."""
+    search = Boundary("f", Search(holds=1.0, beyond=1.00001, within=1e-300))
+    tried = 0
+    while (value := search.next_value) is not None:
+        search.take(value, int(value < 1.000004), 1)
+        tried += 1
+        assert tried < 40
+    assert search.held == pytest.approx(1.000004, abs=1e-8)
+
+
+def test_names_given_twice_are_found_among_many() -> None:
+    """The first that comes again is named."""
+    names = [f"n{i}" for i in range(50_000)]
+    assert split_names(",".join(names), "--models") == tuple(names)
+    with pytest.raises(ValueError, match="'n7' is given twice"):
+        split_names(",".join([*names, "n7", "n3"]), "--models")
+
+
+def test_a_film_of_too_many_pictures_is_refused() -> None:
+    """A day at a hundredth of its speed."""
+
+    class Day:
+        time = (0.0, 86_400.0)
+
+    with pytest.raises(ConfigError, match="pictures, at most 100,000"):
+        Film(speed=0.01).times(Day())  # type: ignore[arg-type]
+
+
+def test_a_log_that_pauses_for_years_is_not_filled_with_samples(tmp_path: Path) -> None:
+    """A mapping that allows any gap: 5,000,000,300 samples, 37 GiB for the first array."""
+    log, mapping = tmp_path / "years.csv", tmp_path / "any.yaml"
+    rows = [(0.02 * i, (-1) ** (i // 50) * 0.3) for i in range(300)]
+    rows += [(1e8 + t, v) for t, v in rows]
+    log.write_text("t,v,w,m\n" + "".join(f"{t:.2f},{v},{-v},{0.9 * v}\n" for t, v in rows), encoding="utf-8")
+    columns = "time: t, command: {v: v, omega: w}, encoders: {v: m, omega: w}"
+    mapping.write_text(f"gap: 1.0e+9\ncolumns: {{{columns}}}\n", encoding="utf-8")
+    tracemalloc.start()
+    with pytest.raises(ConfigError, match="more than 2,000,000 samples; give a shorter 'gap'"):
+        read_log(log, mapping)
+    assert tracemalloc.get_traced_memory()[1] < 100e6  # a block of text is 16 MB
+    tracemalloc.stop()
+    mapping.write_text(f"columns: {{{columns}}}\n", encoding="utf-8")
+    assert len(read_log(log, mapping).records) == 2

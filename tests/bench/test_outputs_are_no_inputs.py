@@ -1,0 +1,119 @@
+"""No command replaces a file that it reads, under whatever name."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.command_line import named_inputs
+from diffdrive_mpc.models.input_file import read_input
+from diffdrive_mpc.models.load import model_path
+from diffdrive_mpc.models.read_files import reading
+from diffdrive_mpc.models.whole_file import whole_file
+
+_POSES = "t,x,y,theta\n" + "".join(f"{0.1 * i:.1f},{0.02 * i:.2f},0,0\n" for i in range(50))
+
+
+def _as_it_is(file: Path, folder: Path) -> Path:
+    return file
+
+
+def _linked(file: Path, folder: Path) -> Path:
+    (folder / "link.csv").symlink_to(file)
+    return folder / "link.csv"
+
+
+def _hard_linked(file: Path, folder: Path) -> Path:
+    os.link(file, folder / "hard.csv")
+    return folder / "hard.csv"
+
+
+def _round_about(file: Path, folder: Path) -> Path:
+    (folder / "sub").mkdir()
+    return folder / "sub" / ".." / file.name
+
+
+def _refused(*words: object) -> str:
+    result = CliRunner().invoke(app, list(map(str, words)))
+    assert result.exit_code == 2, result.output
+    (line,) = result.stderr.splitlines()
+    return line
+
+
+@pytest.mark.parametrize("name", [_as_it_is, _linked, _hard_linked, _round_about])
+@pytest.mark.parametrize("option", ["--log", "--animate"])
+def test_simulate_does_not_replace_the_trajectory_that_it_drives(
+    tmp_path: Path, name: Callable[[Path, Path], Path], option: str
+) -> None:
+    """Refused before the drive, with the file as it was."""
+    file = tmp_path / ("poses.csv" if option == "--log" else "poses.mp4")
+    file.write_text(_POSES, encoding="utf-8")
+    trajectory = file
+    if option == "--animate":  # a film has an ending of its own: the trajectory hides behind a link
+        trajectory = tmp_path / "trajectory.csv"
+        trajectory.symlink_to(file)
+    written = name(file, tmp_path) if option == "--log" else file
+    line = _refused("simulate", "--trajectory", trajectory, option, written)
+    assert "this command reads that file" in line
+    assert option in line
+    assert file.read_text(encoding="utf-8") == _POSES
+
+
+@pytest.mark.parametrize("given", ["--trajectory={}", "--trajectory=./{}"])
+def test_files_are_known_however_the_option_is_written(
+    tmp_path: Path, given: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In one word, and by another way."""
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "x.csv"
+    file.write_text(_POSES, encoding="utf-8")
+    assert "this command reads that file" in _refused("simulate", given.format(file.name), f"--log={file}")
+
+
+def test_a_file_that_another_file_names_is_no_output_either(tmp_path: Path) -> None:
+    """The model of a configuration, which is known only once that is read."""
+    model = tmp_path / "model.csv"
+    shutil.copyfile(model_path("ssm"), model)
+    before = model.read_bytes()
+    config = tmp_path / "config.yaml"
+    config.write_text(f"model: {model}\n", encoding="utf-8")
+    assert "this command reads that file" in _refused("simulate", "--config", config, "--log", model)
+    assert model.read_bytes() == before
+
+
+def test_tune_says_at_once_that_it_would_replace_its_configuration(tmp_path: Path) -> None:
+    """Hours before it would."""
+    config = tmp_path / "config.yaml"
+    config.write_text("model: ssm\n", encoding="utf-8")
+    assert "this command reads that file" in _refused("tune", config, "--out", tmp_path)
+    assert config.read_text(encoding="utf-8") == "model: ssm\n"
+
+
+def test_an_output_may_be_replaced_and_so_may_what_was_read_before(tmp_path: Path) -> None:
+    """An option that is written does not count as read, nor does what another command has read."""
+    assert named_inputs(["simulate", "--log", "a.csv", "--trajectory", "b.yaml", "--out=c"]) == [
+        "simulate",
+        "simulate",
+        "--log",
+        "--log",
+        "--trajectory",
+        "--trajectory",
+        "b.yaml",
+        "b.yaml",
+    ]
+    assert "a.csv" in named_inputs(["commission", "--log", "a.csv"])
+    assert {"x.yaml", "y.csv"} <= set(named_inputs(["bench", "--models=x.yaml,y.csv"]))
+    assert "z.yaml" in named_inputs(["simulate", "--plant", "mujoco:z.yaml"])
+    file = tmp_path / "a.txt"
+    file.write_text("old", encoding="utf-8")
+    with reading():
+        read_input(file, 100)
+    with reading(), whole_file(file) as draft:
+        draft.write_text("new", encoding="utf-8")
+    assert file.read_text(encoding="utf-8") == "new"

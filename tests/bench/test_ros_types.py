@@ -1,0 +1,152 @@
+"""Generated types are real ones: what one process sends, another one receives, by topics and by an action."""
+
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+DOMAIN = str(1 + os.getpid() % 101)
+PATIENCE = 60.0
+# It answers a goal with feedback and a result, and publishes what it knows, until its input ends.
+SERVER = """
+import sys, threading, rclpy
+from bond.msg import Status
+from geometry_msgs.msg import TransformStamped
+from nav2_msgs.action import FollowPath
+from nav2_msgs.msg import SpeedLimit
+from rclpy.action import ActionServer
+from tf2_msgs.msg import TFMessage
+
+rclpy.init(args=[])
+node = rclpy.create_node("server")
+tf, speed, bond = (node.create_publisher(kind, name, 1) for kind, name in (
+    (TFMessage, "tf"), (SpeedLimit, "speed_limit"), (Status, "bond")))
+
+def execute(goal):
+    path = goal.request.path
+    goal.publish_feedback(FollowPath.Feedback(distance_to_goal=float(len(path.poses)), speed=0.25))
+    goal.abort()
+    return FollowPath.Result(error_code=FollowPath.Result.INVALID_PATH, error_msg=path.header.frame_id + "?")
+
+def publish():
+    transform = TransformStamped(child_frame_id="base_link")
+    transform.transform.translation.x = 1.5
+    tf.publish(TFMessage(transforms=[transform, transform]))
+    speed.publish(SpeedLimit(percentage=True, speed_limit=12.5))
+    bond.publish(Status(id="a", instance_id="b", active=True, heartbeat_timeout=4.0, heartbeat_period=0.5))
+
+server = ActionServer(node, FollowPath, "follow_path", execute)
+timer = node.create_timer(0.05, publish)
+threading.Thread(target=lambda: (sys.stdin.read(), rclpy.shutdown()), daemon=True).start()
+try:
+    rclpy.spin(node)
+except BaseException:
+    pass
+"""
+
+
+@pytest.fixture
+def client(ros_types, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", DOMAIN)
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    import rclpy
+    from rclpy.context import Context
+    from rclpy.executors import SingleThreadedExecutor
+
+    server = subprocess.Popen([sys.executable, "-c", SERVER], stdin=subprocess.PIPE)
+    context = Context()
+    rclpy.init(context=context, args=[])
+    node = rclpy.create_node("client", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+
+    def until(condition):
+        end = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < end
+            executor.spin_once(timeout_sec=0.05)
+
+    yield node, until
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+    server.stdin.close()
+    server.wait(PATIENCE)
+
+
+def test_another_process_receives_what_was_sent(client):
+    from bond.msg import Status
+    from nav2_msgs.action import FollowPath
+    from nav2_msgs.msg import SpeedLimit
+    from nav_msgs.msg import Path
+    from rclpy.action import ActionClient
+    from tf2_msgs.msg import TFMessage
+
+    node, until = client
+    heard = {}
+    for kind, name in ((TFMessage, "tf"), (SpeedLimit, "speed_limit"), (Status, "bond")):
+        node.create_subscription(kind, name, lambda message, name=name: heard.__setitem__(name, message), 1)
+    until(lambda: len(heard) == 3)
+    assert [one.transform.translation.x for one in heard["tf"].transforms] == [1.5, 1.5]
+    assert (heard["speed_limit"].percentage, heard["speed_limit"].speed_limit) == (True, 12.5)
+    assert (heard["bond"].instance_id, heard["bond"].heartbeat_timeout) == ("b", 4.0)
+
+    follow = ActionClient(node, FollowPath, "follow_path")
+    until(follow.server_is_ready)
+    goal = FollowPath.Goal(path=Path(), controller_id="x")
+    goal.path.header.frame_id = "map"
+    goal.path.poses = [*goal.path.poses, *(_pose() for _ in range(1000))]
+    said = []
+    sent = follow.send_goal_async(goal, feedback_callback=lambda message: said.append(message.feedback))
+    until(sent.done)
+    assert sent.result().accepted
+    answer = sent.result().get_result_async()
+    until(lambda: answer.done() and said)
+    result = answer.result().result
+    assert (result.error_code, result.error_msg) == (FollowPath.Result.INVALID_PATH, "map?")
+    assert (said[0].distance_to_goal, said[0].speed) == (1000.0, 0.25)
+    follow.destroy()
+
+
+def _pose():
+    from geometry_msgs.msg import PoseStamped
+
+    return PoseStamped()
+
+
+def test_a_shell_gets_them_by_a_command(ros_types):
+    command = [sys.executable, "-m", "diffdrive_mpc.bench.ros_types"]
+    script = f'eval "$({" ".join(command)})" && {sys.executable} -c "import nav2_msgs.action as a; print(a.__file__)"'
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path and path != str(ros_types))
+    found = subprocess.run(["bash", "-c", script], env=environment, capture_output=True, text=True, check=True)
+    assert found.stdout.startswith(str(ros_types))
+
+
+def test_what_was_changed_in_the_cache_is_made_anew(ros_types, monkeypatch, tmp_path):
+    from diffdrive_mpc.bench.ros_types import build
+
+    made = []
+    monkeypatch.setattr(build, "_make", lambda package, prefix, sources, folder: made.append(_write(folder / package)))
+    monkeypatch.setenv("DIFFDRIVE_MPC_CACHE", str(tmp_path))
+    folder = build.built_types()
+    assert build.built_types() == folder and len(made) == len(build.PACKAGES)
+    (folder / "bond" / "__init__.py").write_text("raise SystemExit")
+    assert build.built_types() == folder and len(made) == 2 * len(build.PACKAGES)
+    assert (folder / "bond" / "__init__.py").read_text() == ""
+    assert [path.name for path in tmp_path.iterdir()] == [folder.name]
+
+
+def _write(folder):
+    folder.mkdir(parents=True)
+    (folder / "__init__.py").touch()
+
+
+def test_a_machine_without_generators_says_so_in_one_line(tmp_path, monkeypatch):
+    from diffdrive_mpc.bench.ros_types import build
+
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    with pytest.raises(build.TypesError, match=r"no generators .* pip install"):
+        build.built_types()

@@ -1,0 +1,168 @@
+"""Words on the command line: whatever is typed ends in 0, or in one line and 1 or 2, never in a traceback."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from random import Random
+from typing import Any
+
+from fuzz import odd, shrink
+from fuzz.case import Case, FaultError, HangError
+
+# They run for minutes, on processes of their own, or until interrupted: only their words are tried, with one too many.
+_LONG = {
+    "animate",
+    "bench",
+    "campaign",
+    "commission",
+    "doctor",
+    "export",
+    "loop-speed",
+    "node",
+    "peers",
+    "prove",
+    "real-logs",
+    "reproduce",
+    "robot",
+    "robustness",
+    "speed",
+    "tracking",
+    "tune",
+    "twin",
+    "monitor",
+    "monitor-study",
+    "worlds",
+}
+_LONG_MODELS = {"fit", "calibrate", "train"}
+_CODES = {0, 1, 2}
+_FOR = 8.0
+FILES = ("own.csv", "mapped.csv", "mapping.yaml", "own.mcap", "bag", "short.yaml")
+
+
+class CommandLineFuzzer:
+    """Commands with options that are known, values that are not, and the other way round."""
+
+    name, longest, count = "cli", 2 * _FOR, 100
+
+    def draw(self, random: Random) -> Case:
+        """Words after the name of the program."""
+        path, options = random.choice(commands())
+        words = list(path)
+        for _ in range(random.choice((0, 1, 1, 2, 3))):
+            if options and random.random() < 0.85:
+                option, takes_value = random.choice(options)
+                words += [option, _value(random)] if takes_value else [option]
+            else:
+                words.append(_value(random))
+        if _is_long(path):
+            words.insert(random.randrange(len(path), len(words) + 1), "--no-such-option")
+        if random.random() < 0.1:
+            words[random.randrange(len(words))] = _value(random)
+        return {"words": [word.replace("\x00", "") for word in words], "long": _is_long(path)}
+
+    def check(self, case: Case) -> None:
+        """Type it, in a folder of its own."""
+        from click.testing import CliRunner
+
+        words = case["words"]
+        if set(words) & _LONG and "--no-such-option" not in words:
+            return
+        originals = _files()
+        with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+            for name in FILES:
+                Path(name).symlink_to(originals / name)
+            try:
+                done = CliRunner().invoke(_command(), words, prog_name="diffdrive-mpc")
+            except HangError:
+                # It works: what was typed makes sense.
+                return
+        if done.exception is not None and not isinstance(done.exception, SystemExit):
+            if isinstance(done.exception, HangError):
+                return
+            raise done.exception
+        if done.exit_code not in _CODES:
+            raise FaultError(f"exit: {done.exit_code}: {done.output[-300:]!r}")
+        if done.exit_code == 2:
+            lines = [line for line in done.output.splitlines() if line.startswith("error: ")]
+            asked_for_help = "Usage:" in done.output
+            if len(lines) != 1 and not asked_for_help:
+                raise FaultError(f"error lines: {len(lines)}: {done.output[-300:]!r}")
+            if lines and (len(lines[0]) > 1100 or not lines[0].isprintable()):
+                raise FaultError(f"error line: cannot be shown: {lines[0][:300]!r}")
+
+    def simpler(self, case: Case) -> Iterator[Case]:
+        """Fewer words."""
+        for words in shrink.fewer(case["words"]):
+            if words:
+                yield {**case, "words": words}
+
+
+def _is_long(path: tuple[str, ...]) -> bool:
+    return path[0] in _LONG or (path[0] == "models" and bool(set(path) & _LONG_MODELS))
+
+
+@cache
+def _command() -> Any:
+    from typer.main import get_command
+
+    from diffdrive_mpc.bench.cli import app
+
+    return get_command(app)
+
+
+@cache
+def commands() -> list[tuple[tuple[str, ...], list[tuple[str, bool]]]]:
+    """Every command by its words, with its options and whether they take a value."""
+    found = []
+
+    def walk(command: Any, words: tuple[str, ...]) -> None:
+        options = []
+        for one in command.params:
+            takes = not getattr(one, "is_flag", False)
+            options += [(name, takes) for name in (*one.opts, *one.secondary_opts) if name.startswith("-")]
+        for name, inner in getattr(command, "commands", {}).items():
+            walk(inner, (*words, name))
+        if words:
+            found.append((words, options))
+
+    walk(_command(), ())
+    return found
+
+
+@cache
+def _files() -> Path:
+    from fuzz.logs import base_files
+
+    return base_files()
+
+
+def _value(random: Random) -> str:
+    way = random.randrange(5)
+    if way == 0:
+        return random.choice(odd.WORDS)
+    if way == 1:
+        return repr(random.choice((odd.number(random), random.choice(odd.INTEGERS))))
+    if way == 2:
+        return random.choice(FILES)
+    if way == 3:
+        return random.choice(
+            ("ssm", "sm", "circle", "s", "mujoco", "model:ssm", "default", "none", "perfect", "ideal", "push")
+        )
+    return random.choice(
+        (
+            "horizon=5",
+            "weights.across=1e9",
+            "limits.v=0",
+            "x=1",
+            "horizon=",
+            "=",
+            "a=b=c",
+            "horizon=[1,2]",
+            "out",
+            "1,2,3",
+        )
+    )

@@ -1,0 +1,116 @@
+"""Configurations that the schema allows, at its edges; drawn from the schema, so that new fields are in at once."""
+
+from __future__ import annotations
+
+import math
+from random import Random
+from types import NoneType
+from typing import Any, Literal, get_args, get_origin
+
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from fuzz import odd
+
+Overrides = dict[str, Any]
+
+
+def fields(schema: type[BaseModel], prefix: str = "") -> list[tuple[str, FieldInfo]]:
+    """All that is one value, by dotted key."""
+    found = []
+    for name, field in schema.model_fields.items():
+        kind = field.annotation
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            found += fields(kind, f"{prefix}{name}.")
+        elif get_origin(kind) is not list:
+            found.append((prefix + name, field))
+    return found
+
+
+FIELDS = [(key, field) for key, field in fields(ControllerConfig) if key not in ("model", "extra_dead_time.provenance")]
+_HEAVY = {"horizon": (1, 60)}
+"""What makes a case slow, and how far it mostly goes."""
+
+
+def draw_overrides(random: Random, most: int = 12) -> Overrides:
+    """Some fields at values that the schema allows; few of them reasonable, most of them legal."""
+    chosen = random.sample(FIELDS, random.choice((0, 1, 2, 3, random.randint(0, most))))
+    found = {key: draw_value(random, field) for key, field in chosen}
+    if "horizon" in found or random.random() < 0.5:
+        found["horizon"] = random.choice((1, 2, 3, 5, 15, 30, 30, random.randint(*_HEAVY["horizon"])))
+        if random.random() < 0.02:
+            found["horizon"] = 200
+    if random.random() < 0.15:
+        found["solver.backend"], found["solver.strategy"] = random.choice(("osqp", "daqp")), "backend"
+    # As many iterations as can be asked for would only cost time.
+    for key in ("solver.max_iterations", "drivable.iterations"):
+        if key in found:
+            found[key] = min(found[key], 2000)
+    return found
+
+
+def draw_value(random: Random, field: FieldInfo) -> Any:
+    """A value that the field allows, most of the time."""
+    kinds = get_args(field.annotation) or (field.annotation,)
+    if get_origin(field.annotation) is Literal:
+        return random.choice(kinds)
+    optional = NoneType in kinds
+    if optional and random.random() < 0.3:
+        return None
+    inner = next((kind for kind in kinds if kind is not NoneType and not _is_bound(kind)), float)
+    base, bounds = _base(inner), _bounds(field)
+    if base is bool:
+        return random.random() < 0.5
+    if base is str:
+        return random.choice(odd.WORDS)
+    low, high = bounds
+    value = _number(random, low, high, field.default)
+    if base is int:
+        return round(value) if math.isfinite(value) and abs(value) < 1e15 else 1
+    return value
+
+
+def _number(random: Random, low: float, high: float, default: object) -> float:
+    at = float(default) if isinstance(default, int | float) else 1.0
+    choices = [
+        lambda: at * 10.0 ** random.uniform(-3, 3),
+        lambda: at * 10.0 ** random.uniform(-1, 1),
+        lambda: low if math.isfinite(low) else -1e9,
+        lambda: high if math.isfinite(high) else 1e9,
+        lambda: math.nextafter(low, math.inf) if math.isfinite(low) else 0.0,
+        lambda: odd.number(random),
+    ]
+    value = random.choice(choices)()
+    return value if low <= value <= high else at
+
+
+def _is_bound(kind: object) -> bool:
+    return isinstance(kind, Ge | Gt | Le | Lt | FieldInfo)
+
+
+def _base(kind: Any) -> type:
+    inner = get_args(kind)
+    while inner and not isinstance(kind, type):
+        kind = inner[0]
+        inner = get_args(kind)
+    return kind if isinstance(kind, type) else float
+
+
+def _bounds(field: FieldInfo) -> tuple[float, float]:
+    items: list[object] = list(field.metadata)
+    for kind in get_args(field.annotation):
+        for item in getattr(kind, "__metadata__", ()):
+            items += item.metadata if isinstance(item, FieldInfo) else [item]
+    low, high = -math.inf, math.inf
+    for item in items:
+        if isinstance(item, Ge):
+            low = max(low, float(item.ge))
+        elif isinstance(item, Gt):
+            low = max(low, math.nextafter(float(item.gt), math.inf))
+        elif isinstance(item, Le):
+            high = min(high, float(item.le))
+        elif isinstance(item, Lt):
+            high = min(high, math.nextafter(float(item.lt), -math.inf))
+    return low, high

@@ -1,0 +1,495 @@
+"""The controller, with whatever may happen to it in whatever order: the promises of docs/failure.md at every step."""
+
+from __future__ import annotations
+
+import math
+import pickle
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from random import Random
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from diffdrive_mpc import ConfigError, Controller, Measurement, ModelError, Stamped, Term, load_config, load_trajectory
+from diffdrive_mpc.models.interface import ReferenceSample
+from diffdrive_mpc.mpc.hold import Hold
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_commanded, lay_segments
+from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
+from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
+from fuzz import odd, shrink
+from fuzz.case import Case, FaultError
+from fuzz.configs import draw_overrides, draw_value, fields
+from fuzz.surroundings import draw_surroundings, make_surroundings
+
+CONFIGS = ("ssm", "ssm", "sm", "mbm", "kinematic", "lstm", "p2_experimental", "p2_physical")
+_CHANGEABLE = [(key, one) for key, one in fields(type(load_config("ssm"))) if key.startswith(("weights.", "limits."))]
+_REFUSED = (ConfigError, ModelError, ValueError)
+
+_POSE, _POINT = ca.SX.sym("pose", 3), ca.SX.sym("parameters", 2)
+_DISTANCE = ca.sqrt(ca.sumsqr(_POSE[:2] - _POINT) + 1e-6)
+_NAMES = ["pose", "parameters"], ["value"]
+TERMS = {
+    "keep_off": Term(
+        "keep_off",
+        ca.Function("keep_off", [_POSE, _POINT], [10 * _DISTANCE], *_NAMES),
+        "soft",
+        lower=[4.0],
+        defaults=(10.0, 10.0),
+    ),
+    "push_off": Term(
+        "push_off",
+        ca.Function("push_off", [_POSE, _POINT], [45 * ca.fmax(0.45 - _DISTANCE, 0)], *_NAMES),
+        defaults=(10.0, 10.0),
+    ),
+    "wild": Term(
+        "wild",
+        ca.Function("wild", [_POSE, _POINT], [ca.exp(_POSE[0] * _POINT[0]) / (_POSE[1] - _POINT[1])], *_NAMES),
+        defaults=(0.0, 1.0),
+    ),
+}
+
+
+@dataclass
+class OwnReference:
+    """A reference of the user's own class: it samples what it likes."""
+
+    name: str = "own"
+    duration: float = 5.0
+    pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    twist: tuple[float, float] = (0.0, 0.0)
+    spoils: dict[int, float] = field(default_factory=dict)
+
+    def sample(self, times: Any) -> ReferenceSample:
+        """Straight, whatever its twist says; after the n-th call its x is what `spoils` says."""
+        t = np.clip(np.atleast_1d(np.asarray(times, dtype=float)), 0.0, self.duration)
+        pose = np.asarray(self.pose) + t[:, None] * np.asarray(self.velocity)
+        twist = np.tile(np.asarray(self.twist, dtype=float), (len(t), 1))
+        self._calls = getattr(self, "_calls", 0) + 1
+        if self._calls in self.spoils:
+            pose[:, 0] = self.spoils[self._calls]
+        return ReferenceSample(pose, twist, t * abs(self.twist[0]))
+
+
+class ControllerFuzzer:
+    """Sequences of steps, starts, resets, updates, overrules and holds, over configurations, models and references."""
+
+    name, longest, count = "controller", 60.0, 150
+
+    def draw(self, random: Random) -> Case:
+        """A configuration, some references, and what happens."""
+        overrides = draw_overrides(random)
+        sees = random.random() < 0.25
+        if sees:
+            overrides = {**overrides, "free_space.enabled": True}
+        terms = [name for name in TERMS if random.random() < 0.07]
+        references = [draw_reference(random) for _ in range(random.choice((1, 1, 2, 3)))]
+        events = [["start", 0, 0.0], ["drive", random.choice((1, 5, 30, 60))]]
+        for _ in range(random.choice((1, 3, 10, 30))):
+            if sees and random.random() < 0.5:
+                events.append(["see", draw_surroundings(random)])
+            events += [draw_event(random, len(references), terms), ["drive", random.choice((0, 1, 2, 3, 10, 40))]]
+        return {
+            "config": random.choice(CONFIGS),
+            "overrides": overrides,
+            "terms": terms,
+            "references": references,
+            "events": events,
+        }
+
+    def check(self, case: Case) -> None:
+        """Live through it."""
+        try:
+            config = load_config(case["config"], case["overrides"])
+            controller = Controller(config, terms=[TERMS[name] for name in case["terms"]])
+        except _REFUSED as error:
+            one_line(error)
+            return
+        references = []
+        for spec in case["references"]:
+            try:
+                references.append(make_reference(spec))
+            except _REFUSED as error:
+                one_line(error)
+                references.append(load_trajectory("circle"))
+        life = Life(controller, references)
+        for event in case["events"]:
+            getattr(life, event[0])(*event[1:])
+
+    def simpler(self, case: Case) -> Iterator[Case]:
+        """Fewer events, fewer changes of the configuration, plainer numbers."""
+        for events in shrink.fewer(case["events"]):
+            yield {**case, "events": events}
+        for overrides in shrink.without_keys(case["overrides"]):
+            yield {**case, "overrides": overrides}
+        for terms in shrink.fewer(case["terms"]):
+            yield {**case, "terms": terms}
+        for place, event in enumerate(case["events"]):
+            if event[0] == "drive" and event[1] > 1:
+                for count in (1, event[1] // 2, event[1] - 1):
+                    yield {**case, "events": [*case["events"][:place], ["drive", count], *case["events"][place + 1 :]]}
+        for key in ("references", "overrides", "events"):
+            for plain in shrink.plainer(case[key]):
+                yield {**case, key: plain}
+        if case["config"] != "ssm":
+            yield {**case, "config": "ssm"}
+
+
+class Life:
+    """A controller, a robot that does roughly what it is told, and what was promised of the commands."""
+
+    def __init__(self, controller: Controller, references: list[Any]) -> None:
+        self.controller, self.references = controller, references
+        self.t, self.pose, self.twist, self.last = 0.0, np.zeros(3), np.zeros(2), np.zeros(2)
+        self.started = False
+        self.hold_now: Hold | None = None
+
+    def start(self, index: int, t0: float) -> None:
+        """A reference, whose time 0 is `t0` [s] after the present."""
+        try:
+            self.controller.start(self.references[index % len(self.references)], self.t + t0)
+            self.started = True
+        except _REFUSED as error:
+            one_line(error)
+
+    def reset(self) -> None:
+        """As new."""
+        self.controller.reset()
+        self.last = np.zeros(2)
+
+    def update(self, weights: dict[str, Any], limits: dict[str, Any]) -> None:
+        """Other weights and limits."""
+        try:
+            self.controller.update(weights, limits)
+        except _REFUSED as error:
+            one_line(error)
+
+    def see(self, said: Any) -> None:
+        """Something lies around it, or nothing any more."""
+        try:
+            self.controller.see(make_surroundings(said, self.pose, self.t))
+        except _REFUSED as error:
+            one_line(error)
+
+    def limit_speed(self, v: float | None) -> None:
+        """A limit from outside, as in a zone."""
+        try:
+            self.controller.limit_speed(v)
+        except _REFUSED as error:
+            one_line(error)
+
+    def overrule(self, commands: list[list[float]]) -> None:
+        """Somebody else has driven."""
+        try:
+            self.controller.overrule(commands)
+        except ValueError as error:
+            one_line(error)
+            return
+        if commands:
+            self.last = np.array(commands[-1], dtype=float)
+
+    def parameters(self, values: dict[str, Any]) -> None:
+        """Other stage parameters of terms."""
+        try:
+            self.controller.set_parameters(**values)
+        except _REFUSED as error:
+            one_line(error)
+
+    def hold(self, words: str | None, failure: bool = False) -> None:
+        """From the next step on somebody asks it to brake; None: nobody does."""
+        self.hold_now = None if words is None else Hold(words, failure=failure)
+
+    def again(self) -> None:
+        """Through a pickle, as to another process."""
+        self.controller = pickle.loads(pickle.dumps(self.controller))
+        self.last = np.zeros(2)
+
+    def foresee(self, count: int) -> None:
+        """What it believes, and will believe."""
+        try:
+            belief = self.controller.belief
+        except RuntimeError:
+            return
+        found = self.controller.foresee(belief, np.tile(self.last, (count, 1)))
+        if len(found.mean) != len(belief.mean):
+            raise FaultError("foreseen: of another size than the belief")
+
+    def carry(self, x: float, y: float, theta: float) -> None:
+        """The robot is somewhere else."""
+        self.pose = self.pose + np.array([x, y, theta])
+
+    def drive(self, count: int) -> None:
+        """Ordinary ticks."""
+        for _ in range(count):
+            self.tick(self.controller.config.sample_time)
+
+    def tick(self, dt: float, spoilt: dict[str, Any] | None = None) -> None:
+        """A tick `dt` [s] after the last, with a measurement that `spoilt` changes."""
+        if not self.started:
+            return
+        t = self.t + dt
+        step = dt if math.isfinite(dt) and 0.0 < dt < 1.0 else 0.0
+        # A clock that leaps far or is no number is set right again.
+        if math.isfinite(t) and abs(t) < 1e12:
+            self.t = t
+        self.twist = self.twist + min(1.0, step / 0.1) * (np.clip(self.last, -1e3, 1e3) - self.twist)
+        heading = self.pose[2]
+        turn = np.array([np.cos(heading), np.sin(heading)])
+        self.pose = self.pose + step * np.array([*(self.twist[0] * turn), self.twist[1]])
+        with warnings.catch_warnings():
+            # Python's own arithmetic has to be as clean as the core's.
+            warnings.simplefilter("error", RuntimeWarning)
+            result = self.controller.step(t, self.measured(spoilt or {}), self.hold_now)
+        check_step(result, self.controller.config, self.last, held=self.hold_now is not None)
+        self.last = np.array(result.command)
+
+    def measured(self, spoilt: dict[str, Any]) -> Measurement:
+        """What the sensors say."""
+        ordinary = {"pose": self.pose.copy(), "wheel_twist": self.twist.copy(), "yaw_rate": float(self.twist[1])}
+        found: dict[str, Any] = {name: Stamped(value, self.t) for name, value in ordinary.items()}
+        for name, change in spoilt.items():
+            if name == "sent":
+                found["sent"] = tuple(change) if isinstance(change, list) else change
+            elif change is None:
+                found[name] = None
+            else:
+                value = change["value"] if "value" in change else ordinary[name] + np.asarray(change.get("shift", 0.0))
+                found[name] = Stamped(value, stamp_of(change, self.t), change.get("covariance"))
+        return Measurement(**found)
+
+
+def stamp_of(change: dict[str, Any], t: float) -> Any:
+    """When a spoilt message says that it was measured."""
+    return change["stamp"] if "stamp" in change else t + change.get("later", 0.0)
+
+
+def check_step(result: Any, config: Any, last: np.ndarray, *, held: bool) -> None:
+    """What docs/failure.md promises of one step after the command `last` (2,)."""
+    command, limits, dt = np.asarray(result.command), config.limits, config.sample_time
+    said = f"{command.tolist()} after {last.tolist()} in {result.mode} ({result.message[:200]})"
+    if command.shape != (2,) or not np.isfinite(command).all():
+        raise FaultError(f"not finite: {said}")
+    if not isinstance(result.message, str) or "\n" in result.message:
+        raise FaultError(f"message: not one line: {result.message!r}")
+    if "its command is repeated" in result.message:
+        if (command != (0.0 if result.mode == "STOPPED" else last)).any():
+            raise FaultError(f"repeated tick: changes the command: {said}")
+        return
+    if result.mode == "STOPPED":
+        if command.any():
+            raise FaultError(f"stopped: and moves: {said}")
+        return
+    brakes = result.mode in ("BRAKING", "FINISHED")
+    if held and result.mode not in ("BRAKING", "FINISHED"):
+        raise FaultError(f"held: and drives: {said}")
+    most = np.array([limits.v, limits.omega])
+    rates = (limits.v_braking, limits.omega_braking) if brakes else (limits.v_slew, limits.omega_slew)
+    step, rounding = np.array(rates) * dt, 1e-9 + 1e-9 * np.abs(last)
+    if (np.abs(command) > np.maximum(most, np.abs(last) - step) + rounding).any():
+        raise FaultError(f"limits: outside {most.tolist()}: {said}")
+    if (np.abs(command - last) > step + rounding).any():
+        raise FaultError(f"slew: more than {step.tolist()} in a tick: {said}")
+    if brakes and (np.abs(command) > np.abs(last)).any():
+        raise FaultError(f"brakes: and speeds up: {said}")
+    if result.mode == "TRACKING":
+        for name, values in (("estimate", result.estimate.pose), ("plan", result.plan)):
+            if values is not None and not np.isfinite(values).all():
+                raise FaultError(f"{name}: tracks, and it is not finite: {said}")
+    if not 0.0 <= result.progress <= 2.0 + 1e-9:
+        raise FaultError(f"progress: {result.progress}: {said}")
+
+
+def one_line(error: BaseException) -> None:
+    """What refuses something is one line that can be shown."""
+    text = str(error)
+    if not text.strip() or "\n" in text:
+        raise FaultError(f"message: not one line: {text[:300]!r}")
+
+
+def draw_reference(random: Random) -> Case:
+    """What to make a reference of."""
+    kind = random.choice(("named", "segments", "segments", "waypoints", "spline", "own", "own"))
+    if kind == "named":
+        return {
+            "kind": kind,
+            "name": random.choice(("circle", "s", "cane", "square", "k_turn", "tight", "reverse_slalom")),
+        }
+    if kind == "spline":
+        return {"kind": kind, "seed": random.randrange(1000)}
+    if kind == "segments":
+        segments = [
+            [draw_speed(random, 0.5), draw_speed(random, 0.8), min(abs(draw_speed(random, 3.0)) or 1e-9, 1e3)]
+            for _ in range(random.choice((1, 1, 2, 3, 8)))
+        ]
+        return {"kind": kind, "segments": segments, "way": random.choice(("stop", "commanded", "smooth"))}
+    if kind == "waypoints":
+        points = [[draw_speed(random, 2.0), draw_speed(random, 2.0)] for _ in range(random.choice((2, 2, 3, 4, 8)))]
+        return {"kind": kind, "points": points, "way": random.choice(("stop", "commanded", "smooth"))}
+    speed = random.choice((0.0, 0.3, -0.3, 1e-9, draw_speed(random, 0.3)))
+    return {
+        "kind": "own",
+        "duration": random.choice((0.0, 1e-9, 0.01, 5.0, 5.0, 1e6, odd.number(random))),
+        "pose": [draw_speed(random, 1.0) for _ in range(3)],
+        "velocity": random.choice(([speed, 0.0, 0.0], [0.0, 0.0, 0.0], [draw_speed(random, 1.0) for _ in range(3)])),
+        "twist": [speed, random.choice((0.0, 0.0, draw_speed(random, 0.5)))],
+        "spoils": {str(random.randrange(2, 60)): odd.number(random)} if random.random() < 0.2 else {},
+    }
+
+
+def draw_speed(random: Random, scale: float) -> float:
+    """Mostly an ordinary number of this scale."""
+    if random.random() < 0.08:
+        return odd.number(random)
+    return random.choice((0.0, scale, -scale, random.gauss(0.0, scale), random.gauss(0.0, 1e-3 * scale)))
+
+
+def make_reference(spec: Case) -> Any:
+    """The reference of a case; raises ValueError where it is refused."""
+    limits = TrajectoryLimits.of_robot()
+    if spec["kind"] == "named":
+        return load_trajectory(spec["name"])
+    if spec["kind"] == "spline":
+        return load_trajectory(f"spline-{spec['seed']}")
+    if spec["kind"] == "segments":
+        try:
+            segments = [Segment(v=v, omega=omega, duration=duration) for v, omega, duration in spec["segments"]]
+        except ValueError as error:  # as files are refused, in a line of theirs
+            raise ValueError("no such segment") from error
+        lay = {"stop": lay_segments, "commanded": lay_commanded, "smooth": lay_smooth}[spec["way"]]
+        return checked_reference(lay(segments, limits, name="segments"), limits)
+    if spec["kind"] == "waypoints":
+        points = [tuple(point) for point in spec["points"]]
+        if not all(abs(value) <= 1e6 for point in points for value in point):
+            raise ValueError("what the schema of the file refuses")
+        return checked_reference(lay_waypoints(points, limits, name="waypoints", timing=spec["way"]), limits)
+    return OwnReference(
+        duration=spec["duration"],
+        pose=tuple(spec["pose"]),
+        velocity=tuple(spec["velocity"]),
+        twist=tuple(spec["twist"]),
+        spoils={int(call): value for call, value in spec["spoils"].items()},
+    )
+
+
+def checked_reference(reference: Any, limits: TrajectoryLimits) -> Any:
+    """A reference that was accepted is finite, keeps to the limits, and its poses go as its twist says."""
+    if not (math.isfinite(reference.duration) and reference.duration >= 0.0):
+        raise FaultError(f"duration: {reference.duration}")
+    longest = min(reference.duration, 3600.0)
+    times = np.linspace(-0.1, longest + 0.1, 2000)
+    sample = reference.sample(times)
+    for name, values in (("pose", sample.pose), ("twist", sample.twist), ("arc length", sample.arc_length)):
+        if not np.isfinite(values).all():
+            raise FaultError(f"reference: its {name} is not finite")
+    fastest = np.abs(sample.twist).max(axis=0)
+    if (fastest > 1.01 * np.array([limits.v, limits.omega]) + 1e-9).any():
+        raise FaultError(f"reference: it is as fast as {fastest.tolist()}")
+    moved = np.hypot(*np.diff(sample.pose[:, :2], axis=0).T)
+    if (moved > 1.02 * limits.v * np.diff(times) + 1e-9 * (1.0 + np.abs(sample.pose[1:, :2]).max())).any():
+        raise FaultError("reference: its poses jump")
+    if (np.diff(sample.arc_length) < -1e-9 * (1.0 + np.abs(sample.arc_length[1:]))).any():
+        raise FaultError("reference: its arc length goes back")
+    return reference
+
+
+def draw_event(random: Random, references: int, terms: list[str]) -> Case:
+    """Something that happens between ticks, or one odd tick."""
+    kind = random.choice(
+        (
+            "tick",
+            "tick",
+            "tick",
+            "tick",
+            "clock",
+            "clock",
+            "start",
+            "start",
+            "reset",
+            "update",
+            "update",
+            "overrule",
+            "limit_speed",
+            "hold",
+            "hold",
+            "carry",
+            "foresee",
+            "again",
+            "parameters",
+        )
+    )
+    if kind == "tick":
+        return ["tick", 0.0202, draw_spoilt(random)]
+    if kind == "clock":
+        dt = random.choice(
+            (0.0, 1e-9, 0.003, 0.0101, -0.0202, -1e-6, -1.0, 0.1, 0.35, 0.45, 3.0, 100.0, 1e9, odd.number(random))
+        )
+        return ["tick", dt, draw_spoilt(random) if random.random() < 0.5 else {}]
+    if kind == "start":
+        return [
+            "start",
+            random.randrange(references),
+            random.choice((0.0, 0.0, -3.0, 1.0, -1e6, 1e6, odd.number(random))),
+        ]
+    if kind == "update":
+        chosen = random.sample(_CHANGEABLE, random.choice((1, 1, 2, 5)))
+        groups: dict[str, dict[str, Any]] = {"weights": {}, "limits": {}}
+        for key, one in chosen:
+            group, _, name = key.partition(".")
+            groups[group][name] = draw_value(random, one)
+        return ["update", groups["weights"], groups["limits"]]
+    if kind == "overrule":
+        count = random.choice((0, 1, 1, 2, 5, 60))
+        scale = random.choice((0.0, 0.3, 1.0, 5.0, 1e3))
+        return ["overrule", [[random.gauss(0.0, scale), random.gauss(0.0, scale)] for _ in range(count)]]
+    if kind == "limit_speed":
+        return [kind, random.choice((None, 0.2, 0.05, 1e-9, 10.0, odd.number(random)))]
+    if kind == "hold":
+        return ["hold", random.choice((None, None, "held", "")), random.random() < 0.3]
+    if kind == "carry":
+        return ["carry", *[random.choice((0.0, 0.05, 0.3, 2.0, -1.0, 1e5)) for _ in range(3)]]
+    if kind == "foresee":
+        return ["foresee", random.choice((0, 1, 50))]
+    if kind == "parameters" and terms:
+        return ["parameters", {random.choice(terms): [draw_speed(random, 1.0), draw_speed(random, 1.0)]}]
+    return ["reset"] if kind in ("reset", "parameters") else ["again"] if random.random() < 0.2 else ["reset"]
+
+
+def draw_spoilt(random: Random) -> dict[str, Any]:
+    """What is odd about a measurement."""
+    spoilt: dict[str, Any] = {}
+    for name, size in (("pose", 3), ("wheel_twist", 2), ("yaw_rate", 1)):
+        if random.random() < 0.4:
+            spoilt[name] = draw_message(random, size)
+    if random.random() < 0.2:
+        spoilt["sent"] = random.choice(
+            ([0.0, 0.0], [draw_speed(random, 0.5), draw_speed(random, 0.5)], "rubbish", [1.0])
+        )
+    return spoilt
+
+
+def draw_message(random: Random, size: int) -> Any:
+    """A message that is odd in its value, stamp or covariance; None: none came."""
+    way = random.randrange(8)
+    if way == 0:
+        return None
+    message: dict[str, Any] = {}
+    if way in (1, 2):
+        message["value"] = [odd.near(0.1, random) for _ in range(size)] if size > 1 else odd.near(0.1, random)
+    if way == 3:
+        message["value"] = random.choice(("rubbish", [], [1.0], [[1.0, 2.0]], {"x": 1}, True, [None, None, None]))
+    if way in (4, 5):
+        message["shift"] = [random.gauss(0.0, 0.5) for _ in range(size)] if size > 1 else random.gauss(0.0, 0.5)
+    if way in (5, 6):
+        message["later"] = random.choice((-0.02, -0.3, -0.5, -10.0, 0.05, 1.0, 1e3, odd.number(random)))
+    if way == 7:
+        message["stamp"] = random.choice((odd.number(random), "then", None, [1.0]))
+    if random.random() < 0.25:
+        diagonal = [abs(odd.near(1e-4, random)) for _ in range(size)]
+        message["covariance"] = (
+            np.diag(diagonal).tolist() if random.random() < 0.7 else [[odd.number(random)] * size] * size
+        )
+    return message

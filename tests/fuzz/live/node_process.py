@@ -1,0 +1,65 @@
+"""The node as a process, and what can be seen of it from outside: whether it lives, its log, memory and threads."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+_CODE = "from diffdrive_mpc.bench.cli import main; main()"
+_ALARMING = re.compile(
+    r"Traceback|\[FATAL\]|FAULT: |Segmentation|core dumped|terminate called|cannot be replayed from here"
+)
+
+
+class NodeProcess:
+    """`diffdrive-mpc node` with parameters; its output goes to a file."""
+
+    def __init__(self, log: Path, parameters: dict[str, object]) -> None:
+        words = ["node", "--ros-args", "--log-level", "info"]
+        for name, value in parameters.items():
+            words += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
+        self.log = log
+        with log.open("w") as out:
+            self.process = subprocess.Popen(
+                [sys.executable, "-X", "faulthandler", "-c", _CODE, *words],
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=out,
+            )
+
+    @property
+    def alive(self) -> bool:
+        """Whether it runs."""
+        return self.process.poll() is None
+
+    def alarms(self) -> list[str]:
+        """Lines of its log that no input should be able to cause."""
+        lines = self.log.read_text(errors="replace").splitlines()
+        found = [number for number, line in enumerate(lines) if _ALARMING.search(line)]
+        return [
+            " | ".join(lines[number : number + 1] + lines[max(number + 1, number + 12) - 1 : number + 12])[:600]
+            for number in found
+        ]
+
+    def used(self) -> tuple[float, int]:
+        """Memory in use [MB] and threads; zeros where the system does not say."""
+        try:
+            text = Path(f"/proc/{self.process.pid}/status").read_text()
+        except OSError:
+            return 0.0, 0
+        found = dict(re.findall(r"^(VmRSS|Threads):\s+(\d+)", text, re.MULTILINE))
+        return int(found.get("VmRSS", 0)) / 1000, int(found.get("Threads", 0))
+
+    def end(self, number: int = signal.SIGTERM, patience: float = 20.0) -> int | None:
+        """Send a signal and wait; returns the exit code, None where it had to be killed."""
+        if self.alive:
+            self.process.send_signal(number)
+        try:
+            return self.process.wait(patience)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+            return None

@@ -1,0 +1,210 @@
+"""Logs and recordings with bytes, cells, rows and messages changed: read, or refused in a line; the same for replay."""
+
+from __future__ import annotations
+
+import atexit
+import shutil
+import sqlite3
+import tempfile
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from random import Random
+
+import numpy as np
+
+from diffdrive_mpc.bench.replay.reading import read_recording
+from diffdrive_mpc.bench.replay.study import Asked, ReplayStudy
+from diffdrive_mpc.models.logs.reading import read_log
+from fuzz import mutation, shrink
+from fuzz.case import Case, FaultError
+from fuzz.promises import refused_or
+
+BASES = ("own.csv", "own.mcap", "plain.mcap", "mapped.csv", "bag.db3", "bag.mcap", "metadata.yaml")
+
+
+class LogFuzzer:
+    """CSV, drive logs and bags."""
+
+    name, longest, count = "logs", 20.0, 200
+
+    def draw(self, random: Random) -> Case:
+        """A file, and what is changed in it."""
+        edits = [mutation.draw_bytes_edit(random) for _ in range(random.choice((1, 1, 2, 5, 20)))]
+        return {"base": random.choice(BASES), "edits": edits, "messages": draw_messages(random)}
+
+    def check(self, case: Case) -> None:
+        """Read it."""
+        with tempfile.TemporaryDirectory() as folder:
+            path, mapping = changed_file(case, Path(folder))
+            log = refused_or(lambda: read_log(path, mapping))
+            if log is not None:
+                for record in log.records:
+                    if not np.isfinite(record.command).all():
+                        raise FaultError("log: a command of a record is not finite")
+
+    def simpler(self, case: Case) -> Iterator[Case]:
+        """Fewer changes."""
+        yield from fewer_changes(case)
+
+
+class ReplayFuzzer:
+    """The same files, as `replay` takes them."""
+
+    name, longest, count = "replay", 30.0, 80
+
+    draw = LogFuzzer.draw
+    simpler = LogFuzzer.simpler
+
+    def check(self, case: Case) -> None:
+        """Read it as ticks; every third one is replayed, too."""
+        with tempfile.TemporaryDirectory() as folder:
+            path, mapping = changed_file(case, Path(folder))
+            scratch = Path(folder, "scratch")
+            scratch.mkdir()
+            refused_or(lambda: read_recording(path, None if mapping is None else str(mapping), 0.0202, scratch))
+            if len(case["edits"]) == 1:
+                refused_or(lambda: _replayed(Asked(path, mapping=None if mapping is None else str(mapping)), scratch))
+
+
+class _NoBar:
+    def advance(self, *_: object) -> None:
+        """Nobody looks."""
+
+    def __getattr__(self, name: str) -> object:
+        return self.advance
+
+
+def _replayed(asked: Asked, scratch: Path) -> None:
+    study = ReplayStudy(asked, scratch)
+    study.run(study.plan(), 1, _NoBar())  # type: ignore[arg-type]
+
+
+def draw_messages(random: Random) -> list[list[object]]:
+    """Changes of single messages of a bag: which, as a share, and how its bytes change."""
+    if random.random() < 0.5:
+        return []
+    return [[random.random(), mutation.draw_bytes_edit(random)] for _ in range(random.choice((1, 3, 10)))]
+
+
+def fewer_changes(case: Case) -> Iterator[Case]:
+    """The same file with fewer changes."""
+    for key in ("messages", "edits"):
+        for fewer in shrink.fewer(case[key]):
+            yield {**case, key: fewer}
+
+
+def changed_file(case: Case, folder: Path) -> tuple[Path, Path | None]:
+    """The log of a case in `folder`, and the mapping that it needs."""
+    base, originals = case["base"], base_files()
+    mapping = originals / "mapping.yaml" if base == "mapped.csv" else None
+    if base in ("bag.db3", "metadata.yaml", "bag.mcap"):
+        whole = folder / "bag"
+        shutil.copytree(originals / ("mcap_bag" if base == "bag.mcap" else "bag"), whole)
+        target = next(whole.glob("*.mcap" if base == "bag.mcap" else "*.db3" if base == "bag.db3" else "metadata.yaml"))
+        if base == "bag.db3" and case["messages"]:
+            _change_rows(target, case["messages"])
+        else:
+            target.write_bytes(mutation.edited_bytes(target.read_bytes(), case["edits"]))
+        return whole, None
+    content = (originals / base).read_bytes()
+    if base == "plain.mcap" and case["messages"]:
+        # Nothing is compressed or summed there: what changes is found again as a message.
+        edits = [[edit[0], place, edit[2]] for place, edit in case["messages"]]
+    else:
+        edits = case["edits"]
+    path = folder / base
+    path.write_bytes(mutation.edited_bytes(content, edits))
+    return path, mapping
+
+
+def _change_rows(file: Path, changes: list[list[object]]) -> None:
+    """Messages in the database, bytes and stamps."""
+    with sqlite3.connect(file) as database:
+        rows = database.execute("select id, timestamp, data from messages").fetchall()
+        for share, edit in changes:
+            number, stamp, data = rows[int(share * len(rows))]  # type: ignore[operator]
+            kind = edit[0]  # type: ignore[index]
+            if kind == "cell":
+                database.execute("update messages set timestamp = ? where id = ?", (edit[2], number))  # type: ignore[index]
+            elif kind == "length":
+                database.execute(
+                    "update messages set timestamp = ? where id = ?", (stamp + 10**9 * (edit[2] - 2**31), number)
+                )  # type: ignore[index]
+            else:
+                database.execute(
+                    "update messages set data = ? where id = ?",
+                    (mutation.edited_bytes(data, [edit]), number),  # type: ignore[list-item]
+                )
+
+
+@cache
+def base_files() -> Path:
+    """A folder with whole logs of all kinds, made once in each process."""
+    from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv
+
+    folder = Path(tempfile.mkdtemp(prefix="fuzz-logs-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    columns = drive(seconds=12.0)
+    write_csv(folder / "mapped.csv", columns)
+    (folder / "mapping.yaml").write_text(MAPPING)
+    write_bag(folder / "bag", bag_topics(columns))
+    write_bag(folder / "mcap_bag", bag_topics(columns), "mcap")
+    _own_logs(folder)
+    return folder
+
+
+def _own_logs(folder: Path) -> None:
+    """What `simulate --log` writes, as CSV, as MCAP, and as an MCAP without chunks, compression and check sums."""
+    from click.testing import CliRunner
+    from typer.main import get_command
+
+    from diffdrive_mpc.bench.cli import app
+
+    (folder / "short.yaml").write_text(
+        "segments: [{v: 0.4, omega: 0.3, duration: 2.0}, {v: 0.3, omega: -0.6, duration: 2.0}]\n"
+    )
+    for name in ("own.csv", "own.mcap"):
+        words = [
+            "simulate",
+            "--trajectory",
+            str(folder / "short.yaml"),
+            "--plant",
+            "model:ssm",
+            "--log",
+            str(folder / name),
+        ]
+        done = CliRunner().invoke(get_command(app), words, catch_exceptions=False)
+        if not (folder / name).exists():
+            raise RuntimeError(done.output)
+    _without_chunks(folder / "own.mcap", folder / "plain.mcap")
+
+
+def _without_chunks(source: Path, target: Path) -> None:
+    from mcap.reader import make_reader
+    from mcap.writer import CompressionType, Writer
+
+    with source.open("rb") as given, target.open("wb") as out:
+        reader = make_reader(given)
+        writer = Writer(
+            out, use_chunking=False, compression=CompressionType.NONE, enable_crcs=False, enable_data_crcs=False
+        )
+        writer.start(profile="ros2", library="diffdrive-mpc")
+        schemas: dict[int, int] = {}
+        channels: dict[int, int] = {}
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        for schema, channel, message in reader.iter_messages():
+            if channel.id not in channels:
+                known = 0
+                if schema is not None:
+                    if schema.id not in schemas:
+                        schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+                    known = schemas[schema.id]
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, known, channel.metadata
+                )
+            writer.add_message(
+                channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence
+            )
+        writer.finish()

@@ -1,0 +1,43 @@
+"""What is promised of input that cannot be used: it is refused by the product itself, in one line that can be shown."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+from diffdrive_mpc.models.errors import DiffdriveMpcError
+from fuzz.case import FaultError
+
+Found = TypeVar("Found")
+_LONGEST = 4000
+_TESTS = str(Path(__file__).parents[1])
+
+
+def refused_or(read: Callable[[], Found]) -> Found | None:
+    """What `read` returns; None where it refuses in the way that is promised. Anything else comes out."""
+    try:
+        return read()
+    except (DiffdriveMpcError, ValueError, OSError) as error:
+        check_refusal(error)
+        return None
+
+
+def check_refusal(error: Exception) -> None:
+    """Raise FaultError where it is no sentence for people, or the error itself where nobody meant to raise it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    innermost = frames[-1].filename
+    ours = "diffdrive_mpc" in innermost or (
+        innermost.startswith("/")
+        and any(f"/{room}/" in innermost for room in ("models", "mpc", "sim", "bench"))
+        and "site-packages" not in innermost
+        and not innermost.startswith(_TESTS)
+    )
+    if not isinstance(error, OSError) and not ours and not isinstance(error, DiffdriveMpcError):
+        raise error
+    text = str(error)
+    if not text.strip() or "\n" in text:
+        raise FaultError(f"message: not one line: {text[:300]!r}")
+    if len(text) > _LONGEST:
+        raise FaultError(f"long message: {len(text)} characters: {text[:200]!r}")

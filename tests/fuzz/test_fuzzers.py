@@ -1,0 +1,178 @@
+"""The fuzzers themselves: repeatable, bounded, and able to find what is there to be found."""
+
+import json
+import math
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from diffdrive_mpc import ConfigError, load_config
+from diffdrive_mpc.bench.schemas.kinds import KINDS
+from fuzz import configs, runner, yaml_files
+from fuzz.case import FaultError, draw, load_case, saved_findings
+from fuzz.fuzzers import FUZZERS
+from fuzz.live.judge import Account, Allowed, Heard, faults
+from fuzz.runner import Order, inside
+
+
+@pytest.mark.parametrize("name", FUZZERS)
+def test_a_case_follows_from_seed_and_number_and_survives_a_file(name):
+    def text(seed, index):
+        return json.dumps(draw(FUZZERS[name], seed, index))
+
+    assert text(3, 5) == text(3, 5)
+    assert len({text(3, index) for index in range(10)} | {text(4, 5)}) > 5
+    assert json.dumps(json.loads(text(3, 5))) == text(3, 5)
+
+
+@pytest.mark.parametrize("name", ["controller", "references", "yaml"])
+def test_a_few_cases_of_the_quick_ones(name, tmp_path):
+    found = runner.run(Order(name, seed=20, first=0, count=12, seconds=120.0), tmp_path)
+    assert found == (12, [])
+
+
+class Planted:
+    """Wrong for lists with a 7, slow for those with an 8, and the death of its process for those with a 9."""
+
+    name, longest, count = "planted", 0.2, 10
+
+    def draw(self, random):
+        return [random.randrange(7) for _ in range(20)] + [self.worst]
+
+    def check(self, case):
+        if 7 in case:
+            raise FaultError(f"seven: at {case.index(7)}")
+        if 8 in case:
+            time.sleep(5.0)
+        if 9 in case:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def simpler(self, case):
+        for i in range(len(case)):
+            yield case[:i] + case[i + 1 :]
+
+
+def lived(worst, tmp_path):
+    fuzzer = Planted()
+    fuzzer.worst = worst
+    inside(fuzzer, Order("planted", 1, 4, 3, 60.0), tmp_path / "report", tmp_path)
+    lines = [json.loads(line) for line in (tmp_path / "report").read_text().splitlines()]
+    return [line["found"] for line in lines if "found" in line]
+
+
+@pytest.fixture
+def gentle(monkeypatch):
+    """The bounds of the process are not those of the tests' process."""
+    monkeypatch.setattr(runner.resource, "setrlimit", lambda *_: None)
+    monkeypatch.setattr(runner.logging, "disable", lambda *_: None)
+
+
+def test_what_is_found_is_made_small_kept_and_said_once_with_the_words_that_repeat_it(gentle, tmp_path):
+    found = lived(7, tmp_path)
+    assert len(found) == 1
+    assert 'make fuzz FUZZ="planted --seed 1 --only 4"' in found[0]
+    ((fuzzer, path),) = saved_findings(tmp_path)
+    assert fuzzer == "planted"
+    assert load_case(path) == [7]
+
+
+def test_what_hangs_is_found_too(gentle, tmp_path, monkeypatch):
+    monkeypatch.setattr(runner, "_SMALLER_FOR", 0.0)
+    (found,) = lived(8, tmp_path)
+    assert "hangs: it takes longer than 0.2 s" in found
+
+
+def test_a_process_that_dies_is_a_finding_and_the_next_case_follows(tmp_path, monkeypatch):
+    """The parent is told of a child's death by its exit code alone."""
+    monkeypatch.setitem(FUZZERS, "planted", Planted())
+    Planted.worst = 9
+    pid_of_child = []
+
+    def child(order, folder):
+        pid = os.fork()
+        if pid == 0:
+            try:
+                os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+                inside(FUZZERS["planted"], order, tmp_path / "report", folder)
+            finally:
+                os._exit(0)
+        pid_of_child.append(pid)
+        _, status = os.waitpid(pid, 0)
+        begun = max(json.loads(line)["begun"] for line in (tmp_path / "report").read_text().splitlines())
+        return begun, [], f"process killed by {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else ""
+
+    monkeypatch.setattr(runner, "_in_process", child)
+    done, lines = runner.run(Order("planted", 1, 0, 3, 60.0), tmp_path)
+    assert done == len(lines) == len(pid_of_child) == 3
+    assert all("killed by 9" in line for line in lines)
+
+
+def test_configurations_are_drawn_from_the_whole_schema():
+    """Half of them at least can be used, or nothing behind the schema would be looked at."""
+    from random import Random
+
+    drawn = [configs.draw_overrides(Random(str(i))) for i in range(200)]
+    assert len({key for one in drawn for key in one}) > 100
+    good = 0
+    for one in drawn:
+        try:
+            load_config("ssm", one)
+        except ConfigError:
+            continue
+        good += 1
+    assert good > 100
+
+
+def test_files_of_every_kind_are_fuzzed():
+    assert all(yaml_files.seeds(kind) for kind in yaml_files.doors())
+    assert set(KINDS) <= set(yaml_files.doors())
+
+
+LIMITS = Allowed(0.0, (1.0, 2.0), (0.04, 0.12))
+
+
+def driven(*speeds, **more):
+    return Account(commands=[Heard(0.02 * i, v, 0.0, i + 1) for i, v in enumerate(speeds)], allowed=[LIMITS], **more)
+
+
+@pytest.mark.parametrize(
+    ("account", "word"),
+    [
+        (driven(0.0, 0.04, 0.08), ""),
+        (driven(0.0, 0.04, math.nan), "not finite"),
+        (driven(0.98, 1.02), "limits"),
+        (driven(0.0, 0.05), "slew"),
+        (driven(0.5, 0.0), "slew"),
+        (driven(0.5, 0.0, modes=[(0.02, "STOPPED: no tick for 3 s")]), ""),
+        (driven(0.5, 0.0, told=[0.0]), ""),
+        (driven(0.5, 0.1, told=[0.0]), "slew"),
+        (driven(0.04, 0.0, zero=[(-1.0, 1.0, "lost")]), "zero"),
+        (driven(0.0, 0.0, zero=[(-1.0, 1.0, "lost")]), ""),
+        (driven(0.0, 0.0, active=[(0.0, 2.0)]), "gap"),
+        # No ticks are due while their clock stands.
+        (driven(0.0, 0.0, active=[(0.0, 2.0)], stood=[(0.1, 1.9)]), ""),
+        (driven(0.0, 0.0, active=[(0.0, 4.0)], stood=[(0.1, 1.9)]), "gap"),
+        (Account(commands=[Heard(0.0, 0.0, 0.0, 1), Heard(0.02, 0.08, 0.0, 3)], allowed=[LIMITS]), ""),
+        (Account(commands=[Heard(0.0, 0.0, 0.0, 1, others=True)], allowed=[LIMITS]), "beside"),
+        # A limit that was tightened is reached at slew.
+        (
+            Account(
+                commands=[Heard(1.0 + 0.02 * i, 0.9 - 0.04 * i, 0.0, i + 1) for i in range(10)],
+                allowed=[LIMITS, Allowed(0.1, (0.1, 2.0), (0.04, 0.12))],
+            ),
+            "",
+        ),
+    ],
+)
+def test_the_judge_of_live_commands(account, word):
+    found = faults(account)
+    assert bool(found) == bool(word)
+    assert word in " ".join(found)
+
+
+def test_all_files_of_findings_are_of_known_fuzzers():
+    assert {fuzzer for fuzzer, _ in saved_findings()} <= set(FUZZERS)
+    assert all(path.suffix == ".json" for path in Path(__file__).with_name("findings").rglob("*.*"))

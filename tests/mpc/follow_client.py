@@ -1,0 +1,88 @@
+"""A client of follow_path as a process of its own: commands come in as lines of JSON, and what it hears goes out so.
+
+In: {"send": id, "frame": .., "poses": [[x, y, theta], ..], "controller": ..} or {"cancel": id}.
+Out: {"id": .., "event": .., ..}.
+"""
+
+import json
+import math
+import sys
+import threading
+import time
+
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from nav2_msgs.action import FollowPath
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+
+
+def say(**what):
+    sys.stdout.write(json.dumps(what | {"time": time.monotonic()}) + "\n")
+    sys.stdout.flush()
+
+
+class Client:
+    def __init__(self):
+        rclpy.init(args=[])
+        self.node = rclpy.create_node("planner_of_the_test")
+        self.action = ActionClient(self.node, FollowPath, "follow_path")
+        self.handles = {}
+        self.lines = []
+        self.ended = False
+        threading.Thread(target=self.read, daemon=True).start()
+
+    def read(self):
+        for line in sys.stdin:
+            self.lines.append(json.loads(line))
+        self.ended = True
+
+    def run(self):
+        executor = SingleThreadedExecutor()
+        executor.add_node(self.node)
+        while not self.action.server_is_ready() and not self.ended:
+            executor.spin_once(timeout_sec=0.05)
+        say(event="ready")
+        while not self.ended:
+            while self.lines:
+                self.act(self.lines.pop(0))
+            executor.spin_once(timeout_sec=0.01)
+
+    def act(self, line):
+        if "cancel" in line:
+            self.handles[line["cancel"]].cancel_goal_async()
+            return
+        name = line["send"]
+        goal = FollowPath.Goal(controller_id=line.get("controller", ""))
+        goal.path.header.frame_id = line.get("frame", "odom")
+        for x, y, theta in line["poses"]:
+            pose = PoseStamped()
+            pose.header.frame_id = goal.path.header.frame_id
+            pose.pose.position.x, pose.pose.position.y = float(x), float(y)
+            pose.pose.orientation.z, pose.pose.orientation.w = math.sin(theta / 2), math.cos(theta / 2)
+            goal.path.poses.append(pose)
+        sent = self.action.send_goal_async(goal, feedback_callback=lambda told: self.told(name, told.feedback))
+        sent.add_done_callback(lambda future: self.answered(name, future.result()))
+
+    def told(self, name, feedback):
+        say(id=name, event="feedback", distance=feedback.distance_to_goal, speed=feedback.speed)
+
+    def answered(self, name, handle):
+        say(id=name, event="accepted" if handle.accepted else "rejected")
+        if handle.accepted:
+            self.handles[name] = handle
+            handle.get_result_async().add_done_callback(lambda future: self.over(name, future.result()))
+
+    def over(self, name, answer):
+        self.handles.pop(name, None)
+        say(
+            id=name,
+            event="result",
+            status=int(answer.status),
+            code=int(answer.result.error_code),
+            words=answer.result.error_msg,
+        )
+
+
+if __name__ == "__main__":
+    Client().run()

@@ -1,0 +1,179 @@
+"""Many random goals in a row, from a client in another process to a node in a third: nothing may be left behind.
+
+    python tests/mpc/follow_long.py --goals 100
+    python tests/mpc/follow_long.py --gaps
+
+The first needs some ten minutes: it drives in lock step, faster than the clock. Memory and threads are the node's. The
+second drives in real time, and says how regular the node's commands are while paths of many poses arrive.
+"""
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive_mpc.bench.ros_types.build import built_types, search_path
+
+# What the interpreter may take more, after it has settled [MB].
+_GROWTH = 4.0
+FOLDER = Path(__file__).parent
+TYPES = built_types()
+os.environ["PYTHONPATH"] = search_path(TYPES, os.environ.get("PYTHONPATH", ""))
+NODE = (sys.executable, "-c", "from diffdrive_mpc.bench.cli import main; main()", "node", "--autostart", "--ros-args")
+
+
+def random_path(rng, start):
+    """From the robot on: one or two arcs, of which one in four is driven backwards; a goal that looks anywhere."""
+    pose, poses = np.array(start, dtype=float), [np.array(start, dtype=float)]
+    for _ in range(rng.integers(1, 3)):
+        sense, length, bend = rng.choice([1.0, 1.0, 1.0, -1.0]), rng.uniform(0.3, 1.0), rng.uniform(-1.2, 1.2)
+        for _ in range(round(length / 0.05)):
+            pose = pose + 0.05 * np.array([sense * math.cos(pose[2]), sense * math.sin(pose[2]), bend])
+            poses.append(pose.copy())
+    path = np.array(poses)
+    if rng.random() < 0.5:
+        path[-1, 2] = rng.uniform(-math.pi, math.pi)
+    return path
+
+
+def resources(process):
+    """Memory [MB] and threads of a process."""
+    lines = dict(line.split(":", 1) for line in Path(f"/proc/{process.pid}/status").read_text().splitlines())
+    return int(lines["VmRSS"].split()[0]) / 1024.0, int(lines["Threads"])
+
+
+def run(goals, seed):
+    from follow_parts import SUCCEEDED, Client
+    from ros_parts import DT, FakeBase
+
+    rng = np.random.default_rng(seed)
+    process = subprocess.Popen(
+        [*NODE, "-p", "use_sim_time:=true", "-p", "start_at_robot:=false", "--log-level", "warn"]
+    )
+    base, client = FakeBase(lambda: time.sleep(0.0005)), Client()
+    found, errors, used = 0, [], []
+
+    def tick(pace=0.2 * DT):
+        began = time.monotonic()
+        base.step()
+        while time.monotonic() - began < pace:
+            base.spin()
+
+    def alive():
+        assert process.poll() is None
+        base.silent(1)
+        return bool(base.commands)
+
+    try:
+        base.until(alive, "the node")
+        while not any(one["event"] == "ready" for one in client.events):
+            tick()
+        for number in range(goals):
+            path, name = random_path(rng, base.plant.true_pose), str(number)
+            client.send(name, path)
+            while client.result(name) is None:
+                tick()
+            result, gap = client.result(name), np.asarray(base.plant.true_pose) - path[-1]
+            found += result["status"] == SUCCEEDED
+            errors.append((math.hypot(gap[0], gap[1]), abs(math.remainder(gap[2], math.tau))))
+            used.append(resources(process))
+            client.events.clear()
+            if result["status"] != SUCCEEDED or number % 10 == 9:
+                print(number + 1, result["status"], result["words"], used[-1], flush=True)
+    finally:
+        client.close()
+        process.terminate()
+        process.wait(20)
+        base.close()
+    place, heading = np.array(errors).T
+    settled = used[min(9, goals - 1)]
+    memory, threads = np.array(used).T
+    print(
+        json.dumps(
+            {
+                "goals": goals,
+                "seed": seed,
+                "succeeded": int(found),
+                "place_m": {"median": float(np.median(place)), "max": float(place.max())},
+                "heading_rad": {"median": float(np.median(heading)), "max": float(heading.max())},
+                "memory_mb": {
+                    str(i): round(float(memory[i]), 1) for i in sorted({0, 9, 19, 49, goals - 1}) if i < goals
+                },
+                "threads": {"first": int(threads[0]), "last": int(threads[-1]), "most": int(threads.max())},
+            },
+            indent=2,
+        )
+    )
+
+    grown = memory[-1] - settled[0]
+    faults = [
+        f"{goals - found} goals were not reached" * (found < goals),
+        f"memory grew by {grown:.1f} MB after the tenth goal" * bool(grown > _GROWTH),
+        f"threads went from {settled[1]} to {threads[-1]}" * bool(threads[-1] > settled[1]),
+    ]
+    if any(faults):
+        sys.exit("; ".join(filter(None, faults)))
+
+
+def gaps():
+    from follow_parts import Client
+    from ros_parts import DT, WallClockBase
+
+    process = subprocess.Popen([*NODE, "-p", "start_at_robot:=false", "--log-level", "warn"])
+    base, client = WallClockBase(lambda: None), Client()
+
+    def drive(seconds):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            if base.commands:
+                base.drive()
+            else:
+                base.publish_sensors()
+                base.plant.advance((0.0, 0.0))
+                time.sleep(DT)
+                base.spin()
+
+    def said(what):
+        since = len(base.times)
+        yield
+        gap = np.diff(np.array(base.times[since - 1 :])) / 1e6
+        most = f"99 % below {np.percentile(gap, 99):.1f} ms, most {gap.max():.1f} ms"
+        print(f"{what:>28}: {len(gap)} ticks, median {np.median(gap):.1f} ms, {most}", flush=True)
+
+    try:
+        while not base.commands or not client.events:
+            drive(0.5)
+        drive(5.0)
+        for what, count in (("no goal", 0), ("200 poses", 200), ("1000 poses", 1000), ("5000 poses", 5000)):
+            for _ in said(what):
+                for number in range(5):
+                    if count:
+                        start = np.asarray(base.plant.true_pose)
+                        s = np.linspace(0.0, 0.004 * count, count)[:, None]
+                        ahead = np.array([math.cos(start[2]), math.sin(start[2]), 0.0])
+                        client.send(f"{what} {number}", start + s * ahead)
+                    drive(2.0)
+            if count:
+                client.tell(cancel=f"{what} 4")
+                drive(2.0)
+    finally:
+        client.close()
+        process.terminate()
+        process.wait(20)
+        base.close()
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--goals", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--gaps", action="store_true")
+    given = parser.parse_args()
+    sys.path[:0] = [str(FOLDER), str(TYPES)]
+    gaps() if given.gaps else run(given.goals, given.seed)

@@ -1,0 +1,93 @@
+"""What tests of follow_path share: the node and its base in lock step, and an independent client process."""
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from ros_parts import DT, PATIENCE, stack
+
+SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
+
+
+class Client:
+    """The other process; `events` is all that it said."""
+
+    def __init__(self):
+        self.process = subprocess.Popen(
+            [sys.executable, str(Path(__file__).with_name("follow_client.py"))],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self.events = []
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def _listen(self):
+        for line in self.process.stdout:
+            self.events.append(json.loads(line))
+
+    def tell(self, **what):
+        self.process.stdin.write(json.dumps(what) + "\n")
+        self.process.stdin.flush()
+
+    def send(self, name, poses, **what):
+        self.tell(send=name, poses=np.asarray(poses, dtype=float).tolist(), **what)
+
+    def of(self, name, event):
+        return [one for one in list(self.events) if one.get("id") == name and one["event"] == event]
+
+    def result(self, name):
+        return next(iter(self.of(name, "result")), None)
+
+    def close(self):
+        self.process.stdin.close()
+        self.process.wait(PATIENCE)
+        self.process.stdout.close()
+
+
+class Follow:
+    """Node, base and client; ticks pass in about real time."""
+
+    def __init__(self, made, client):
+        self.made, self.base, self.client = made, made.base, client
+
+    def tick(self, count=1, pace=DT):
+        for _ in range(count):
+            began = time.monotonic()
+            self.base.step()
+            while time.monotonic() - began < pace:
+                self.base.spin()
+
+    def until(self, condition, what, pace=0.5 * DT, most=4000):
+        for _ in range(most):
+            if condition():
+                return
+            self.tick(pace=pace)
+        raise AssertionError(f"waited in vain: {what}; {self.client.events[-3:]}")
+
+    def driven(self, name="a"):
+        """Wait until the robot moves for a goal."""
+        self.until(
+            lambda: self.client.of(name, "feedback") and abs(self.base.commands[-1][0]) > 0.2, "the robot drives"
+        )
+
+    def ended(self, name, **how):
+        self.until(lambda: self.client.result(name) is not None, f"the end of {name}", **how)
+        return self.client.result(name)
+
+
+@contextmanager
+def following(overrides=None, **parameters):
+    with stack(overrides, **parameters) as made:
+        client = Client()
+        try:
+            follow = Follow(made, client)
+            follow.until(lambda: any(one["event"] == "ready" for one in client.events), "the client", pace=DT)
+            yield follow
+        finally:
+            client.close()

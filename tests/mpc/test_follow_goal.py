@@ -1,0 +1,161 @@
+"""Goals of follow_path beside the loop, without ROS: what becomes of them when nobody answers, who ends whom."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from diffdrive_mpc.mpc.config.config_file import load_config
+from diffdrive_mpc.mpc.ros import follow_goal
+from diffdrive_mpc.mpc.ros.control_loop import LoopState, Tick
+from diffdrive_mpc.mpc.ros.follow_goal import Code, Following, Goal, Outcome, lay_for_robot, path_limits
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
+
+X = np.linspace(0.0, 1.0, 21)
+STRAIGHT = np.column_stack([X, 0 * X, 0 * X])
+CONFIG, SETTINGS = load_config("ssm"), NodeSettings()
+
+
+class Loop:
+    """Stands where it is, and remembers what it was told."""
+
+    def __init__(self):
+        self.inbox = SimpleNamespace(now=0.0)
+        self.state, self.begun, self.held, self.blocked = LoopState.IDLE, None, False, False
+        self.told = []
+
+    def missing(self):
+        return ""
+
+    def whereabouts(self):
+        return np.zeros(3), (0.0, 0.0)
+
+    def follow(self, reference, t0):
+        self.told.append("follow")
+
+    def brake(self, reason):
+        self.told.append("brake")
+
+    def release(self):
+        self.told.append("release")
+
+
+class Beside:
+    """What is asked of the process beside the loop, to be answered by the test."""
+
+    def __init__(self):
+        self.asked = []
+
+    def __call__(self, arguments, done, failed):
+        self.asked.append((arguments, done, failed))
+
+    def answer(self):
+        arguments, done, failed = self.asked.pop(0)
+        try:
+            done(lay_for_robot(*arguments))
+        except ValueError as error:
+            failed(str(error))
+
+
+@pytest.fixture
+def made():
+    loop, beside = Loop(), Beside()
+    following = Following(loop, SETTINGS, lambda: CONFIG, lambda: np.eye(2), beside, lambda poses, frame, stamp: poses)
+    return loop, beside, following
+
+
+def standing():
+    return Tick(np.zeros(2), LoopState.IDLE, "")
+
+
+def test_a_goal_waits_for_its_path_and_then_for_the_loop(made):
+    loop, beside, following = made
+    goal = Goal(STRAIGHT, "odom")
+    following.take(goal)
+    following.after(standing())
+    assert loop.told == [] and goal.end is None
+    beside.answer()
+    assert loop.told == ["follow"] and goal.laid.length == pytest.approx(1.0)
+
+
+def test_a_newer_goal_ends_one_that_has_not_begun(made):
+    loop, beside, following = made
+    first, second = Goal(STRAIGHT, "odom"), Goal(STRAIGHT, "odom")
+    following.take(first)
+    following.take(second)
+    assert (first.end.outcome, first.end.code) == (Outcome.ABORTED, Code.NONE)
+    # Its path comes too late.
+    beside.answer()
+    assert loop.told == []
+    beside.answer()
+    assert loop.told == ["follow"] and second.end is None
+
+
+def test_cancelling_what_has_not_begun_ends_the_drive_that_it_was_to_replace(made):
+    loop, beside, following = made
+    old, newer = Goal(STRAIGHT, "odom"), Goal(STRAIGHT, "odom")
+    following.take(old)
+    beside.answer()
+    following.take(newer)
+    newer.cancelled = True
+    following.after(standing())
+    assert newer.end.outcome is Outcome.CANCELED
+    assert loop.told == ["follow", "brake", "release"]
+    assert (old.end.outcome, old.end.words) == (Outcome.ABORTED, "a newer goal was cancelled")
+    beside.answer()
+    assert loop.told == ["follow", "brake", "release"]
+
+
+def test_a_goal_that_is_being_cancelled_stays_cancelled_when_a_newer_one_begins(made):
+    loop, beside, following = made
+    old, newer = Goal(STRAIGHT, "odom"), Goal(STRAIGHT, "odom")
+    following.take(old)
+    beside.answer()
+    old.cancelled = True
+    following.after(Tick(np.array([0.3, 0.0]), LoopState.DRIVING, ""))
+    assert loop.told[-1] == "brake" and old.end is None
+    following.take(newer)
+    beside.answer()
+    assert old.end.outcome is Outcome.CANCELED
+
+
+def test_a_path_that_is_never_laid_is_given_up(made, monkeypatch):
+    _, beside, following = made
+    goal = Goal(STRAIGHT, "odom")
+    following.take(goal)
+    goal.handed_on -= follow_goal._LONGEST_LAYING + 1.0
+    following.after(standing())
+    assert goal.end.code is Code.CONTROLLER_TIMED_OUT
+    following.take(slow := Goal(STRAIGHT, "odom"))
+    beside.asked[-1][2]("to read it takes longer than 10 s")
+    assert slow.end.code is Code.CONTROLLER_TIMED_OUT
+
+
+def test_a_fault_of_the_loop_ends_the_goal(made):
+    _, beside, following = made
+    goal = Goal(STRAIGHT, "odom")
+    following.take(goal)
+    beside.answer()
+    following.after(Tick(np.zeros(2), LoopState.FAULT, "ValueError: nothing"))
+    assert (goal.end.code, goal.end.words) == (Code.UNKNOWN, "ValueError: nothing")
+
+
+def test_without_a_pose_it_waits_for_its_patience_and_no_longer(made):
+    loop, beside, following = made
+    goal = Goal(STRAIGHT, "odom")
+    following.take(goal)
+    beside.answer()
+    loop.inbox.now = 0.9 * SETTINGS.follow_patience
+    following.after(standing())
+    assert goal.end is None
+    loop.inbox.now = 1.1 * SETTINGS.follow_patience
+    following.after(standing())
+    assert (goal.end.code, goal.end.words) == (Code.TF_ERROR, "no pose arrives")
+
+
+def test_paths_are_driven_inside_what_the_robot_reaches():
+    half = np.diag([0.5, 2.0])
+    bounds = path_limits(CONFIG, half, SETTINGS)
+    assert bounds.v == pytest.approx(SETTINGS.follow_speed_share * 0.5 * CONFIG.limits.v)
+    assert bounds.omega == pytest.approx(SETTINGS.follow_speed_share * CONFIG.limits.omega)
+    assert bounds.v_acceleration < CONFIG.limits.v_slew and bounds.omega_acceleration < CONFIG.limits.omega_slew

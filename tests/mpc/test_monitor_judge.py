@@ -1,0 +1,298 @@
+"""The judge of the monitor: what each rule catches, what it lets pass, and the oracle of all of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc.monitor.judge import Judge, rule_names
+from diffdrive_mpc.mpc.monitor.library import load_judge
+from diffdrive_mpc.mpc.monitor.rules import FOLDER, Rules, load_rules
+from oracle.judge import OracleJudge
+
+DT = 0.0202
+START = 1000.0
+RULES = load_rules()
+
+
+class Robot:
+    """Obeys with a lag of a tenth of a second along a straight reference; what goes wrong is set from outside."""
+
+    def __init__(self, judge, speed=0.4, duration=10.0):
+        self.judge, self.now, self.speed = judge, START, speed
+        times = np.linspace(0.0, duration, round(20 * duration) + 1)
+        way = speed * times
+        self.points = np.column_stack([START + times, way, 0 * times, 0 * times]).tolist()
+        judge.reference(self.now, self.points)
+        self.state, self.twist, self.out = np.zeros(3), np.zeros(2), (0.0, 0.0)
+        self.deaf = self.blind = self.lost = False
+
+    def drive(self, seconds, command=None, stamp=None, silent=False):
+        """Drive on; returns the commands (n, 2) that reached the base."""
+        sent = []
+        for _ in range(round(seconds / DT)):
+            judge, now = self.judge, self.now
+            if not self.blind:
+                judge.gyro(now, now, self.twist[1])
+                judge.odometry(now, now, self.twist.tolist(), self.state.tolist())
+            if not self.lost:
+                judge.pose(now, now, self.state.tolist())
+            v = min(self.speed, 1.9 * (now - START)) if command is None else command[0]
+            if not silent:
+                self.out = judge.command(now, now if stamp is None else stamp(now), v, command[1] if command else 0.0)
+            stopped = judge.tick(now)
+            self.out = self.out if stopped is None else stopped
+            sent.append(self.out)
+            if not self.deaf:
+                self.twist = self.twist + 0.2 * (np.array(self.out) - self.twist)
+            x, y, theta = self.state
+            v, omega = self.twist
+            self.state = np.array([x + DT * v * math.cos(theta), y + DT * v * math.sin(theta), theta + DT * omega])
+            self.now += DT
+        return np.array(sent)
+
+
+def stand(robot):
+    robot.drive(1.0, (0.0, 0.0))
+
+
+@pytest.fixture
+def robot():
+    return Robot(Judge(RULES, START))
+
+
+def test_a_sound_drive_passes_unchanged(robot):
+    sent = robot.drive(10.0)
+    assert not robot.judge.verdict
+    assert sent[-1].tolist() == [0.4, 0.0]
+    assert robot.drive(1.0, (0.0, 0.0))[0].tolist() == [0.0, 0.0]
+    assert not robot.judge.verdict
+
+
+@pytest.mark.parametrize("v", [math.nan, math.inf, -math.inf])
+def test_what_is_not_finite_never_reaches_the_base(robot, v):
+    robot.drive(2.0)
+    sent = robot.drive(1.0, (v, 0.0))
+    assert robot.judge.verdict.rule == "not_finite"
+    assert np.isfinite(sent).all()
+    assert np.all(np.diff(sent[:, 0]) <= 0) and sent[-1, 0] == 0.0
+
+
+def test_it_brakes_at_the_braking_limits_and_stays(robot):
+    robot.drive(2.0)
+    sent = robot.drive(1.0, (1.6, 0.0))[:, 0]
+    assert robot.judge.verdict.rule == "speed"
+    falling = sent[sent > 0]
+    assert len(falling) == pytest.approx(0.4 / (RULES.commands.v_braking * DT), abs=1)
+    assert np.abs(np.diff([0.4, *falling])).max() <= RULES.commands.v_braking * DT + 1e-12
+    # Sound commands do not help: a person has to say so.
+    assert not robot.drive(2.0, (0.0, 0.0)).any() and not robot.drive(0.5, (0.01, 0.0)).any()
+    assert robot.judge.verdict.words == "a command is too fast: 1.6 m/s, the limit is 1.5 m/s"
+
+
+def test_where_commands_do_not_mean_what_they_say_it_stops_at_once(robot):
+    """A robot that turns to the wrong side turns on as long as the ramp lasts."""
+    robot.drive(2.0)
+    robot.deaf = True
+    robot.twist = np.array([-0.5, 0.0])
+    sent = robot.drive(0.5)
+    assert robot.judge.verdict.rule == "answer_v"
+    first = np.flatnonzero(sent[:, 0] == 0.0)[0]
+    assert sent[first - 1, 0] == 0.4
+
+
+@pytest.mark.parametrize(
+    ("rule", "harm"),
+    [
+        ("silent", lambda r: r.drive(0.5, silent=True)),
+        ("old_command", lambda r: r.drive(0.1, stamp=lambda now: now - 0.3)),
+        ("command_ahead", lambda r: r.drive(0.1, stamp=lambda now: now + 0.3)),
+        ("slew", lambda r: r.drive(0.1, (0.9, 0.0))),
+        ("yaw_slew", lambda r: r.drive(0.1, (0.4, 1.5))),
+        ("yaw_rate", lambda r: r.drive(0.1, (0.4, 2.1))),
+        ("not_to_move", lambda r: (r.judge.says(r.now, drives=False), r.drive(2.0))),
+        ("after_end", lambda r: (stand(r), r.judge.reference(r.now, r.points[:38]), r.drive(6.0, (0.04, 0.0)))),
+        ("odometry", lambda r: (setattr(r, "blind", True), r.drive(0.5))),
+        ("pose", lambda r: (setattr(r, "lost", True), r.drive(1.5))),
+        ("no_reference", lambda r: (r.judge.reference(r.now, []), r.drive(0.5))),
+        ("bad_reference", lambda r: r.judge.reference(r.now, [[r.now, 0, 0, 0], [r.now + 1, 5, 0, 0]])),
+        ("outside", lambda r: r.judge.outside(r.now, wrong=True)),
+        ("off_path", lambda r: (r.state.__setitem__(1, 0.6), r.drive(0.5))),
+        ("off_heading", lambda r: (r.state.__setitem__(2, 2.5), r.drive(0.5))),
+        ("clock", lambda r: r.judge.tick(r.now - 5.0)),
+    ],
+)
+def test_each_rule_stops_the_robot(robot, rule, harm):
+    robot.drive(2.0)
+    assert not robot.judge.verdict
+    harm(robot)
+    assert robot.judge.verdict.rule == rule
+    assert "\n" not in robot.judge.verdict.words and len(robot.judge.verdict.words) > 10
+
+
+def test_zero_is_never_refused(robot):
+    """A controller may stop at any time, from any speed, with any stamp."""
+    robot.drive(2.0)
+    robot.drive(0.1, (0.0, 0.0), stamp=lambda now: now - 5.0)
+    assert not robot.judge.verdict
+
+
+def test_a_burst_of_late_messages_is_no_jump():
+    """Stamps tell when commands were decided: five that come together after 0.1 s are a sound ramp."""
+    judge = Judge(RULES, START)
+    now = START
+    judge.reference(now, [[START, 0, 0, 0], [START + 9, 9, 0, 0]])
+    for k in range(1, 60):
+        at = now + DT * (k - k % 5 + 5)
+        judge.gyro(at, at, 0.0)
+        judge.odometry(at, at, (0.0, 0.0), (0.0, 0.0, 0.0))
+        judge.pose(at, at, (0.0, 0.0, 0.0))
+        judge.command(at, now + DT * k, 0.5 * DT * k, 0.0)
+    assert not judge.verdict
+
+
+def test_a_person_resets_it_when_the_cause_is_gone(robot):
+    robot.drive(2.0)
+    robot.drive(0.2, (1.6, 0.0))
+    assert robot.judge.reset(robot.now).rule == "still_moved"
+    robot.drive(1.0, (0.0, 0.0))
+    assert not robot.judge.reset(robot.now)
+    assert not robot.judge.verdict
+    before = robot.drive(0.5, (0.02, 0.0))
+    assert before[-1, 0] == 0.02 and not robot.judge.verdict
+
+
+def test_no_reset_while_sensors_are_silent(robot):
+    robot.drive(2.0)
+    robot.blind = True
+    robot.drive(1.0)
+    robot.drive(1.0, (0.0, 0.0))
+    assert robot.judge.reset(robot.now).rule == "odometry"
+    robot.blind = False
+    robot.drive(0.5, (0.0, 0.0))
+    assert not robot.judge.reset(robot.now)
+
+
+def test_a_robot_off_its_path_goes_on_with_a_new_reference_only(robot):
+    robot.drive(2.0)
+    robot.state[1] = 0.9
+    robot.drive(3.0)
+    assert robot.judge.verdict.rule == "off_path"
+    robot.drive(3.0, (0.0, 0.0))
+    assert not robot.judge.reset(robot.now)
+    robot.drive(1.0, (0.04, 0.0))
+    assert robot.judge.verdict.rule == "no_reference"
+
+
+def test_every_rule_has_words():
+    ffi, lib = load_judge()
+    names = rule_names()
+    assert len(set(names)) == len(names) == lib.DDMON_RULES > 25
+    words = [ffi.string(lib.ddmon_words(k)) for k in range(len(names))]
+    assert all(words) and len(set(words)) == len(words)
+    assert ffi.string(lib.ddmon_words(-1)) == ffi.string(lib.ddmon_words(len(names))) == b"an unknown rule"
+
+
+def random_drive(seed):
+    """A drive with something wrong, as calls: name, arguments. It begins soundly."""
+    draw = np.random.default_rng(seed)
+    kind = seed % 12
+    now, state, twist, command = START, np.zeros(3), np.zeros(2), np.zeros(2)
+    curve = draw.uniform(-0.5, 0.5)
+    times = np.arange(0.0, 6.01, 0.1)
+    heading = curve * times
+    speed = draw.uniform(0.2, 0.5)
+    x = np.cumsum(speed * 0.1 * np.cos(heading)) - speed * 0.1
+    y = np.cumsum(speed * 0.1 * np.sin(heading))
+    yield "reference", (START, np.column_stack([START + times, x, y, heading]).tolist()), {}
+    begins = draw.uniform(0.8, 1.5)
+    for _ in range(250):
+        t = now - START
+        wrong = t > begins
+        wanted = np.array([speed if t < 6.0 else 0.0, curve if t < 6.0 else 0.0])
+        if wrong:
+            wanted = {
+                0: wanted * [1, -1],
+                1: wanted * [-1, 1],
+                2: command,
+                3: wanted + [0.9, 0],
+                4: wanted + [0, 1.9],
+                5: wanted * 0 + 0.2,
+            }.get(kind, wanted)
+        command = command + np.clip(wanted - command, [-2 * DT, -6 * DT], [2 * DT, 6 * DT])
+        if kind == 6 and wrong:
+            command = command + draw.normal(0, 0.1, 2)
+        noise = draw.normal(0.0, 0.01, 3)
+        if not (kind == 7 and wrong):
+            yield "gyro", (now, now, float(twist[1] * (-2.0 if kind == 8 and wrong else 1.0) + noise[0])), {}
+            yield "odometry", (now, now, (twist + noise[:2]).tolist(), state.tolist()), {}
+        if draw.random() < 0.4:
+            held = np.zeros(3) if kind == 9 and wrong else state
+            yield "pose", (now, now - 0.03, (held + noise).tolist()), {}
+        yield "says", (now,), {"drives": not (kind == 10 and wrong)}
+        if not (kind == 11 and wrong and draw.random() < 0.8):
+            yield "command", (now, now if kind % 2 else 0.0, *map(float, command)), {}
+        yield "tick", (now,), {}
+        twist = twist + 0.2 * (command - twist)
+        v, omega = twist
+        state = state + DT * np.array([v * math.cos(state[2]), v * math.sin(state[2]), omega])
+        now += DT
+
+
+@pytest.mark.parametrize("seed", range(18))
+def test_the_oracle_agrees(seed):
+    """At every call: whether it stopped the robot, when, and why."""
+    rules = RULES if seed < 12 else RULES.with_sensors(pose=False, gyro=seed % 2 == 0)
+    ours, theirs = Judge(rules, START), OracleJudge(rules, START)
+    for name, arguments, words in random_drive(seed):
+        getattr(ours, name)(*arguments, **words)
+        getattr(theirs, "odometry_" if name == "odometry" else name)(*arguments, **words)
+        found = ours.verdict
+        assert bool(found) == (theirs.stopped is not None), (name, arguments, found, theirs.stopped)
+        if found:
+            assert found.at == theirs.stopped[0] and found.rule in theirs.stopped[1]
+            break
+
+
+def test_the_oracle_was_asked_for_many_rules():
+    found = set()
+    for seed in range(18):
+        judge = Judge(RULES if seed < 12 else RULES.with_sensors(pose=False, gyro=seed % 2 == 0), START)
+        for name, arguments, words in random_drive(seed):
+            getattr(judge, name)(*arguments, **words)
+        found.add(judge.verdict.rule)
+    assert len(found - {""}) >= 6, found
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("commands.v: -1", "commands.v"),
+        ("commands.slowest: 0.001", "commands.quickest has to be shorter than commands.slowest"),
+        ("agreement.window: 9", "agreement.window"),
+        ("commands.vv: 1", "did you mean 'commands.v'"),
+        ("path.distance: .nan", "path.distance"),
+    ],
+)
+def test_mistakes_in_rules_are_one_line(tmp_path, text, words):
+    import yaml
+
+    values = yaml.safe_load((FOLDER / "default.yaml").read_text(encoding="utf-8"))
+    key, _, value = text.partition(": ")
+    group, name = key.split(".")
+    values[group][name] = yaml.safe_load(value)
+    path = tmp_path / "rules.yaml"
+    path.write_text(yaml.safe_dump(values), encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_rules(path)
+    assert words in str(caught.value) and "\n" not in str(caught.value) and str(path) in str(caught.value)
+
+
+def test_rules_and_the_struct_of_c_have_the_same_names():
+    ffi, _ = load_judge()
+    fields = [name for name, _ in ffi.typeof("ddmon_rules").fields]
+    assert fields == list(RULES.numbers)
+    assert all(field.description for field in Rules.model_fields.values())

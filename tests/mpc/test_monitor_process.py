@@ -1,0 +1,198 @@
+"""The monitor as a process between a controller and a base, over DDS: what it stops, and where one of them dies."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Path as PathMessage
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_parts import DT, START, FakeBase
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from diffdrive_mpc.mpc.ros.conversions import stamped_pose_message, time_message
+
+COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+SPEED = 0.4
+
+
+class BrokenNode:
+    """A controller on the base's own thread: along a straight line, until it is told otherwise."""
+
+    def __init__(self, base):
+        self.base, self.node = base, base.node
+        self.commands = self.node.create_publisher(TwistStamped, "cmd_vel_unchecked", QoSProfile(depth=1))
+        self.path = self.node.create_publisher(PathMessage, "diffdrive_mpc/reference_path", LATCHED)
+        self.mode = self.node.create_publisher(String, "diffdrive_mpc/mode", LATCHED)
+        self.state = []
+        self.node.create_subscription(String, "monitor/state", lambda message: self.state.append(message.data), LATCHED)
+        self.v = 0.0
+
+    def announce(self, duration=20.0):
+        path = PathMessage()
+        path.header.frame_id = "odom"
+        x = self.base.plant.true_pose[0]
+        for k in range(round(20 * duration) + 1):
+            stamp = self.base.now + k * 50_000_000
+            path.poses.append(stamped_pose_message((x + SPEED * 0.05 * k, 0.0, 0.0), stamp, "odom"))
+        self.path.publish(path)
+        self.mode.publish(String(data="TRACKING"))
+
+    def send(self, v, omega=0.0, stamp=None):
+        message = TwistStamped()
+        message.header.stamp = time_message(self.base.now if stamp is None else stamp)
+        message.twist.linear.x, message.twist.angular.z = v, omega
+        self.commands.publish(message)
+
+
+class Scene:
+    """Base, broken node and the monitor's process, in simulated time."""
+
+    def __init__(self, *words):
+        self.process = subprocess.Popen(
+            [COMMAND, "monitor", "--ros-args", "-p", "use_sim_time:=true", *words], stderr=subprocess.PIPE, text=True
+        )
+        self.base = FakeBase(lambda: time.sleep(0.001))
+        self.controller = BrokenNode(self.base)
+        self.base.until(self.connected, "the monitor")
+        for _ in range(25):  # what is matched here may still be under way there
+            self.connected()
+            time.sleep(0.01)
+
+    def connected(self):
+        assert self.process.poll() is None, self.process.stderr.read()
+        self.base.silent(1)
+        self.controller.send(0.0)
+        base, controller = self.base, self.controller
+        readers = (base.odom, base.imu, base.clock, controller.path, controller.mode)
+        return base.commands and controller.state and all(one.get_subscription_count() for one in readers)
+
+    def step(self, v=None, omega=0.0, stamp=None):
+        """A tick: sensors, clock, the command if there is one; what the base then does."""
+        base, count = self.base, len(self.base.commands)
+        base.advance_clock()
+        for _ in range(5):
+            base.spin()
+        if v is not None:
+            self.controller.send(v, omega, stamp)
+            base.until(lambda: len(base.commands) > count, "an answer of the monitor")
+        for _ in range(3):
+            base.spin()
+        base.plant.advance(base.commands[-1])
+        return base.commands[-1]
+
+    def drive(self, seconds):
+        """Soundly."""
+        for _ in range(round(seconds / DT)):
+            self.controller.v = min(SPEED, self.controller.v + 1.5 * DT)
+            self.step(self.controller.v)
+
+    def until_stopped(self, **command):
+        for _ in range(250):
+            self.step(**command)
+            if self.said.startswith("STOPPED"):
+                break
+        for _ in range(40):
+            self.step(**command)
+        assert self.base.commands[-1] == (0.0, 0.0)
+        assert np.isfinite(self.base.commands).all()
+        return self.said
+
+    @property
+    def said(self):
+        return self.controller.state[-1]
+
+    def reset(self):
+        client = self.base.node.create_client(Trigger, "monitor/reset")
+        self.base.until(client.service_is_ready, "the service")
+        future = client.call_async(Trigger.Request())
+        self.base.until(future.done, "its answer")
+        return future.result()
+
+    def close(self):
+        self.process.kill()
+        self.process.wait()
+        self.process.stderr.close()
+        self.base.close()
+
+
+@pytest.fixture
+def scene():
+    made = Scene()
+    try:
+        made.controller.announce()
+        made.drive(1.5)
+        assert made.said == "PASSING"
+        assert made.base.commands[-1] == (SPEED, 0.0)
+        yield made
+    finally:
+        made.close()
+
+
+def test_faults_one_after_the_other_and_resets(scene):
+    """One process for all: what it says, that it stays stopped, and how it goes on."""
+    for command, words in (
+        ({"v": float("nan")}, "a command is not finite"),
+        ({"v": 0.9, "omega": 0.0}, "v of the commands jumps"),
+        ({}, "no command while the robot is moved"),
+        ({"v": SPEED, "stamp": START}, "a command is old"),
+    ):
+        assert words in scene.until_stopped(**command)
+        # It stays stopped, whatever is sent; and while something moves the robot, nobody resets it.
+        assert scene.step(0.2) == (0.0, 0.0)
+        refused = scene.reset()
+        assert not refused.success and "commands still move the robot" in refused.message
+        for _ in range(20):
+            scene.step(0.0)
+        assert scene.reset().success
+        scene.controller.v = 0.0
+        scene.controller.announce()
+        scene.drive(1.0)
+        assert scene.said == "PASSING" and scene.base.commands[-1] == (SPEED, 0.0)
+
+
+def test_somebody_else_on_its_topic_stops_the_robot(scene):
+    other = scene.base.node.create_publisher(TwistStamped, "cmd_vel", QoSProfile(depth=1))
+    deadline = time.monotonic() + 30.0
+    while not scene.said.startswith("STOPPED"):
+        assert time.monotonic() < deadline
+        scene.step(SPEED)
+    assert "somebody else commands the base" in scene.said
+    scene.base.node.destroy_publisher(other)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_where_it_ends_nothing_passes_any_more(scene, number):
+    """Ended, its last word is zero; killed it says nothing, and the base's own timeout has to act."""
+    scene.process.send_signal(number)
+    scene.process.wait()
+    for _ in range(20):
+        scene.base.spin()
+    count = len(scene.base.commands)
+    assert scene.base.commands[-1] == ((0.0, 0.0) if number == signal.SIGTERM else (SPEED, 0.0))
+    for _ in range(10):
+        scene.base.plant.advance(scene.base.commands[-1])
+        scene.base.advance_clock()
+        scene.controller.send(SPEED)
+        for _ in range(5):
+            scene.base.spin()
+    assert len(scene.base.commands) == count
+
+
+def test_bad_input_ends_in_one_line():
+    for words, line in (
+        (["--rules", "defualt"], "unknown rules 'defualt'"),
+        (["--ros-args", "-p", "rules:=nowhere.yaml"], "unknown rules 'nowhere.yaml'"),
+        (["--rls", "default"], "unknown argument '--rls'"),
+    ):
+        result = subprocess.run([COMMAND, "monitor", *words], capture_output=True, text=True, timeout=60, check=False)
+        errors = [text for text in result.stderr.splitlines() if text.startswith("error: ")]
+        assert result.returncode == 2 and len(errors) == 1 and line in errors[0], result.stderr

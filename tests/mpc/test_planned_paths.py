@@ -1,0 +1,238 @@
+"""A planner's path as a reference: close to the planned line, within the limits, stopping where it has to."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.planned.lay import lay_poses
+
+LIMITS = TrajectoryLimits(v=0.6, omega=0.8, v_acceleration=0.5, omega_acceleration=1.5)
+DEVIATION = 0.05
+AT_ORIGIN = np.zeros(3)
+X = np.linspace(0.0, 3.0, 61)
+
+
+def laid(poses, robot=AT_ORIGIN, limits=LIMITS, **options):
+    return lay_poses(
+        np.array(poses, dtype=float), limits, robot=np.array(robot), deviation=DEVIATION, beside=0.08, **options
+    )
+
+
+def on_grid(corners, cell=0.05):
+    """Cells from corner to corner, as a planner on an eight-connected grid walks."""
+    cells = [np.round(np.array(corners[0]) / cell)]
+    for corner in corners[1:]:
+        first, last = cells[-1], np.round(np.array(corner) / cell)
+        count = int(np.abs(last - first).max())
+        cells += [np.round(first + (last - first) * i / count) for i in range(1, count + 1)]
+    return np.array(cells) * cell
+
+
+def headed(points, goal=None):
+    step = np.diff(points, axis=0)
+    heading = np.arctan2(step[:, 1], step[:, 0])
+    return np.column_stack([points, np.append(heading, heading[-1] if goal is None else goal)])
+
+
+def sampled(found):
+    times = np.linspace(0.0, found.reference.duration, 2 + int(found.reference.duration / 0.005))
+    return times, found.reference.sample(times)
+
+
+def distance(points, line):
+    """(n,) distance of points from a line of chords."""
+    start, step = line[:-1], np.diff(line, axis=0)
+    gap = points[:, None] - start
+    share = np.clip((gap * step).sum(-1) / np.maximum((step**2).sum(-1), 1e-12), 0.0, 1.0)
+    return np.hypot(*(gap - share[..., None] * step).transpose(2, 0, 1)).min(axis=1)
+
+
+def check(found, poses, limits=LIMITS):
+    """What holds of every reference: its limits, its motion without slipping sideways, its line, its end."""
+    times, sample = sampled(found)
+    assert np.all(np.abs(sample.twist).max(axis=0) <= np.array([limits.v, limits.omega]) * 1.01 + 1e-9)
+    change = np.abs(np.diff(sample.twist, axis=0) / np.diff(times)[:, None])
+    assert np.all(change.max(axis=0) <= np.array([limits.v_acceleration, limits.omega_acceleration]) * 1.05)
+    step = np.diff(sample.pose, axis=0)
+    heading = sample.pose[:-1, 2] + step[:, 2] / 2
+    assert np.abs(np.cos(heading) * step[:, 1] - np.sin(heading) * step[:, 0]).max() < 1e-4
+    assert found.deviation <= DEVIATION * 1.001
+    end = sample.pose[-1]
+    assert np.allclose(end[:2], poses[-1][:2], atol=1e-6)
+    assert abs(math.remainder(end[2] - poses[-1][2], math.tau)) < 2e-3
+    assert np.abs(sample.twist[-1]).max() < 1e-6
+    return sample
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        [(0, 0), (3, 0.2)],
+        [(0, 0), (1, 0), (1, 1)],
+        [(0, 0), (2, 1.3), (4, 1.3), (4, 3)],
+        [(0, 0), (1.5, 1.0), (0.5, 2.5), (-1.0, 0.5)],
+    ],
+    ids=["shallow", "corner", "rooms", "back"],
+)
+@pytest.mark.parametrize("stated", [True, False], ids=["headings", "identities"])
+def test_a_staircase_of_cells_becomes_drivable_and_stays_close(corners, stated):
+    points = on_grid(corners)
+    poses = headed(points, 0.3)
+    if not stated:
+        poses[:-1, 2] = 0.0
+    found = laid(poses)
+    sample = check(found, poses)
+    assert distance(sample.pose[::5, :2], points).max() <= DEVIATION * 1.001
+    # Cells are climbed nowhere: the heading turns no more than corners and goal ask for.
+    asked = np.abs(np.diff(np.unwrap(headed(np.array(corners, dtype=float), 0.3)[:, 2]))).sum()
+    assert np.abs(np.diff(sample.pose[:, 2])).sum() < asked + abs(float(headed(points)[0, 2])) + 1.0
+    assert sample.twist[:, 0].min() > -1e-9
+    assert found.reference.duration < 3.5 * found.length / LIMITS.v + 8.0
+
+
+def test_a_shallow_staircase_is_a_straight_line():
+    sample = check(laid(headed(on_grid([(0, 0), (3, 0.2)]), 0.06)), [(3.0, 0.2, 0.06)])
+    assert np.ptp(sample.pose[:, 2]) < 0.1
+
+
+def test_poses_that_point_against_the_travel_are_driven_backwards():
+    forth = np.column_stack([X / 3, 0 * X, 0 * X])
+    back = np.column_stack([1 - X[1:] / 3, 0.3 * (X[1:] / 3) ** 2, -0.6 * X[1:] / 3])
+    poses = np.concatenate([forth, back])
+    found = laid(poses)
+    sample = check(found, poses)
+    assert sample.twist[:, 0].min() < -0.3 and sample.twist[:, 0].max() > 0.3
+    cusp = int(np.argmax(sample.pose[:, 0]))
+    assert sample.pose[cusp, 0] == pytest.approx(1.0, abs=1e-3)
+    assert abs(sample.twist[cusp, 0]) < 0.02
+    assert np.abs(sample.pose[:, 2]).max() < 0.7
+
+
+def test_without_leave_to_reverse_it_turns_round_instead():
+    forth = np.column_stack([X / 3, 0 * X, 0 * X])
+    poses = np.concatenate([forth, np.column_stack([1 - X[1:] / 3, 0 * X[1:], 0 * X[1:]])])
+    assert check(laid(poses), poses).twist[:, 0].min() < -0.3
+    sample = check(laid(poses, backwards=False), poses)
+    assert sample.twist[:, 0].min() > -1e-9
+    assert np.ptp(sample.pose[:, 2]) > 3.0
+
+
+def test_headings_that_a_planner_left_out_do_not_make_it_reverse():
+    points = on_grid([(0, 0), (-2, 0.5), (-2, 2)])
+    poses = np.column_stack([points, np.zeros(len(points))])
+    poses[-1, 2] = 1.0
+    assert check(laid(poses), poses).twist[:, 0].min() > -1e-9
+    # A straight way along the axis says nothing by itself: there the robot's own heading decides.
+    straight = np.column_stack([-X, 0 * X, 0 * X])
+    assert check(laid(straight, (0.0, 0.0, math.pi)), straight).twist[:, 0].min() > -1e-9
+    assert check(laid(straight), straight).twist[:, 0].max() < 1e-9
+
+
+@pytest.mark.parametrize("goal", [0.2, 1.0, -2.5, math.pi])
+def test_the_goals_heading_is_kept(goal):
+    poses = headed(np.column_stack([X, 0 * X]), goal)
+    sample = check(laid(poses), poses)
+    turning = np.abs(sample.twist[:, 1]) > 1e-3
+    on_the_spot = turning & (np.abs(sample.twist[:, 0]) < 1e-6)
+    assert on_the_spot.any() == (goal != 0.2)
+    assert np.allclose(sample.pose[on_the_spot, 0], 3.0, atol=1e-6)
+
+
+def test_a_hairpin_is_turned_on_the_spot():
+    poses = headed(np.concatenate([np.column_stack([X, 0 * X]), np.column_stack([3 - X[1:], 0 * X[1:]])]))
+    sample = check(laid(poses), poses)
+    turning = np.abs(sample.twist[:, 1]) > 0.1
+    assert np.allclose(sample.pose[turning, :2], (3.0, 0.0), atol=0.01)
+
+
+def test_poses_that_turn_at_one_place_are_a_turn_there():
+    turn = [(1.0, 0.0, angle) for angle in np.linspace(0.0, 1.5, 6)]
+    poses = [*((x, 0.0, 0.0) for x in X[:20] / X[20]), *turn, *((1.0, y, math.pi / 2) for y in X[1:21])]
+    sample = check(laid(poses), poses)
+    turning = np.abs(sample.twist[:, 1]) > 0.3
+    assert np.hypot(*(sample.pose[turning, :2] - (1.0, 0.0)).T).max() < 0.02
+
+
+def test_a_robot_that_looks_away_turns_first_and_one_that_drives_does_not():
+    poses = headed(np.column_stack([X, 0 * X]))
+    sample = check(laid(poses, (0.0, 0.0, 2.0)), poses)
+    assert sample.pose[0, 2] == pytest.approx(2.0) and sample.twist[:, 0].min() > -1e-9
+    assert np.abs(sample.twist[0]).max() < 1e-6
+    moving = laid(poses, (0.0, 0.0, 1.0), twist=(0.4, 0.0))
+    assert sampled(moving)[1].twist[0, 0] == pytest.approx(0.4 * math.cos(1.0), abs=0.05)
+
+
+def test_it_begins_where_the_robot_is_with_the_speed_that_it_has():
+    poses = headed(np.column_stack([X, 0 * X]))
+    robot = np.array([0.62, 0.03, 0.1])
+    found = laid(poses, robot, twist=(0.45, 0.0))
+    sample = check(found, poses)
+    assert np.allclose(sample.pose[0], robot, atol=0.03)
+    assert sample.twist[0, 0] == pytest.approx(0.45, abs=0.01)
+    assert found.length == pytest.approx(3.0 - 0.62, abs=0.02)
+    assert np.abs(sample.pose[:, 1]).max() < 0.03 + DEVIATION
+    assert np.abs(sample.pose[sample.pose[:, 0] > 2.0, 1]).max() < 0.03
+
+
+def test_a_robot_beside_the_path_is_left_to_re_entry():
+    poses = headed(np.column_stack([X, 0 * X]))
+    found = laid(poses, (0.5, 0.4, 0.0))
+    assert found.begins == pytest.approx(0.4, abs=0.01)
+    assert np.allclose(sampled(found)[1].pose[0], (0.5, 0.0, 0.0), atol=1e-6)
+
+
+def test_a_path_that_comes_by_again_is_not_cut_short():
+    angle = np.linspace(0.0, math.tau, 126)
+    poses = headed(np.column_stack([np.sin(angle), 1.0 - np.cos(angle)]))
+    assert laid(poses).length == pytest.approx(math.tau, rel=0.01)
+
+
+def test_a_robot_that_may_not_turn_on_the_spot_does_not():
+    wide = TrajectoryLimits(0.6, 0.8, 0.5, 1.5, least_turn_radius=0.5)
+    found = laid(headed(np.column_stack([X, 0 * X]), 1.0), (0.0, 0.0, 1.0), wide)
+    sample = sampled(found)[1]
+    assert np.abs(sample.twist[np.abs(sample.twist[:, 0]) < 1e-3, 1]).max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("poses", "words"),
+    [
+        (np.zeros((0, 3)), "0 poses"),
+        ([(0.0, 0.0, 0.0)], "1 poses"),
+        ([(0.0, 0.0, 0.0), (math.nan, 1.0, 0.0)], "pose 1 is not finite"),
+        ([(0.0, 0.0, 0.0), (1.0, math.inf, 0.0)], "pose 1 is not finite"),
+        ([(0.0, 0.0, 0.0), (1e9, 1.0, 0.0)], "are places in m"),
+        ([(0.0, 0.0, 0.0), (0.0, 0.0, 0.0)], "one place"),
+    ],
+)
+def test_what_is_no_path_is_refused_in_one_line(poses, words):
+    with pytest.raises(ConfigError, match=words) as refused:
+        laid(np.array(poses).reshape(-1, 3))
+    assert "\n" not in str(refused.value)
+
+
+def test_a_wild_path_is_refused():
+    points = np.column_stack([X, 0 * X]) + np.random.default_rng(1).normal(0.0, 0.3, (61, 2))
+    with pytest.raises(ConfigError, match="turns back"):
+        laid(headed(points))
+
+
+@given(
+    st.lists(st.tuples(st.integers(-40, 40), st.integers(-40, 40)), min_size=2, max_size=6, unique=True),
+    st.floats(-3.1, 3.1),
+    st.floats(-3.1, 3.1),
+)
+def test_whatever_cells_are_walked_the_reference_keeps_its_limits_or_is_refused(corners, goal, heading):
+    points = on_grid([(0.05 * x, 0.05 * y) for x, y in corners])
+    poses = headed(points, goal)
+    try:
+        found = laid(poses, (*points[0], heading))
+    except ConfigError as error:
+        assert "\n" not in str(error)
+        return
+    check(found, poses)

@@ -1,0 +1,214 @@
+"""The bond with a lifecycle manager: its protocol by a clock, and over DDS with a sister that keeps bondcpp's rules."""
+
+import time
+import uuid
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from ros_parts import stack
+from std_srvs.srv import Trigger
+
+from diffdrive_mpc.mpc.ros.bond import (
+    CONNECT_TIMEOUT,
+    DISCONNECT_TIMEOUT,
+    HEARTBEAT_TIMEOUT,
+    BondProtocol,
+    BondState,
+)
+
+PERIOD = 0.1
+
+
+class Side:
+    """One side of a bond and all that it has said."""
+
+    def __init__(self):
+        self.time, self.said = 0.0, []
+        self.protocol = BondProtocol(self.said.append, lambda: self.time)
+
+    def pass_by(self, seconds, *, hears=None):
+        for _ in range(round(seconds / PERIOD)):
+            self.time += PERIOD
+            if hears is not None:
+                self.protocol.hear(lives=hears)
+            self.protocol.beat()
+        return self.protocol.state
+
+
+def test_it_waits_is_bound_and_leaves_when_the_sister_has_heard():
+    side = Side()
+    assert side.pass_by(5.0) is BondState.WAITING
+    assert all(side.said)
+    assert side.pass_by(60.0, hears=True) is BondState.ALIVE
+    assert all(side.said)
+    side.protocol.leave()
+    assert side.said[-1] is False
+    assert side.pass_by(1.0, hears=True) is BondState.LEAVING
+    assert not any(side.said[-10:])
+    side.protocol.hear(lives=False)
+    count = len(side.said)
+    assert side.pass_by(10.0, hears=True) is BondState.DEAD
+    assert len(side.said) == count
+    assert not side.protocol.lost
+
+
+@pytest.mark.parametrize(
+    ("bound", "timeout", "lost"),
+    [(False, CONNECT_TIMEOUT, ""), (True, HEARTBEAT_TIMEOUT, "it was silent for 4 s")],
+)
+def test_without_a_sister_it_falls_silent_after_a_while(bound, timeout, lost):
+    side = Side()
+    if bound:
+        side.pass_by(1.0, hears=True)
+    assert side.pass_by(timeout - 0.3) is not BondState.DEAD
+    assert side.pass_by(0.6) is BondState.DEAD
+    assert side.protocol.lost == lost
+    count = len(side.said)
+    side.pass_by(20.0, hears=True)
+    assert len(side.said) == count
+
+
+def test_a_sister_that_dies_is_answered_once_and_one_that_never_answers_is_left():
+    side = Side()
+    side.pass_by(1.0, hears=True)
+    side.protocol.hear(lives=False)
+    assert side.said[-1] is False
+    assert side.protocol.lost == "it has ended the bond"
+    count = len(side.said)
+    assert side.pass_by(5.0, hears=False) is BondState.DEAD
+    assert len(side.said) == count
+    other = Side()
+    other.pass_by(1.0, hears=True)
+    other.protocol.leave()
+    assert other.pass_by(DISCONNECT_TIMEOUT + 0.5) is BondState.DEAD
+
+
+@given(st.lists(st.sampled_from(["beat", "alive", "dead", "leave", "late"]), max_size=40))
+def test_whatever_happens_the_dead_stay_dead_and_say_nothing(events):
+    side, dead = Side(), False
+    for event in events:
+        count = len(side.said)
+        if event == "late":
+            side.time += 30.0
+        elif event == "beat":
+            side.time += PERIOD
+            side.protocol.beat()
+        elif event == "leave":
+            side.protocol.leave()
+        else:
+            side.protocol.hear(lives=event == "alive")
+        if dead:
+            assert side.protocol.state is BondState.DEAD
+            assert len(side.said) == count
+        dead = side.protocol.state is BondState.DEAD
+
+
+class Manager:
+    """The manager's side of a bond, as bondcpp keeps it: it publishes by itself, and judges what it hears."""
+
+    def __init__(self, s, name="diffdrive_mpc"):
+        from bond.msg import Status
+
+        self.s, self.type, self.name, self.instance = s, Status, name, str(uuid.uuid4())
+        self.publisher = s.base.node.create_publisher(Status, "bond", 5)
+        s.base.node.create_subscription(Status, "bond", self.take, 100)
+        self.heard, self.sister, self.active = [], "", True
+
+    def take(self, message):
+        if message.id != self.name or message.instance_id == self.instance:
+            return
+        self.sister = self.sister or message.instance_id
+        self.heard.append(message)
+
+    def say(self, *, active):
+        message = self.type(id=self.name, instance_id=self.instance, active=active)
+        message.heartbeat_period, message.heartbeat_timeout = 0.1, 4.0
+        self.publisher.publish(message)
+
+    def live(self, seconds):
+        """Heartbeats for a while, and the robot's ticks beside them."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.say(active=True)
+            beat = time.monotonic() + 0.1
+            while time.monotonic() < beat:
+                self.s.base.step()
+
+
+def change(s, number):
+    request = ChangeState.Request(transition=Transition(id=number))
+    return s.call(ChangeState, "/diffdrive_mpc/change_state", request).success
+
+
+@pytest.fixture
+def managed(ros_types):
+    with stack(trajectory="circle") as s:
+        manager = Manager(s)
+        s.base.until(lambda: s.base.silent(1) is not None and manager.heard, "a heartbeat")
+        yield s, manager
+
+
+def test_over_dds_a_manager_is_bound_and_told_at_once_of_deactivation(managed):
+    s, manager = managed
+    assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+    manager.live(1.5)
+    assert s.node._bond.words == "bound"
+    first = manager.heard[-1]
+    assert (first.active, first.id, first.instance_id) == (True, "diffdrive_mpc", manager.sister)
+    assert first.heartbeat_period == pytest.approx(0.1)
+    assert first.heartbeat_timeout == pytest.approx(4.0)
+    assert len(manager.heard) >= 5
+    assert change(s, Transition.TRANSITION_DEACTIVATE)
+    s.base.until(lambda: not manager.heard[-1].active, "the end of the bond")
+    # It goes on saying so until the manager has said it, too.
+    count = len(manager.heard)
+    s.base.until(lambda: len(manager.heard) > count + 2, "more of it")
+    manager.say(active=False)
+    s.base.until(lambda: s.node._bond.protocol.state is BondState.DEAD, "the end")
+    # Activated again it is another side of the same bond.
+    manager.heard.clear()
+    assert change(s, Transition.TRANSITION_ACTIVATE)
+    s.base.until(lambda: any(each.active for each in manager.heard), "a new heartbeat")
+    assert manager.heard[-1].instance_id != manager.sister
+
+
+def test_a_manager_that_ends_the_bond_is_answered_and_the_robot_drives_on(managed, capfd):
+    s, manager = managed
+    assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+    manager.live(0.5)
+    manager.say(active=False)
+    s.base.until(lambda: not manager.heard[-1].active, "the answer")
+    s.base.until(lambda: "the lifecycle manager is gone: it has ended the bond" in capfd.readouterr().err, "a warning")
+    assert s.base.run(20)[-1, 0] > 0.1
+
+
+def test_bonds_of_others_are_no_concern_of_it(managed):
+    s, manager = managed
+    other = Manager(s, name="controller_server")
+    other.say(active=True)
+    other.say(active=False)
+    for _ in range(50):
+        s.base.spin()
+    assert s.node._bond.protocol.state is BondState.WAITING
+    assert not s.node._bond.protocol.lost
+    assert manager.heard[-1].active
+
+
+def test_without_a_period_there_is_no_bond(ros_types):
+    with stack(bond_heartbeat_period=0.0) as s:
+        assert s.node._bond is None
+
+
+def test_where_bond_is_not_installed_it_says_so_once(monkeypatch, capfd):
+    monkeypatch.setattr("diffdrive_mpc.mpc.ros.node.message_type", lambda *_: None)
+    with stack(autostart=False) as s:
+        s.node.get_logger().set_level(20)
+        s.node.trigger_configure()
+        s.node.trigger_activate()
+        s.node.get_logger().set_level(30)
+        said = capfd.readouterr().err
+        assert said.count("no bond with a lifecycle manager: bond is not installed") == 1
+        assert s.node._bond is None

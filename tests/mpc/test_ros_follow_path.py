@@ -1,0 +1,235 @@
+"""Nav2's action over DDS, with a client in another process: how goals are driven, replaced, cancelled and ended."""
+
+import math
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.usefixtures("ros_types")
+
+X = np.linspace(0.0, 2.0, 41)
+STRAIGHT = np.column_stack([X, 0 * X, 0 * X])
+
+
+@pytest.fixture
+def parts():
+    import follow_parts
+
+    return follow_parts
+
+
+def staircase(corners, goal, cell=0.05):
+    cells = [np.array(corners[0], dtype=float)]
+    for corner in corners[1:]:
+        first = cells[-1]
+        count = round(float(np.abs(np.array(corner) - first).max()) / cell)
+        cells += [np.round((first + (np.array(corner) - first) * i / count) / cell) * cell for i in range(1, count + 1)]
+    points = np.array(cells)
+    return np.column_stack([points, np.append(np.zeros(len(points) - 1), goal)])
+
+
+def pose(follow):
+    return np.asarray(follow.base.plant.true_pose, dtype=float)
+
+
+def commanded(follow, since):
+    return np.array(follow.base.commands[since:])
+
+
+def test_a_planners_grid_path_is_driven_to_its_goal(parts):
+    path = staircase([(0, 0), (1, 0.35), (1, 1.2)], 0.4)
+    with parts.following() as follow:
+        follow.client.send("a", path)
+        driven = []
+        follow.until(lambda: driven.append(pose(follow)) or follow.client.result("a"), "the end")
+        result = follow.client.result("a")
+        assert (result["status"], result["code"]) == (parts.SUCCEEDED, 0)
+        assert np.abs(pose(follow) - path[-1]).max() < 0.02
+        assert max(np.hypot(*(path[:, :2] - at[:2]).T).min() for at in driven) < 0.05 + 0.05
+        told = follow.client.of("a", "feedback")
+        distance = [one["distance"] for one in told]
+        assert len(told) > 20 and np.all(np.diff(distance) < 0.01)
+        assert 1.5 < distance[0] < 2.1 and distance[-1] < 0.05
+        assert 0.4 < max(one["speed"] for one in told) < 0.7
+        # Afterwards it stands and waits.
+        follow.tick(10)
+        assert not np.any(follow.base.commands[-1]) and str(follow.made.loop.state) == "IDLE"
+
+
+def test_a_newer_goal_takes_over_without_a_stop(parts):
+    with parts.following() as follow:
+        follow.client.send("old", STRAIGHT)
+        follow.until(lambda: pose(follow)[0] > 0.5, "half a metre", pace=parts.DT)
+        since = len(follow.base.commands)
+        # Planned from where the robot was a little ago, to somewhere else.
+        bend = pose(follow)[0] - 0.05 + X[:25]
+        newer = np.column_stack([bend, 0.4 * (bend - bend[0]) ** 2, np.arctan(0.8 * (bend - bend[0]))])
+        follow.client.send("new", newer)
+        follow.until(lambda: follow.client.result("old"), "the end of the old goal", pace=parts.DT)
+        follow.tick(30)
+        taken_over = commanded(follow, since)
+        assert taken_over[:, 0].min() > 0.45
+        limits = follow.made.node._controller.config.limits
+        assert np.all(
+            np.abs(np.diff(taken_over, axis=0)).max(axis=0)
+            <= parts.DT * np.array([limits.v_slew, limits.omega_slew]) * 1.001
+        )
+        old = follow.client.result("old")
+        assert (old["status"], old["code"], old["words"]) == (parts.ABORTED, 0, "a newer goal took over")
+        assert follow.ended("new")["status"] == parts.SUCCEEDED
+        assert np.hypot(*(pose(follow) - newer[-1])[:2]) < 0.02
+
+
+def test_a_cancelled_goal_is_braked_at_the_braking_limits(parts):
+    with parts.following({"limits.v_braking": 0.8}) as follow:
+        follow.client.send("a", STRAIGHT)
+        follow.driven()
+        follow.until(lambda: follow.base.commands[-1][0] > 0.5, "its speed")
+        since = len(follow.base.commands)
+        follow.client.tell(cancel="a")
+        result = follow.ended("a")
+        assert (result["status"], result["code"]) == (parts.CANCELED, 0)
+        v = commanded(follow, since)[:, 0]
+        slopes = np.diff(v)[np.flatnonzero(np.diff(v) < -1e-3)] / parts.DT
+        assert slopes.min() > -0.8 * 1.001 and np.median(slopes) == pytest.approx(-0.8, rel=0.02)
+        assert v[-1] == 0.0 and pose(follow)[0] < 1.8
+        stands = pose(follow)
+        follow.tick(20)
+        assert np.hypot(*(pose(follow) - stands)[:2]) < 5e-3
+
+
+def test_a_path_with_a_cusp_is_backed_out_of(parts):
+    back = np.linspace(0.0, 0.8, 17)[1:]
+    path = np.concatenate(
+        [
+            np.column_stack([X[:21] / 1.0, 0 * X[:21], 0 * X[:21]]),
+            np.column_stack([1.0 - back, 0.4 * back**2, -np.arctan(0.8 * back)]),
+        ]
+    )
+    with parts.following() as follow:
+        since = len(follow.base.commands)
+        follow.client.send("a", path)
+        assert follow.ended("a")["status"] == parts.SUCCEEDED
+        assert np.abs(pose(follow) - path[-1]).max() < 0.02
+        v = commanded(follow, since)[:, 0]
+        assert v.max() > 0.3 and v.min() < -0.3
+
+
+def test_without_odometry_or_progress_it_gives_up(parts):
+    with parts.following({"reentry.blocked_after": 0.3}, blocked_timeout=0.6) as follow:
+        follow.client.send("a", STRAIGHT)
+        follow.driven()
+        follow.base.tamper = lambda odometry: None
+        result = follow.ended("a")
+        assert (result["status"], result["code"]) == (parts.ABORTED, 102)
+        assert "odometry is" in result["words"]
+        assert not np.any(follow.base.commands[-1])
+        # Whole again it takes the next goal.
+        follow.base.tamper = lambda odometry: odometry
+        follow.tick(5)
+        follow.client.send("b", STRAIGHT)
+        follow.until(lambda: follow.base.commands[-1][0] > 0.2, "the robot drives")
+        follow.base.held = True
+        result = follow.ended("b")
+        assert (result["status"], result["code"]) == (parts.ABORTED, 105)
+        assert "blocked" in result["words"]
+        assert not np.any(follow.base.commands[-1])
+
+
+def test_what_cannot_be_driven_moves_nothing(parts):
+    wild = STRAIGHT + np.column_stack([np.random.default_rng(3).normal(0.0, 0.4, (41, 2)), np.zeros(41)])
+    goals = {
+        "empty": ([], {}, 103, "0 poses"),
+        "one pose": (STRAIGHT[:1], {}, 103, "1 poses"),
+        "nan": ([[0, 0, 0], [math.nan, 0, 0]], {}, 103, "pose 1: its pose is not finite"),
+        "frame": (STRAIGHT, {"frame": "map"}, 102, "'map'"),
+        "no frame": (STRAIGHT, {"frame": ""}, 102, "''"),
+        "far": (STRAIGHT + [3.0, 0.0, 0.0], {}, 103, "begins 3.00 m from the robot"),
+        "wild": (wild, {}, 103, "turns back"),
+        "many": (np.repeat(STRAIGHT, 2, axis=0), {}, 103, "82 poses, the most is 50"),
+        "units": ([[0, 0, 0], [1e5, 0, 0]], {}, 103, "are places in m"),
+        "controller": (STRAIGHT, {"controller": "other"}, 101, "controller_id is 'other'"),
+    }
+    with parts.following(follow_most_poses=50, follow_controller_id="FollowPath") as follow:
+        for name, (poses, how, code, words) in goals.items():
+            follow.client.send(name, poses, **how)
+            result = follow.ended(name)
+            assert (result["status"], result["code"]) == (parts.ABORTED, code), name
+            assert words in result["words"] and "\n" not in result["words"], result["words"]
+        assert not np.any(follow.base.commands)
+        follow.client.send("good", STRAIGHT, controller="FollowPath")
+        follow.driven("good")
+        # One that cannot be used ends the drive that it was to replace: whoever sent it does not mean the old one.
+        follow.client.send("bad", STRAIGHT[:1])
+        assert follow.ended("bad")["code"] == 103
+        replaced = follow.ended("good")
+        assert (replaced["status"], replaced["code"]) == (parts.ABORTED, 0)
+        assert not np.any(follow.base.commands[-1]) and pose(follow)[0] < 1.5
+
+
+def test_a_hold_and_a_pause_keep_the_goal_and_deactivation_ends_it(parts):
+    from std_srvs.srv import SetBool, Trigger
+
+    with parts.following(follow_patience=0.2) as follow:
+        call = follow.made.call
+        follow.client.send("a", STRAIGHT)
+        follow.driven()
+        for stop, go in (
+            ((SetBool, "hold", SetBool.Request(data=True)), (SetBool, "hold", SetBool.Request(data=False))),
+            ((Trigger, "pause", Trigger.Request()), (Trigger, "start", Trigger.Request())),
+        ):
+            kind, name, request = stop
+            assert call(kind, f"/diffdrive_mpc/{name}", request).success
+            follow.tick(60)
+            assert not np.any(follow.base.commands[-1]) and follow.client.result("a") is None
+            kind, name, request = go
+            assert call(kind, f"/diffdrive_mpc/{name}", request).success
+            follow.until(lambda: follow.base.commands[-1][0] > 0.2, "the robot drives on")
+        follow.made.node.trigger_deactivate()
+        follow.base.until(lambda: follow.client.result("a"), "the end")
+        result = follow.client.result("a")
+        assert (result["status"], result["code"], result["words"]) == (parts.ABORTED, 100, "the node was deactivated")
+        follow.client.send("b", STRAIGHT)
+        follow.base.until(lambda: follow.client.of("b", "rejected"), "no")
+
+
+def test_goals_in_a_row_leave_nothing_behind(parts):
+    rng = np.random.default_rng(7)
+    with parts.following(follow_feedback_rate=20.0) as follow:
+        threads = threading.active_count()
+        for number in range(8):
+            start, turn = pose(follow), rng.uniform(-1.2, 1.2)
+            length, goal = rng.uniform(0.3, 0.7), rng.uniform(-math.pi, math.pi)
+            s = np.linspace(0.0, length, 15)
+            heading = start[2] + turn * s / length
+            step = np.column_stack([np.cos(heading), np.sin(heading)])[:-1] * (s[1] - s[0])
+            points = start[:2] + np.concatenate([[[0, 0]], np.cumsum(step, axis=0)])
+            path = np.column_stack([points, np.append(heading[:-1], goal)])
+            follow.client.send(str(number), path)
+            assert follow.ended(str(number), pace=0.2 * parts.DT)["status"] == parts.SUCCEEDED
+            gap = pose(follow) - path[-1]
+            assert np.hypot(*gap[:2]) < 0.03 and abs(math.remainder(gap[2], math.tau)) < 0.03
+        assert threading.active_count() == threads
+        assert follow.made.node._door._open == []
+
+
+def test_where_the_type_is_missing_the_node_says_so_and_drives():
+    code = (
+        "import sys; sys.modules['nav2_msgs'] = None\n"
+        "from ros_parts import stack\n"
+        "with stack(drive=True) as made:\n"
+        "    made.base.run(30)\n"
+        "    print(max(v for v, _ in made.base.commands) > 0.2, made.node._door)\n"
+    )
+    folder = __file__.rpartition("/")[0]
+    ran = subprocess.run(
+        [sys.executable, "-c", code.replace("made.base.run(30)", "made.base.run(30)")],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        check=False,
+    )
+    assert ran.stdout.strip() == "True None", ran.stderr

@@ -1,0 +1,301 @@
+"""Poses by /tf and references in other frames, over DDS: a robot between map, odom and base_link."""
+
+import math
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import TransformStamped
+from nav_msgs.msg import Path
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_parts import CONFIG, DT, Stack
+from std_srvs.srv import Trigger
+
+from diffdrive_mpc.models.pose import wrap_angle
+from diffdrive_mpc.mpc.ros.control_loop import LoopState
+from diffdrive_mpc.mpc.ros.conversions import stamped_pose_message, time_message
+from diffdrive_mpc.mpc.step_result import Mode
+
+LIMITS = CONFIG.limits
+BRAKING = math.ceil(max(LIMITS.v / LIMITS.v_braking, LIMITS.omega / LIMITS.omega_braking) / DT) + 1
+SLEW = np.array([LIMITS.v_slew, LIMITS.omega_slew]) * DT + 1e-9
+
+
+class Localised:
+    """The fake base with transforms beside its odometry; `map_in_odom` is where the localisation has the map.
+
+    `published` says which are sent, `delay` how late they are stamped [ns].
+    """
+
+    def __init__(self, s, message_type, map_to_odom=(0.0, 0.0, 0.0), ahead=0):
+        self.s, self.type, self.map_to_odom, self.ahead = s, message_type, map_to_odom, ahead
+        self.published = {"odom", "base_link"}
+        node = s.base.node
+        self.dynamic = node.create_publisher(message_type, "/tf", 100)
+        self.static = node.create_publisher(
+            message_type, "/tf_static", QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        )
+        self._publish_sensors = s.base.publish_sensors
+        s.base.publish_sensors = self.publish
+
+    def publish(self):
+        base = self.s.base
+        transforms = []
+        if "odom" in self.published:
+            transforms.append(transform("map", "odom", base.now + self.ahead, self.map_to_odom))
+        if "base_link" in self.published:
+            transforms.append(transform("odom", "base_link", base.now, base.plant.true_pose))
+        self.dynamic.publish(self.type(transforms=transforms))
+        self._publish_sensors()
+
+    def in_map(self):
+        """True pose of the robot in the map."""
+        return placed(self.map_to_odom, self.s.base.plant.true_pose)
+
+
+def placed(motion, pose):
+    x, y, turn = motion
+    cos, sin = math.cos(turn), math.sin(turn)
+    return np.array([x + cos * pose[0] - sin * pose[1], y + sin * pose[0] + cos * pose[1], turn + pose[2]])
+
+
+def transform(parent, child, stamp, pose):
+    found = TransformStamped(child_frame_id=child)
+    found.header.frame_id, found.header.stamp = parent, time_message(stamp)
+    at = stamped_pose_message(pose, stamp, parent).pose
+    found.transform.translation.x, found.transform.translation.y = at.position.x, at.position.y
+    found.transform.rotation = at.orientation
+    return found
+
+
+@pytest.fixture
+def localised(ros_types):
+    """Make a robot that is localised by transforms, with parameters of the node; it hears them."""
+    from tf2_msgs.msg import TFMessage
+
+    made = []
+
+    def make(map_to_odom=(0.0, 0.0, 0.0), *, ahead=0, **parameters):
+        s = Stack(**parameters)
+        made.append(s)
+        robot = Localised(s, TFMessage, map_to_odom, ahead)
+        s.base.until(lambda: (s.base.silent(1), s.node._frames.accepted > 3)[1], "transforms")
+        return robot
+
+    yield make
+    for s in made:
+        s.close()
+
+
+def straight(frame, start, length=2.0, speed=0.4, stamp=0):
+    """From rest to rest along x of `frame`, beginning at `start` (3,) there."""
+    path = Path()
+    path.header.frame_id, path.header.stamp = frame, time_message(stamp)
+    duration = 1.5 * length / speed
+    for share in np.linspace(0.0, 1.0, 31):
+        pose = placed(start, (length * (3 * share**2 - 2 * share**3), 0.0, 0.0))
+        path.poses.append(stamped_pose_message(pose, 10**9 + round(share * duration * 1e9), frame))
+    return path
+
+
+def send(s, path):
+    """Have a path accepted; it is driven with the next tick."""
+    publisher = s.base.node.create_publisher(Path, "set_path", 1)
+    s.base.until(lambda: publisher.get_subscription_count() == 1, "the node's subscription")
+    s.base.until(lambda: s.node.count_publishers("set_path") == 1, "the publisher")
+    s.base.silent(3)
+    before = s.loop._reference
+    publisher.publish(path)
+    s.base.until(lambda: s.loop._reference is not before, "the path to be accepted")
+
+
+def beside(start, pose):
+    """How far `pose` lies to the left of the line that `start` (3,) begins [m]."""
+    return -math.sin(start[2]) * (pose[0] - start[0]) + math.cos(start[2]) * (pose[1] - start[1])
+
+
+def test_by_transforms_it_drives_in_the_map_as_it_does_by_poses(localised):
+    robot = localised((3.0, -2.0, 0.7), pose_source="tf", trajectory="circle", start_at_robot=True)
+    s = robot.s
+    assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+    s.base.run(150)
+    assert s.loop.last.mode == Mode.TRACKING
+    np.testing.assert_allclose(s.loop.last.result.estimate.pose[:2], robot.in_map()[:2], atol=0.02)
+    start = s.loop.begun.reference.sample([0.0]).pose[0]
+    assert abs(wrap_angle(start[2] - 0.7)) < 0.01
+    centre = placed(start, (0.0, 1.0, 0.0))[:2]
+    assert abs(math.hypot(*(robot.in_map()[:2] - centre)) - 1.0) < 0.02
+
+
+def test_a_small_correction_of_the_localisation_is_driven_out(localised):
+    """Control in the map: to odom the robot leaves its way, in the map it returns to it."""
+    robot = localised((0.0, 0.0, 0.0), pose_source="tf", trajectory="''", drive_on_reference=True)
+    s = robot.s
+    send(s, straight("map", (0.0, 0.0, 0.0), length=3.0))
+    s.base.run(100)
+    assert s.loop.last.mode == Mode.TRACKING
+    robot.map_to_odom = (0.0, 0.05, 0.0)
+    commands = s.base.run(150)
+    assert (np.abs(np.diff(commands, axis=0)) <= SLEW).all()
+    assert s.loop.last.mode == Mode.TRACKING
+    assert abs(robot.in_map()[1]) < 0.01
+    assert s.base.plant.true_pose[1] < -0.04
+
+
+@pytest.mark.parametrize("missing", ["odom", "base_link"])
+def test_without_transforms_it_brakes_as_without_poses_and_drives_on(localised, missing):
+    robot = localised(pose_source="tf", trajectory="circle", start_at_robot=True)
+    s = robot.s
+    assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+    s.base.run(60)
+    robot.published.discard(missing)
+    late = s.base.run(math.ceil(CONFIG.failure.max_pose_age / DT) + 3)
+    assert s.loop.last.mode == Mode.BRAKING
+    stopped = s.base.run(BRAKING)
+    assert s.loop.last.mode == Mode.STOPPED
+    assert "no pose was accepted" in s.loop.last.message
+    robot.published.add(missing)
+    again = s.base.run(60)
+    assert s.loop.last.mode == Mode.TRACKING
+    assert (np.abs(np.diff(np.vstack([late, stopped, again]), axis=0)) <= SLEW).all()
+
+
+def test_what_is_wrong_with_transforms_is_named(localised):
+    robot = localised(pose_source="tf", trajectory="circle", diagnostics_rate=20.0)
+    s = robot.s
+    heard = []
+    s.base.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+
+    def told(word):
+        heard.clear()
+        s.base.until(lambda: s.base.silent(1) is not None and heard and word in str(heard[-1].status[0].values), word)
+
+    robot.published.clear()
+    robot.dynamic.publish(robot.type(transforms=[transform("a", "odom", s.base.now, (0.0, 0.0, 0.0))]))
+    robot.dynamic.publish(robot.type(transforms=[transform("map", "odom", s.base.now, (0.0, 0.0, 0.0))]))
+    told("by turns")
+    robot.dynamic.publish(robot.type(transforms=[transform("base_link", "map", s.base.now, (0.0, 0.0, 0.0))]))
+    told("frames loop")
+    s.base.silent(math.ceil(CONFIG.failure.max_pose_age / DT) + 2)
+    answer = s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request())
+    assert not answer.success
+    assert "frames loop" in answer.message
+    robot.dynamic.publish(robot.type(transforms=[transform("map", "odom", s.base.now + 10**12, (0.0, 0.0, 0.0))]))
+    told("in the future: are the clocks in step?")
+    robot.dynamic.publish(robot.type(transforms=[transform("map", "odom", s.base.now, (math.nan, 0.0, 0.0))]))
+    told("not finite")
+    robot.dynamic.publish(robot.type(transforms=[transform("m" * 300_000, "odom", s.base.now, (0.0, 0.0, 0.0))]))
+    told("bytes, and none of its kind")
+
+
+def test_a_path_in_the_map_is_driven_by_odometry_and_follows_the_map(localised):
+    """Control in odom, and a localisation that corrects itself: by little, by more than the band, and far too much."""
+    start = (1.0, 1.0, 0.5)
+    robot = localised((1.0, 1.0, 0.5), ahead=10**9, use_tf=True, trajectory="''", drive_on_reference=True)
+    s = robot.s
+    send(s, straight("map", start, length=6.0))
+    first = s.base.run(150)
+    assert s.loop.last.mode == Mode.TRACKING
+    assert abs(beside(start, robot.in_map())) < 0.01
+    begun = s.loop.begun
+    for correction in (0.05, 0.25):
+        x, y, turn = robot.map_to_odom
+        robot.map_to_odom = (x - math.sin(turn) * correction, y + math.cos(turn) * correction, turn)
+        first = np.vstack([first, s.base.run(150)])
+        assert s.loop.last.mode == Mode.TRACKING
+        assert abs(beside(start, robot.in_map())) < 0.015
+    # Nothing was begun anew for it, and no command left its limits.
+    assert s.loop.begun is begun
+    assert s.loop.relaid >= 2
+    assert (np.abs(np.diff(first, axis=0)) <= SLEW).all()
+    robot.map_to_odom = (50.0, 0.0, 0.0)
+    s.base.run(BRAKING + 30)
+    assert s.loop.last.mode == Mode.STOPPED
+    assert "from the reference; the limit is" in s.loop.last.message
+
+
+def test_where_the_frame_of_its_path_is_no_longer_known_it_brakes_and_drives_on(localised):
+    robot = localised(
+        (0.0, 0.3, 0.0), use_tf=True, tf_timeout=0.5, trajectory="''", drive_on_reference=True, diagnostics_rate=20.0
+    )
+    s = robot.s
+    heard = []
+    s.base.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+    send(s, straight("map", (0.0, 0.3, 0.0), length=4.0))
+    s.base.run(60)
+    robot.published.discard("odom")
+    s.base.run(math.ceil(0.5 / DT) + 2)
+    assert s.loop.last.mode == Mode.BRAKING
+    assert "where 'map' lies in 'odom' was last said 0.5" in s.loop.last.message
+    s.base.run(BRAKING)
+    assert s.loop.last.mode == Mode.STOPPED
+    heard.clear()
+    s.base.until(lambda: heard, "diagnostics")
+    assert heard[-1].status[0].level == DiagnosticStatus.ERROR
+    robot.published.add("odom")
+    s.base.run(60)
+    assert s.loop.last.mode == Mode.TRACKING
+
+
+def test_a_metre_ahead_means_from_where_the_robot_was_at_the_stamp(localised):
+    robot = localised(use_tf=True, trajectory="''")
+    s = robot.s
+    s.base.plant.reset((2.0, 1.0, 1.0))
+    s.base.run(5)
+    stamp = s.base.now
+    s.base.plant.reset((2.0, 1.5, 1.2))
+    s.base.run(5)
+    send(s, straight("base_link", (0.0, 0.0, 0.0), stamp=stamp))
+    assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+    s.base.run(1)
+    np.testing.assert_allclose(s.loop._laid.sample([0.0]).pose[0], [2.0, 1.0, 1.0], atol=1e-6)
+    s.base.run(5)
+    np.testing.assert_allclose(s.loop._laid.sample([0.0]).pose[0], [2.0, 1.0, 1.0], atol=1e-6)
+
+
+def test_a_path_that_lies_nobody_knows_where_is_refused(localised, capfd):
+    robot = localised(use_tf=True, trajectory="circle")
+    s = robot.s
+    assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+    s.base.run(20)
+    publisher = s.base.node.create_publisher(Path, "set_path", 1)
+    s.base.until(lambda: publisher.get_subscription_count() == 1, "the node's subscription")
+    s.base.until(lambda: s.node.count_publishers("set_path") == 1, "the publisher")
+    s.base.run(3)
+    for frame, stamp, reason in (
+        ("nowhere", 0, "nobody has spoken of 'nowhere'"),
+        ("base_link", s.base.now + 10**9, "after the last that was heard"),
+        ("base_link", 1, "before the first that was heard"),
+        ("", 0, "it names no frame"),
+    ):
+        capfd.readouterr()
+        publisher.publish(straight(frame, (0.0, 0.0, 0.0), stamp=stamp))
+        refused_for(s, reason, capfd)
+        s.base.run(3)
+        assert s.loop.begun.reference.name == "circle"
+        assert s.loop.state is LoopState.DRIVING
+
+
+def refused_for(s, reason, capfd):
+    s.base.until(lambda: reason in capfd.readouterr().err, f"the refusal: {reason}")
+
+
+def test_two_names_of_one_setting_are_refused_where_they_contradict():
+    with pytest.raises(ValueError, match="use_pose_topic means pose_source topic"):
+        Stack(autostart=True, pose_source="tf", use_pose_topic=True)
+
+
+def test_a_goal_of_follow_path_in_the_map_is_brought_to_odom_and_driven(ros_types):
+    from follow_parts import SUCCEEDED, following
+    from tf2_msgs.msg import TFMessage
+
+    start = (1.0, 2.0, 0.7)
+    with following(use_tf=True, trajectory="''") as f:
+        robot = Localised(f.made, TFMessage, start)
+        f.until(lambda: f.made.node._frames.accepted > 3, "transforms")
+        f.client.send("nowhere", [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], frame="nowhere")
+        assert f.ended("nowhere")["code"] == 102
+        f.client.send("a", [placed(start, (x, 0.0, 0.0)) for x in np.linspace(0.0, 1.0, 41)], frame="map")
+        assert f.ended("a")["status"] == SUCCEEDED
+        np.testing.assert_allclose(robot.in_map()[:2], placed(start, (1.0, 0.0, 0.0))[:2], atol=0.03)
+        np.testing.assert_allclose(f.base.plant.true_pose[:2], [1.0, 0.0], atol=0.03)

@@ -1,0 +1,135 @@
+"""A hold from outside, over DDS: it brakes at the limits, keeps the goal, and outlasts all else that is asked."""
+
+import math
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from ros_parts import CONFIG, DT, stack
+from std_srvs.srv import SetBool, Trigger
+
+from diffdrive_mpc.mpc.ros.control_loop import LoopState
+from diffdrive_mpc.mpc.step_result import Mode
+
+LIMITS = CONFIG.limits
+BRAKING = np.array([LIMITS.v_braking, LIMITS.omega_braking]) * DT + 1e-9
+SLEW = np.array([LIMITS.v_slew, LIMITS.omega_slew]) * DT + 1e-9
+TO_REST = math.ceil(max(LIMITS.v / LIMITS.v_braking, LIMITS.omega / LIMITS.omega_braking) / DT) + 1
+
+
+def hold(s, on):
+    answer = s.call(SetBool, "/diffdrive_mpc/hold", SetBool.Request(data=on))
+    assert answer.success
+    return answer.message
+
+
+def trigger(s, name):
+    return s.call(Trigger, f"/diffdrive_mpc/{name}", Trigger.Request())
+
+
+def change(s, number):
+    request = ChangeState.Request(transition=Transition(id=number))
+    return s.call(ChangeState, "/diffdrive_mpc/change_state", request).success
+
+
+def tracking_distance(s):
+    """From the true pose to the path of the circle [m]."""
+    x, y, _ = s.base.plant.true_pose
+    return abs(math.hypot(x, y - 1.0) - 1.0)
+
+
+def test_it_brakes_at_the_limits_keeps_the_goal_and_drives_on():
+    with stack(drive=True) as s:
+        before = s.base.run(60)
+        assert hold(s, on=True) == "is held; brakes"
+        braking = s.base.run(TO_REST)
+        assert (np.abs(np.diff(np.vstack([before[-1:], braking]), axis=0)) <= BRAKING).all()
+        # As hard as it may: the speed is gone as soon as its limit allows.
+        needed = math.ceil(before[-1, 0] / (LIMITS.v_braking * DT) - 1e-9)
+        assert not braking[needed:].any()
+        assert s.loop.last.mode == Mode.STOPPED
+        assert s.loop.state is LoopState.DRIVING
+        begun = s.loop.begun
+        assert not s.base.run(100).any()
+        assert hold(s, on=True) == "is held already"
+        assert hold(s, on=False) == "let go; drives on"
+        again = s.base.run(100)
+        assert (np.abs(np.diff(np.vstack([np.zeros((1, 2)), again]), axis=0)) <= SLEW).all()
+        assert s.loop.begun is begun
+        assert s.loop.last.mode == Mode.TRACKING
+        assert again[-1, 0] > 0.3
+        assert tracking_distance(s) < 0.02
+        assert hold(s, on=False) == "was not held"
+
+
+def test_pushed_off_its_path_while_held_it_rejoins_it():
+    with stack(drive=True) as s:
+        s.base.run(60)
+        hold(s, on=True)
+        s.base.run(TO_REST + 5)
+        s.base.plant._pose[1] += 0.25
+        s.base.run(40)
+        hold(s, on=False)
+        s.base.run(5)
+        assert "rejoining" in s.loop.last.message
+        s.base.run(250)
+        assert s.loop.last.mode == Mode.TRACKING
+        assert tracking_distance(s) < 0.03
+
+
+def test_start_pause_and_reset_are_taken_but_do_not_move_it():
+    with stack() as s:
+        assert hold(s, on=True) == "is held"
+        answer = trigger(s, "start")
+        assert answer.success
+        assert answer.message.endswith("once it is let go (hold)")
+        assert not s.base.run(20).any()
+        assert s.loop.state is LoopState.DRIVING
+        assert "held; call hold with false" in s.loop.last.message
+        assert trigger(s, "pause").success
+        assert hold(s, on=False).startswith("let go; stands; call start to drive")
+        assert not s.base.run(20).any()
+        hold(s, on=True)
+        assert "once it is let go" in trigger(s, "start").message
+        assert not s.base.run(20).any()
+        assert trigger(s, "reset").success
+        assert s.loop.held
+        assert not s.base.run(2).any()
+        assert trigger(s, "start").success
+        assert not s.base.run(5).any()
+        hold(s, on=False)
+        assert s.base.run(20)[-1, 0] > 0.1
+
+
+@pytest.mark.parametrize("while_active", [True, False])
+def test_it_outlasts_deactivation_and_cleanup(while_active):
+    with stack(drive_on_activate=True, autostart=while_active) as s:
+        if while_active:
+            s.base.run(20)
+        assert hold(s, on=True) == ("is held; brakes" if while_active else "is held once it is active")
+        if while_active:
+            for number in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
+                assert change(s, number)
+        for number in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+            assert change(s, number)
+        s.base.until(s.hears, "sensors")
+        assert not s.base.run(20).any()
+        assert hold(s, on=False) == "let go; drives on"
+        assert s.base.run(20)[-1, 0] > 0.1
+
+
+def test_a_hold_is_no_failure_and_diagnostics_tell_it():
+    with stack({"failure.resume": False}, drive=True, diagnostics_rate=20.0) as s:
+        heard = []
+        s.base.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+        s.base.run(20)
+        hold(s, on=True)
+        s.base.run(TO_REST)
+        s.base.until(lambda: heard and "STOPPED: held" in heard[-1].status[0].message, "diagnostics")
+        status = heard[-1].status[0]
+        assert status.level == DiagnosticStatus.WARN
+        assert {item.key: item.value for item in status.values}["held"] == "yes"
+        hold(s, on=False)
+        assert s.base.run(20)[-1, 0] > 0.1

@@ -1,0 +1,157 @@
+"""Who else sends commands to the same base: refused, braked for, or named; over DDS."""
+
+import threading
+
+import numpy as np
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import TwistStamped
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from ros_parts import CONFIG, DT, stack
+from std_msgs.msg import Empty
+from std_srvs.srv import Trigger
+
+from diffdrive_mpc.mpc.ros.node import TrackingNode
+from diffdrive_mpc.mpc.step_result import Mode
+
+SLEW = np.array([CONFIG.limits.v_slew, CONFIG.limits.omega_slew]) * DT + 1e-9
+
+
+class Second:
+    """Another node of this project, in a context of its own."""
+
+    def __init__(self, name="diffdrive_mpc", commands="cmd_vel"):
+        words = ["--ros-args", "-r", f"__node:={name}", "-r", f"cmd_vel:={commands}", "-p", "use_sim_time:=true"]
+        words += ["--log-level", "error", "-p", "discovery_wait:=8.0"]
+        self.context = Context()
+        rclpy.init(context=self.context, args=words)
+        self.node = TrackingNode(context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+
+    def activate(self):
+        self.node.trigger_configure()
+        return self.node.trigger_activate()
+
+    def close(self):
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.mark.parametrize("name", ["diffdrive_mpc", "other"])
+def test_a_second_node_of_this_project_on_the_same_topic_is_not_activated(name):
+    with stack(drive=True) as s:
+        s.base.run(20)
+        second = Second(name)
+        try:
+            assert second.activate() is not rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
+            assert "/diffdrive_mpc of this project drives by /cmd_vel too" in second.node.failure
+            # The first drives on, and what it hears of the second, that is not active, is no more than a name.
+            s.base.until(lambda: s.loop.warning, "the second's publisher")
+            s.base.run(20)
+            assert s.loop.last.mode == Mode.TRACKING
+            assert f"/{name} publishes on /cmd_vel too" in s.loop.warning
+            # Once the first is gone the second may.
+            s.call(
+                ChangeState,
+                "/diffdrive_mpc/change_state",
+                ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE)),
+            ) if name != "diffdrive_mpc" else s.node.trigger_deactivate()
+            s.base.until(lambda: not second.node._rivals.others().project, "the end of the claim")
+            assert second.node.trigger_activate() is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
+        finally:
+            second.close()
+
+
+def test_on_another_topic_it_may():
+    with stack(drive=True) as s:
+        second = Second("other", "other_cmd_vel")
+        try:
+            assert second.activate() is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
+            s.base.run(20)
+            assert not s.loop.objection
+            assert not s.loop.warning
+        finally:
+            second.close()
+
+
+def test_found_too_late_both_brake_until_one_is_gone():
+    """Where discovery was slower than both: here somebody else claims the topic while the robot drives."""
+    with stack(drive=True) as s:
+        before = s.base.run(40)
+        claim = s.base.node.create_publisher(Empty, "/cmd_vel/_diffdrive_mpc", 1)
+        s.base.until(lambda: s.loop.objection, "the objection")
+        braking = s.base.run(60)
+        assert not braking[-1].any()
+        assert (np.abs(np.diff(np.vstack([before, braking]), axis=0)) <= SLEW).all()
+        assert "/fake_base of this project drives by /cmd_vel too" in s.loop.last.message
+        assert not s.call(Trigger, "/diffdrive_mpc/reset", Trigger.Request()).message.startswith("pause")
+        answer = s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request())
+        assert not answer.success
+        s.base.node.destroy_publisher(claim)
+        s.base.until(lambda: not s.loop.objection, "the end of it")
+        s.base.run(2)
+        assert s.call(Trigger, "/diffdrive_mpc/start", Trigger.Request()).success
+        assert s.base.run(30)[-1, 0] > 0.1
+
+
+def test_a_teleop_that_appears_is_named_and_nothing_else():
+    with stack(drive=True, diagnostics_rate=20.0) as s:
+        heard = []
+        s.base.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+        s.base.run(20)
+        teleop = s.base.node.create_publisher(TwistStamped, "cmd_vel", 1)
+        s.base.until(lambda: s.loop.warning, "the warning")
+        assert s.loop.warning == "/fake_base publishes on /cmd_vel too"
+        assert s.base.run(20)[-1, 0] > 0.1
+        s.base.until(lambda: heard and "publishes on" in heard[-1].status[0].message, "diagnostics")
+        assert heard[-1].status[0].level == DiagnosticStatus.WARN
+        s.base.node.destroy_publisher(teleop)
+        s.base.until(lambda: not s.loop.warning, "the end of it")
+
+
+def test_with_exclusive_cmd_vel_a_teleop_is_refused_and_braked_for():
+    with stack(drive=True, exclusive_cmd_vel=True, diagnostics_rate=20.0) as s:
+        heard = []
+        s.base.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+        s.base.run(20)
+        teleop = s.base.node.create_publisher(TwistStamped, "cmd_vel", 1)
+        s.base.until(lambda: s.loop.objection, "the objection")
+        assert not s.base.run(60)[-1].any()
+        assert "or set exclusive_cmd_vel to false" in s.loop.last.message
+        heard.clear()
+        s.base.until(lambda: heard and heard[-1].status[0].level == DiagnosticStatus.ERROR, "diagnostics")
+        s.node.trigger_deactivate()
+        assert s.node.trigger_activate() is not rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
+        assert "/fake_base publishes on /cmd_vel too" in s.node.failure
+        s.base.node.destroy_publisher(teleop)
+        s.base.until(lambda: not s.node._rivals.others().foreign, "its end")
+        assert s.node.trigger_activate() is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS
+
+
+def test_activated_at_the_same_time_both_are_refused():
+    """Neither can know whether the other is: none drives, and each names the other."""
+    nodes = [Second("one"), Second("two")]
+    try:
+        for second in nodes:
+            second.node.trigger_configure()
+        said = {}
+        threads = [
+            threading.Thread(target=lambda second=second: said.update({second: second.node.trigger_activate()}))
+            for second in nodes
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        drive = [found is rclpy.lifecycle.TransitionCallbackReturn.SUCCESS for found in said.values()]
+        assert sum(drive) <= 1
+        assert any("of this project drives by /cmd_vel too" in second.node.failure for second in nodes)
+    finally:
+        for second in nodes:
+            second.close()

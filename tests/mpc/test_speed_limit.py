@@ -1,0 +1,120 @@
+"""A limit of the speed from outside: the true robot keeps it on its path, the reference waits, and it is let go."""
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc.mpc.ros.speed_limit import SLOWEST, SpeedLimit
+from diffdrive_mpc.mpc.step_result import Mode
+from diffdrive_mpc.sim import make_plant
+
+CONFIG = load_config("ssm")
+DT = CONFIG.sample_time
+SLEW = np.array([CONFIG.limits.v_slew, CONFIG.limits.omega_slew]) * DT + 1e-9
+
+
+def drive(controller, plant, reference, ticks, limits):
+    """Drive with limits (tick: speed); returns commands, true speeds and distances from the path, by tick."""
+    path = reference.sample(np.linspace(0.0, reference.duration, 4000)).pose[:, :2]
+    plant.reset(reference.sample([0.0]).pose[0])
+    controller.start(reference, 0.0)
+    commands, speeds, away, steps = [], [], [], []
+    for tick in range(ticks):
+        if tick in limits:
+            controller.limit_speed(limits[tick])
+        step = controller.step(tick * DT, plant.measure())
+        before = plant.true_pose
+        plant.advance(step.command)
+        commands.append(step.command)
+        speeds.append(math.hypot(*(plant.true_pose - before)[:2]) / DT)
+        away.append(np.hypot(*(path - plant.true_pose[:2]).T).min())
+        steps.append(step)
+    return np.array(commands), np.array(speeds), np.array(away), steps
+
+
+@pytest.mark.parametrize(
+    ("plant", "sensors", "excess", "off"),
+    [("model:ssm+0.005", "perfect", 0.002, 0.01), ("mujoco", "default", 0.01, 0.02)],
+)
+@pytest.mark.parametrize("trajectory", ["circle", "s"])
+def test_the_true_robot_keeps_it_on_a_curve_and_is_let_go(trajectory, plant, sensors, excess, off):
+    limit, reference = 0.25, load_trajectory(trajectory)
+    robot = make_plant(plant, surface="ideal" if sensors == "perfect" else "default", sensors=sensors, seed=3)
+    controller = Controller(CONFIG)
+    commands, speeds, away, steps = drive(controller, robot, reference, 700, {100: limit, 400: None})
+    before = commands[99, 0]
+    assert before > 1.5 * limit
+    assert (np.abs(np.diff(commands, axis=0)) <= SLEW).all()
+    # No longer on its way than slewing takes, in commands; the robot follows within its lag.
+    reached = 100 + math.ceil((before - limit) / SLEW[0])
+    assert (np.abs(commands[reached:400, 0]) <= limit + 1e-9).all()
+    zone = slice(reached + round(0.5 / DT), 400)
+    assert speeds[zone].max() <= limit + excess
+    assert np.median(speeds[zone]) > 0.85 * limit
+    assert away.max() <= off
+    assert all(step.mode is Mode.TRACKING for step in steps[:400])
+    # The reference waits, so that nothing has to be rejoined.
+    assert not any("rejoining" in step.message for step in steps)
+    assert "limited to 0.25 m/s" in steps[300].message
+    assert steps[399].reference_delay > 0.3 * (400 - reached) * DT
+    assert speeds[450:600].max() > before
+    assert "limited" not in steps[-1].message
+
+
+def test_a_reference_that_is_slower_is_left_alone():
+    reference = load_trajectory("circle")
+    runs = []
+    for limits in ({}, {50: 1.0}):
+        plant = make_plant("model:ssm+0.005", surface="ideal", sensors="perfect")
+        runs.append(drive(Controller(CONFIG), plant, reference, 200, limits)[0])
+    np.testing.assert_allclose(runs[0], runs[1], atol=1e-9)
+
+
+def test_references_are_judged_by_the_configuration_and_other_changes_keep_the_limit():
+    controller = Controller(CONFIG)
+    controller.limit_speed(0.2)
+    plant = make_plant("model:ssm+0.005", surface="ideal", sensors="perfect")
+    reference = load_trajectory("circle")
+    plant.reset(reference.sample([0.0]).pose[0])
+    controller.start(reference, 0.0)
+    for tick in range(200):
+        if tick == 60:
+            assert controller.update(weights={"across": 250.0}, limits={"v": 1.2}).limits.v == 1.2
+        step = controller.step(tick * DT, plant.measure())
+        assert abs(step.command[0]) <= 0.2 + 1e-9
+        plant.advance(step.command)
+    assert controller.config.limits.v == 1.2
+    assert controller.speed_limit == 0.2
+    assert pickle.loads(pickle.dumps(controller)).speed_limit == 0.2
+
+
+def test_without_reentry_only_the_command_is_limited():
+    config = CONFIG.model_copy(update={"reentry": CONFIG.reentry.model_copy(update={"enabled": False})})
+    plant = make_plant("model:ssm+0.005", surface="ideal", sensors="perfect")
+    commands, _, _, steps = drive(Controller(config), plant, load_trajectory("circle"), 200, {60: 0.2})
+    assert (np.abs(commands[100:, 0]) <= 0.2 + 1e-9).all()
+    assert steps[-1].reference_delay == 0.0
+
+
+@pytest.mark.parametrize("limit", [0.0, -0.1, math.nan, math.inf])
+def test_what_is_no_limit_is_refused(limit):
+    controller = Controller(CONFIG)
+    with pytest.raises(ValueError, match="give a positive number"):
+        controller.limit_speed(limit)
+    assert controller.speed_limit is None
+
+
+@given(value=st.floats(0.0, 1e6), percentage=st.booleans(), greatest=st.floats(0.05, 5.0))
+def test_a_stated_limit_is_none_or_between_almost_nothing_and_the_greatest_speed(value, percentage, greatest):
+    found = SpeedLimit(value, percentage).speed(greatest)
+    if value == 0.0:
+        assert found is None
+    else:
+        assert SLOWEST <= found <= greatest
+        stated = value * greatest / 100 if percentage else value
+        assert found == pytest.approx(min(max(stated, SLOWEST), greatest))

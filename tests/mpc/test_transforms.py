@@ -1,0 +1,200 @@
+"""Transforms: algebra against matrices, chains and times against a robot that is known, and all that can be wrong."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from diffdrive_mpc.mpc.ros.transforms.buffer import AHEAD, KEPT, MOST_FRAMES, MOST_KEPT, TransformBuffer, TransformError
+from diffdrive_mpc.mpc.ros.transforms.rigid import IDENTITY, Rigid
+
+NOW = 100 * 10**9
+NUMBERS = st.floats(-10.0, 10.0)
+ANGLES = st.floats(-3.1, 3.1)
+
+
+@st.composite
+def rigids(draw):
+    turn = Rotation.from_euler("zyx", [draw(ANGLES), draw(st.floats(-1.5, 1.5)), draw(ANGLES)])
+    return Rigid(draw(NUMBERS), draw(NUMBERS), draw(NUMBERS), *turn.as_quat().tolist())
+
+
+def matrix(rigid):
+    found = np.eye(4)
+    found[:3, :3] = Rotation.from_quat(rigid[3:]).as_matrix()
+    found[:3, 3] = rigid[:3]
+    return found
+
+
+def planar(x, y, theta):
+    return Rigid(x, y, 0.0, 0.0, 0.0, math.sin(0.5 * theta), math.cos(0.5 * theta))
+
+
+@given(first=rigids(), second=rigids())
+def test_composition_and_inverse_are_those_of_matrices(first, second):
+    np.testing.assert_allclose(matrix(second.after(first)), matrix(second) @ matrix(first), atol=1e-9)
+    np.testing.assert_allclose(matrix(first.inverse()), np.linalg.inv(matrix(first)), atol=1e-9)
+
+
+@given(first=rigids(), turn=st.floats(-3.0, 3.0), share=st.floats(0.0, 1.0))
+def test_between_two_attitudes_it_turns_at_a_constant_rate(first, turn, share):
+    axis = np.array([0.6, 0.0, 0.8])
+    whole, part = (
+        Rigid(1.0, 2.0, 3.0, *Rotation.from_rotvec(angle * axis).as_quat().tolist()) for angle in (turn, share * turn)
+    )
+    start = first._replace(x=0.0, y=0.0, z=0.0)
+    found = start.towards(start.after(whole), share)
+    expected = Rotation.from_quat(start.after(part)[3:])
+    assert (Rotation.from_quat(found[3:]) * expected.inv()).magnitude() < 1e-6
+    np.testing.assert_allclose(found[:3], share * np.array(start.after(whole)[:3]), atol=1e-9)
+
+
+@given(x=NUMBERS, y=NUMBERS, theta=ANGLES)
+def test_what_lies_in_the_plane_is_read_back(x, y, theta):
+    np.testing.assert_allclose(planar(x, y, theta).planar, [x, y, theta], atol=1e-9)
+
+
+@given(
+    transforms=st.lists(rigids(), min_size=5, max_size=5),
+    ends=st.tuples(st.integers(0, 5), st.integers(0, 5)),
+    parents=st.tuples(*(st.integers(0, index) for index in range(5))),
+)
+def test_along_any_tree_it_is_the_product_of_matrices(transforms, ends, parents):
+    """Frames 1 to 5 hang on one before them: each is known in frame 0 by a product, and so in each other."""
+    buffer, world = TransformBuffer(), [np.eye(4)]
+    for child, (parent, transform) in enumerate(zip(parents, transforms, strict=True), start=1):
+        buffer.insert(f"f{parent}", f"f{child}", NOW, transform, NOW, static=child % 2 == 0)
+        world.append(world[parent] @ matrix(transform))
+    target, source = ends
+    found = buffer.lookup(f"f{target}", f"f{source}", NOW)
+    np.testing.assert_allclose(matrix(found.transform), np.linalg.inv(world[target]) @ world[source], atol=1e-8)
+
+
+def moving(period=0.1, count=20, child="base_link", parent="odom", speed=1.0):
+    buffer = TransformBuffer()
+    for index in range(count):
+        stamp = NOW + round(index * period * 1e9)
+        buffer.insert(parent, child, stamp, planar(speed * index * period, 0.0, 0.1 * index * period), stamp)
+    return buffer
+
+
+@given(at=st.floats(0.0, 1.9))
+def test_at_a_time_between_two_stamps_it_is_between_them(at):
+    found = moving().lookup("odom", "base_link", NOW, NOW + round(at * 1e9))
+    np.testing.assert_allclose(found.transform.planar, [at, 0.0, 0.1 * at], atol=1e-6)
+
+
+@given(order=st.permutations(range(12)))
+def test_the_order_of_arrival_does_not_matter(order):
+    buffer = TransformBuffer()
+    for index in order:
+        buffer.insert("odom", "base_link", NOW + index * 10**8, planar(0.1 * index, 0.0, 0.0), NOW + 2 * 10**9)
+    found = buffer.lookup("odom", "base_link", NOW, NOW + 450_000_000)
+    assert found.transform.x == pytest.approx(0.45)
+    assert buffer.lookup("odom", "base_link", NOW).stamp == NOW + 11 * 10**8
+
+
+def test_without_a_time_it_is_the_newest_that_the_whole_chain_has():
+    """A localisation that is slow, and one that dates its transform ahead."""
+    buffer = moving()
+    last = NOW + 1_900_000_000
+    for stamp, x in ((NOW, 5.0), (NOW + 10**9, 6.0)):
+        buffer.insert("map", "odom", stamp, planar(x, 0.0, 0.0), stamp)
+    found = buffer.lookup("map", "base_link", last)
+    assert (found.stamp, found.oldest) == (NOW + 10**9, "odom")
+    assert found.transform.x == pytest.approx(7.0)
+    buffer.insert("map", "odom", last + 10**9, planar(8.0, 0.0, 0.0), last)
+    found = buffer.lookup("map", "base_link", last)
+    assert (found.stamp, found.oldest) == (last, "base_link")
+    assert found.transform.x == pytest.approx(6.0 + 0.9 / 1.9 * 2.0 + 1.9)
+
+
+def test_what_is_static_holds_at_any_time():
+    buffer = moving()
+    buffer.insert("base_link", "laser", 0, planar(0.2, 0.0, 0.0), NOW, static=True)
+    assert buffer.lookup("base_link", "laser", NOW) == (planar(0.2, 0.0, 0.0), None, "")
+    assert buffer.lookup("laser", "laser", NOW).transform == IDENTITY
+    assert buffer.lookup("odom", "laser", NOW, NOW + 10**9).transform.x == pytest.approx(1.0 + 0.2 * math.cos(0.1))
+    buffer.clear()
+    assert buffer.lookup("base_link", "laser", NOW).transform.x == 0.2
+    with pytest.raises(TransformError, match="nobody has spoken of 'odom'"):
+        buffer.lookup("odom", "base_link", NOW)
+
+
+@pytest.mark.parametrize(
+    ("time", "words"),
+    [
+        (NOW + 2 * 10**9, "0.10 s after the last that was heard"),
+        (NOW - 10**9, "1.00 s before the first that was heard"),
+    ],
+)
+def test_nothing_is_guessed_beyond_what_was_heard(time, words):
+    with pytest.raises(TransformError, match=words):
+        moving().lookup("odom", "base_link", NOW, time)
+
+
+def test_frames_that_are_not_connected_are_named():
+    buffer = moving()
+    buffer.insert("map", "robot2/odom", NOW, IDENTITY, NOW)
+    with pytest.raises(TransformError, match="no chain of frames leads from one to the other"):
+        buffer.lookup("map", "base_link", NOW)
+    with pytest.raises(TransformError, match="nobody has spoken of 'mpa'"):
+        buffer.lookup("mpa", "base_link", NOW)
+
+
+def test_a_loop_is_named_and_does_not_hang():
+    buffer = TransformBuffer()
+    for parent, child in (("a", "b"), ("b", "c"), ("c", "a")):
+        buffer.insert(parent, child, NOW, IDENTITY, NOW)
+    with pytest.raises(TransformError, match="frames loop: c -> b -> a -> c"):
+        buffer.lookup("odom", "c", NOW)
+
+
+def test_two_parents_in_turns_are_a_dispute_and_one_change_is_none():
+    buffer = moving()
+    later = NOW + 2 * 10**9
+    buffer.insert("map", "base_link", later, planar(1.0, 0.0, 0.0), later)
+    assert buffer.lookup("map", "base_link", later).transform.x == 1.0
+    buffer.insert("odom", "base_link", later + 1, planar(2.0, 0.0, 0.0), later + 1)
+    with pytest.raises(TransformError, match="'base_link' is placed in 'odom' and in 'map' by turns"):
+        buffer.lookup("odom", "base_link", later + 1)
+    # Once it has been settled for as long as anything is kept, it is forgotten.
+    settled = later + KEPT + 2
+    buffer.insert("odom", "base_link", settled, planar(3.0, 0.0, 0.0), settled)
+    assert buffer.lookup("odom", "base_link", settled).transform.x == 3.0
+
+
+@pytest.mark.parametrize(
+    ("transform", "stamp", "frames", "words"),
+    [
+        (planar(math.nan, 0.0, 0.0), NOW, ("odom", "base_link"), "not finite"),
+        (planar(0.0, 0.0, 0.0)._replace(qw=0.5), NOW, ("odom", "base_link"), "no unit quaternion"),
+        (Rigid(0, 0, 0, 0, 0, 0, 0), NOW, ("odom", "base_link"), "no unit quaternion"),
+        (IDENTITY, NOW + AHEAD + 1, ("odom", "base_link"), "in the future: are the clocks in step"),
+        (IDENTITY, NOW - KEPT - 1, ("odom", "base_link"), "older than the last"),
+        (IDENTITY, NOW, ("odom", "odom"), "names no two frames"),
+        (IDENTITY, NOW, ("", "base_link"), "names no two frames"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_and_changes_nothing(transform, stamp, frames, words):
+    buffer = moving(count=1)
+    with pytest.raises(TransformError, match=words):
+        buffer.insert(*frames, stamp, transform, NOW)
+    assert buffer.lookup("odom", "base_link", NOW) == (IDENTITY, NOW, "base_link")
+    assert len(buffer) == 1
+
+
+def test_memory_is_bounded():
+    buffer = TransformBuffer()
+    for index in range(MOST_KEPT + 100):
+        buffer.insert("odom", "base_link", NOW + index * 1000, IDENTITY, NOW)
+    assert len(buffer) == MOST_KEPT
+    buffer.insert("odom", "base_link", NOW + 2 * KEPT, IDENTITY, NOW + 2 * KEPT)
+    assert len(buffer) == 1
+    with pytest.raises(TransformError, match="one frame too many"):
+        for index in range(MOST_FRAMES + 1):
+            buffer.insert("odom", f"f{index}", NOW, IDENTITY, NOW)
+    assert len(buffer) == MOST_FRAMES

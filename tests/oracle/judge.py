@@ -1,0 +1,267 @@
+"""The monitor's rules once more, slow and plain: everything is kept, and looked through anew at every call.
+
+What C does with rings, filters and running bounds stands here as sums over the whole past.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def wrapped(angle):
+    return np.arctan2(np.sin(angle), np.cos(angle))
+
+
+class OracleJudge:
+    """Says which rules stopped the robot: `stopped` is None or (when, the names of all that did so at that instant)."""
+
+    def __init__(self, rules, now):
+        self.rules, self.began, self.now = rules, now, now
+        self.path = None
+        self.sent, self.commands, self.odometry, self.gyros, self.poses = [], [], [], [], []
+        self.word = None
+        self.broken, self.stopped, self.bounds = {}, None, {}
+
+    def judge(self, name, broken, lasting=0.0):
+        if not broken:
+            self.broken.pop(name, None)
+            return
+        since = self.broken.setdefault(name, self.now)
+        if self.now - since >= lasting - 1e-9:
+            if self.stopped is None:
+                self.stopped = (self.now, {name})
+            elif self.stopped[0] == self.now:
+                self.stopped[1].add(name)
+
+    def moves(self, twist):
+        r = self.rules.commands
+        return abs(twist[0]) > r.standing_v or abs(twist[1]) > r.standing_omega
+
+    def reference(self, now, points):
+        self.now = now
+        points = np.array(points, dtype=float).reshape(-1, 4)
+        sound = np.isfinite(points).all()
+        if sound and len(points) > 1:
+            dt, step = np.diff(points[:, 0]), np.hypot(*np.diff(points[:, 1:3], axis=0).T)
+            turn = np.abs(wrapped(np.diff(points[:, 3])))
+            r = self.rules.commands
+            sound = (dt > 0).all() and (step <= r.v * dt + 1e-9).all() and (turn <= r.omega * dt + 1e-9).all()
+        self.path = points if sound and len(points) else None
+        self.judge("bad_reference", not sound)
+
+    def usable(self, stamp, values, past):
+        fresh = not past or stamp > past[-1][0]
+        return np.isfinite([stamp, *values]).all() and stamp <= self.now + self.rules.sensors.ahead and fresh
+
+    def says(self, now, *, drives):
+        self.now = now
+        if self.word is None or self.word[1] != drives:
+            self.word = (now, drives)
+
+    def gyro(self, now, stamp, rate):
+        self.now = now
+        if self.usable(stamp, [rate], self.gyros):
+            self.gyros.append((stamp, rate))
+
+    def odometry_(self, now, stamp, twist, pose):
+        self.now = now
+        if not self.usable(stamp, [*twist, *pose], self.odometry):
+            return
+        gyro = self.gyros[-1][1] if self.gyros and self.rules.sensors.gyro_age > 0 else None
+        turning = twist[1] if gyro is None else gyro
+        self.odometry.append((stamp, *twist, *pose, turning, now, gyro))
+        self._answer()
+        self._gyro_against_wheels()
+
+    def _answer(self):
+        """Between the largest commands on their way, and what is left of larger ones."""
+        r, at = self.rules.answer, self.now
+        row = self.odometry[-1]
+        ends = [t for t, _ in self.sent[1:]] + [np.inf]
+        held = [u for (_, u), end in zip(self.sent, ends, strict=False) if end >= at - r.dead_time]
+        for i, (name, found, lag, gain, margin) in enumerate(
+            [
+                ("answer_v", row[1], r.lag_v, r.gain_v, r.margin_v),
+                ("answer_omega", row[6], r.lag_omega, r.gain_omega, r.margin_omega),
+            ]
+        ):
+            most = gain * max([0.0, *(u[i] for u in held)])
+            least = gain * min([0.0, *(u[i] for u in held)])
+            before, high, low = self.bounds.get(name, (self.began, 0.0, 0.0))
+            share = (at - before) / (lag + at - before)
+            high = most if most > high else high + share * (most - high)
+            low = least if least < low else low + share * (least - low)
+            self.bounds[name] = (at, high, low)
+            self.judge(name, not low - margin <= found <= high + margin, r.lasting)
+
+    def _gyro_against_wheels(self):
+        r = self.rules.agreement
+        if self.odometry[-1][8] is None:
+            return
+        wheels = gyro = 0.0
+        for k, row in enumerate(self.odometry):
+            if row[8] is not None:
+                dt = row[0] - self.odometry[k - 1][0] if k else 0.0
+                wheels += dt / (r.window + dt) * (row[2] - wheels)
+                gyro += dt / (r.window + dt) * (row[8] - gyro)
+        bounds = [0.0 + r.window * wheels * share for share in (r.gyro_gain, r.gyro_least)]
+        inside = min(bounds) - r.gyro_turn <= r.window * gyro <= max(bounds) + r.gyro_turn
+        self.judge("gyro_wheels", not inside, r.lasting)
+
+    def pose(self, now, stamp, pose):
+        self.now = now
+        if not self.usable(stamp, pose, self.poses):
+            return
+        self.poses.append((stamp, *pose))
+        self._poses_against_odometry()
+
+    def summed(self, times):
+        """(k, 4) x, y, theta and distance by wheels and gyro at these times; NaN where that is not known."""
+        t = np.array([row[0] for row in self.odometry])
+        if not len(t):
+            return np.full((len(times), 4), np.nan)
+        dt = np.diff(t, prepend=t[0])
+        v, turning = np.array([[row[1], row[6]] for row in self.odometry]).T
+        theta = np.cumsum(turning * dt)
+        middle = theta - 0.5 * turning * dt
+        sums = np.cumsum([v * np.cos(middle) * dt, v * np.sin(middle) * dt, turning * dt, np.abs(v) * dt], axis=1)
+        found = np.array([np.interp(times, t, row) for row in sums]).T
+        found[np.asarray(times) < t[0] - 1e-9] = np.nan
+        return found
+
+    def _poses_against_odometry(self):
+        r = self.rules.agreement
+        # One pose is kept for each thirtieth of the window.
+        kept = []
+        for one in self.poses[:-1]:
+            if not kept or one[0] - kept[-1][0] >= r.window / 30:
+                kept.append(one)
+        kept = kept[-32:]
+        newest = self.poses[-1]
+        known = [one for one in kept if newest[0] - one[0] <= r.window and np.isfinite(self.summed([one[0]])).all()]
+        if not known or not np.isfinite(self.summed([newest[0]])).all():
+            return
+        oldest = known[0]
+        then, now = self.summed([oldest[0], newest[0]])
+        angle = oldest[3] - then[2]
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        apart = np.linalg.norm(np.array(newest[1:3]) - oldest[1:3] - turn @ (now[:2] - then[:2]))
+        askew = abs(wrapped(newest[3] - oldest[3] - now[2] + then[2]))
+        self.judge("pose_jumps", apart > r.distance + r.distance_share * (now[3] - then[3]), r.lasting)
+        self.judge("pose_turns", askew > r.turn + r.turn_share * abs(now[2] - then[2]), r.lasting)
+
+    def command(self, now, stamp, v, omega):
+        self.now = now
+        r = self.rules.commands
+        twist = (v, omega)
+        self.judge("not_finite", not np.isfinite(twist).all())
+        if np.isfinite(twist).all():
+            self.judge("speed", abs(v) > r.v * (1 + 1e-9))
+            self.judge("yaw_rate", abs(omega) > r.omega * (1 + 1e-9))
+            moving = self.moves(twist)
+            ahead = stamp - now
+            self.judge("old_command", moving and stamp and -ahead > r.oldest)
+            self.judge("command_ahead", moving and stamp and ahead > self.rules.sensors.ahead)
+            stamps = [one[1] for one in self.commands if one[1]]
+            self.judge("command_order", moving and stamp and stamps and stamp < stamps[-1])
+            self.commands.append((now, stamp, v, omega, bool(self.sent) and self.moves(self.sent[-1][1])))
+            self._slew()
+            self._pace(moving)
+        if self.stopped is None:
+            self.sent.append((now, twist))
+            self._time()
+
+    def _slew(self):
+        r = self.rules.commands
+        limits = ((r.v_slew, r.v_braking), (r.omega_slew, r.omega_braking))
+        for i, name in enumerate(("slew", "yaw_slew")):
+            follower, away, broken = 0.0, 0.0, False
+            for k, one in enumerate(self.commands):
+                if one[2] == 0.0 and one[3] == 0.0:
+                    follower, broken = 0.0, False
+                    continue
+                step = 0.0
+                if k:
+                    last = next((old[1] for old in self.commands[k - 1 :: -1] if old[1]), None)
+                    step = one[1] - last if one[1] and last is not None else one[0] - self.commands[k - 1][0]
+                step = min(max(step, 0.0), 1.0)
+                u = one[2 + i]
+                slower = u * follower >= 0 and abs(u) < abs(follower)
+                slew = max(limits[i]) if slower else limits[i][0]
+                follower = float(np.clip(u, follower - slew * step, follower + slew * step))
+                away = abs(u - follower)
+                broken = away > slew * r.jitter
+            self.judge(name, broken)
+
+    def _pace(self, moving):
+        r = self.rules.commands
+        middle = 0.5 * (r.slowest + r.quickest)
+        pace = middle
+        for before, one in zip([None, *self.commands], self.commands, strict=False):
+            pace = pace + 0.05 * (min(one[0] - before[0], 1.0) - pace) if before and one[4] else middle
+        self.judge("slow", moving and pace > r.slowest)
+        self.judge("flood", pace < r.quickest)
+
+    def tick(self, now):
+        self.now = now
+        if self.stopped is None:
+            self._time()
+
+    def _time(self):
+        r, now = self.rules, self.now
+        output = self.sent[-1][1] if self.sent else (0.0, 0.0)
+        moved = self.moves(output)
+        self.judge("silent", moved and now - self.commands[-1][0] > r.commands.silence)
+        stands = self.word is not None and not self.word[1] and now - self.word[0] > r.commands.stop_within
+        self.judge("not_to_move", moved and stands, r.path.grace)
+        for name, past, most in (
+            ("odometry", self.odometry, r.sensors.odometry_age),
+            ("pose", self.poses, r.sensors.pose_age),
+            ("gyro", self.gyros, r.sensors.gyro_age),
+        ):
+            age = now - (past[-1][0] if past else self.began)
+            self.judge(name, moved and most > 0 and age > most)
+        self._path(output, moved)
+
+    def _path(self, output, moved):
+        r, path = self.rules.path, self.path
+        self.judge("no_reference", moved and path is None, r.grace)
+        self.judge("after_end", moved and path is not None and self.now > path[-1, 0] + r.after_end)
+        names = ("off_path", "off_heading", "faster", "faster_turn")
+        if not moved or path is None:
+            for name in names:
+                self.judge(name, False)
+            return
+        begin = min(self.now - r.behind, path[-1, 0])
+        end = max(self.now + r.ahead, path[0, 0])
+        a, b = path, np.vstack([path[1:], path[-1:]])
+        near = (b[:, 0] >= begin) & (a[:, 0] <= end)
+        a, b = a[near], b[near]
+        own = self.poses if self.rules.sensors.pose_age > 0 else [(row[0], *row[3:6]) for row in self.odometry]
+        turn, time = wrapped(b[:, 3] - a[:, 3]), b[:, 0] - a[:, 0]
+        if own:
+            x, y, theta = own[-1][1:4]
+            v = self.odometry[-1][1] if self.odometry else 0.0
+            stop = v * abs(v) / (2 * self.rules.commands.v_braking)
+            at = np.array([x + stop * np.cos(theta), y + stop * np.sin(theta)])
+            along = b[:, 1:3] - a[:, 1:3]
+            length = (along**2).sum(axis=1)
+            share = np.clip(((at - a[:, 1:3]) * along).sum(axis=1) / np.where(length > 0, length, 1), 0, 1)
+            away = np.linalg.norm(at - a[:, 1:3] - share[:, None] * along, axis=1)
+            off = np.abs(wrapped(theta - a[:, 3] - 0.5 * turn)) - 0.5 * np.abs(turn)
+            close = away <= r.distance
+            heading = max(off[close].min(), 0.0) if close.any() else 0.0
+            self.judge("off_path", away.min() > r.distance, r.lasting)
+            self.judge("off_heading", heading > r.heading, r.lasting)
+        ok = time > 0
+        middle = a[ok, 3] + 0.5 * turn[ok]
+        along = (b - a)[ok, 1:3]
+        forward = (along * np.column_stack([np.cos(middle), np.sin(middle)])).sum(axis=1)
+        speed = np.where(forward < 0, -1, 1) * np.linalg.norm(along, axis=1) / time[ok]
+        rates = turn[ok] / time[ok]
+        for name, values, sent, margin in (
+            ("faster", speed, output[0], r.faster_v),
+            ("faster_turn", rates, output[1], r.faster_omega),
+        ):
+            low, high = min([0.0, *values]) - margin, max([0.0, *values]) + margin
+            self.judge(name, not low <= sent <= high, r.faster_lasting)
