@@ -137,9 +137,9 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
 def write_report(
     study: Study[P, R], report: Report, meta: Meta, folder: Path, on_figure: OnDone = lambda: None, jobs: int = 1
 ) -> None:
-    """Write `NAME.json`, figures, further files, `NAME.md` and the page into `folder`, which exists; `on_figure` after each figure.
+    """Write `NAME.json`, figures, further files, `NAME.md` and the page into `folder`, which exists.
 
-    Where there are many figures, `jobs` processes draw them.
+    `on_figure` is called after each figure. Where there are many figures, `jobs` processes draw them.
     """
     (folder / f"{study.name}.json").write_text(json_text(meta, report.content), encoding="utf-8")
     for name, text in report.files.items():

@@ -22,7 +22,7 @@ _DEGREE = 3
 _INTERVALS = 36
 _DENSE = 60
 # Curvature at which the scale goes from linear to logarithmic [1/m].
-_BEND = 0.02
+_BEND = 0.05
 
 
 class TorqueSpline:

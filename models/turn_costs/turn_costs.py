@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
-from diffdrive_mpc.models.energy.drive_constants import DRIVES, DriveConstants, load_drive_constants
+from diffdrive_mpc.models.energy.drive_constants import DRIVES, DriveConstants, NamedDrive, load_drive_constants
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.robot import Positive
@@ -35,12 +35,8 @@ def _vehicle(value: Any) -> Any:  # noqa: ANN401 - what a file holds there
     return load_vehicle(value) if isinstance(value, str) else value
 
 
-def _drive(value: Any) -> Any:  # noqa: ANN401
-    return load_drive_constants(value) if isinstance(value, str) else value
-
-
 class SlipCoefficients(StrictModel):
-    """`models.slip_laws.polynomial_twist`: what is added to the commands; all zero is no slip. Lateral is to the left."""
+    """`models.slip_laws.polynomial_twist`: what is added to commands; lateral is to the left."""
 
     a11: float = Field(default=0.0, description="forward speed over v_c [-]")
     a12: float = Field(default=0.0, description="forward speed over w_c [m]")
@@ -100,9 +96,7 @@ class TurnCosts(StrictModel):
     vehicle: Annotated[Vehicle, BeforeValidator(_vehicle, json_schema_input_type=Vehicle | str)] = Field(
         description="a mapping, or the name of a vehicle file"
     )
-    drive: Annotated[DriveConstants, BeforeValidator(_drive, json_schema_input_type=DriveConstants | str)] = Field(
-        description="a mapping, or the name of a drive file"
-    )
+    drive: NamedDrive = Field(description="a mapping, or the name of a drive file")
     slip: SlipCoefficients = Field(default_factory=SlipCoefficients, description="without: none")
     curve: TorqueTable
     provenance: str = Field(min_length=1, description="where these values come from")

@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -136,8 +137,8 @@ def test_the_expression_is_the_power_and_smooth(name, symbol):
     # Even and flat in curvature at straight on, curved upward; finite everywhere.
     value, gradient, hessian = (np.array(one) for one in said(0.4, 0.0))
     assert gradient[1] == pytest.approx(0.0, abs=1e-9)
-    ahead = float(said(0.4, 1e-3)[0])
-    assert (ahead - float(value.squeeze())) * 2e6 == pytest.approx(hessian[1, 1], rel=0.05)
+    ahead = float(said(0.4, 1e-4)[0])
+    assert (ahead - float(value.squeeze())) * 2e8 == pytest.approx(hessian[1, 1], rel=0.05)
     assert all(np.isfinite(np.array(one)).all() for row in GRID for one in said(*row))
 
 
@@ -205,12 +206,10 @@ def test_what_is_written_is_read_again(vinyl, tmp_path):
         ({"curve": {"radius": [1, 2, 2], "outer": [1, 1, 1], "inner": [0, 0, 0]}}, "has to ascend"),
         ({"curve": {"radius": [1, 2, 3], "outer": [1, 1, 1, 1], "inner": [0, 0, 0]}}, "give as many of each"),
         ({"vehicle": "fsu_bott"}, "did you mean 'fsu_bot'"),
-        ({"slip": {"a14": 1.0}}, "did you mean 'slip.a1"),
+        ({"slip": {"a14": 1.0}}, "did you mean 'slip.a31'"),
     ],
 )
 def test_a_mistake_in_the_file_is_one_sentence(tmp_path, change, words):
-    import yaml  # noqa: PLC0415
-
     plain = yaml.safe_load(turn_costs_text(load_turn_costs("fsu_bot-carpet")))
     for key, value in change.items():
         plain[key] = plain[key] | value if isinstance(value, dict) else value

@@ -179,7 +179,8 @@ def turn_costs_of(
 ) -> tuple[TurnCosts, IdentifiedSlip]:
     """The file of this robot on this floor, and how well its slip law is known.
 
-    The law is that of turns no sharper than the learned least radius: beyond it the wheels do not do what the base asks.
+    The law is that of turns no sharper than the learned least radius: beyond it the wheels do not do what the
+    base asks.
     """
     settings = load_torque_settings().curves
     v, omega = drive.command.T
