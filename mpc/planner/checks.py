@@ -26,6 +26,7 @@ class PlanError(ConfigError):
 def checked(
     start: ArrayLike, goal: ArrayLike, via: ArrayLike, minimise: str, speed: float, dt: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Start (3,), goal (3,) and via points (n, 2) as numbers; raises PlanError where something cannot be used."""
     if minimise not in OBJECTIVES:
         raise PlanError(f"minimise '{minimise}': give {', '.join(OBJECTIVES[:-1])} or {OBJECTIVES[-1]}")
     if not (math.isfinite(speed) and speed > 0):
@@ -54,9 +55,13 @@ def checked(
 
 def allowed_radius(costs: TurnCosts, speed: float, settings: PlanSettings) -> float:
     """Least radius [m]; raises PlanError where the robot cannot turn, or not even drive, so fast."""
-    rims = costs.vehicle.rims(np.array([[speed, 0.0]]))
+    if speed > settings.motion.top_speed:
+        raise PlanError(
+            f"speed {speed:g} m/s: at most {settings.motion.top_speed:g} m/s (motion.top_speed); go slower, or give "
+            "settings for a faster robot"
+        )
     straight = np.abs(costs.torques([[speed, 0.0]])).max()
-    if not np.isfinite(rims).all() or straight >= costs.vehicle.torque_limit:
+    if straight >= costs.vehicle.torque_limit:
         raise PlanError(f"speed {speed:g} m/s: the motors cannot drive it straight on; go slower")
     sharp = sharpest_radius(costs, speed, settings)
     if not math.isfinite(sharp):
@@ -76,8 +81,8 @@ def free_map(
         if room < margin:
             where = "overlaps an obstacle" if room < 0 else f"is {room:.2f} m from an obstacle"
             raise PlanError(
-                f"{name} {words_of(pose)}: the robot {where} there, at least {margin:g} m are asked for; move the {name}, "
-                "or take a smaller margin"
+                f"{name} {words_of(pose)}: the robot {where} there, at least {margin:g} m are asked for; move the "
+                f"{name}, or take a smaller margin"
             )
     for i, point in enumerate(via):
         headings = np.column_stack([np.tile(point, (16, 1)), np.linspace(-np.pi, np.pi, 16)])

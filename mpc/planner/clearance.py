@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
@@ -129,7 +130,7 @@ class ClearanceMap:
         self._gaps = gaps - math.sqrt(0.5) * self._cell
         self._clearance = clearance
 
-    def free(self, poses: FloatArray, margin: float) -> FloatArray:
+    def free(self, poses: FloatArray, margin: float) -> NDArray[np.bool_]:
         """(...) of bool: the robot at poses (..., 3) keeps `margin` [m] and is on the map."""
         cells = np.rint((self._clearance.centres(poses) - self._low) / self._cell).astype(int)
         rows, columns = self._gaps.shape
@@ -150,7 +151,7 @@ class ClearanceMap:
 class DistanceField:
     """Lower bound of the way to a point over free cells."""
 
-    def __init__(self, free: FloatArray, low: FloatArray, cell: float, target: Sequence[float]) -> None:
+    def __init__(self, free: NDArray[np.bool_], low: FloatArray, cell: float, target: Sequence[float]) -> None:
         self._low, self._cell, self._shape = low, cell, free.shape
         index = np.arange(free.size).reshape(free.shape)
         starts, ends, lengths = [], [], []
@@ -173,7 +174,7 @@ class DistanceField:
         found = self._far[row * self._shape[1] + column]
         return np.asarray(np.maximum(found / _EIGHT - 1.5 * self._cell, 0.0))
 
-    def _cells(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _cells(self, points: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         cells = np.rint((points - self._low) / self._cell).astype(int)
         return np.clip(cells[:, 1], 0, self._shape[0] - 1), np.clip(cells[:, 0], 0, self._shape[1] - 1)
 

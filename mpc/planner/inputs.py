@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats.qmc import Halton
 
 from diffdrive_mpc.models.interface import FloatArray
@@ -12,6 +13,8 @@ from diffdrive_mpc.models.turn_costs import TurnCosts
 from diffdrive_mpc.mpc.planner.settings import PlanSettings
 
 Objective = Literal["energy", "time", "distance"]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
 OBJECTIVES: tuple[Objective, ...] = ("energy", "time", "distance")
 _SPOT_SHARE = 0.9
 # Slower ones are no way to turn on the spot [rad/s].
@@ -28,7 +31,7 @@ class Inputs(NamedTuple):
     """(m, 3) of the body by the slip law"""
     rates: FloatArray
     """(m,) of the objective, per second"""
-    straight: FloatArray
+    straight: Mask
     """(m,) of bool: the body goes straight on"""
 
     @property
@@ -43,7 +46,7 @@ class Inputs(NamedTuple):
         """(m,) of the body over the floor [m/s]."""
         return np.hypot(self.twists[:, 0], self.twists[:, 1])
 
-    def moved(self, index: FloatArray, times: FloatArray) -> FloatArray:
+    def moved(self, index: Index, times: FloatArray) -> FloatArray:
         """(..., 3) displacement in the frame of the start under inputs `index` (...) for `times` (...) [s]."""
         v, lateral, omega = np.moveaxis(self.twists[index], -1, 0)
         half = 0.5 * omega * times
@@ -51,7 +54,7 @@ class Inputs(NamedTuple):
         c, s = np.cos(half), np.sin(half)
         return np.stack([reach * (v * c - lateral * s), reach * (v * s + lateral * c), omega * times], axis=-1)
 
-    def chosen(self, rows: FloatArray) -> Inputs:
+    def chosen(self, rows: Index) -> Inputs:
         """Some of them."""
         return Inputs(self.commands[rows], self.twists[rows], self.rates[rows], self.straight[rows])
 

@@ -17,7 +17,8 @@ from diffdrive_mpc.mpc.planner.settings import PlanSettings
 
 # Obstacles that each disc of the robot looks at from each node, and how near they have to be [m].
 _NEAREST, _WITHIN = 2, 2.0
-_SHORTEST_PHASE = 0.02
+# Durations of a phase, from [s] and to over that of the search.
+_SHORTEST_PHASE, _LONGER = 0.02, 1.5
 _SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 
@@ -74,7 +75,6 @@ def polish(
     # Simpson's rule.
     price = steps / 6 * (ends[:-1] + 4 * middles + ends[1:])
     change = w[1:] - w[:-1]
-    first = _simulated(costs, schedule, schedule.durations, schedule.yaw_rates, start)
     size = _objective_of(costs, minimise, schedule)
     rough = ca.sumsqr(change / max(float(np.abs(schedule.most).max()), 1e-6))
     goals = [ca.vec(moved - x[:, 1:]), x[:, 0] - start, x[:, -1] - goal]
@@ -93,25 +93,12 @@ def polish(
     g = ca.vertcat(*constraints)
     unknown = ca.vertcat(ca.vec(x), ca.vec(w), d)
     nlp = {"x": unknown, "f": ca.sum2(price) / size + asked.smoothness * rough, "g": g, "p": planes}
-    options = {
-        "print_time": False,
-        "ipopt": {
-            "print_level": 0,
-            "sb": "yes",
-            "max_iter": asked.iterations,
-            "tol": 1e-5,
-            "acceptable_tol": 1e-3,
-            "acceptable_constr_viol_tol": 1e-6,
-            "acceptable_iter": 8,
-            "mu_strategy": "adaptive",
-        },
-    }
-    solver = ca.nlpsol("polish", "ipopt", nlp, options)
+    solver = ca.nlpsol("polish", "ipopt", nlp, _options(asked.iterations))
     lowest = np.where(schedule.free, _SHORTEST_PHASE, schedule.durations)
-    highest = np.where(schedule.free, 3.0 * schedule.durations + 5.0, schedule.durations)
+    highest = np.where(schedule.free, _LONGER * schedule.durations + 3.0, schedule.durations)
     lower = np.concatenate([np.full(3 * (count + 1), -np.inf), -schedule.most, lowest])
     upper = np.concatenate([np.full(3 * (count + 1), np.inf), schedule.most, highest])
-    guess = np.concatenate([first.ravel(), schedule.yaw_rates, schedule.durations])
+    guess = np.concatenate([schedule.poses.ravel(), schedule.yaw_rates, schedule.durations])
     lbg = np.zeros(g.shape[0])
     ubg = np.concatenate([np.zeros(zeros), np.full(g.shape[0] - zeros, np.inf)])
     status, solved = "", False
@@ -130,6 +117,22 @@ def polish(
     return Polished(guess[4 * count + 4 :], np.clip(rates, -schedule.most, schedule.most), status, solved)
 
 
+def _options(iterations: int) -> dict[str, Any]:
+    return {
+        "print_time": False,
+        "ipopt": {
+            "print_level": 0,
+            "sb": "yes",
+            "max_iter": iterations,
+            "tol": 1e-5,
+            "acceptable_tol": 1e-3,
+            "acceptable_constr_viol_tol": 1e-6,
+            "acceptable_iter": 8,
+            "mu_strategy": "adaptive",
+        },
+    }
+
+
 def _interval(costs: TurnCosts) -> ca.Function:
     """The pose from node to node, by one step of Runge and Kutta's fourth order."""
     x, step = ca.SX.sym("x", 3), ca.SX.sym("h")
@@ -138,14 +141,14 @@ def _interval(costs: TurnCosts) -> ca.Function:
     def slope(pose: ca.SX, v: ca.SX, w: ca.SX) -> ca.SX:
         along, left, turn = polynomial_terms(costs.slip.rows, v, w)
         c, s = ca.cos(pose[2]), ca.sin(pose[2])
-        return ca.vertcat(c * along - s * left, s * along + c * left, turn)
+        return ca.SX(ca.vertcat(c * along - s * left, s * along + c * left, turn))
 
     vm, wm = 0.5 * (v0 + v1), 0.5 * (w0 + w1)
     k1 = slope(x, v0, w0)
     k2 = slope(x + 0.5 * step * k1, vm, wm)
     k3 = slope(x + 0.5 * step * k2, vm, wm)
     k4 = slope(x + step * k3, v1, w1)
-    after = x + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    after = ca.SX(x + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
 
     return ca.Function("interval", [x, v0, v1, w0, w1, step], [after])
 
@@ -154,26 +157,12 @@ def _rate(costs: TurnCosts, minimise: Objective) -> ca.Function:
     """What a second costs under a command."""
     v, w = ca.SX.sym("v"), ca.SX.sym("w")
     along, left, _ = polynomial_terms(costs.slip.rows, v, w)
-    rate = {
-        "energy": lambda: costs.symbolic_power(v, w),
-        "time": lambda: ca.SX(1.0),
-        "distance": lambda: ca.sqrt(along**2 + left**2 + 1e-8),
-    }[minimise]()
+    rate = ca.SX(1.0)
+    if minimise == "energy":
+        rate = costs.symbolic_power(v, w)
+    elif minimise == "distance":
+        rate = ca.sqrt(along**2 + left**2 + 1e-8)
     return ca.Function("rate", [v, w], [rate])
-
-
-def _simulated(
-    costs: TurnCosts, schedule: Schedule, durations: FloatArray, rates: FloatArray, start: FloatArray
-) -> FloatArray:
-    """(n + 1, 3) poses at the nodes, by the mean command of each interval."""
-    commands = np.stack([schedule.speeds, rates], -1)
-    steps = schedule.steps(durations)
-    poses = [np.asarray(start, dtype=float)]
-    for (v, left, turn), step in zip(costs.twist(0.5 * (commands[1:] + commands[:-1])), steps, strict=True):
-        heading = poses[-1][2] + 0.5 * step * turn
-        c, s = np.cos(heading), np.sin(heading)
-        poses.append(poses[-1] + step * np.array([c * v - s * left, s * v + c * left, turn]))
-    return np.array(poses)
 
 
 def _objective_of(costs: TurnCosts, minimise: Objective, schedule: Schedule) -> float:

@@ -48,8 +48,8 @@ class Plan:
     search
         What the search has to say: cost, lower bound, states.
     status
-        "polished"; "unfinished" where IPOPT did not converge and what it has is proven to be a plan all the same; "search"
-        where it failed and the search's way stands, at rest between its pieces.
+        "polished"; "unfinished" where IPOPT did not converge and what it has is proven to be a plan all the same;
+        "search" where it failed and the search's way stands, at rest between its pieces.
     solver
         IPOPT's own words.
     """

@@ -9,6 +9,7 @@ goal is tried in closed form (`words`), so that the end is exact and the best wa
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc.planner.clearance import ClearanceMap
-from diffdrive_mpc.mpc.planner.inputs import Inputs
+from diffdrive_mpc.mpc.planner.inputs import Index, Inputs
 from diffdrive_mpc.mpc.planner.settings import SearchSettings
 from diffdrive_mpc.mpc.planner.words import Words, arc_arc_arc, arc_straight, arc_straight_arc, placed
 
@@ -26,7 +27,7 @@ _CHECK, _CHECK_ANGLE = 0.12, 0.3
 # Within this distance of a target its direction tells no turn that has to be made [m].
 _NEAR = 0.3
 # So many ways from a batch are held against the map, cheapest first.
-_TRIED = 60
+_TRIED = 16
 
 
 class Piece(NamedTuple):
@@ -59,6 +60,92 @@ class Found(NamedTuple):
     """that were taken up"""
     complete: bool
     """whether it ended because nothing can be better by more than the gap"""
+
+
+Held = tuple[tuple[int, float], ...]
+"""Numbers of inputs and how long each is held [s]."""
+
+
+class _Tree:
+    """States and how each was reached; of those in one cell of the grid the cheapest is kept."""
+
+    def __init__(self, start: FloatArray, estimate: float, settings: SearchSettings) -> None:
+        self.poses, self.costs, self.legs = [start], [0.0], [0]
+        self._estimates = [estimate]
+        # Eager until a way is known, then the best first.
+        self._eager = settings.eager
+        self._heap = [(estimate, 0)]
+        self._settings = settings
+        self._parents: list[tuple[int, Held]] = [(-1, ())]
+        self._best: dict[tuple[int, ...], float] = {}
+        self._taken: set[tuple[int, ...]] = set()
+        self._ending: tuple[int, Held] | None = None
+        self.least = math.inf
+        """of the ways to the goal"""
+
+    @property
+    def enough(self) -> float:
+        """What estimates this much or more is not worth it."""
+        return self.least * (1 - self._settings.gap)
+
+    @property
+    def open_bound(self) -> float:
+        """How cheap what is still open could be at best."""
+        return min((self._estimates[node] for _, node in self._heap), default=self.least)
+
+    def add(self, parent: int, held: Held, pose: FloatArray, leg: int, cost: float, left: float) -> None:
+        """A state, if it is worth it."""
+        if cost + left >= self.enough:
+            return
+        key = self._key(pose, leg)
+        if cost >= self._best.get(key, math.inf):
+            return
+        self._best[key] = cost
+        self.poses.append(pose)
+        self.costs.append(cost)
+        self.legs.append(leg)
+        self._parents.append((parent, held))
+        self._estimates.append(cost + left)
+        heapq.heappush(self._heap, (cost + self._eager * left, len(self.poses) - 1))
+
+    def arrive(self, parent: int, held: Held, cost: float) -> None:
+        """A way to the goal."""
+        if cost < self.least:
+            self.least, self._ending = cost, (parent, held)
+            if self._eager > 1.0:
+                self._eager = 1.0
+                self._heap = [(self._estimates[node], node) for _, node in self._heap]
+                heapq.heapify(self._heap)
+                # What was taken up in a hurry may be reached more cheaply.
+                self._taken.clear()
+
+    def batch(self, most: int) -> list[int]:
+        """The cheapest open states."""
+        found: list[int] = []
+        while self._heap and len(found) < most and self._heap[0][0] < self.enough:
+            _, node = heapq.heappop(self._heap)
+            key = self._key(self.poses[node], self.legs[node])
+            if key not in self._taken or node == 0:
+                self._taken.add(key)
+                found.append(node)
+        return found
+
+    def way(self) -> list[tuple[Held, int]] | None:
+        """What is held from the start to the goal, and on which leg; None where no way is known."""
+        if self._ending is None:
+            return None
+        node, held = self._ending
+        parts = [(held, self.legs[node])]
+        while node > 0:
+            before, held = self._parents[node]
+            parts.append((held, self.legs[before]))
+            node = before
+        return parts[::-1]
+
+    def _key(self, pose: FloatArray, leg: int) -> tuple[int, ...]:
+        asked, (x, y, theta) = self._settings, pose.tolist()
+        heading = round(theta / (2 * math.pi) * asked.headings) % asked.headings
+        return leg, round(x / asked.cell), round(y / asked.cell), heading
 
 
 class Search:
@@ -118,77 +205,52 @@ class Search:
 
     def run(self) -> Found | None:
         """Search; None where no way was found."""
-        asked, inputs = self._settings, self._inputs
-        poses, costs, legs = [self._start], [0.0], [0]
-        parents: list[tuple[int, tuple[tuple[int, float], ...]]] = [(-1, ())]
-        best: dict[tuple[int, ...], float] = {}
-        heap = [(float(self._left(self._start[None], 0)[0]), 0)]
-        ending: tuple[int, tuple[tuple[int, float], ...]] | None = None
-        least, count = np.inf, 0
-        taken_keys: set[tuple[int, ...]] = set()
-        while heap and count < asked.most_states:
-            if heap[0][0] >= least * (1 - asked.gap):
-                break
-            batch: list[int] = []
-            while heap and len(batch) < (asked.batch if count else 1):
-                if heap[0][0] >= least * (1 - asked.gap):
-                    break
-                _, node = heapq.heappop(heap)
-                key = self._key(poses[node], legs[node])
-                if key in taken_keys and node:
-                    continue
-                taken_keys.add(key)
-                batch.append(node)
+        asked, count = self._settings, 0
+        tree = _Tree(self._start, float(self._left(self._start[None], 0)[0]), asked)
+        while count < asked.most_states:
+            batch = tree.batch(asked.batch if count else 1)
             if not batch:
                 break
-            for leg in sorted({legs[node] for node in batch}):
-                nodes = [node for node in batch if legs[node] == leg]
-                at, so_far = np.array([poses[node] for node in nodes]), np.array([costs[node] for node in nodes])
-                last = leg == len(self._via)
-                words = self._words(at, leg, whole=count == 0)
-                total = so_far[words.start] + words.costs
-                if last:
-                    for row in self._cheapest(words, total, at, least, 1):
-                        least = float(total[row])
-                        ending = nodes[words.start[row]], self._held(words, row)
-                else:
-                    # Ways to a via point are states of the next leg.
-                    for row in self._cheapest(words, total, at, least, 4 * len(nodes)):
-                        held = self._held(words, row)
-                        pose = self._end(at[words.start[row]], held)
-                        pose[:2] = self._via[leg]
-                        estimate = float(total[row] + self._left(pose[None], leg + 1)[0])
-                        if estimate < least * (1 - asked.gap) and self._better(best, pose, leg + 1, float(total[row])):
-                            poses.append(pose)
-                            costs.append(float(total[row]))
-                            legs.append(leg + 1)
-                            parents.append((nodes[words.start[row]], held))
-                            heapq.heappush(heap, (estimate, len(poses) - 1))
-                after = placed(at[:, None], self._moved[None])
-                reached = so_far[:, None] + inputs.rates * self._times
-                left = self._left(after.reshape(-1, 3), leg).reshape(reached.shape)
-                worth = reached + left < least * (1 - asked.gap)
-                rows, used = np.nonzero(worth)
-                if self._free is not None and len(rows):
-                    way = placed(at[rows, None], self._inside[used])
-                    clear = self._free[0].free(way, self._free[1]).all(axis=1)
-                    rows, used = rows[clear], used[clear]
-                for row, one in zip(rows.tolist(), used.tolist(), strict=True):
-                    pose, cost = after[row, one], float(reached[row, one])
-                    if not self._better(best, pose, leg, cost):
-                        continue
-                    poses.append(pose)
-                    costs.append(cost)
-                    legs.append(leg)
-                    parents.append((nodes[row], ((one, float(self._times[one])),)))
-                    heapq.heappush(heap, (cost + float(left[row, one]), len(poses) - 1))
+            for leg in sorted({tree.legs[node] for node in batch}):
+                nodes = [node for node in batch if tree.legs[node] == leg]
+                self._shoot(tree, nodes, leg, whole=count == 0)
+                self._expand(tree, nodes, leg)
             count += len(batch)
-        if ending is None:
+        way = tree.way()
+        if way is None:
             return None
-        # What is still open, or was broken off at, says how cheap a way could be at best.
-        open_bound = heap[0][0] if heap else least
-        done = open_bound >= least * (1 - asked.gap)
-        return Found(self._traced(ending, parents, legs), least, min(least, open_bound), count, done)
+        complete = tree.open_bound >= tree.enough
+        return Found(self._pieces(way), tree.least, min(tree.least, tree.open_bound), count, complete)
+
+    def _shoot(self, tree: _Tree, nodes: list[int], leg: int, *, whole: bool) -> None:
+        """Try the end of the leg from some states; a via point that is reached is a state of the next leg."""
+        poses, costs = np.array([tree.poses[node] for node in nodes]), np.array([tree.costs[node] for node in nodes])
+        words = self._words(poses, leg, whole=whole)
+        total = costs[words.start] + words.costs
+        last = leg == len(self._via)
+        for row in self._cheapest(words, total, poses, tree.least, 1 if last else 4 * len(nodes)):
+            held, node, cost = self._held(words, row), nodes[words.start[row]], float(total[row])
+            if last:
+                tree.arrive(node, held, cost)
+                continue
+            pose = self._end(poses[words.start[row]], held)
+            pose[:2] = self._via[leg]
+            tree.add(node, held, pose, leg + 1, cost, float(self._left(pose[None], leg + 1)[0]))
+
+    def _expand(self, tree: _Tree, nodes: list[int], leg: int) -> None:
+        """Hold every input for a step."""
+        poses, costs = np.array([tree.poses[node] for node in nodes]), np.array([tree.costs[node] for node in nodes])
+        after = placed(poses[:, None], self._moved[None])
+        reached = costs[:, None] + self._inputs.rates * self._times
+        left = self._left(after.reshape(-1, 3), leg).reshape(reached.shape)
+        rows, used = np.nonzero(reached + left < tree.enough)
+        if self._free is not None and len(rows):
+            way = placed(poses[rows, None], self._inside[used])
+            clear = self._free[0].free(way, self._free[1]).all(axis=1)
+            rows, used = rows[clear], used[clear]
+        for row, one in zip(rows.tolist(), used.tolist(), strict=True):
+            held = ((one, float(self._times[one])),)
+            tree.add(nodes[row], held, after[row, one], leg, float(reached[row, one]), float(left[row, one]))
 
     def _words(self, poses: FloatArray, leg: int, *, whole: bool) -> Words:
         """Ways to the end of the leg: of every input and three arcs from the start, of few inputs from elsewhere."""
@@ -204,12 +266,13 @@ class Search:
         words = kind(self._shots, poses, self._goal)
         return words._replace(inputs=self._shot_rows[words.inputs])
 
-    def _few(self) -> FloatArray:
+    def _few(self) -> Index:
         """Numbers of few inputs, gentle to sharp, all that go straight on or turn on the spot among them."""
         inputs = self._inputs
-        special = inputs.straight | (inputs.speeds < 1e-6)
+        special = inputs.straight | (inputs.commands[:, 0] == 0)
         turning = np.flatnonzero(~special)
-        order = turning[np.argsort(np.abs(inputs.commands[turning, 1] / inputs.commands[turning, 0]), kind="stable")]
+        curvature = np.abs(inputs.commands[turning, 1] / inputs.commands[turning, 0])
+        order = turning[np.argsort(curvature, kind="stable")]
         sides = order.reshape(-1, 4 if (inputs.commands[:, 0] < 0).any() else 2)
         picks = np.unique(np.rint(np.linspace(0, len(sides) - 1, self._settings.shots)).astype(int))
         return np.sort(np.concatenate([np.flatnonzero(special), sides[picks].ravel()]))
@@ -235,24 +298,12 @@ class Search:
         with np.errstate(invalid="ignore"):
             bounds = (far + rest)[:, None] * metre[1:] + turn[:, None] * radian[1:]
         flat = turn * radian[0]
-        return np.maximum(bounds.max(axis=1), flat)
+        return np.asarray(np.maximum(bounds.max(axis=1), flat))
 
     def _angle(self, angle: FloatArray) -> FloatArray:
         """Turn that has to be made [rad]: less for a robot that goes either way."""
         found = np.abs(wrap_angle(angle))
         return np.minimum(found, np.pi - found) if self._both_ways else found
-
-    def _key(self, pose: FloatArray, leg: int) -> tuple[int, ...]:
-        asked = self._settings
-        heading = round(float(pose[2]) / (2 * np.pi) * asked.headings) % asked.headings
-        return leg, round(float(pose[0]) / asked.cell), round(float(pose[1]) / asked.cell), heading
-
-    def _better(self, best: dict[tuple[int, ...], float], pose: FloatArray, leg: int, cost: float) -> bool:
-        key = self._key(pose, leg)
-        if cost >= best.get(key, np.inf):
-            return False
-        best[key] = cost
-        return True
 
     def _cheapest(self, words: Words, total: FloatArray, poses: FloatArray, least: float, most: int) -> list[int]:
         """Numbers of the cheapest ways that are free and cheaper than `least`, at most so many."""
@@ -262,49 +313,37 @@ class Search:
             return [int(row) for row in rows[:most]]
         kept: list[int] = []
         for row in rows[:_TRIED]:
-            if self._is_free(poses[words.start[row]], words.inputs[row], words.times[row]):
+            if self._is_free(self._free, poses[words.start[row]], words.inputs[row], words.times[row]):
                 kept.append(int(row))
                 if len(kept) == most:
                     break
         return kept
 
-    def _is_free(self, pose: FloatArray, inputs: FloatArray, times: FloatArray) -> bool:
-        assert self._free is not None
+    def _is_free(self, free: tuple[ClearanceMap, float], pose: FloatArray, inputs: Index, times: FloatArray) -> bool:
         at = pose
         for one, time in zip(inputs.tolist(), times.tolist(), strict=True):
             speed, omega = self._inputs.speeds[one], abs(self._inputs.twists[one, 2])
             parts = max(1, int(np.ceil(time * max(speed / _CHECK, omega / _CHECK_ANGLE))))
             moved = self._inputs.moved(np.full(parts, one), time * np.arange(1, parts + 1) / parts)
             way = placed(at, moved)
-            if not self._free[0].free(way, self._free[1]).all():
+            if not free[0].free(way, free[1]).all():
                 return False
             at = way[-1]
         return True
 
-    def _held(self, words: Words, row: int) -> tuple[tuple[int, float], ...]:
+    def _held(self, words: Words, row: int) -> Held:
         pairs = zip(words.inputs[row].tolist(), words.times[row].tolist(), strict=True)
         return tuple((one, time) for one, time in pairs if time > 0)
 
-    def _end(self, pose: FloatArray, held: tuple[tuple[int, float], ...]) -> FloatArray:
+    def _end(self, pose: FloatArray, held: Held) -> FloatArray:
         for one, time in held:
             pose = placed(pose, self._inputs.moved(np.array(one), np.array(time)))
         return pose
 
-    def _traced(
-        self,
-        ending: tuple[int, tuple[tuple[int, float], ...]],
-        parents: list[tuple[int, tuple[tuple[int, float], ...]]],
-        legs: list[int],
-    ) -> tuple[Piece, ...]:
-        """Pieces from the start, those of one input that follow one another as one."""
-        node, held = ending
-        parts = [(held, len(self._via))]
-        while node > 0:
-            before, held = parents[node]
-            parts.append((held, legs[before]))
-            node = before
+    def _pieces(self, way: list[tuple[Held, int]]) -> tuple[Piece, ...]:
+        """Those of one input that follow one another as one."""
         pieces: list[Piece] = []
-        for held, leg in reversed(parts):
+        for held, leg in way:
             for one, time in held:
                 v, omega = self._inputs.commands[one].tolist()
                 if pieces and pieces[-1][:2] == (v, omega) and pieces[-1].leg == leg:

@@ -22,6 +22,7 @@ class SearchSettings(StrictModel):
     headings: int = Field(ge=4, le=720)
     batch: int = Field(ge=1, le=1000)
     most_states: int = Field(ge=1)
+    eager: float = Field(ge=1.0)
     gap: NotNegative
     shots: int = Field(ge=1, le=200)
     map_cell: Positive
@@ -47,6 +48,7 @@ class Motion(StrictModel):
     acceleration: Positive = Field(description="of the command [m/s^2]")
     yaw_acceleration: Positive = Field(description="of the command [rad/s^2]")
     yaw_rate: Positive = Field(description="of the command, at most [rad/s]; sharper arcs are driven slower")
+    top_speed: Positive = Field(description="fastest that may be asked for [m/s]")
     margin: NotNegative = Field(description="between robot and obstacles [m]")
     longest_detour: Positive = Field(description="shortest allowed way over the straight distance, at most [-]")
 

@@ -136,7 +136,7 @@ class Task:
         """Polish, sample, prove; where that fails, the search's way with a stop between any two pieces."""
         spot = spot_rate(self.costs, self.settings.motion.yaw_rate) if self.on_the_spot else 0.0
         last = np.array([*self.goal[:2], self._unwrapped(found)])
-        schedule = laid_out(found.pieces, self.sharpest, spot, self.settings)
+        schedule = laid_out(self.costs, self.start, found.pieces, self.sharpest, spot, self.settings)
         said = polish(self.costs, minimise, schedule, self.start, last, self.via, self.settings, self.clearance)
         commands = self._made(schedule, said.durations, said.yaw_rates, last)
         fault = self._fault(commands, last)
@@ -144,7 +144,9 @@ class Task:
             status = POLISHED if said.solved else UNFINISHED
             return self._plan(minimise, commands, found, status, said.status)
         words = f"{said.status}; {fault}"
-        stopping = laid_out(found.pieces, self.sharpest, spot, self.settings, stop_at_corners=True)
+        stopping = laid_out(
+            self.costs, self.start, found.pieces, self.sharpest, spot, self.settings, stop_at_corners=True
+        )
         commands = self._made(stopping, stopping.durations, stopping.yaw_rates, last)
         fault = self._fault(commands, last)
         if fault is not None:

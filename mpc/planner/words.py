@@ -1,9 +1,10 @@
 """Ways of three pieces from a pose to a pose, in closed form for any constant twists, side-slip included.
 
 A body under a constant twist turns about a centre c that is fixed in its own frame. With headings a and b at the two
-joints, going from centre to centre gives arc-straight-arc D = R(a) (L d + c3 - c1), d the direction in which
-straight on drifts, and arc-arc-arc D = R(a) (c2 - c1) + R(b) (c3 - c2): a line of known length, and an arm of two links. Without
-slip and with one radius these are the words of Dubins, American Journal of Mathematics 79(3), 1957.
+joints, D from the centre of the first arc to that of the last is R(a) (L d + c3 - c1) for arc-straight-arc, d being the
+direction in which straight on drifts, and R(a) (c2 - c1) + R(b) (c3 - c2) for three arcs: a line whose length is known,
+and an arm of two links. Without slip and with one radius these are the words of Dubins, American Journal of Mathematics
+79(3), 1957.
 """
 
 from __future__ import annotations
@@ -11,12 +12,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.planner.inputs import Inputs
+from diffdrive_mpc.mpc.planner.inputs import Index, Inputs, Mask
 
-Index = NDArray[np.intp]
 _WHOLE = 2 * np.pi
 _SAME = 1e-9
 
@@ -123,10 +122,10 @@ def _turned(inputs: Inputs, index: Index, angle: FloatArray) -> FloatArray:
     """Time that an input takes to turn the body by `angle`, the way it turns [s]."""
     omega = inputs.twists[index, 2]
     around = np.mod(np.sign(omega) * angle, _WHOLE)
-    return np.where(around > _WHOLE - 1e-7, 0.0, around) / np.abs(omega)
+    return np.asarray(np.where(around > _WHOLE - 1e-7, 0.0, around) / np.abs(omega))
 
 
-def _kept(inputs: Inputs, index: Index, times: FloatArray, fits: NDArray[np.bool_]) -> Words:
+def _kept(inputs: Inputs, index: Index, times: FloatArray, fits: Mask) -> Words:
     start, word = np.nonzero(fits)
     lasting = np.maximum(times[start, word], 0.0)
     chosen = index[word]
