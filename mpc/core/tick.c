@@ -28,7 +28,7 @@
 /* Share of a new reading of the encoders in their smoothed speed. */
 #define SMOOTHED R(0.2)
 /* From so much on it is said that a turn is held to the least radius [rad/s, m/s]. */
-#define HELD_TURN R(0.01)
+#define HELD_TURN R(0.05)
 #define LEAST_TURN R(0.01)
 
 static void forget(ddmpc_controller *c)
