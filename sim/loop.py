@@ -146,6 +146,7 @@ def simulate(
         motor_speed=wheel_speed,
         motor_power=power,
         motor_square=square,
+        drive=getattr(plant, "drive", None),
         disturbance=plant.disturbance if isinstance(plant, (DisturbedPlant, WorldPlant)) else None,
         ended=ended,
         **around.kept,

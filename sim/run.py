@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from diffdrive_mpc.models.energy.drive_constants import DriveConstants
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, ReferenceSample, Stamped
 from diffdrive_mpc.models.results import ReadOnlyArrays
@@ -84,6 +85,8 @@ class Run(ReadOnlyArrays):
         (n, 4) what each motor really did from this tick to the next, means: torque at the wheel [N m], wheel speed
         [rad/s], mechanical power [W], square of the torque [N^2 m^2]; front left, front right, rear left, rear right.
         NaN for a plant without motors.
+    drive
+        Electrical constants of these motors; None for a plant without: then those of the papers' robot count.
     world
         What was around the robot; None for nothing.
     contacts
@@ -118,6 +121,7 @@ class Run(ReadOnlyArrays):
     motor_speed: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
     motor_power: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
     motor_square: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    drive: DriveConstants | None = None
     world: World | None = None
     contacts: tuple[Contact, ...] = ()
     outline: tuple[float, float] = (0.0, 0.0)

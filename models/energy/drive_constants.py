@@ -6,11 +6,13 @@ a motor that drives draws a little more than this, and one that brakes gives bac
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
@@ -67,3 +69,17 @@ class DriveConstants(StrictModel):
 def load_drive_constants(name: str | Path = "default") -> DriveConstants:
     """Read constants by shipped name ("default", "fsu_bot") or path; raises ConfigError on a mistake in the file."""
     return load_checked(DriveConstants, named_file("drive", DRIVES, name))
+
+
+@cache
+def papers_drive() -> DriveConstants:
+    """Those of the papers' robot, of a robot that says nothing else."""
+    return load_drive_constants()
+
+
+def _by_name(data: object) -> object:
+    return load_drive_constants(data) if isinstance(data, str) else data
+
+
+NamedDrive = Annotated[DriveConstants, BeforeValidator(_by_name, json_schema_input_type=str | DriveConstants)]
+"""Constants in a file of something else: written out, or the name of a shipped file."""

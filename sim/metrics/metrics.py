@@ -9,13 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from diffdrive_mpc.models.energy.drive_constants import DriveConstants, load_drive_constants
+from diffdrive_mpc.models.energy.drive_constants import DriveConstants, papers_drive
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.table import Table, number
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings
@@ -47,7 +46,7 @@ class Metrics:
     `heading_*` other than the RMSE are of the absolute error. A value that cannot be computed (the robot never moved,
     a pose was not finite, nothing was solved, the plant has no motors) is NaN. Times and iterations are those of the
     ticks that have one. `motor_work_j` is what the motors gave to the wheels less what they took back, `energy_j` what
-    the battery gave for it by the constants of `models/energy/drives/default.yaml`, the motors of the papers' robot.
+    the battery gave for it by the drive constants of the robot that drives, without any those of the papers' robot.
     """
 
     steps: int
@@ -172,6 +171,11 @@ class ScoredRun(Protocol):
         ...
 
     @property
+    def drive(self) -> DriveConstants | None:
+        """Electrical constants of the motors; None where they are not known."""
+        ...
+
+    @property
     def counted(self) -> NDArray[np.bool_]:
         """(n,) True for the ticks that the statistics cover."""
         ...
@@ -218,18 +222,13 @@ def compute_metrics(run: ScoredRun) -> Metrics:
     )
 
 
-@cache
-def _motors() -> DriveConstants:
-    return load_drive_constants()
-
-
 def _energy(run: ScoredRun, counted: NDArray[np.bool_]) -> dict[str, float]:
     """Work of the motors and what the battery gave for it [J]; a sample in which the robot was lost does not count."""
     known = counted & np.isfinite(run.motor_power).all(axis=1)
     if not known.any():
         return {}
     work, square = run.motor_power[known], run.motor_square[known]
-    constants = _motors()
+    constants = run.drive or papers_drive()
     power = constants.motor_power(work, square).sum() + constants.idle_power * len(work)
     return {"motor_work_j": float(work.sum() * run.sample_time), "energy_j": float(power * run.sample_time)}
 

@@ -97,6 +97,7 @@ def make_plant(
             twin=build.twin if build else None,
             firmware=build.firmware if build else None,
             base=build.base if build else None,
+            drive=build.drive if build else None,
             scenario=happening if happening.physical else None,
             sideways=floor.sideways,
             sample_time=sample_time,

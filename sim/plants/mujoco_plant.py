@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from diffdrive_mpc.models.energy.drive_constants import DriveConstants, papers_drive
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.robot import Robot, load_robot
 from diffdrive_mpc.models.wheels import WheelKinematics
@@ -40,6 +41,8 @@ class MujocoPlant:
         Other robots than the shipped one.
     base
         What its base does to commands; nothing by default.
+    drive
+        Electrical constants of its motors, by which energy is counted; by default those of the papers' robot.
     scenario
         What happens to chassis and motors; the rest of it is for `sim.plants.disturbed_plant.DisturbedPlant`.
     sideways
@@ -48,6 +51,11 @@ class MujocoPlant:
         Time for which a command holds [s]; by default that of `robot`. Steps of the physics are about as long as there.
     world
         What stands and moves around it.
+
+    Attributes
+    ----------
+    drive
+        The constants of its motors.
     """
 
     def __init__(
@@ -60,6 +68,7 @@ class MujocoPlant:
         twin: TwinParameters | None = None,
         firmware: Firmware | None = None,
         base: BaseCommands | None = None,
+        drive: DriveConstants | None = None,
         scenario: Scenario | None = None,
         sideways: float = 1.0,
         sample_time: float | None = None,
@@ -67,6 +76,7 @@ class MujocoPlant:
     ) -> None:
         robot, twin = robot or load_robot(), twin or load_twin_parameters()
         self._robot = robot
+        self.drive = drive or papers_drive()
         self._sample_time = robot.sample_time if sample_time is None else sample_time
         self._substeps = max(1, round(twin.substeps * self._sample_time / robot.sample_time))
         step = self._sample_time / self._substeps

@@ -6,6 +6,7 @@ from typing import Protocol
 
 from numpy.typing import ArrayLike
 
+from diffdrive_mpc.models.energy.drive_constants import DriveConstants
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 
@@ -94,4 +95,10 @@ class PlantAround:
     def motors(self) -> FloatArray | None:
         """(steps, 2, 4) torques [N m] and wheel speeds [rad/s] in the sample before; None without motors."""
         found: FloatArray | None = getattr(self._plant, "motors", None)
+        return found
+
+    @property
+    def drive(self) -> DriveConstants | None:
+        """Electrical constants of the motors; None without motors."""
+        found: DriveConstants | None = getattr(self._plant, "drive", None)
         return found

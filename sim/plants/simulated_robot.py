@@ -7,6 +7,7 @@ from pathlib import Path
 from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_variation
+from diffdrive_mpc.models.energy.drive_constants import NamedDrive, papers_drive
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.robot import Positive, Robot, load_robot
 from diffdrive_mpc.sim.plants.base_commands import BaseCommands
@@ -28,6 +29,10 @@ class SimulatedRobot(StrictModel):
     base: BaseCommands | None = Field(default=None, description="slope limits and wheel commands inside the base")
     friction: Positive | None = Field(
         default=None, description="sliding friction coefficient of the floor that is its default one"
+    )
+    drive: NamedDrive = Field(
+        default_factory=papers_drive,
+        description="motors and drivers as models/energy/drives, by name or written out: what energy is counted with",
     )
     sensors: SensorSet = Field(description="those that are its default ones, as sim/sensing/sensor_sets")
 
@@ -51,6 +56,7 @@ def digital_twin() -> dict[str, object]:
         "robot": load_robot(),
         "twin": load_twin_parameters(),
         "firmware": load_firmware(),
+        "drive": papers_drive(),
         "sensors": load_sensor_set(DEFAULT),
     }
     return {key: part.model_dump() for key, part in parts.items()}

@@ -1,7 +1,9 @@
 """Node, monitor and simulated robot as three processes: the monitor is killed while they drive."""
 
+import time
+
 import numpy as np
-from test_over_dds import true_twists
+from test_over_dds import BOUND, true_twists
 
 from diffdrive_mpc.bench.studies.ros.two_processes import own_domain, running
 from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
@@ -14,16 +16,20 @@ def test_a_robot_stops_by_itself_when_its_monitor_is_killed(tmp_path, monkeypatc
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     in_sim_time = ["--ros-args", "-p", "use_sim_time:=true", "-p", "use_pose_topic:=true"]
     node = ["node", "--drive", *in_sim_time, "-r", "cmd_vel:=cmd_vel_unchecked"]
-    robot = ["robot", "--lock-step", "--answer-timeout", "0.05", "--record", str(bag)]
+    # Long: a busy machine must not make commands late, which the monitor would stop. Once the dead monitor's lease of
+    # DDS has ended nobody is connected any more, and the robot waits no longer.
+    robot = ["robot", "--lock-step", "--answer-timeout", "30", "--record", str(bag)]
     with (
         running("node", node, environment, tmp_path) as controller,
         running("monitor", ["monitor", *in_sim_time], environment, tmp_path) as monitor,
         running("robot", robot, environment, tmp_path) as base,
         true_twists(environment) as following,
     ):
+        end = time.monotonic() + BOUND
         while following()[0] < 0.3:
             assert all(one.popen.poll() is None for one in (controller, monitor, base))
-        assert "STOPPED" not in monitor.output
+            assert "STOPPED" not in monitor.output, monitor.output
+            assert time.monotonic() < end, (controller.output, monitor.output, base.output)
         monitor.popen.kill()
         while np.abs(following()).max() > 0.01:
             assert controller.popen.poll() is None and base.popen.poll() is None

@@ -12,8 +12,12 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.studies.torque.measurements import own_least_radius, plant_of, steady_turns, unseen_commands
+from diffdrive_mpc.bench.studies.torque.outcome import measure_floor, parts_of
 from diffdrive_mpc.bench.studies.torque.settings import load_study, quick
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.energy import load_drive_constants
+from diffdrive_mpc.models.terrain import load_vehicle
+from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 
 STUDY = load_study()
 TRACK, LIMIT = 0.39, 4.6
@@ -97,3 +101,27 @@ def test_quick_is_a_part_of_the_whole() -> None:
     assert {*small.surfaces} <= {*STUDY.surfaces}
     assert {*small.measured.radii} <= {*STUDY.measured.radii}
     assert not {*STUDY.fit_radii} & {*STUDY.measured.radii}, "what is fitted is not what it is held against"
+
+
+def test_our_own_robot_has_a_vehicle_and_no_least_radius() -> None:
+    asked = quick(STUDY).model_copy(update={"robot": "default"})
+    vehicle, constants = parts_of(asked)
+    build = load_simulated_robot("default")
+    assert constants == load_drive_constants()
+    assert vehicle.mass == pytest.approx(build.robot.mass, rel=1e-3)
+    lengths = (vehicle.track, vehicle.wheel_base, vehicle.wheel_radius, vehicle.command_track)
+    assert lengths == (build.robot.track, build.twin.chassis.wheel_base, build.robot.wheel_radius, build.firmware.track)
+    assert vehicle.torque_limit == 2 * build.twin.motor.stall_torque
+    floor = measure_floor(asked, "grippy")
+    # It grips with its weight on half its wheel base: far below what its motors have.
+    assert floor.own_radius == (0.0, 0.0) and floor.learned_radius == 0.0 and floor.model_radius == 0.0
+    (steady,) = floor.steady.values()
+    assert steady.outer.max() < 0.5 * vehicle.torque_limit
+    assert abs(floor.energies[0].error) < 0.1
+
+
+def test_a_study_may_name_a_vehicle_of_its_own() -> None:
+    vehicle, _ = parts_of(STUDY.model_copy(update={"robot": "heavy", "vehicle": "default"}))
+    assert vehicle == load_vehicle("default")
+    with pytest.raises(ConfigError, match="unknown vehicle 'heavy'"):
+        parts_of(STUDY.model_copy(update={"robot": "heavy"}))

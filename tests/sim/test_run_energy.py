@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from loop_parts import ConstantTwist, FeedForward, KinematicPlant
 
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.energy import load_drive_constants
 from diffdrive_mpc.sim import make_plant, simulate
+from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc.sim.run import Run
 
 STRAIGHT, CURVE = (ConstantTwist(v=0.4, omega=omega, duration=3.0) for omega in (0.0, 1.2))
 
 
-def driven(reference: ConstantTwist, surface: str = "default") -> Run:
-    return simulate(FeedForward(), make_plant("mujoco", surface=surface, sensors="perfect"), reference)
+def driven(reference: ConstantTwist, surface: str = "default", plant: str = "mujoco", **around: str) -> Run:
+    return simulate(FeedForward(), make_plant(plant, surface=surface, sensors="perfect", **around), reference)  # type: ignore[arg-type]
 
 
 def test_a_curve_costs_more_than_the_straight_way_and_grip_more_than_ice() -> None:
@@ -62,6 +66,37 @@ def test_a_lost_robot_does_not_spoil_the_sum() -> None:
     run = driven(CURVE)
     torn = run.motor_power.copy()
     torn[-1] = np.nan
-    from dataclasses import replace
-
     assert math.isfinite(replace(run, motor_power=torn).metrics.energy_j)
+
+
+@pytest.mark.parametrize("around", [{}, {"scenario": "start_offset"}, {"world": "opening"}])
+def test_energy_is_counted_with_the_motors_of_the_robot_that_drives(around: dict[str, str]) -> None:
+    run = driven(STRAIGHT, plant="mujoco:fsu_bot", **around)
+    own, ours = load_drive_constants("fsu_bot"), load_drive_constants()
+    assert run.drive == own
+    counted = run.counted
+
+    def by(constants) -> float:  # type: ignore[no-untyped-def]
+        return float(constants.motor_power(run.motor_power, run.motor_square)[counted].sum() * run.sample_time)
+
+    assert run.metrics.energy_j == pytest.approx(by(own))
+    assert run.metrics.energy_j != pytest.approx(by(ours), rel=0.02)
+
+
+def test_the_robot_named_default_is_the_one_without_a_name() -> None:
+    plain, named = driven(CURVE), driven(CURVE, plant="mujoco:default")
+    assert np.array_equal(plain.true_pose, named.true_pose) and np.array_equal(plain.motor_torque, named.motor_torque)
+    assert named.drive == load_drive_constants() and plain.metrics.energy_j == named.metrics.energy_j
+
+
+def test_a_robot_file_names_its_motors_writes_out_what_differs_or_has_those_of_the_papers(tmp_path: Path) -> None:
+    def drive(words: str):  # type: ignore[no-untyped-def]
+        (tmp_path / "r.yaml").write_text(f"description: a robot\n{words}\n")
+        return load_simulated_robot(tmp_path / "r.yaml").drive
+
+    ours = load_drive_constants()
+    assert drive("") == ours
+    assert drive("drive: fsu_bot") == load_drive_constants("fsu_bot")
+    assert drive("drive: {resistance: 2.0}") == ours.model_copy(update={"resistance": 2.0})
+    with pytest.raises(ConfigError, match=r"r.yaml: .*drive.*did you mean 'fsu_bot'"):
+        drive("drive: fsu_bott")

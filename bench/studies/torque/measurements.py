@@ -69,6 +69,7 @@ def plant_of(robot: str, surface: str, payload: float = 0.0, seed: int = 0, sens
         twin=build.twin,
         firmware=build.firmware,
         base=build.base,
+        drive=build.drive,
         scenario=load,
         sideways=floor.sideways,
     )

@@ -17,7 +17,7 @@ from diffdrive_mpc.bench.studies.torque.measurements import (
     unseen_commands,
 )
 from diffdrive_mpc.bench.studies.torque.settings import TorqueStudySettings
-from diffdrive_mpc.models.energy import DriveConstants, load_drive_constants, predict_energy
+from diffdrive_mpc.models.energy import DriveConstants, predict_energy
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.terrain import (
     FittedShear,
@@ -31,6 +31,7 @@ from diffdrive_mpc.models.terrain import (
 )
 from diffdrive_mpc.models.torque import TorqueCurves, TorqueSettings, load_torque_settings
 from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop
+from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 
 CLOSE = 0.10
 """RMSE over the RMS of the measured curve below which a curve counts as learned."""
@@ -100,8 +101,8 @@ class PayloadOutcome(NamedTuple):
 
 
 def parts_of(study: TorqueStudySettings) -> tuple[Vehicle, DriveConstants]:
-    """Vehicle and motors of the robot; raises ConfigError where there are none of its name."""
-    return load_vehicle(study.robot), load_drive_constants(study.robot)
+    """Vehicle and motors of the robot; raises ConfigError where it or a vehicle of its name does not exist."""
+    return load_vehicle(study.vehicle or study.robot), load_simulated_robot(study.robot).drive
 
 
 def reference_speed() -> float:

@@ -48,7 +48,8 @@ class Unseen(StrictModel):
 class TorqueStudySettings(StrictModel):
     """All of it."""
 
-    robot: str
+    robot: str = Field(description="of the physics, shipped or the path of a robot file; its file says its motors")
+    vehicle: str | None = Field(default=None, description="shipped or a path; without: of the robot's name")
     prior: str
     surfaces: Annotated[tuple[str, ...], Field(min_length=1)]
     diagnostic: Diagnostic
