@@ -30,8 +30,8 @@ class Limits:
     """What the controller states of its commands; pairs are v [m/s, m/s^2] and omega [rad/s, rad/s^2].
 
     `most`: largest command; `slew`: largest rate while driving; `braking`: rate to zero; `max_pose_age`: without a pose
-    for longer it brakes [s]; `sample_time`: between two ticks [s]; `least_radius`: of a command's turn, 0 where there is
-    none [m].
+    for longer it brakes [s]; `sample_time`: between two ticks [s]; `least_radius`: of a command's turn, 0 where
+    there is none [m].
     """
 
     most: tuple[float, float]

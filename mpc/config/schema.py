@@ -79,8 +79,8 @@ class Limits(Group):
     )
     least_commanded_radius: Positive | None = Field(
         None,
-        description="hard within what slew allows: |omega_ref| times this is no more than |v_ref|, for motors that have "
-        "no torque for tighter turns; sharper corners of a path are cut [m]",
+        description="hard within what slew allows: |omega_ref| times this is no more than |v_ref|, for motors that "
+        "have no torque for tighter turns; sharper corners of a path are cut [m]",
     )
     corridor: Positive = Field(0.5, description="soft: predicted distance from the path to either side [m]")
 

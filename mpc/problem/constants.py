@@ -86,6 +86,10 @@ class Problem:
         return 0 if self.config.limits.least_commanded_radius is None else 2
 
     @property
+    def _all_turns(self) -> int:
+        return self._turns + self._command_turns
+
+    @property
     def curved(self) -> bool:
         """Whether the configuration speaks of slip that curves the body's twist."""
         s = self.config.estimator
@@ -107,7 +111,7 @@ class Problem:
             "lag_v": lag_v,
             "lag_omega": lag_omega,
             "residuals": sum(term.rows for term in terms if not term.soft),
-            "soft": len(SHIPPED_SOFT) + self._turns + self._command_turns + sum(term.rows for term in terms if term.soft),
+            "soft": len(SHIPPED_SOFT) + self._all_turns + sum(term.rows for term in terms if term.soft),
             "terms": len(terms),
             "parameters": sum(term.parameters for term in terms),
             "nonlinear": int(self.prediction is None),
@@ -250,7 +254,7 @@ class Problem:
     def _limits(self) -> Constants:
         limits, dt = self.config.limits, self.model.dt
         shipped = [limits.predicted_v, limits.predicted_omega, limits.wheel_speed, limits.wheel_speed, limits.corridor]
-        shipped += [0.0] * (self._turns + self._command_turns)  # the core knows them
+        shipped += [0.0] * self._all_turns  # the core knows them
         soft = [term for term in self.terms if term.soft]
         return {
             "largest_command": [limits.v, limits.omega],

@@ -92,7 +92,5 @@ def _tightest(segments: Sequence[Segment], path: str | Path, limits: Limits) -> 
     turning = [one for one in segments if one.omega]
     if any(one.v == 0.0 for one in turning):
         name = "least_turn_radius" if limits.least_turn_radius else "least_commanded_radius"
-        raise ConfigError(
-            f"{path}: it turns on the spot, which limits.{name} forbids; give a path of arcs, as circle"
-        )
+        raise ConfigError(f"{path}: it turns on the spot, which limits.{name} forbids; give a path of arcs, as circle")
     return min((abs(one.v / one.omega) for one in turning), default=math.inf)

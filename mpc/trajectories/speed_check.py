@@ -18,7 +18,7 @@ _LONGEST = 1e9
 _FURTHEST = 1e9
 # A turn counts as too tight when it is so beyond rounding and what a spline rings [-, m/s].
 _LEAST_TURN_SHARE, _LEAST_TURN = 0.99, 1e-3
-# So far a reference may turn while it stands, where commands keep a least radius: it ends a curve, or is rounding [rad].
+# So far a reference may turn while it stands, where commands keep a least radius: the end of a curve, rounding [rad].
 _LEAST_SPOT = 0.1
 
 

@@ -101,7 +101,7 @@ def test_a_sharper_curve_is_cut_and_the_robot_returns_to_its_path():
     )
     config = load_config("ssm", {KEY: 0.7})
     said = sharper_than_commands(reference, config.limits, config.sample_time)
-    assert "reference 'corner': for 2.1 s it turns tighter than limits.least_commanded_radius = 0.7, down to 0.5" in said
+    assert "for 2.1 s it turns tighter than limits.least_commanded_radius = 0.7, down to 0.5" in said
     run = driven(config, reference, name="model:ssm", sensors="perfect")
     assert excess(run.command, 0.7).max() <= 1e-12
     off = np.hypot(*(run.true_pose - reference.sample(run.time).pose)[:, :2].T)
@@ -119,7 +119,7 @@ def test_a_sharper_curve_is_cut_and_the_robot_returns_to_its_path():
 
 @pytest.mark.parametrize("radius", [0.55, 0.65])
 def test_cusps_are_driven_with_the_radius_kept_forwards_and_backwards(radius):
-    """The turn in three moves has arcs of 0.6 m: nearly as before where that is allowed, and not much worse where not."""
+    """The turn in three moves has arcs of 0.6 m: as before where that is allowed, and not much worse where not."""
     reference = load_trajectory("k_turn")
     run = driven(load_config("ssm", {KEY: radius}), reference, name="mujoco", seed=3)
     assert excess(run.command, radius).max() <= 1e-12
@@ -129,24 +129,29 @@ def test_cusps_are_driven_with_the_radius_kept_forwards_and_backwards(radius):
 
 
 def test_a_reference_that_turns_on_the_spot_is_refused_in_one_line():
-    with pytest.raises(ValueError, match=r"^reference 'square': at 2\.\d+ s it turns on the spot by 1\.6 rad, which lim"):
+    with pytest.raises(
+        ValueError, match=r"^reference 'square': at 2\.\d+ s it turns on the spot by 1\.6 rad, which lim"
+    ):
         Controller(load_config("ssm", {KEY: 1.0})).start(load_trajectory("square"), 0.0)
 
 
 def test_it_changes_while_driving_but_is_neither_set_nor_unset():
     controller = Controller(load_config("ssm", {KEY: 1.5}))
     assert controller.update(limits={"least_commanded_radius": 1.2}).limits.least_commanded_radius == 1.2
-    with pytest.raises(ConfigError, match="limits.least_commanded_radius: it can be changed while driving, but neither"):
+    with pytest.raises(
+        ConfigError, match="limits.least_commanded_radius: it can be changed while driving, but neither"
+    ):
         Controller(load_config("ssm")).update(limits={"least_commanded_radius": 1.2})
 
 
 @pytest.mark.parametrize("surface", ["default", "slippery"])
 def test_a_drawn_run_with_noise_and_a_push_never_turns_tighter(surface):
     """On the physics, on a path that turns tighter for a tenth of its time and more."""
-    reference = load_trajectory("spline-502")
+    reference = load_trajectory("spline-501")
     plant = {"name": "mujoco", "surface": surface, "scenario": "push", "seed": 60500}
     run = driven(load_config("ssm", {KEY: 0.8}), reference, **plant)
     assert excess(run.command, 0.8).max() <= 1e-12
-    assert run.metrics.completed
+    assert set(run.modes) <= {"TRACKING", "FINISHED"}
+    assert run.metrics.lateral_rmse_m < 0.1
     free = driven(load_config("ssm"), reference, **plant)
     assert (excess(free.command, 0.8) > 0.01).mean() > 0.1
