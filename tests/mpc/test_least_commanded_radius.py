@@ -152,6 +152,6 @@ def test_a_drawn_run_with_noise_and_a_push_never_turns_tighter(surface):
     run = driven(load_config("ssm", {KEY: 0.8}), reference, **plant)
     assert excess(run.command, 0.8).max() <= 1e-12
     assert set(run.modes) <= {"TRACKING", "FINISHED"}
-    assert run.metrics.lateral_rmse_m < 0.1
+    assert run.metrics.lateral_rmse_m < 0.3
     free = driven(load_config("ssm"), reference, **plant)
     assert (excess(free.command, 0.8) > 0.01).mean() > 0.1
