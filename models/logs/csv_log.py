@@ -243,9 +243,10 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: Wheels | None = None
 def _own_mapping(path: Path) -> LogMapping:
     mapping, header = load_mapping(OWN_FORMAT), read_header(path)
     assert mapping.columns is not None
-    if header and not mapping.columns.names() <= set(header):
+    columns = mapping.columns.without_power(header)
+    if header and not columns.names() <= set(header):
         raise ConfigError(f"{path}: which column is what? Give a mapping file; the columns are {', '.join(header)}")
-    return mapping
+    return mapping.model_copy(update={"columns": columns})
 
 
 def _where(table: CsvTable, columns: Columns) -> CsvTable:
@@ -301,14 +302,20 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
     if columns.pose is not None:
         axes = (columns.pose.x, columns.pose.y, columns.pose.theta)
         add("pose", columns.pose, {"pose": np.column_stack([reader.column(axis)[0] for axis in axes])})
-    for field, sensor, names in (
-        ("battery", columns.battery, ("voltage", "current")),
-        ("motor_current", columns.motors, SIDES),
-    ):
-        if sensor is not None:
-            values = [reader.column(getattr(sensor, name))[0] for name in names]
-            add(field, sensor, {field: np.column_stack(values)})
+    if columns.battery is not None:
+        parts = (columns.battery.voltage, columns.battery.current)
+        add("battery", columns.battery, {"battery": np.column_stack([reader.column(part)[0] for part in parts])})
+    if columns.motors is not None:
+        found = [reader.column(getattr(columns.motors, name))[0] for name in columns.motors.given]
+        add("motors", columns.motors, motor_fields(np.column_stack(found)))
     return signals
+
+
+def motor_fields(currents: FloatArray) -> dict[str, FloatArray]:
+    """Fields of a record for currents (n, 2) of the sides, or (n, 4) of the motors [A]."""
+    if currents.shape[1] == len(SIDES):
+        return {"motor_current": currents}
+    return {"motor_current": currents[:, :2] + currents[:, 2:], "motor_currents": currents}
 
 
 def _seems_held(table: CsvTable, sensor: str, readings: FloatArray) -> list[Finding]:
