@@ -194,6 +194,7 @@ def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
     columns, wheels = (mapping or _own_mapping(path)).columns, mapping.wheels if mapping else None
     if columns is None:
         raise ConfigError(f"{path}: the mapping has no 'columns', which a CSV file needs")
+    columns = columns.found_in(read_header(path))
     return log_of_table(_where(read_table(path, columns.names()), columns), columns, wheels)
 
 
@@ -243,10 +244,9 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: Wheels | None = None
 def _own_mapping(path: Path) -> LogMapping:
     mapping, header = load_mapping(OWN_FORMAT), read_header(path)
     assert mapping.columns is not None
-    columns = mapping.columns.without_power(header)
-    if header and not columns.names() <= set(header):
+    if header and not mapping.columns.found_in(header).names() <= set(header):
         raise ConfigError(f"{path}: which column is what? Give a mapping file; the columns are {', '.join(header)}")
-    return mapping.model_copy(update={"columns": columns})
+    return mapping
 
 
 def _where(table: CsvTable, columns: Columns) -> CsvTable:

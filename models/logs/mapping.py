@@ -205,14 +205,20 @@ class PoseColumns(SensorColumns):
     theta: AngleColumn
 
 
-class BatteryColumns(SensorColumns):
+class PowerColumns(SensorColumns):
+    """Of battery or motors."""
+
+    optional: bool = Field(False, description="whether logs without these columns are read, too, as if not mapped")
+
+
+class BatteryColumns(PowerColumns):
     """What the battery gives."""
 
     voltage: VoltageColumn
     current: CurrentColumn
 
 
-class MotorColumns(SensorColumns):
+class MotorColumns(PowerColumns):
     """Currents of the motors: of a side together, or of each of four."""
 
     left: CurrentColumn | None = None
@@ -258,15 +264,16 @@ class Columns(StrictModel):
             raise ValueError("nothing measured: name the columns of 'encoders', 'gyro' or 'pose'")
         return self
 
-    def without_power(self, there: Collection[str]) -> Self:
-        """The same without battery and motors where one of their columns is not among those that are `there`."""
-        groups = {"battery": self.battery, "motors": self.motors}
-        named = {
-            key: {part.column for _, part in group if isinstance(part, Column)}
-            for key, group in groups.items()
+    def found_in(self, there: Collection[str]) -> Self:
+        """The same without what is optional and not all among the columns that are `there`."""
+        absent = [
+            key
+            for key, group in (("battery", self.battery), ("motors", self.motors))
             if group is not None
-        }
-        return self.model_copy(update={key: None for key, names in named.items() if not names <= set(there)})
+            and group.optional
+            and not {part.column for _, part in group if isinstance(part, Column)} <= set(there)
+        ]
+        return self.model_copy(update=dict.fromkeys(absent))
 
     def names(self) -> set[str]:
         """Names of all columns that the mapping uses."""
