@@ -130,7 +130,9 @@ class EnergyFrontStudy(Study[list[Case], list[Driven]]):
             {
                 "energy without [J]": lambda points: number(points[0].energy.value, 1),
                 "error without [mm]": lambda points: number(1e3 * points[0].error.value, 1),
-                **{f"saved at {factor:g} times the error [%]": partial(_saved_at, factor=factor) for factor in _FACTORS},
+                **{
+                    f"saved at {factor:g} times the error [%]": partial(_saved_at, factor=factor) for factor in _FACTORS
+                },
             },
             list(found.items()),
             "The most that a weight saves at which every run arrives and the mean position RMSE is no more than that, "
@@ -148,8 +150,8 @@ class EnergyFrontStudy(Study[list[Case], list[Driven]]):
                 "arrived": lambda one: f"{one.completed} of {one.of}",
             },
             [((floor, path), point) for (floor, path), points in found.items() for point in points],
-            "Energy: from the battery, by the true torques of the motors, the computer's share included. Saved: over the "
-            "same seeds with no weight. In brackets: bootstrap interval over seeds, 95 %.",
+            "Energy: from the battery, by the true torques of the motors and the robot's drive constants. Saved: over "
+            "the same seeds with no weight. In brackets: bootstrap interval over seeds, 95 %.",
         )
         return Report(
             counted=f"{len(results)} runs",
