@@ -81,6 +81,10 @@ tune: $(READY) ## search for a better configuration, and hold it against the shi
 torque: $(READY) ## what a turn costs: torque, least radius and energy, measured, learned and predicted: out/torque
 	$(BIN)/diffdrive-mpc torque --out $(TORQUE_OUT)
 
+.PHONY: energy-front
+energy-front: $(READY) ## what a cost of energy in the controller saves, and what it costs in error: out/energy-front
+	$(BIN)/diffdrive-mpc energy-front --out out/energy-front
+
 tracking: $(READY) ## what the tracking reaches, what each part is worth, how much is left: tables and figures in out/tracking
 	$(BIN)/diffdrive-mpc tracking --out $(TRACKING_OUT) $(TRACKING)
 

@@ -73,7 +73,8 @@ TORQUE = ShownReport(
     (),
     "energy.md",
 )
-SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, LOOP_SPEED, PEERS, EDGE, ROBUSTNESS, PROVE, TUNE, TORQUE)
+ENERGY_FRONT = ShownReport("energy-front", ("front.png",), (), "energy.md")
+SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, LOOP_SPEED, PEERS, EDGE, ROBUSTNESS, PROVE, TUNE, TORQUE, ENERGY_FRONT)
 
 
 def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:

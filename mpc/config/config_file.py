@@ -23,8 +23,8 @@ def load_config(
     ----------
     source
         "mbm", "sm" or "ssm" for the shipped configuration of that model, or the path of a YAML file. A relative
-        path of a model, a term or turn costs inside that file is taken from the folder of the file. Or keys and values as such a
-        file holds them, for instance those that `identify` found.
+        path of a model, a term or turn costs inside that file is taken from the folder of the file. Or keys and values
+        as such a file holds them, for instance those that `identify` found.
     overrides
         Values by dotted key, for instance ``{"horizon": 20, "weights.across": 200.0}``.
 

@@ -104,7 +104,12 @@ def test_curved_slip_and_a_least_turn_radius_come_along(tmp_path):
 
 
 def test_energy_and_its_least_radius_come_along(tmp_path):
-    overrides = {"energy.turn_costs": "fsu_bot-carpet", "energy.weight": 0.01, "energy.least_radius": True, "horizon": 12}
+    overrides = {
+        "energy.turn_costs": "fsu_bot-carpet",
+        "energy.weight": 0.01,
+        "energy.least_radius": True,
+        "horizon": 12,
+    }
     program = export(tmp_path / "energy", "circle", "double", overrides, "-O1")
     steps = drive_both(program, "circle", overrides, 120, offset=(0.0, 0.03, 0.05))
     assert np.abs(differences(steps)).max() <= DOUBLE

@@ -1,4 +1,4 @@
-"""The power that turning takes, in the cost: the residual, the plan with it, and what it does on the simulated robot."""
+"""The power that turning takes, in the cost: the residual, the plan with it, and the energy of the simulated robot."""
 
 import shutil
 
