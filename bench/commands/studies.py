@@ -398,7 +398,9 @@ def torque(
         from diffdrive_mpc.bench.studies.torque.log_study import TorqueLogStudy  # noqa: PLC0415
 
         if vehicle is None:
-            raise ConfigError("--log needs --vehicle: its weight, lengths and torque limit (default, fsu_bot or a file)")
+            raise ConfigError(
+                "--log needs --vehicle: its weight, lengths and torque limit (default, fsu_bot or a file)"
+            )
         carry_out(TorqueLogStudy(log, mapping, vehicle, drive), out, jobs)
         return
     asked = settings.load_study(study)

@@ -104,7 +104,7 @@ MAPPING = """
 columns:
   time: t_s
   command: {v: v_ref_m_s, omega: omega_ref_rad_s}
-  encoders: {front_left: wheel_fl_rad_s, front_right: wheel_fr_rad_s, rear_left: wheel_rl_rad_s, rear_right: wheel_rr_rad_s}
+  encoders: {v: v_wheel_m_s, omega: omega_wheel_rad_s}
   gyro: {yaw_rate: omega_gyro_rad_s}
   motors: {front_left: motor_fl_a, front_right: motor_fr_a, rear_left: motor_rl_a, rear_right: motor_rr_a}
 wheels: {radius: 0.1075, track: 0.39}

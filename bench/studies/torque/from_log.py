@@ -85,7 +85,9 @@ def learn_log(log: str | Path, mapping: str | Path | None, vehicle: str | Path, 
     read = read_log(log, mapping)
     records = read.records
     if any(one.motor_current is None for one in records):
-        raise ConfigError(f"{read.name}: no currents of the motors; name their columns or topics, 'motors', in the mapping")
+        raise ConfigError(
+            f"{read.name}: no currents of the motors; name their columns or topics, 'motors', in the mapping"
+        )
     found, constants, note = None, prior, ""
     try:
         found = identify_constants(records, prior)
@@ -106,16 +108,16 @@ def learn_log(log: str | Path, mapping: str | Path | None, vehicle: str | Path, 
         )
     slip, slip_from = _slip(records, curves)
     rows = np.zeros((3, 3)) if slip is None else slip.coefficients
-    words = f"from the log {read.name} by 'diffdrive-mpc torque --log': {len(radii)} samples of steady turns; {slip_from}"
+    words = (
+        f"from the log {read.name} by 'diffdrive-mpc torque --log': {len(radii)} samples of steady turns; {slip_from}"
+    )
     bounds = load_torque_settings().curves.radii
     costs = TurnCosts.from_curves(
         f"{car.name}, {read.name}", car, constants, curves, rows, words, (max(low, bounds[0]), min(high, bounds[1]))
     )
     least = curves.least_radius()
     energies = np.sum([_energies(one, costs, least) for one in records], axis=0).tolist()
-    return LogOutcome(
-        read, car, constants, found, prior, note, samples, curves, slip, slip_from, costs, *energies
-    )
+    return LogOutcome(read, car, constants, found, prior, note, samples, curves, slip, slip_from, costs, *energies)
 
 
 def settled(commands: FloatArray, dt: float, settling: float) -> FloatArray:
@@ -169,7 +171,7 @@ def _slip(records: Sequence[Record], curves: TorqueCurves) -> tuple[IdentifiedSl
         if record.pose is not None:
             source = "slip law from poses"
             body = body_twists(record.pose[whole], record.pose[[k + step for k in whole]], step * record.dt)
-        if record.yaw_rate is not None and len(whole):
+        if record.yaw_rate is not None and whole:
             source += " and the gyro" if record.pose is not None else ""
             # A second of the gyro is better than two headings.
             body[:, 2] = [record.yaw_rate[k : k + step].mean() for k in whole]

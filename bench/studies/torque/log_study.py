@@ -80,7 +80,9 @@ class TorqueLogStudy(Study[None, LogOutcome]):
             ],
             tables=_tables(results),
             figures={"learned.png": partial(figures.draw_log, results)},
-            shown=Shown(key_figures=[KeyFigure("least radius", shown, f"at {results.costs.curve.speed:g} m/s", "good")]),
+            shown=Shown(
+                key_figures=[KeyFigure("least radius", shown, f"at {results.costs.curve.speed:g} m/s", "good")]
+            ),
             files={
                 DRIVE_FILE: yaml.safe_dump(drive, sort_keys=False, allow_unicode=True),
                 COSTS_FILE: turn_costs_text(results.costs),
