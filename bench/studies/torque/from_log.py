@@ -18,7 +18,7 @@ from diffdrive_mpc.models.energy import (
 )
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Log, read_log
-from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.logs.record import BoolArray, Record
 from diffdrive_mpc.models.terrain import Vehicle, load_terrain, load_vehicle
 from diffdrive_mpc.models.torque import TorqueCurves, load_torque_settings
 from diffdrive_mpc.models.turn_costs import IdentifiedSlip, TurnCosts, identify_slip
@@ -120,7 +120,7 @@ def learn_log(log: str | Path, mapping: str | Path | None, vehicle: str | Path, 
     return LogOutcome(read, car, constants, found, prior, note, samples, curves, slip, slip_from, costs, *energies)
 
 
-def settled(commands: FloatArray, dt: float, settling: float) -> FloatArray:
+def settled(commands: FloatArray, dt: float, settling: float) -> BoolArray:
     """(n,) whether a command (n, 2) has been held for `settling` [s], but for some hundredths, as controllers do."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415 - loads slowly
 
