@@ -66,9 +66,11 @@ def test_straight_on_and_at_rest_it_costs_nothing():
         assert float(RESIDUALS["default"]([v, 0.0], 1.0)) == 0.0
 
 
-def test_real_time_iterations_with_it_converge_to_ipopts_solution():
+@pytest.mark.parametrize(("floor", "weight"), [("slippery", 0.01), ("default", 0.001)])
+def test_real_time_iterations_with_it_converge_to_ipopts_solution(floor, weight):
     """In the middle of a turn: the plan with the term in its cost, against IPOPT with the same function."""
-    config = load_config("ssm", {"horizon": 12, "reentry.enabled": False} | NO_SLIP | EXACT | ON)
+    chosen = {"energy.turn_costs": f"fsu_bot-{floor}", "energy.weight": weight}
+    config = load_config("ssm", {"horizon": 12, "reentry.enabled": False} | NO_SLIP | EXACT | chosen)
     (term,) = energy_terms(config)
 
     def make():
