@@ -73,7 +73,20 @@ TORQUE = ShownReport(
     (),
     "energy.md",
 )
-SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, LOOP_SPEED, PEERS, EDGE, ROBUSTNESS, PROVE, TUNE, TORQUE)
+SAVING = ShownReport(
+    "saving",
+    (
+        "saving.png",
+        "paths-default.png",
+        "prediction.png",
+        "scenario-1.png",
+        "scenario-2.png",
+        "scenario-3.png",
+    ),
+    (),
+    "saving.md",
+)
+SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, LOOP_SPEED, PEERS, EDGE, ROBUSTNESS, PROVE, TUNE, TORQUE, SAVING)
 
 
 def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:

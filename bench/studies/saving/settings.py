@@ -1,0 +1,103 @@
+"""What the saving study does: `study.yaml` says what each value is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.robot import NotNegative, Positive
+
+FOLDER = Path(__file__).parent
+
+Place = tuple[float, float, float]
+"""x, y [m] and heading [degrees]."""
+Post = tuple[float, float, Positive]
+"""x, y and radius [m]."""
+
+
+class Drawn(StrictModel):
+    """Pairs of start and goal."""
+
+    count: int = Field(ge=1)
+    seed: int = Field(ge=0)
+    tuning_seed: int = Field(ge=0)
+    distance: tuple[Positive, Positive]
+
+    @model_validator(mode="after")
+    def _apart(self) -> Drawn:
+        if self.seed == self.tuning_seed:
+            raise ValueError("seed and tuning_seed are the same: what is reported must not have been tuned on")
+        if not self.distance[0] < self.distance[1]:
+            raise ValueError("distance: give the least and then the largest")
+        return self
+
+
+class Standing(StrictModel):
+    """When the robot stands."""
+
+    speed: Positive
+    yaw_rate: Positive
+    wait: Positive
+
+
+class Scenario(StrictModel):
+    """One of P4's, section 4.3."""
+
+    surface: str
+    start: Place
+    goal: Place
+    posts: tuple[Post, ...]
+    law: str = ""
+    payload: NotNegative = 0.0
+
+
+class Scenarios(StrictModel):
+    """All three; empty for none."""
+
+    nominal: Scenario | None = None
+    foreign: Scenario | None = None
+    loaded: Scenario | None = None
+
+
+class SavingStudySettings(StrictModel):
+    """All of it."""
+
+    robot: str
+    controller: Path
+    surfaces: Annotated[tuple[str, ...], Field(min_length=1)]
+    speed: Positive
+    pairs: Drawn
+    time_optimal: int = Field(ge=0)
+    standing: Standing
+    scenarios: Scenarios
+    seed: int = Field(ge=0)
+    asked: NotNegative
+
+    @property
+    def configuration(self) -> Path:
+        """Of the controller; a relative path that is not found from here is taken from the folder of this study."""
+        return self.controller if self.controller.is_file() else FOLDER / self.controller
+
+    def costs_of(self, surface: str) -> str:
+        """Name of the shipped turn costs of the robot on a surface."""
+        return f"{self.robot}-{surface}"
+
+
+def load_study(path: Path | None = None) -> SavingStudySettings:
+    """Read what to do; raises ConfigError on a mistake in the file."""
+    return load_checked(SavingStudySettings, path or FOLDER / "study.yaml")
+
+
+def quick(study: SavingStudySettings) -> SavingStudySettings:
+    """Two pairs on one floor and the first scenario, to see that it works."""
+    return study.model_copy(
+        update={
+            "surfaces": ("default",),
+            "pairs": study.pairs.model_copy(update={"count": 2}),
+            "time_optimal": 1,
+            "scenarios": study.scenarios.model_copy(update={"foreign": None, "loaded": None}),
+        }
+    )
