@@ -99,7 +99,7 @@ def draw_prediction(floors: Sequence[tuple[str, Sequence[PairOutcome]]], path: P
 
 def draw_scenario(found: ScenarioOutcome, outline: tuple[float, float], path: Path) -> None:
     """Draw what was planned, executed open loop, and by the controller."""
-    with new_figure(path, 7.6, 4.1) as figure:
+    with new_figure(path, 7.6, 3.7) as figure:
         panels = figure.subplots(1, len(found.plans), sharex=True, sharey=True)
         for axes, plan in zip(panels, found.plans, strict=True):
             for k, (name, points) in enumerate(_paths_of(plan)):
@@ -112,8 +112,9 @@ def draw_scenario(found: ScenarioOutcome, outline: tuple[float, float], path: Pa
             axes.set_aspect("equal")
             axes.set(xlabel="x [m]", title=f"Plan: {plan.by}")
             axes.text(0.03, 0.97, _words(plan), transform=axes.transAxes, va="top", fontsize=8)
-            axes.legend(loc="lower right")
         panels[0].set_ylabel("y [m]")
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=3)
         figure.suptitle(f"{found.title} (as figure{'s' if ' ' in found.figures else ''} {found.figures})", fontsize=10)
 
 

@@ -31,15 +31,19 @@ class PairOutcome(NamedTuple):
     told: str
     """Why there is no plan; empty where there is one for each aim"""
 
-    def saving(self, over: Aim = "distance", *, predicted: bool = False) -> float:
+    def saving(self, over: Aim = "distance", *, computer: float = 0.0) -> float:
         """Energy that the energy-optimal drive takes less than another, over that of the other [-]; NaN without both.
 
-        Of drives that did not arrive nothing is said.
+        Of drives that did not arrive nothing is said. `computer` is power that is drawn all the time beside [W].
         """
         own, other = self.drives.get("energy"), self.drives.get(over)
         if own is None or other is None or not (own.arrived and other.arrived):
             return math.nan
-        return 1 - own.predicted / other.predicted if predicted else 1 - own.measured / other.measured
+        return 1 - (own.measured + computer * own.seconds) / (other.measured + computer * other.seconds)
+
+    def promised(self, over: Aim = "distance") -> float:
+        """The same by the plans [-]."""
+        return 1 - self.drives["energy"].predicted / self.drives[over].predicted
 
 
 def measure_pair(asked: SavingStudySettings, surface: str, number: int, pair: Pair) -> PairOutcome:
@@ -88,7 +92,7 @@ class Saved(NamedTuple):
             float(found.min()),
             float(found.max()),
             int(np.count_nonzero(found < 0)),
-            float(np.mean([one.saving(over, predicted=True) for one in both])),
+            float(np.mean([one.promised(over) for one in both])),
         )
 
 

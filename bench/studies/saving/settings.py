@@ -75,6 +75,7 @@ class SavingStudySettings(StrictModel):
     scenarios: Scenarios
     seed: int = Field(ge=0)
     asked: NotNegative
+    computer: NotNegative
 
     @property
     def configuration(self) -> Path:

@@ -116,7 +116,7 @@ class SavingStudy(Study[SavingStudySettings, Results]):
                 "bootstrapped over the pairs.",
                 "Predicted: by the plan, before it is driven.",
             ],
-            tables=_tables(results),
+            tables=_tables(results, asked.computer),
             figures=draws,
             shown=Shown(key_figures=[_key_figure(surface, found, asked.asked) for surface, found in results.floors]),
         )
@@ -132,7 +132,7 @@ def _key_figure(surface: str, outcomes: Sequence[PairOutcome], least: float) -> 
     return KeyFigure(f"saved on {surface}", f"{_percent(mean.value)} %", note, "good" if 100 * mean.value >= least else "bad")
 
 
-def _tables(results: Results) -> list[Table]:
+def _tables(results: Results, computer: float) -> list[Table]:
     floors = results.floors
     saved = [((surface,), (outcomes, Saved.of(outcomes))) for surface, outcomes in floors]
     saving = Table.of(
@@ -148,9 +148,11 @@ def _tables(results: Results) -> list[Table]:
             "of all energy [%]": lambda one: _percent(one[1].total),
             "by the plans [%]": lambda one: _percent(one[1].predicted),
             "longer way [%]": lambda one: _percent(_longer(one[0])),
+            f"beside {computer:g} W [%]": lambda one: _percent(_beside(one[0], computer)),
         },
         saved,
-        note="Energy-optimal against distance-optimal. Took more: pairs whose energy-optimal drive did.",
+        note="Energy-optimal against distance-optimal. Took more: pairs whose energy-optimal drive did. Beside: mean saving of "
+        "the same drives, were a computer to draw so much as long as they last; they were not planned with it.",
     )
     over_time = [((surface,), Saved.of(outcomes, "time")) for surface, outcomes in floors]
     against_time = Table.of(
@@ -281,6 +283,12 @@ def _longer(outcomes: Sequence[PairOutcome]) -> float:
     if not both:
         return math.nan
     return sum(one["energy"].length for one in both) / sum(one["distance"].length for one in both) - 1
+
+
+def _beside(outcomes: Sequence[PairOutcome], computer: float) -> float:
+    """Mean saving were so much power [W] drawn all the time [-]."""
+    found = [one.saving(computer=computer) for one in outcomes]
+    return float(np.mean([one for one in found if math.isfinite(one)] or [math.nan]))
 
 
 def _mean(drives: Sequence[Driven], what: str) -> float:
