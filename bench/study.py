@@ -9,7 +9,7 @@ import json
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
@@ -55,6 +55,8 @@ class Report:
         How many figures stand above the tables, the others being below; None for all.
     shown
         What the page `report.html` shows beside tables and figures.
+    files
+        Text of each further file, by name.
     """
 
     counted: str
@@ -66,6 +68,7 @@ class Report:
     notes: Sequence[str] = ()
     figures_first: int | None = None
     shown: Shown = NOTHING
+    files: Mapping[str, str] = field(default_factory=dict)
 
 
 class Study(ABC, Generic[P, R]):
@@ -134,11 +137,13 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
 def write_report(
     study: Study[P, R], report: Report, meta: Meta, folder: Path, on_figure: OnDone = lambda: None, jobs: int = 1
 ) -> None:
-    """Write `NAME.json`, figures, `NAME.md` and the page into `folder`, which exists; `on_figure` after each figure.
+    """Write `NAME.json`, figures, further files, `NAME.md` and the page into `folder`, which exists.
 
-    Where there are many figures, `jobs` processes draw them.
+    `on_figure` is called after each figure. Where there are many figures, `jobs` processes draw them.
     """
     (folder / f"{study.name}.json").write_text(json_text(meta, report.content), encoding="utf-8")
+    for name, text in report.files.items():
+        (folder / name).write_text(text, encoding="utf-8")
     if report.figures:
         (folder / FIGURES).mkdir()
     draws = [partial(draw, folder / FIGURES / name) for name, draw in report.figures.items()]

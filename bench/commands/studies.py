@@ -342,7 +342,7 @@ def loop_speed(
 
 def torque(
     *,
-    out: Annotated[Path, out_option("report.html, torque.json, torque.md and figures/")],
+    out: Annotated[Path, out_option("report.html, torque.json, torque.md, turn-costs-FLOOR.yaml and figures/")],
     quick: Annotated[bool, typer.Option("--quick", help="One floor and few turns, to see that it works.")] = False,
     study: Annotated[Path | None, file_option("Study file", "--study")] = None,
     surfaces: Annotated[

@@ -26,6 +26,7 @@ from diffdrive_mpc.models.networks.network_file import NetworkFile
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.terrain.terrain_file import Terrain
 from diffdrive_mpc.models.terrain.vehicle import Vehicle
+from diffdrive_mpc.models.turn_costs import TurnCosts
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.monitor.rules import Rules
 from diffdrive_mpc.mpc.trajectories.segments import SegmentFile
@@ -95,6 +96,7 @@ _MADE: dict[str, Callable[[], Schema]] = {
     "vehicle": _as_it_is(Vehicle),
     "terrain": _as_it_is(Terrain),
     "drive": _as_it_is(DriveConstants),
+    "turn-costs": _as_it_is(TurnCosts),
     "robot": lambda: only_what_differs(SimulatedRobot.model_json_schema(), digital_twin()),
     "surface": _as_it_is(Surface),
     "sensors": lambda: only_what_differs(SensorSet.model_json_schema(), load_sensor_set(DEFAULT).model_dump()),

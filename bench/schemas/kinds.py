@@ -74,6 +74,13 @@ KINDS: dict[str, Kind] = {
         Kind("vehicle", "models", "robot as the floor feels it", "load_vehicle", ("terrain/vehicles/*.yaml",)),
         Kind("terrain", "models", "shear and slip of a floor", "load_terrain", ("terrain/terrains/*.yaml",)),
         Kind("drive", "models", "motors and drivers", "load_drive_constants", ("energy/drives/*.yaml",)),
+        Kind(
+            "turn-costs",
+            "models",
+            "what a robot does and pays in turns on a floor",
+            "plan --costs",
+            ("turn_costs/floors/*.yaml",),
+        ),
         Kind("robot", "sim", "simulated robot", "--plant mujoco:FILE", ("plants/robots/*.yaml",)),
         Kind("surface", "sim", "floor", "--surface", ("plants/surfaces/*.yaml",)),
         Kind("sensors", "sim", "sensor set", "--sensors", ("sensing/sensor_sets/*.yaml",)),

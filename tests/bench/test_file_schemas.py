@@ -28,6 +28,7 @@ from diffdrive_mpc.models.energy import load_drive_constants
 from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.terrain import load_terrain, load_vehicle
+from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.models.velocity_model import ModelError
 from diffdrive_mpc.mpc import load_config, load_trajectory
 from diffdrive_mpc.mpc.monitor.rules import load_rules
@@ -47,6 +48,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "vehicle": load_vehicle,
     "terrain": load_terrain,
     "drive": load_drive_constants,
+    "turn-costs": load_turn_costs,
     "robot": load_simulated_robot,
     "surface": load_surface,
     "sensors": load_sensor_set,

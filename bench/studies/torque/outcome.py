@@ -30,6 +30,7 @@ from diffdrive_mpc.models.terrain import (
     side_torques,
 )
 from diffdrive_mpc.models.torque import TorqueCurves, TorqueSettings, load_torque_settings
+from diffdrive_mpc.models.turn_costs import IdentifiedSlip, TurnCosts, identify_slip
 from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 
@@ -79,6 +80,9 @@ class FloorOutcome(NamedTuple):
     model_radius: float
     learned_radius: float
     energies: tuple[EnergyOf, ...]
+    costs: TurnCosts
+    """What planner and controller read: slip law and learned curves of the diagnostic drive"""
+    slip: IdentifiedSlip
 
     @property
     def close_after(self) -> float:
@@ -160,7 +164,37 @@ def measure_floor(study: TorqueStudySettings, surface: str) -> FloorOutcome:
         least_radius(lambda radii: side_torques(vehicle, model, radii, speed).outer, vehicle.torque_limit),
         learned.least_radius(),
         tuple(energies),
+        *turn_costs_of(study, surface, vehicle, constants, learned, drive, still.sample_time),
     )
+
+
+def turn_costs_of(
+    study: TorqueStudySettings,
+    surface: str,
+    vehicle: Vehicle,
+    constants: DriveConstants,
+    learned: TorqueCurves,
+    drive: Drive,
+    sample_time: float,
+) -> tuple[TurnCosts, IdentifiedSlip]:
+    """The file of this robot on this floor, and how well its slip law is known.
+
+    The law is that of turns no sharper than the learned least radius: beyond it the wheels do not do what the
+    base asks.
+    """
+    settings = load_torque_settings().curves
+    v, omega = drive.command.T
+    same = np.abs(v / omega) * (settings.speed / np.abs(v)) ** settings.speed_exponent
+    kept = same >= learned.least_radius()
+    slip = identify_slip(drive.command, drive.true_twist, sample_time, settings.settling, kept)
+    words = (
+        f"simulated robot '{study.robot}' on surface '{surface}', diagnostic drive of {len(v) * sample_time:.0f} s by "
+        f"'diffdrive-mpc torque': learned torques; slip law from the true twist of {slip.rows} samples no sharper than "
+        "the least radius. Below that radius the torque is at its limit, and the robot slips more than the law says"
+    )
+    radii = (float(same.min()), float(min(same.max(), settings.radii[1])))
+    name = f"{study.robot}-{surface}"
+    return TurnCosts.from_curves(name, vehicle, constants, learned, slip.coefficients, words, radii), slip
 
 
 def true_energy(drive: Drive, constants: DriveConstants, sample_time: float) -> float:

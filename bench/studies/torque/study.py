@@ -26,6 +26,7 @@ from diffdrive_mpc.bench.study import Draw, Report, Study
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.terrain import load_terrain
+from diffdrive_mpc.models.turn_costs import turn_costs_text
 
 # What is asked of it: seconds of driving, and shares.
 _IN_TIME, _RADIUS_WITHIN, _ENERGY_WITHIN = 90.0, 0.20, 0.10
@@ -105,6 +106,7 @@ class TorqueStudy(Study[TorqueStudySettings, Results]):
             tables=_tables(results, speed),
             figures=draws,
             shown=Shown(key_figures=_key_figures(results, speed)),
+            files={f"turn-costs-{one.surface}.yaml": turn_costs_text(one.costs) for one in results.floors},
         )
 
 
@@ -216,6 +218,9 @@ def _content(results: Results, speed: float) -> dict[str, object]:
             "fitted": one.fitted.shear.model_dump(),
             "mapped": one.mapped.shear.model_dump(),
             "energies": [dict(one._asdict(), error=one.error) for one in one.energies],
+            "slip": one.slip.named(),
+            "slip_deviation": dict(zip(one.slip.named(), one.slip.deviations.ravel().tolist(), strict=True)),
+            "slip_rms": one.slip.rms.tolist(),
         }
         for one in results.floors
     ]
