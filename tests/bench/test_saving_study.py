@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diffdrive_mpc.mpc.planner import Plan, plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from opened_report import check_report
@@ -23,12 +24,13 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.terrain import load_vehicle
 from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.mpc import load_config
-from diffdrive_mpc.mpc.planner import Plan, plan
 
 STUDY = load_study()
 
 
-def driven(measured: float, *, predicted: float = 1.0, seconds: float = 1.0, arrived: bool = True, position: float = 0.0) -> Driven:
+def driven(
+    measured: float, *, predicted: float = 1.0, seconds: float = 1.0, arrived: bool = True, position: float = 0.0
+) -> Driven:
     """A drive of which only this matters."""
     return Driven(
         1.0, seconds, predicted, measured, seconds, position, 0.0, 0.0, 0.0, arrived, np.zeros((1, 3)), np.zeros((1, 3))
@@ -107,7 +109,9 @@ def test_who_does_not_arrive_says_nothing_of_saving() -> None:
 
 
 def test_a_computer_costs_who_drives_longer() -> None:
-    one = pairs_of((50, 100))[0]._replace(drives={"energy": driven(50, seconds=30), "distance": driven(100, seconds=10)})
+    one = pairs_of((50, 100))[0]._replace(
+        drives={"energy": driven(50, seconds=30), "distance": driven(100, seconds=10)}
+    )
     assert one.saving() == pytest.approx(0.5)
     assert one.saving(computer=2.5) == pytest.approx(0.0)
 
@@ -157,7 +161,9 @@ def test_a_robot_stands_when_it_no_longer_moves_again() -> None:
 
 @settings(max_examples=50, deadline=None)
 @given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-4, 4), st.floats(0.05, 0.3))
-def test_the_gap_to_a_cone_is_that_of_the_nearest_point_of_the_outline(x: float, y: float, theta: float, radius: float) -> None:
+def test_the_gap_to_a_cone_is_that_of_the_nearest_point_of_the_outline(
+    x: float, y: float, theta: float, radius: float
+) -> None:
     length, width = 0.5, 0.4
     along, across = np.linspace(-length / 2, length / 2, 201), np.linspace(-width / 2, width / 2, 201)
     points = np.stack(np.meshgrid(along, across), -1).reshape(-1, 2)

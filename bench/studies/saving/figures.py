@@ -35,7 +35,9 @@ def draw_paths(outcomes: Sequence[PairOutcome], surface: str, path: Path) -> Non
             _arrow(axes, one.pair.goal)
             axes.plot(*one.pair.start[:2], "o", color="black", markersize=2.5)
             saving = one.saving()
-            axes.set_title(f"{one.number + 1}: " + (f"{100 * saving:.0f} %" if np.isfinite(saving) else "-"), fontsize=8)
+            axes.set_title(
+                f"{one.number + 1}: " + (f"{100 * saving:.0f} %" if np.isfinite(saving) else "-"), fontsize=8
+            )
             axes.set_aspect("equal", "datalim")
             axes.tick_params(labelsize=6, length=2)
         for axes in panels[len(outcomes) :]:
@@ -119,7 +121,11 @@ def draw_scenario(found: ScenarioOutcome, outline: tuple[float, float], path: Pa
 
 
 def _paths_of(plan: Planned) -> list[tuple[str, FloatArray]]:
-    return [("planned", plan.open.planned), ("executed, open loop", plan.open.path), ("by the controller", plan.closed.path)]
+    return [
+        ("planned", plan.open.planned),
+        ("executed, open loop", plan.open.path),
+        ("by the controller", plan.closed.path),
+    ]
 
 
 def _words(plan: Planned) -> str:
@@ -127,7 +133,11 @@ def _words(plan: Planned) -> str:
         return f"{name} {one.measured:.0f} J ({100 * one.error:+.1f} %)"
 
     touched = [name for name, gap in zip(("open loop", "controller"), plan.gaps, strict=True) if gap < 0]
-    lines = [f"predicted {plan.open.predicted:.0f} J", energy("open loop", plan.open), energy("controller", plan.closed)]
+    lines = [
+        f"predicted {plan.open.predicted:.0f} J",
+        energy("open loop", plan.open),
+        energy("controller", plan.closed),
+    ]
     lines.append(f"open loop ends {plan.open.position:.2f} m off")
     return "\n".join([*lines, *(f"{name}: touches a cone" for name in touched)])
 
@@ -144,5 +154,8 @@ def _outlines(path: FloatArray, outline: tuple[float, float]) -> list[FloatArray
 def _arrow(axes: Axes, pose: Sequence[float]) -> None:
     x, y, theta = pose
     axes.annotate(
-        "", (x + 0.8 * np.cos(theta), y + 0.8 * np.sin(theta)), (x, y), arrowprops={"arrowstyle": "->", "linewidth": 1.0}
+        "",
+        (x + 0.8 * np.cos(theta), y + 0.8 * np.sin(theta)),
+        (x, y),
+        arrowprops={"arrowstyle": "->", "linewidth": 1.0},
     )

@@ -70,7 +70,9 @@ def measure_foreign(study: SavingStudySettings, asked: Scenario) -> ScenarioOutc
         _planned(study, asked, foreign, f"slip of '{asked.law}'"),
         _planned(study, asked, own, f"slip of '{asked.surface}'"),
     )
-    return ScenarioOutcome(f"Scenario 2: on '{asked.surface}', with the slip of '{asked.law}' and its own", "22 and 23", asked, plans)
+    return ScenarioOutcome(
+        f"Scenario 2: on '{asked.surface}', with the slip of '{asked.law}' and its own", "22 and 23", asked, plans
+    )
 
 
 def measure_loaded(study: SavingStudySettings, asked: Scenario) -> ScenarioOutcome:
@@ -109,7 +111,7 @@ def loaded_costs(study: SavingStudySettings, asked: Scenario, own: TurnCosts) ->
         drive=own.drive,
         slip=own.slip,
         curve=curve,
-        provenance=f"terrain mapped from a drive without payload on '{asked.surface}', asked under {asked.payload:g} kg",
+        provenance=f"terrain of '{asked.surface}', mapped from a drive without payload, under {asked.payload:g} kg",
     )
 
 

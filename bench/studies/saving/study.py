@@ -1,4 +1,4 @@
-"""The saving study: energy-optimal against distance-optimal paths of the same ends, in closed loop on the simulated robot."""
+"""The saving study: energy-optimal against distance-optimal paths of the same ends, driven on the simulated robot."""
 
 from __future__ import annotations
 
@@ -104,15 +104,15 @@ class SavingStudy(Study[SavingStudySettings, Results]):
             meta={"robot": asked.robot, "speed_m_s": asked.speed, "pairs": drawn.count, "pair_seed": drawn.seed},
             content=_content(results),
             facts=[
-                f"Robot '{asked.robot}' in the physics, at {asked.speed:g} m/s at most, in {seconds} s; {drawn.count} "
-                f"pairs from seed {drawn.seed}, {drawn.distance[0]:g} to {drawn.distance[1]:g} m apart, the goal in any "
-                "direction and with any heading there: a Latin hypercube.",
-                "Both drives of a pair: the same floor, noise, controller, cap of speed and ramps, from rest to rest at "
-                "the same poses.",
+                f"Robot '{asked.robot}' in the physics, at {asked.speed:g} m/s at most, in {seconds} s; "
+                f"{drawn.count} pairs from seed {drawn.seed}, {drawn.distance[0]:g} to {drawn.distance[1]:g} m apart, the "
+                "goal in any direction and with any heading there: a Latin hypercube.",
+                "Both drives of a pair: the same floor, noise, controller, cap of speed and ramps, from rest to rest "
+                "at the same poses.",
             ],
             notes=[
-                "Energy: from the battery until the robot stands, by true torque and speed of each motor in each step of "
-                "the physics. Saving: what the energy-optimal drive takes less, over the other; intervals are "
+                "Energy: from the battery until the robot stands, by true torque and speed of each motor in each step "
+                "of the physics. Saving: what the energy-optimal drive takes less, over the other; intervals are "
                 "bootstrapped over the pairs.",
                 "Predicted: by the plan, before it is driven.",
             ],
@@ -129,7 +129,9 @@ def _asked_scenarios(asked: SavingStudySettings) -> list[tuple[str, Scenario]]:
 def _key_figure(surface: str, outcomes: Sequence[PairOutcome], least: float) -> KeyFigure:
     mean = Saved.of(outcomes).mean
     note = f"95 % interval {_interval(mean)} %; asked: {least:g} %"
-    return KeyFigure(f"saved on {surface}", f"{_percent(mean.value)} %", note, "good" if 100 * mean.value >= least else "bad")
+    return KeyFigure(
+        f"saved on {surface}", f"{_percent(mean.value)} %", note, "good" if 100 * mean.value >= least else "bad"
+    )
 
 
 def _tables(results: Results, computer: float) -> list[Table]:
@@ -151,8 +153,8 @@ def _tables(results: Results, computer: float) -> list[Table]:
             f"beside {computer:g} W [%]": lambda one: _percent(_beside(one[0], computer)),
         },
         saved,
-        note="Energy-optimal against distance-optimal. Took more: pairs whose energy-optimal drive did. Beside: mean saving of "
-        "the same drives, were a computer to draw so much as long as they last; they were not planned with it.",
+        note="Energy-optimal against distance-optimal. Took more: pairs whose energy-optimal drive did. Beside: mean "
+        "saving of the same drives, were a computer to draw so much as long as they last; they were not planned with it.",
     )
     over_time = [((surface,), Saved.of(outcomes, "time")) for surface, outcomes in floors]
     against_time = Table.of(
@@ -274,7 +276,9 @@ def _content(results: Results) -> dict[str, Any]:
 
 
 def _plain(one: Driven) -> dict[str, Any]:
-    return {name: value for name, value in one._asdict().items() if name not in ("planned", "path")} | {"error": one.error}
+    return {name: value for name, value in one._asdict().items() if name not in ("planned", "path")} | {
+        "error": one.error
+    }
 
 
 def _longer(outcomes: Sequence[PairOutcome]) -> float:
