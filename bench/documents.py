@@ -82,6 +82,7 @@ SAVING = ShownReport(
         "scenario-1.png",
         "scenario-2.png",
         "scenario-3.png",
+        "scenario-4.png",
     ),
     (),
     "saving.md",

@@ -196,8 +196,7 @@ def test_the_same_drive_twice_takes_the_same() -> None:
 
 
 def test_where_all_tyres_slide_a_payload_asks_for_torque_as_it_weighs() -> None:
-    asked = STUDY.scenarios.loaded
-    assert asked is not None
+    asked = next(one for one in STUDY.scenarios if one.kind == "loaded")
     own = load_turn_costs(STUDY.costs_of("slippery"))
     loaded = loaded_costs(STUDY, asked.model_copy(update={"surface": "slippery"}), own)
     turn = np.array([[0.4, 0.4]])
@@ -210,9 +209,7 @@ def test_where_all_tyres_slide_a_payload_asks_for_torque_as_it_weighs() -> None:
 def test_unknown_floors_and_cones_in_the_way_are_refused(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["saving", "--quick", "--surfaces", "ideal", "--out", str(tmp_path / "x")])
     assert result.exit_code == 2 and "fsu_bot-ideal" in result.output
-    asked = STUDY.scenarios.nominal
-    assert asked is not None
-    scenarios = STUDY.scenarios.model_copy(update={"nominal": asked.model_copy(update={"posts": ((0.2, 0.0, 0.1),)})})
+    scenarios = (STUDY.scenarios[0].model_copy(update={"posts": ((0.2, 0.0, 0.1),)}),)
     from diffdrive_mpc.bench.studies.saving.study import SavingStudy
 
     blocked: SavingStudySettings = STUDY.model_copy(update={"scenarios": scenarios})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -46,20 +46,13 @@ class Standing(StrictModel):
 class Scenario(StrictModel):
     """One of P4's, section 4.3."""
 
+    kind: Literal["nominal", "foreign", "loaded"]
     surface: str
     start: Place
     goal: Place
     posts: tuple[Post, ...]
     law: str = ""
     payload: NotNegative = 0.0
-
-
-class Scenarios(StrictModel):
-    """All three; empty for none."""
-
-    nominal: Scenario | None = None
-    foreign: Scenario | None = None
-    loaded: Scenario | None = None
 
 
 class SavingStudySettings(StrictModel):
@@ -72,7 +65,7 @@ class SavingStudySettings(StrictModel):
     pairs: Drawn
     time_optimal: int = Field(ge=0)
     standing: Standing
-    scenarios: Scenarios
+    scenarios: tuple[Scenario, ...]
     seed: int = Field(ge=0)
     asked: NotNegative
     computer: NotNegative
@@ -99,6 +92,6 @@ def quick(study: SavingStudySettings) -> SavingStudySettings:
             "surfaces": ("default",),
             "pairs": study.pairs.model_copy(update={"count": 2}),
             "time_optimal": 1,
-            "scenarios": study.scenarios.model_copy(update={"foreign": None, "loaded": None}),
+            "scenarios": study.scenarios[:1],
         }
     )

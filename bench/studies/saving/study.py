@@ -67,7 +67,7 @@ class SavingStudy(Study[SavingStudySettings, Results]):
         for surface in asked.surfaces:
             load_turn_costs(asked.costs_of(surface))
             plant_of(asked.robot, surface)
-        for _, scenario in _asked_scenarios(asked):
+        for scenario in asked.scenarios:
             check_scenario(asked, scenario)
         return asked
 
@@ -80,9 +80,8 @@ class SavingStudy(Study[SavingStudySettings, Results]):
         ]
         found = run_tasks(tasks, jobs, bar.advance)
         floors = [(surface, [one for one in found if one.surface == surface]) for surface in plan.surfaces]
-        scenarios = _asked_scenarios(plan)
-        bar.begin("scenarios", len(scenarios))
-        measures = [partial(_MEASURES[name], plan, scenario) for name, scenario in scenarios]
+        bar.begin("scenarios", len(plan.scenarios))
+        measures = [partial(_MEASURES[scenario.kind], plan, scenario) for scenario in plan.scenarios]
         return Results(floors, run_tasks(measures, jobs, bar.advance))
 
     def report(self, results: Results, seconds: float) -> Report:
@@ -105,8 +104,8 @@ class SavingStudy(Study[SavingStudySettings, Results]):
             content=_content(results),
             facts=[
                 f"Robot '{asked.robot}' in the physics, at {asked.speed:g} m/s at most, in {seconds} s; "
-                f"{drawn.count} pairs from seed {drawn.seed}, {drawn.distance[0]:g} to {drawn.distance[1]:g} m apart, the "
-                "goal in any direction and with any heading there: a Latin hypercube.",
+                f"{drawn.count} pairs from seed {drawn.seed}, {drawn.distance[0]:g} to {drawn.distance[1]:g} m apart, "
+                "the goal in any direction and with any heading there: a Latin hypercube.",
                 "Both drives of a pair: the same floor, noise, controller, cap of speed and ramps, from rest to rest "
                 "at the same poses.",
             ],
@@ -120,10 +119,6 @@ class SavingStudy(Study[SavingStudySettings, Results]):
             figures=draws,
             shown=Shown(key_figures=[_key_figure(surface, found, asked.asked) for surface, found in results.floors]),
         )
-
-
-def _asked_scenarios(asked: SavingStudySettings) -> list[tuple[str, Scenario]]:
-    return [(name, one) for name in _MEASURES if (one := getattr(asked.scenarios, name)) is not None]
 
 
 def _key_figure(surface: str, outcomes: Sequence[PairOutcome], least: float) -> KeyFigure:
@@ -154,7 +149,7 @@ def _tables(results: Results, computer: float) -> list[Table]:
         },
         saved,
         note="Energy-optimal against distance-optimal. Took more: pairs whose energy-optimal drive did. Beside: mean "
-        "saving of the same drives, were a computer to draw so much as long as they last; they were not planned with it.",
+        "saving of the same drives, were a computer to draw so much as long as they last; not planned with it.",
     )
     over_time = [((surface,), Saved.of(outcomes, "time")) for surface, outcomes in floors]
     against_time = Table.of(
