@@ -68,7 +68,8 @@ def draw_prediction(floors: Sequence[tuple[str, Sequence[PairOutcome]]], path: P
     """Draw predicted against measured energy of every drive, and its error in the first runs (as figure 25)."""
     with new_figure(path, 7.6, 3.5) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.25))
-        most, ticks, offset = 1.0, [], 0
+        ticks: list[int] = []
+        most, offset = 1.0, 0
         for k, (surface, outcomes) in enumerate(floors):
             for aim, filled in (("energy", True), ("distance", False)):
                 drives = [one.drives[aim] for one in outcomes if aim in one.drives and one.drives[aim].arrived]

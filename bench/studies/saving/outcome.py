@@ -83,7 +83,7 @@ class Saved(NamedTuple):
         both = [one for one in outcomes if math.isfinite(one.saving(over))]
         found = np.array([one.saving(over) for one in both])
         if not both:
-            return cls(0, Estimate.of_runs([], mean), *([math.nan] * 3), 0, math.nan)
+            return cls(0, Estimate.of_runs([], mean), math.nan, math.nan, math.nan, 0, math.nan)
         own, other = (sum(one.drives[aim].measured for one in both) for aim in ("energy", over))
         return cls(
             len(both),
