@@ -30,7 +30,8 @@ class Limits:
     """What the controller states of its commands; pairs are v [m/s, m/s^2] and omega [rad/s, rad/s^2].
 
     `most`: largest command; `slew`: largest rate while driving; `braking`: rate to zero; `max_pose_age`: without a pose
-    for longer it brakes [s]; `sample_time`: between two ticks [s].
+    for longer it brakes [s]; `sample_time`: between two ticks [s]; `least_radius`: of a command's turn, 0 where
+    there is none [m].
     """
 
     most: tuple[float, float]
@@ -38,6 +39,7 @@ class Limits:
     braking: tuple[float, float]
     max_pose_age: float
     sample_time: float
+    least_radius: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -56,17 +58,21 @@ class Unsafe:
     motion
         It asked for more motion than a ramp at the braking limits that begins when no pose has come for `max_pose_age`,
         or for any before the first pose.
+    turn
+        It turned tighter than the least radius, where there is one; while it brakes only a radius counts that a ramp at
+        the braking limits keeps.
     """
 
     not_finite: int
     limit: int
     slew: int
     motion: int
+    turn: int = 0
 
     @property
     def total(self) -> int:
         """All of them; a tick that broke two counts twice."""
-        return self.not_finite + self.limit + self.slew + self.motion
+        return self.not_finite + self.limit + self.slew + self.motion + self.turn
 
 
 def stated_limits(config: str | Path | None, overrides: Mapping[str, object]) -> Limits:
@@ -83,7 +89,12 @@ def stated_limits(config: str | Path | None, overrides: Mapping[str, object]) ->
         return float(values[f"limits.v{ending}"]), float(values[f"limits.omega{ending}"])
 
     return Limits(
-        pair(""), pair("_slew"), pair("_braking"), float(values["failure.max_pose_age"]), float(values["sample_time"])
+        pair(""),
+        pair("_slew"),
+        pair("_braking"),
+        float(values["failure.max_pose_age"]),
+        float(values["sample_time"]),
+        float(values.get("limits.least_commanded_radius") or 0.0),
     )
 
 
@@ -118,6 +129,7 @@ def check_commands(
         int(np.count_nonzero(finite & beyond)),
         int(np.count_nonzero(finite & ~np.array(steps, dtype=bool))),
         int(np.count_nonzero(finite & blind)),
+        int(np.count_nonzero(finite & _turns_tighter(sound, modes, limits))),
     )
 
 
@@ -131,6 +143,14 @@ def _keeps_step(mode: str, last: NDArray[np.float64], now: NDArray[np.float64], 
     # Braking never pushes: smaller than before, and not to the other side.
     slower = (now * last >= -_ROUNDING).all() and (np.abs(now) <= np.abs(last) + _ROUNDING).all()
     return within and (mode in _DRIVES or bool(slower))
+
+
+def _turns_tighter(commands: NDArray[np.float64], modes: Sequence[str], limits: Limits) -> NDArray[np.bool_]:
+    """(n,) whether a command turns tighter than it may."""
+    v, omega = np.abs(commands).T
+    tighter = omega * limits.least_radius > v + _ROUNDING
+    while_braking = limits.least_radius * limits.braking[1] >= limits.braking[0]
+    return np.asarray(tighter & (while_braking | ~np.isin(modes, _BRAKES)))
 
 
 def _moves_blind(

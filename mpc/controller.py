@@ -407,11 +407,12 @@ class Controller:
             for key, value in (values or {}).items()
         }
         config = replace_values(self._pending.config if self._pending else self._config, changes)
-        if (config.limits.least_turn_radius is None) != (self._config.limits.least_turn_radius is None):
-            raise ConfigError(
-                "limits.least_turn_radius: it can be changed while driving, but neither set nor unset; say it in the "
-                "configuration"
-            )
+        for name in ("least_turn_radius", "least_commanded_radius"):
+            if (getattr(config.limits, name) is None) != (getattr(self._config.limits, name) is None):
+                raise ConfigError(
+                    f"limits.{name}: it can be changed while driving, but neither set nor unset; say it in the "
+                    "configuration"
+                )
         return config
 
     def _prepare_limits(self, config: ControllerConfig) -> None:

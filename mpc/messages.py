@@ -107,6 +107,10 @@ class Words:
                 "drive on",
             ),
             (
+                lib.DDMPC_TURN_HELD,
+                f"the turn is held to limits.least_commanded_radius = {self._config.limits.least_commanded_radius} m",
+            ),
+            (
                 lib.DDMPC_NOT_AT_REST,
                 f"finished {c.distance:.3f} m from the end, not at rest within {finish.timeout} s",
             ),

@@ -19,13 +19,14 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 CVAR = "CVaR 95 %"
-UNSAFE = ("not_finite", "limit", "slew", "motion")
+UNSAFE = ("not_finite", "limit", "slew", "motion", "turn")
 """Kinds of unsafe commands, as `bench.command_check.Unsafe` names them."""
 _SAID = {
     "not_finite": "not finite",
     "limit": "beyond a limit",
     "slew": "beyond the slew or the braking limit",
     "motion": "motion longer than stated after poses have gone",
+    "turn": "tighter than the least commanded radius",
 }
 
 

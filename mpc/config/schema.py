@@ -77,7 +77,17 @@ class Limits(Group):
         description="soft: |omega| times this is no more than |v|, for a robot that must not turn on the spot; without "
         "it any turn will do [m]",
     )
+    least_commanded_radius: Positive | None = Field(
+        None,
+        description="hard within what slew allows: |omega_ref| times this is no more than |v_ref|, for motors that "
+        "have no torque for tighter turns; sharper corners of a path are cut [m]",
+    )
     corridor: Positive = Field(0.5, description="soft: predicted distance from the path to either side [m]")
+
+    @property
+    def least_radius_of_ways(self) -> float:
+        """Paths that are laid here turn no tighter [m]; 0: they may turn on the spot."""
+        return max(self.least_turn_radius or 0.0, self.least_commanded_radius or 0.0)
 
 
 class Wheels(Group):

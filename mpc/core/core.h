@@ -21,7 +21,7 @@ typedef struct {
     int history;             /* H, ticks that the estimator looks back */
     int lag_v, lag_omega;    /* whole samples by which the feed-forward looks ahead */
     int residuals;           /* rows of the user's residuals at a sample */
-    int soft;                /* K, kinds of soft limit: five shipped ones, those of the turn, then the user's */
+    int soft;                /* K, kinds of soft limit: five shipped ones, those of turns, then the user's */
     int terms;               /* functions of the user */
     int parameters;          /* P, stage parameters of all of them */
     int nonlinear;           /* whether the velocity model is a function */
@@ -29,6 +29,7 @@ typedef struct {
     int slips;               /* S, slips that are estimated: 8, or with those that curve the twist 13 */
     int model_parameters;    /* Q, numbers that it is given */
     int work;                /* reals of memory that it needs */
+    int command_turns;       /* kinds of soft limit that keep the least commanded radius: 2, or 0 without one */
 } ddmpc_sizes;
 
 /* CasADi's signature: arguments in, results out. */
@@ -98,6 +99,7 @@ typedef struct {
     const real *soft_lower;     /* [K] */
     real half_track;            /* [m] */
     real least_turn_radius;     /* [m]; 0: none */
+    real least_commanded_radius; /* [m]; 0: none */
 
     /* solution */
     real slack;                 /* by how much the active set may exceed a limit */
@@ -205,7 +207,8 @@ enum {
     DDMPC_TURNS_OTHERWISE = 1048576, /* the robot turns by another factor than its tracks say */
     DDMPC_POSES_RARE = 2097152,      /* too rare and too late for max_pose_age; `pose_interval` and `pose_latency` */
     DDMPC_POSES_TOO_OLD = 4194304,   /* none is accepted: they come later than the history reaches back; `pose_latency` */
-    DDMPC_LEFT_FENCE = 8388608       /* the way to rest left it; call start or reset to drive on */
+    DDMPC_LEFT_FENCE = 8388608,      /* the way to rest left it; call start or reset to drive on */
+    DDMPC_TURN_HELD = 16777216       /* the command is held to the least commanded radius where the path turns tighter */
 };
 
 typedef enum {

@@ -25,6 +25,7 @@
 #define PARAMETERS(c) DDMPC_PARAMETERS
 #define NONLINEAR(c) DDMPC_NONLINEAR
 #define TURNS(c) DDMPC_TURNS
+#define COMMAND_TURNS(c) DDMPC_COMMAND_TURNS
 #define DDMPC_MOST_SLIPS DDMPC_SLIPS
 #define SLIPS(c) DDMPC_SLIPS
 #define WORK(c) DDMPC_WORK
@@ -47,6 +48,7 @@
 #define PARAMETERS(c) ((c)->sizes.parameters)
 #define NONLINEAR(c) ((c)->sizes.nonlinear)
 #define TURNS(c) ((c)->sizes.turns)
+#define COMMAND_TURNS(c) ((c)->sizes.command_turns)
 #define SLIPS(c) ((c)->sizes.slips)
 #define WORK(c) ((c)->sizes.work)
 #endif

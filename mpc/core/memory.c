@@ -129,8 +129,9 @@ static int fits(const ddmpc_sizes *s)
     return s->steps >= 1 && s->steps <= DDMPC_MOST_STEPS && s->states >= 1 && s->states <= DDMPC_MOST_STATES &&
            s->window >= 1 && s->window <= DDMPC_MOST_WINDOW && s->delay_v >= 0 && s->delay_v < s->window &&
            s->delay_omega >= 0 && s->delay_omega < s->window && s->history >= 2 && s->lag_v >= 0 && s->lag_omega >= 0 &&
-           (s->turns == 0 || s->turns == TURN_ROWS) && (s->slips == FLAT_SLIPS || s->slips == CURVED_SLIPS) &&
-           s->soft >= SHIPPED_SOFT + s->turns && s->soft + HARD <= DDMPC_MOST_KINDS && s->residuals >= 0 &&
+           (s->turns == 0 || s->turns == TURN_ROWS) && (s->command_turns == 0 || s->command_turns == TURN_ROWS) &&
+           (s->slips == FLAT_SLIPS || s->slips == CURVED_SLIPS) &&
+           s->soft >= SHIPPED_SOFT + s->turns + s->command_turns && s->soft + HARD <= DDMPC_MOST_KINDS && s->residuals >= 0 &&
            s->terms >= 0 && s->parameters >= 0 && s->model_parameters >= 0 && s->work >= 0;
 }
 

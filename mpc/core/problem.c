@@ -593,12 +593,13 @@ static void bound_commands(ddmpc_controller *c)
         }
 }
 
-/* Where the reference drives at sample k: 1 forwards, -1 backwards; where it stands, as it does next, or did last. */
-static real direction_at(const ddmpc_controller *c, int k)
+/* Where the reference drives at sample k: 1 forwards, -1 backwards; where it stands, as it does next up to the sample
+   `end`, or did last. */
+static real direction_at(const ddmpc_controller *c, int k, int end)
 {
     const real *v = c->reference_twist;
     int at = k;
-    while (at < STEPS(c) && ddmpc_fabs(v[2 * at]) <= c->constants->standing)
+    while (at < end && ddmpc_fabs(v[2 * at]) <= c->constants->standing)
         at++;
     while (at > 0 && ddmpc_fabs(v[2 * at]) <= c->constants->standing)
         at--;
@@ -609,7 +610,8 @@ static real direction_at(const ddmpc_controller *c, int k)
 typedef struct {
     ddmpc_function function;
     int rows, first;
-    int turn;               /* whether it keeps the least turn radius: from above only */
+    real radius;            /* the least of a turn that it keeps, from above only [m]; 0: it is about something else */
+    int commanded;          /* whether that turn is the command's, and not the body's */
     const ddmpc_term *term; /* of the user; none for the shipped ones */
 } soft_group;
 
@@ -617,9 +619,15 @@ static void soft_at(const ddmpc_controller *c, const soft_group *group, int k)
 {
     const ddmpc_problem *p = &c->problem;
     real shipped[DDMPC_MOST_SLIPS + 1];
-    if (group->turn) {
-        shipped[0] = c->constants->least_turn_radius;
-        shipped[1] = direction_at(c, k + 1);
+    if (group->radius > R(0.0)) {
+        shipped[0] = group->radius;
+        /* A command acts a lag later; what is so of the last one is its own. */
+        if (group->commanded)
+            shipped[1] = k >= 0            ? direction_at(c, k + LAG(c, 0), SAMPLES(c) - 1)
+                         : p->last[0] < R(0.0) ? R(-1.0)
+                                               : R(1.0);
+        else
+            shipped[1] = direction_at(c, k + 1, STEPS(c));
     } else {
         memcpy(shipped, p->slip, (size_t)SLIPS(c) * sizeof(real));
         shipped[SLIPS(c)] = c->constants->half_track;
@@ -647,7 +655,7 @@ static void limit_softly(ddmpc_controller *c, const soft_group *group, const rea
         soft_at(c, group, -1);
     for (int r = 0; r < rows; r++) {
         const int kind = group->first + r;
-        if (group->turn) {
+        if (group->radius > R(0.0)) {
             p->upper[(HARD + kind) * N] = ddmpc_max(R(0.0), p->term[r]);
             p->lower[(HARD + kind) * N] = -(real)INFINITY;
             continue;
@@ -682,14 +690,19 @@ static void limit_softly(ddmpc_controller *c, const soft_group *group, const rea
 static void bound_softly(ddmpc_controller *c)
 {
     real moves[2 * DDMPC_MOST_STEPS], headings[DDMPC_MOST_STEPS + 1];
-    soft_group group = {WITH_SLIP(c, soft), SHIPPED_SOFT, 0, 0, 0};
+    soft_group group = {WITH_SLIP(c, soft), SHIPPED_SOFT, 0, R(0.0), 0, 0};
     linear_moves(c, c->problem.by_plan, moves, headings);
     limit_softly(c, &group, moves, headings);
     if (TURNS(c)) {
-        group = (soft_group){ddmpc_f_turn, TURN_ROWS, SHIPPED_SOFT, 1, 0};
+        group = (soft_group){ddmpc_f_turn, TURN_ROWS, SHIPPED_SOFT, c->constants->least_turn_radius, 0, 0};
         limit_softly(c, &group, moves, headings);
-        group.turn = 0;
     }
+    if (COMMAND_TURNS(c)) {
+        const int first = group.first + group.rows;
+        group = (soft_group){ddmpc_f_command_turn, TURN_ROWS, first, c->constants->least_commanded_radius, 1, 0};
+        limit_softly(c, &group, moves, headings);
+    }
+    group.radius = R(0.0);
     for (int t = 0; t < TERMS(c); t++) {
         const ddmpc_term *term = c->functions.terms + t;
         if (!term->soft)

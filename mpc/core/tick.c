@@ -27,6 +27,9 @@
 #define REGAIN R(0.05)
 /* Share of a new reading of the encoders in their smoothed speed. */
 #define SMOOTHED R(0.2)
+/* From so much on it is said that a turn is held to the least radius [rad/s, m/s]. */
+#define HELD_TURN R(0.05)
+#define LEAST_TURN R(0.01)
 
 static void forget(ddmpc_controller *c)
 {
@@ -98,6 +101,39 @@ static void clip(const ddmpc_controller *c, const real wanted[2], real share, co
         const real lower = ddmpc_max(last - step[i], -most), upper = ddmpc_min(last + step[i], most);
         command[i] = ddmpc_min(ddmpc_max(wanted[i], lower), upper);
     }
+}
+
+/* Turn a command inside range and slew no tighter than the least commanded radius, if there is one. Its yaw rate gives
+ * way, as far as `step` allows; where that is not enough its speed is held, but never raised above that of the last one:
+ * so slew is kept, and after a command that turned no tighter there is always one. */
+static void widen(ddmpc_controller *c, real share, const real step[2], real command[2])
+{
+    const real radius = c->constants->least_commanded_radius, v = ddmpc_fabs(command[0]), last = c->last[1];
+    if (!COMMAND_TURNS(c) || !(ddmpc_fabs(command[1]) * radius > v))
+        return;
+    const real widest = v / radius, asked = command[1];
+    const real lower = ddmpc_max(last - step[1], -widest), upper = ddmpc_min(last + step[1], widest);
+    if (lower <= upper) {
+        command[1] = ddmpc_min(ddmpc_max(asked, lower), upper);
+    } else {
+        const real before = ddmpc_fabs(c->last[0]), needed = radius * (ddmpc_fabs(last) - step[1]);
+        const real most = ddmpc_max(before - step[0], share * c->constants->largest_command[0]);
+        const real held = ddmpc_min(needed, ddmpc_min(before, most));
+        command[1] = last < R(0.0) ? last + step[1] : last - step[1];
+        if (held > v || (command[0] < R(0.0)) != (c->last[0] < R(0.0)))
+            command[0] = c->last[0] < R(0.0) ? -held : held;
+    }
+    if (ddmpc_fabs(asked - command[1]) > HELD_TURN)
+        c->result.reasons |= DDMPC_TURN_HELD;
+}
+
+/* Say whether the path itself, or the way back to it, turns tighter than commands may. */
+static void report_turn(ddmpc_controller *c)
+{
+    const real *asked = c->problem.feed_forward;
+    if (COMMAND_TURNS(c) &&
+        ddmpc_fabs(asked[1]) * c->constants->least_commanded_radius > R(1.01) * ddmpc_fabs(asked[0]) + LEAST_TURN)
+        c->result.reasons |= DDMPC_TURN_HELD;
 }
 
 /* The command ramps to zero. */
@@ -281,6 +317,8 @@ static int accept(ddmpc_controller *c)
     result->has_plan = 1;
     result->mode = DDMPC_TRACKING;
     clip(c, c->kept, c->share, c->constants->slew, result->command);
+    widen(c, c->share, c->constants->slew, result->command);
+    report_turn(c);
     return DDMPC_DONE;
 }
 
@@ -295,6 +333,7 @@ static int reuse(ddmpc_controller *c)
     c->result.mode = DDMPC_REUSED_PLAN;
     c->result.has_plan = 1;
     clip(c, c->kept + 2 * c->plan_age, R(1.0), c->constants->slew, c->result.command);
+    widen(c, R(1.0), c->constants->slew, c->result.command);
     return DDMPC_DONE;
 }
 

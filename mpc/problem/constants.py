@@ -81,6 +81,15 @@ class Problem:
         return 0 if self.config.limits.least_turn_radius is None else 2
 
     @property
+    def _command_turns(self) -> int:
+        """The same for the least commanded radius."""
+        return 0 if self.config.limits.least_commanded_radius is None else 2
+
+    @property
+    def _all_turns(self) -> int:
+        return self._turns + self._command_turns
+
+    @property
     def curved(self) -> bool:
         """Whether the configuration speaks of slip that curves the body's twist."""
         s = self.config.estimator
@@ -102,7 +111,7 @@ class Problem:
             "lag_v": lag_v,
             "lag_omega": lag_omega,
             "residuals": sum(term.rows for term in terms if not term.soft),
-            "soft": len(SHIPPED_SOFT) + self._turns + sum(term.rows for term in terms if term.soft),
+            "soft": len(SHIPPED_SOFT) + self._all_turns + sum(term.rows for term in terms if term.soft),
             "terms": len(terms),
             "parameters": sum(term.parameters for term in terms),
             "nonlinear": int(self.prediction is None),
@@ -110,6 +119,7 @@ class Problem:
             "slips": len(SLIPS if self.curved else FLAT_SLIPS),
             "model_parameters": len(self.built_in.parameters) if self.built_in else 0,
             "work": self.built_in.work if self.built_in else 0,
+            "command_turns": self._command_turns,
         }
 
     def constants(self) -> Constants:
@@ -244,7 +254,7 @@ class Problem:
     def _limits(self) -> Constants:
         limits, dt = self.config.limits, self.model.dt
         shipped = [limits.predicted_v, limits.predicted_omega, limits.wheel_speed, limits.wheel_speed, limits.corridor]
-        shipped += [0.0] * self._turns  # the core knows them
+        shipped += [0.0] * self._all_turns  # the core knows them
         soft = [term for term in self.terms if term.soft]
         return {
             "largest_command": [limits.v, limits.omega],
@@ -254,6 +264,7 @@ class Problem:
             "soft_lower": np.concatenate([np.negative(shipped), *(term.bounds[0] for term in soft)]),
             "half_track": 0.5 * self.config.wheels.track,
             "least_turn_radius": limits.least_turn_radius or 0.0,
+            "least_commanded_radius": limits.least_commanded_radius or 0.0,
         }
 
     def _solution(self) -> Constants:

@@ -207,6 +207,11 @@ def turned_tighter(twist: ca.SX, parameters: ca.SX) -> ca.SX:
     return ca.vertcat(turning - driving, -turning - driving)
 
 
+def commanded_tighter(command: ca.SX, parameters: ca.SX) -> ca.SX:
+    """The same of a command, whose radius is that of the wheels: P4 states torques and least radii by it."""
+    return turned_tighter(command, parameters)
+
+
 def arc_piece(tau: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Pose (3), twist (2) and arc length (1) of a reference of exact arcs, `tau` [s] after its phase began.
 
@@ -252,6 +257,7 @@ def formulas() -> tuple[ca.Function, ...]:
         *_with_slip("_curved", len(SLIPS)),
         _term("ddmpc_f_errors", tracking_errors, 0),
         _term("ddmpc_f_turn", turned_tighter, 2),
+        _term("ddmpc_f_command_turn", commanded_tighter, 2),
         _plain("ddmpc_f_arc_piece", arc_piece, *sampled),
         _plain("ddmpc_f_spline_piece", spline_piece, *sampled),
     )

@@ -306,7 +306,7 @@ class Pursuit:
             omega=settings.effort * limits.omega,
             v_acceleration=settings.v_acceleration,
             omega_acceleration=settings.omega_acceleration,
-            least_turn_radius=limits.least_turn_radius or 0.0,
+            least_turn_radius=limits.least_radius_of_ways,
         )
 
     def _words(self, still: float) -> str:

@@ -12,7 +12,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.velocity_model import VelocityModel
-from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import load_segments
@@ -53,8 +53,8 @@ def scaled_to_robot(
     segments, settings, limits = load_segments(name_or_path), load_settings(), config.limits
     (v_gain, omega_gain), (v_lag, omega_lag) = np.abs(np.diag(model.dc_gain)).tolist(), model.lag.tolist()
     length = config.wheels.encoder_track / load_robot().track
-    if limits.least_turn_radius is not None:
-        length = max(length, _ROOM * limits.least_turn_radius / _tightest(segments, name_or_path))
+    if limits.least_radius_of_ways:
+        length = max(length, _ROOM * limits.least_radius_of_ways / _tightest(segments, name_or_path, limits))
     # Shares of commands and wheels that each segment would take, were it as long as in the file.
     taken = [
         max(
@@ -87,11 +87,10 @@ def scaled_to_robot(
     return lay_segments(scaled, bounds, name=f"{Path(name_or_path).stem} scaled to the robot", where=str(name_or_path))
 
 
-def _tightest(segments: Sequence[Segment], path: str | Path) -> float:
+def _tightest(segments: Sequence[Segment], path: str | Path, limits: Limits) -> float:
     """Least radius of a path [m]; raises ConfigError where it turns on the spot."""
     turning = [one for one in segments if one.omega]
     if any(one.v == 0.0 for one in turning):
-        raise ConfigError(
-            f"{path}: it turns on the spot, which limits.least_turn_radius forbids; give a path of arcs, as circle"
-        )
+        name = "least_turn_radius" if limits.least_turn_radius else "least_commanded_radius"
+        raise ConfigError(f"{path}: it turns on the spot, which limits.{name} forbids; give a path of arcs, as circle")
     return min((abs(one.v / one.omega) for one in turning), default=math.inf)

@@ -6,6 +6,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc.config.schema import Limits
+from diffdrive_mpc.mpc.config.thresholds import STANDING, TURNING
 
 # A spline through timed poses may ring a little over its limit.
 _SPEED_EXCESS = 1.01
@@ -17,6 +18,8 @@ _LONGEST = 1e9
 _FURTHEST = 1e9
 # A turn counts as too tight when it is so beyond rounding and what a spline rings [-, m/s].
 _LEAST_TURN_SHARE, _LEAST_TURN = 0.99, 1e-3
+# So far a reference may turn while it stands, where commands keep a least radius: the end of a curve, rounding [rad].
+_LEAST_SPOT = 0.1
 
 
 def check_speeds(reference: Reference, limits: Limits, dt: float, gain: FloatArray | None = None) -> None:
@@ -56,6 +59,7 @@ def check_speeds(reference: Reference, limits: Limits, dt: float, gain: FloatArr
                 f"command of {value:.3g} by the model's gain, more than limits.{name} = {limit:g}; slow the reference "
                 "down, raise the limit, or identify the model on this robot"
             )
+    _check_spots(reference.name, times, twist, limits)
     radius = limits.least_turn_radius
     if radius is not None:
         tighter = twist[:, 1] * radius * _LEAST_TURN_SHARE - twist[:, 0]
@@ -67,6 +71,46 @@ def check_speeds(reference: Reference, limits: Limits, dt: float, gain: FloatArr
                 f"tighter than limits.least_turn_radius = {radius:g}; give a wider path (--scale-to-robot does), or "
                 "unset the limit"
             )
+
+
+def _check_spots(name: str, times: FloatArray, twist: FloatArray, limits: Limits) -> None:
+    """Refuse a reference of sizes of `twist` (n, 2) that turns on the spot where commands keep a least radius."""
+    radius = limits.least_commanded_radius
+    if radius is None:
+        return
+    v, omega = twist.T
+    edges = np.flatnonzero(np.diff((v <= STANDING) & (omega > TURNING), prepend=False, append=False))
+    for first, end in edges.reshape(-1, 2):
+        angle = float(omega[first:end].sum() * (times[1] - times[0]))
+        if angle > _LEAST_SPOT:
+            raise ValueError(
+                f"reference '{name}': at {times[first]:.2f} s it turns on the spot by {angle:.2g} rad, which "
+                f"limits.least_commanded_radius = {radius:g} forbids; give a path of curves, or unset the limit"
+            )
+
+
+def sharper_than_commands(reference: Reference, limits: Limits, dt: float, gain: FloatArray | None = None) -> str:
+    """One line on where the reference asks for tighter turns than commands may be; empty where it does not.
+
+    With the steady-state `gain` (2, 2) of the model the commands count that keep the reference's twist. Such a
+    reference is not refused: its corners are cut.
+    """
+    radius = limits.least_commanded_radius
+    if radius is None:
+        return ""
+    times = _instants(reference, dt)
+    twist = reference.sample(times).twist
+    v, omega = np.abs(twist if gain is None else np.linalg.solve(gain, twist.T).T).T
+    tighter = omega * radius * _LEAST_TURN_SHARE - v
+    count = np.count_nonzero(tighter > _LEAST_TURN)
+    if not count:
+        return ""
+    worst = int(np.argmax(tighter))
+    return (
+        f"reference '{reference.name}': for {count * (times[1] - times[0]):.1f} s it turns tighter than "
+        f"limits.least_commanded_radius = {radius:g}, down to {v[worst] / omega[worst]:.2g} m at {times[worst]:.2f} s; "
+        "its corners are cut"
+    )
 
 
 def steps_beyond_slew(reference: Reference, limits: Limits, dt: float) -> str:

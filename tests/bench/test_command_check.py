@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,21 @@ def test_a_command_that_is_no_number_is_found(bad: float) -> None:
     assert found.not_finite == 1
     # The command after it is a step from nothing.
     assert found.total == 2
+
+
+def test_a_command_that_turns_too_tightly_is_found() -> None:
+    time, command, modes, came = made_up()
+    limits = replace(LIMITS, least_radius=2.0)
+    command[:, 1] = np.where(np.arange(200) < 100, 0.5, 0.49) * command[:, 0]
+    assert check_commands(time, command, modes, came, limits) == NONE
+    command[50, 1] += 1e-6
+    assert check_commands(time, command, modes, came, limits) == replace(NONE, turn=1)
+    # A ramp at the braking limits of 1 m/s^2 and 3 rad/s^2 does not keep a radius of 0.2 m: it does not count there.
+    command[:, 1] = np.where(np.arange(200) < 90, 5.0, 5.1) * command[:, 0]
+    small = replace(LIMITS, least_radius=0.2, most=(9.0, 9.0), slew=(9.0, 99.0), braking=(1.0, 9.0))
+    assert check_commands(time, command, modes, came, replace(small, least_radius=0.1)) == NONE
+    assert check_commands(time, command, modes, came, small).turn == 110 - modes.count("STOPPED")
+    assert check_commands(time, command, modes, came, replace(small, braking=(2.0, 9.0))).turn == 10
 
 
 @pytest.mark.parametrize(("column", "value"), [(0, 1.001), (0, -1.001), (1, 2.001), (1, 2.1e9)])

@@ -92,10 +92,14 @@ def test_another_model_with_dead_time(tmp_path):
 
 def test_curved_slip_and_a_least_turn_radius_come_along(tmp_path):
     overrides = {"estimator.veer_uncertainty": 0.02, "estimator.yaw_coupling": 0.05, "limits.least_turn_radius": 0.95}
+    overrides["limits.least_commanded_radius"] = 1.2
     program = export(tmp_path / "curved", "s", "double", overrides, "-O1", "-fsanitize=address,undefined")
     steps = drive_both(program, "s", overrides, 120, offset=(0.0, 0.04, 0.1))
     assert np.abs(differences(steps)).max() <= DOUBLE
     assert sum(theirs.soft_limits > 0 for _, theirs in steps) > 20
+    commands = np.abs([theirs.command for _, theirs in steps])
+    assert (1.2 * commands[:, 1] <= commands[:, 0] + 1e-12).all()
+    assert np.isclose(1.2 * commands[:, 1], commands[:, 0]).sum() > 20
 
 
 def test_to_the_end(in_double):

@@ -31,7 +31,7 @@ def driven(definition: Definition = PROBE, **row: object) -> Driven:
         "position_rmse_m": 0.004,
         "lateral_max_m": 0.01,
         "time_processor_s": 1.0,
-        **{f"unsafe_{kind}": 0 for kind in ("not_finite", "limit", "slew", "motion")},
+        **{f"unsafe_{kind}": 0 for kind in ("not_finite", "limit", "slew", "motion", "turn")},
     }
     return Driven(definition, f"{definition.case.seed:064d}", usual | row)  # type: ignore[arg-type]
 

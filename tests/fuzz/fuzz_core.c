@@ -244,6 +244,7 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
     }
     k.wheel_yaw_ratio = R(1.2);
     k.least_turn_radius = s->turns ? R(0.7) : R(0.0);
+    k.least_commanded_radius = s->command_turns ? R(0.9) : R(0.0);
     k.surprise = R(9.0);
     k.patience = R(10.0);
     k.least_yaw_rate = k.least_speed = R(0.05);
@@ -583,6 +584,7 @@ int main(int count, char **words)
     const subject subjects[] = {
         {"smallest", {1, 1, 0, 0, 1, 2, 0, 0, 0, 5, 0, 0, 0, 0, 8, 0, 0}, {{0, 0, 0, 0}}, 3000},
         {"curved, turns", {5, 2, 1, 0, 2, 4, 0, 1, 0, 7, 0, 0, 0, 2, 13, 0, 0}, {{0, 0, 0, 0}}, 3000},
+        {"turns, commanded", {8, 2, 1, 2, 4, 8, 1, 1, 0, 9, 0, 0, 0, 2, 8, 0, 0, 2}, {{0, 0, 0, 0}}, 3000},
         {"curved, function", {6, 3, 0, 0, 3, 4, 0, 0, 1, 6, 2, 2, 1, 0, 13, 0, 0}, {{one_row, 1, 0, 0}, {one_row, 1, 1, 1}}, 2000},
         {"smallest, function", {1, 1, 0, 0, 1, 2, 0, 0, 1, 6, 2, 2, 1, 0, 8, 0, 0}, {{one_row, 1, 0, 0}, {one_row, 1, 1, 1}}, 2000},
         {"usual", {15, 2, 1, 2, 4, 16, 4, 3, 0, 5, 0, 0, 0, 0, 8, 0, 0}, {{0, 0, 0, 0}}, 3000},

@@ -90,6 +90,7 @@ VARIED = {
     "arc_curved": ["v", "omega", "theta"],
     "soft_curved": ["pose", "twist", "command"],
     "turn": ["pose", "twist", "command"],
+    "command_turn": ["pose", "twist", "command"],
     "errors": ["pose", "twist", "command"],
     "soft": ["pose", "twist", "command"],
 }

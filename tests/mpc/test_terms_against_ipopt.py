@@ -96,6 +96,31 @@ def test_real_time_iterations_with_terms_converge_to_ipopts_solution(model, case
     assert result.command == pytest.approx(drive.commands[-1], abs=2e-4)
 
 
+def test_rows_of_the_least_commanded_radius_converge_to_ipopts_solution_while_they_press():
+    """A circle that turns a tenth tighter than commands may: the plan is held, in every sample of it."""
+    radius = 1.1 * CIRCLE.sample([3.0]).twist[0] @ [1.0, 0.0] / CIRCLE.sample([3.0]).twist[0, 1]
+    overrides = {"horizon": HORIZON, "reentry.enabled": False, "limits.least_commanded_radius": radius}
+    config = load_config("ssm", overrides | NO_SLIP | EXACT)
+
+    def make():
+        return Controller(config)
+
+    controller = make()
+    robot = IdealRobot(controller._predicted.sampled, CIRCLE.sample([0.0]).pose[0])
+    drive = record(controller, robot, CIRCLE, 60, lambda *_: None)
+    result = converged(make, drive, CIRCLE, lambda *_: None)
+    program = NonlinearProgram(controller, result, drive, CIRCLE, linear_outputs(controller._predicted.sampled))
+    without = program.solve()
+    command = ca.SX.sym("command", 2)
+    rows = ca.vertcat(radius * command[1] - command[0], -radius * command[1] - command[0])
+    term = Term("turn", ca.Function("turn", [command], [rows], ["command"], ["r"]), "soft", upper=[0.0, 0.0])
+    program.add(term, np.zeros((HORIZON + 1, 0)))
+    plan = program.solve()
+    assert np.abs(plan - without).max() > 1e-2, "the rows must press"
+    assert result.planned_commands == pytest.approx(plan, abs=2e-5)
+    assert (radius * np.abs(plan[:, 1]) <= plan[:, 0] + 1e-6).all()
+
+
 def test_half_spaces_of_free_space_converge_to_ipopts_solution_while_they_press():
     """A wall beside the circle, nearer than the footprint fits: the rows that the controller sets itself are active."""
     overrides = {"horizon": HORIZON, "reentry.enabled": False} | NO_SLIP | EXACT

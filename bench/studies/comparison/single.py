@@ -31,7 +31,7 @@ from diffdrive_mpc.bench.studies.comparison.tables import (
 from diffdrive_mpc.bench.sweep import single_settings
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.mpc.trajectories.speed_check import steps_beyond_slew
+from diffdrive_mpc.mpc.trajectories.speed_check import sharper_than_commands, steps_beyond_slew
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.view.body import robot_body
 
@@ -115,16 +115,17 @@ def report(outcome: Outcome) -> None:
         console.print(table.rich())
     if outcome.case.controller not in PEERS:
         config = controller_config(outcome.case.model, outcome.case.config, outcome.case.overrides)
-        steps = steps_beyond_slew(outcome.run.reference, config.limits, config.sample_time)
-        if steps:
-            console.print(steps, markup=False, highlight=False)
+        for check in (steps_beyond_slew, sharper_than_commands):
+            said = check(outcome.run.reference, config.limits, config.sample_time)
+            if said:
+                console.print(said, markup=False, highlight=False)
     if outcome.run.ended:
         console.print(f"not completed: {outcome.run.ended}", markup=False, highlight=False)
-    said = [message for message in dict.fromkeys(outcome.run.messages) if message]
-    for message in said[:_MESSAGES_SHOWN]:
+    messages = [message for message in dict.fromkeys(outcome.run.messages) if message]
+    for message in messages[:_MESSAGES_SHOWN]:
         console.print(f"controller: {message}", markup=False, highlight=False)
-    if len(said) > _MESSAGES_SHOWN:
-        console.print(f"and {len(said) - _MESSAGES_SHOWN} other messages", highlight=False)
+    if len(messages) > _MESSAGES_SHOWN:
+        console.print(f"and {len(messages) - _MESSAGES_SHOWN} other messages", highlight=False)
 
 
 def tables(outcome: Outcome) -> list[Table]:
