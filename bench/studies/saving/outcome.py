@@ -14,6 +14,7 @@ from diffdrive_mpc.bench.studies.saving.pairs import Pair
 from diffdrive_mpc.bench.studies.saving.settings import SavingStudySettings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.turn_costs import load_turn_costs
+from diffdrive_mpc.mpc.planner import PlanError, plan
 
 Aim = Literal["energy", "distance", "time"]
 AIMS: tuple[Aim, ...] = ("energy", "distance", "time")
@@ -48,13 +49,11 @@ class PairOutcome(NamedTuple):
 
 def measure_pair(asked: SavingStudySettings, surface: str, number: int, pair: Pair) -> PairOutcome:
     """Plan and drive one pair, for each aim by the same rules: cap of speed, ramps, controller, floor, noise."""
-    from diffdrive_mpc.mpc.planner import PlanError, plan  # noqa: PLC0415
-
     costs = load_turn_costs(asked.costs_of(surface))
     drives: dict[str, Driven] = {}
     for aim in AIMS if number < asked.time_optimal else AIMS[:2]:
         try:
-            found = plan(costs, pair.start, pair.goal, minimise=aim, speed=asked.speed)
+            found = plan(costs, pair.start, pair.goal, minimise=aim, speed=asked.speed, settings=asked.planning.settings)
         except PlanError as error:
             return PairOutcome(surface, number, pair, drives, f"{aim}: {error}")
         drives[aim] = drive_closed(asked, found, surface)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive_mpc.bench.studies.saving.drives import Driven, drive_closed, drive_open
+from diffdrive_mpc.bench.studies.saving.outcome import AIMS
 from diffdrive_mpc.bench.studies.saving.pairs import Pose
 from diffdrive_mpc.bench.studies.saving.settings import Place, Post, SavingStudySettings, Scenario
 from diffdrive_mpc.bench.studies.torque.measurements import diagnostic_drive, plant_of, sides
@@ -18,6 +19,8 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.terrain import Terrain, load_terrain, side_torques
 from diffdrive_mpc.models.torque import TorqueCurves
 from diffdrive_mpc.models.turn_costs import SlipCoefficients, TurnCosts, load_turn_costs
+from diffdrive_mpc.mpc.free_space import MovingDisc, Surroundings
+from diffdrive_mpc.mpc.planner import plan
 from diffdrive_mpc.sim.plants.make import plant_outline
 
 
@@ -49,6 +52,11 @@ class ScenarioOutcome(NamedTuple):
     """Of P4"""
     asked: Scenario
     plans: tuple[Planned, ...]
+
+    @property
+    def short(self) -> str:
+        """What the title begins with, and the floor."""
+        return f"{self.title.partition(':')[0].rpartition(' ')[2]}, '{self.asked.surface}'"
 
 
 def measure_nominal(study: SavingStudySettings, asked: Scenario) -> ScenarioOutcome:
@@ -159,12 +167,13 @@ def check_scenario(study: SavingStudySettings, asked: Scenario) -> None:
 
 
 def _planned(study: SavingStudySettings, asked: Scenario, costs: TurnCosts, by: str) -> Planned:
-    from diffdrive_mpc.mpc.planner import plan  # noqa: PLC0415
-
     start, goal = pose_of(asked.start), pose_of(asked.goal)
+    around = Surroundings(discs=[MovingDisc(*post) for post in asked.posts])
     found, shortest = (
-        plan(costs, start, goal, minimise=aim, speed=study.speed, obstacles=asked.posts)
-        for aim in ("energy", "distance")
+        plan(
+            costs, start, goal, minimise=aim, speed=study.speed, obstacles=around, settings=study.planning.settings
+        )
+        for aim in AIMS[:2]
     )
     opened = drive_open(study, found, asked.surface, asked.payload)
     closed = drive_closed(study, found, asked.surface, asked.payload)

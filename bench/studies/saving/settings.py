@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
-from diffdrive_mpc.models.robot import NotNegative, Positive
+from diffdrive_mpc.models.robot import NotNegative, Positive, Share
+from diffdrive_mpc.mpc.planner import PlanSettings, load_plan_settings
 
 FOLDER = Path(__file__).parent
 
@@ -33,6 +34,21 @@ class Drawn(StrictModel):
         if not self.distance[0] < self.distance[1]:
             raise ValueError("distance: give the least and then the largest")
         return self
+
+
+class Planning(StrictModel):
+    """In place of the planner's own settings."""
+
+    radius_margin: Share
+    longest_detour: Positive
+
+    @property
+    def settings(self) -> PlanSettings:
+        """The planner's settings with these."""
+        own = load_plan_settings()
+        polish = own.polish.model_copy(update={"radius_margin": self.radius_margin})
+        motion = own.motion.model_copy(update={"longest_detour": self.longest_detour})
+        return own.model_copy(update={"polish": polish, "motion": motion})
 
 
 class Standing(StrictModel):
@@ -62,6 +78,7 @@ class SavingStudySettings(StrictModel):
     controller: Path
     surfaces: Annotated[tuple[str, ...], Field(min_length=1)]
     speed: Positive
+    planning: Planning
     pairs: Drawn
     time_optimal: int = Field(ge=0)
     standing: Standing

@@ -216,7 +216,7 @@ def _tables(results: Results, computer: float) -> list[Table]:
             "its cone [m]": lambda one: number(one.gaps[1], 2),
             "saved [%]": lambda one: _percent(one.saving),
         },
-        [((found.title, one.by), one) for found in results.scenarios for one in found.plans],
+        [((found.short, one.by), one) for found in results.scenarios for one in found.plans],
         note="Cone: from the robot's outline to the nearest one; below zero it ran over it. Saved: against the "
         "distance-optimal plan of the same knowledge, both by the controller.",
     )
