@@ -49,9 +49,17 @@ def polynomial_twist(coefficients: ArrayLike, wheels: ArrayLike) -> FloatArray:
         (..., 3) forward speed, lateral speed to the left [m/s], yaw rate [rad/s].
     """
     v, omega = np.moveaxis(np.asarray(wheels, dtype=float), -1, 0)
-    terms = np.stack([v, omega, v * omega], axis=-1)
-    rows = np.asarray(coefficients, dtype=float).reshape(3, 3)
-    return np.asarray(np.stack([v, np.zeros_like(v), omega], axis=-1) + terms @ rows.T)
+    return np.stack(polynomial_terms(np.asarray(coefficients, dtype=float).reshape(3, 3), v, omega), axis=-1)
+
+
+def polynomial_terms(
+    coefficients: FloatArray,
+    v: Any,  # noqa: ANN401 - arrays or CasADi's symbols
+    omega: Any,  # noqa: ANN401
+) -> tuple[Any, Any, Any]:
+    """The three parts of `polynomial_twist`, its one text for numbers and for symbols; coefficients are (3, 3)."""
+    ahead, left, turn = (a * v + b * omega + c * v * omega for a, b, c in coefficients.tolist())
+    return v + ahead, left, omega + turn
 
 
 def _widening(functions: _Functions, settled: Any, growth: Any) -> Any:  # noqa: ANN401 - numbers, arrays or symbols

@@ -22,6 +22,7 @@ from diffdrive_mpc.sim.plants.motor_work import NOTHING, MotorWork, motor_work, 
 from diffdrive_mpc.sim.plants.plant import Plant, RobotLostError
 from diffdrive_mpc.sim.plants.world_plant import WorldPlant
 from diffdrive_mpc.sim.run import NO_SOLVER, Run
+from diffdrive_mpc.sim.sensing.power_readings import power_read
 from diffdrive_mpc.sim.worlds.sight import Seen
 
 
@@ -87,10 +88,12 @@ def simulate(
     measurements: list[Measurement] = []
     plans: list[FloatArray | None] = []
     work: list[MotorWork] = []
+    power: list[FloatArray] = []
     ended = ""
     for k in range(ticks):
         time[k], true_pose[k], true_twist[k] = plant.time, plant.true_pose, plant.true_twist
         measurement = plant.measure()
+        power.append(power_read(plant))
         over = around.look()
         step = controller.step(plant.time, measurement)
         command[k] = _checked(step.command, plant.time)
@@ -120,7 +123,7 @@ def simulate(
     driven = slice(len(said))
     time = time[driven]
     expected = reference.sample(time)
-    torque, wheel_speed, power, square = stacked(work)
+    torque, wheel_speed, mechanical, square = stacked(work)
     return Run(
         reference=reference,
         sample_time=plant.sample_time,
@@ -144,9 +147,10 @@ def simulate(
         plans=_stacked(plans),
         motor_torque=torque,
         motor_speed=wheel_speed,
-        motor_power=power,
+        motor_power=mechanical,
         motor_square=square,
         drive=getattr(plant, "drive", None),
+        power_readings=np.array(power),
         disturbance=plant.disturbance if isinstance(plant, (DisturbedPlant, WorldPlant)) else None,
         ended=ended,
         **around.kept,

@@ -17,6 +17,7 @@ from diffdrive_mpc.models.results import ReadOnlyArrays
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE, Metrics, compute_metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings, tracking_errors
+from diffdrive_mpc.sim.sensing.power_readings import READINGS
 from diffdrive_mpc.sim.told import told_columns
 from diffdrive_mpc.sim.worlds.contacts import Contact
 from diffdrive_mpc.sim.worlds.passage import Passage, passage_of
@@ -87,6 +88,9 @@ class Run(ReadOnlyArrays):
         NaN for a plant without motors.
     drive
         Electrical constants of these motors; None for a plant without: then those of the papers' robot count.
+    power_readings
+        (n, 6) what sensors of battery and motors said, means over the sample before the tick: voltage [V] and current
+        [A] of the battery, currents of the four motors [A]; NaN for a robot without them.
     world
         What was around the robot; None for nothing.
     contacts
@@ -122,6 +126,7 @@ class Run(ReadOnlyArrays):
     motor_power: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
     motor_square: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
     drive: DriveConstants | None = None
+    power_readings: FloatArray = field(default_factory=lambda: np.empty((0, 6)))
     world: World | None = None
     contacts: tuple[Contact, ...] = ()
     outline: tuple[float, float] = (0.0, 0.0)
@@ -136,6 +141,7 @@ class Run(ReadOnlyArrays):
             "solver_iterations": np.full(count, np.nan),
             "estimates": np.full((count, 5), np.nan),
             "estimate_deviations": np.full((count, 5), np.nan),
+            "power_readings": np.full((count, 6), np.nan),
             **{f"motor_{what}": np.full((count, 4), np.nan) for what in ("torque", "speed", "power", "square")},
         }
         vars(self).update({name: rows for name, rows in nothing.items() if not len(vars(self)[name])})
@@ -227,6 +233,8 @@ class Run(ReadOnlyArrays):
             (("step_time_s", "solve_time_s"), np.column_stack([self.step_time, self.solve_time])),
             (("solver_iterations",), self.solver_iterations),
         ]
+        if np.isfinite(self.power_readings).any():
+            numbers.append((READINGS, self.power_readings))
         if np.isfinite(self.motor_torque).any():
             numbers += [
                 (tuple(f"true_{what}_{wheel}_{unit}" for wheel in ("fl", "fr", "rl", "rr")), rows)

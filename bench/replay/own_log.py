@@ -43,7 +43,7 @@ def is_own_csv(path: Path) -> bool:
     """Whether the columns are those of `simulate --log`."""
     columns, header = load_mapping(OWN_FORMAT).columns, read_header(path)
     assert columns is not None
-    return columns.names() | {"mode"} <= set(header)
+    return columns.found_in(header).names() | {"mode"} <= set(header)
 
 
 def read_own_csv(path: Path) -> Recording:

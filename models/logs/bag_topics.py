@@ -18,7 +18,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.input_file import MEGABYTE, read_input
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.bag_bounds import check_messages, within_bounds
-from diffdrive_mpc.models.logs.mapping import Topic
+from diffdrive_mpc.models.logs.mapping import MotorTopic, Topic
 from diffdrive_mpc.models.logs.record import BoolArray
 
 if TYPE_CHECKING:
@@ -65,6 +65,29 @@ POSES: dict[str, Callable[[Any], Reading]] = {
     "nav_msgs/msg/Odometry": lambda message: _pose(message.pose.pose),
 }
 """x [m], y [m], theta [rad]."""
+
+
+BATTERIES: dict[str, Callable[[Any], Reading]] = {
+    # REP 147: a current that discharges is negative; in a record what the battery gives is positive.
+    "sensor_msgs/msg/BatteryState": lambda message: (float(message.voltage), -float(message.current)),
+}
+"""Voltage [V], current that the battery gives [A]."""
+
+_NUMBER: Callable[[Any], Reading] = lambda message: (float(message.data),)  # noqa: E731
+
+
+def motor_readers(topic: MotorTopic) -> dict[str, Callable[[Any], Reading]]:
+    """Currents of the motors of a side, as they stand in messages without `fields`."""
+    joints = topic.joints
+    if joints is None:
+        return {"std_msgs/msg/Float32": _NUMBER, "std_msgs/msg/Float64": _NUMBER}
+
+    def efforts(message: Any) -> Reading:  # noqa: ANN401
+        named = dict(zip(message.name, message.effort, strict=False))
+        # A message that holds other joints only is left out with those that are not finite.
+        return tuple(float(named.get(joint, math.nan)) for joint in joints)
+
+    return {"sensor_msgs/msg/JointState": efforts}
 
 
 def stamp(message: Any) -> int:  # noqa: ANN401
@@ -218,14 +241,19 @@ def _register(path: Path, store: Any, kind: str, definitions: Mapping[str, str])
         raise ConfigError(f"{path}: messages of type {kind} are unknown; give their .msg file under 'definitions'")
 
 
+def _entry(message: Any, name: str) -> Any:  # noqa: ANN401
+    """A field by its name, or an entry of an array by its number."""
+    return message[int(name)] if name.isdigit() else getattr(message, name)
+
+
 def _reader_of(path: Path, topic: Topic) -> Callable[[Any], Reading]:
     """Takes the numbers out of a message where the mapping says that they stand."""
     fields = [field.split(".") for field in topic.fields or ()]
 
     def decode(message: Any) -> Reading:  # noqa: ANN401
         try:
-            return tuple(float(reduce(getattr, field, message)) for field in fields)
-        except (AttributeError, TypeError, ValueError) as error:
+            return tuple(float(reduce(_entry, field, message)) for field in fields)
+        except (AttributeError, IndexError, TypeError, ValueError) as error:
             raise ConfigError(
                 f"{path}: topic '{topic.topic}': no number under 'fields' {topic.fields}: {error}"
             ) from error

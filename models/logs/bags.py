@@ -9,20 +9,41 @@ import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.logs.bag_topics import COMMANDS, IMU, ODOMETRY, POSES, Decoders, TopicRows, opened, read_topic
+from diffdrive_mpc.models.logs.bag_topics import (
+    BATTERIES,
+    COMMANDS,
+    IMU,
+    ODOMETRY,
+    POSES,
+    Decoders,
+    TopicRows,
+    motor_readers,
+    opened,
+    read_topic,
+)
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.clock_checks import drifting_clocks, require_one_clock
+from diffdrive_mpc.models.logs.csv_log import motor_fields
 from diffdrive_mpc.models.logs.long_logs import decimated, most_driven, needed_stride, subset
-from diffdrive_mpc.models.logs.mapping import LogMapping, Topic, Topics
+from diffdrive_mpc.models.logs.mapping import FACTORS, LogMapping, MotorTopic, Topic, Topics, Wheels
 from diffdrive_mpc.models.logs.record import Finding, ranges
 from diffdrive_mpc.models.logs.sampling import ABSURD, RawLog, RawStretch, Signal, increasing, unwrapped, usual_step
 
 if TYPE_CHECKING:
     from diffdrive_mpc.models.logs.bag_topics import Reader
 
-_WIDTHS = {"command": 2, "odometry": 2, "imu": 1, "pose": 3}
-_DECODERS: dict[str, Decoders] = {"command": COMMANDS, "odometry": ODOMETRY, "imu": IMU, "pose": POSES}
+_WIDTHS = {"command": 2, "odometry": 2, "imu": 1, "pose": 3, "battery": 2}
+_DECODERS: dict[str, Decoders] = {
+    "command": COMMANDS,
+    "odometry": ODOMETRY,
+    "imu": IMU,
+    "pose": POSES,
+    "battery": BATTERIES,
+}
 _FIELDS = {"odometry": "twist", "imu": "yaw_rate", "pose": "pose"}
+_SIDES = ("left motors", "right motors")
+# Motors of a side that are read one by one.
+_OF_A_SIDE = 2
 
 
 def is_bag(path: Path) -> bool:
@@ -52,21 +73,25 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         if topics is None:
             raise ConfigError(f"{path}: the mapping has no 'topics', which a bag needs")
         topics = topics.named(there)
-        asked = {role: topic for role in _DECODERS if (topic := getattr(topics, role)) is not None}
-        if set(asked) == {"command"}:
+        asked: dict[str, Topic] = {role: topic for role in _DECODERS if (topic := getattr(topics, role)) is not None}
+        if not set(asked) & set(_FIELDS):
             raise ConfigError(
                 f"{path}: neither /odom nor /imu is there; give a mapping file that names the topics; the bag has "
                 f"{', '.join(sorted(there)) or 'none'}"
             )
         for role, topic in asked.items():
-            if topic.fields is not None and len(topic.fields) != _WIDTHS[role]:
+            if topic.fields is not None and len(topic.fields) != _WIDTHS.get(role, len(topic.fields)):
                 raise ConfigError(
                     f"{path}: topic '{topic.topic}': give {_WIDTHS[role]} 'fields', not {len(topic.fields)}"
                 )
+        readers = dict(_DECODERS)
+        if topics.motors is not None:
+            for role, side in zip(_SIDES, (topics.motors.left, topics.motors.right), strict=True):
+                asked[role], readers[role] = side, motor_readers(side)
         findings: list[Finding] = []
         rows = {
             role: read_topic(
-                reader, path, topic, _DECODERS[role], topics.definitions, _stride(reader, path, topic, role, findings)
+                reader, path, topic, readers[role], topics.definitions, _stride(reader, path, topic, role, findings)
             )
             for role, topic in asked.items()
         }
@@ -76,17 +101,45 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         role: _signal(path, rows[role], 1e-9 * (times[role] - origin), asked[role], role, findings) for role in rows
     }
     command = signals.pop("command")
-    measured = {_FIELDS[role]: signal for role, signal in signals.items()}
+    measured = {_FIELDS[role]: signals[role] for role in _FIELDS if role in signals}
+    power = _power(signals, mapping.wheels if mapping else None)
     response = next(measured[field] for field in _FIELDS.values() if field in measured)
     if topics.command.on_change:
         command = _repeated(command, response.time)
     stretch = _stretch(path, command, measured)
+    stretch = RawStretch(stretch.clock, stretch.command, {**stretch.measured, **power})
     stretches = _most_driven(path, stretch, findings)
     # The faster of the two, so that neither the commands' times nor the readings are blurred.
     sample_time = usual_step([response.time])
     if not topics.command.on_change:
         sample_time = float(np.fmin(usual_step([stretch.command.time]), sample_time))
     return RawLog(path.name, stretches, tuple(findings), float(sample_time))
+
+
+def _power(signals: dict[str, Signal], wheels: Wheels | None) -> dict[str, Signal]:
+    """Battery and motors, and the wheels' speeds that the odometry's twist comes from; nothing where none is asked."""
+    found: dict[str, Signal] = {}
+    if "battery" in signals:
+        found["battery"] = signals["battery"]
+    sides = [signals[role] for role in _SIDES if role in signals]
+    if sides:
+        left, right = sides
+        # The right side at the times of the left: two topics are not read at the same instants.
+        at = (left.time >= right.time[0]) & (left.time <= right.time[-1])
+        time = left.time[at]
+        other = np.stack([np.interp(time, right.time, column) for column in right.value.T], axis=-1)
+        both = np.stack([left.value[at], other], axis=-1) if left.value.shape[1] == right.value.shape[1] else None
+        if both is not None and both.shape[1] == _OF_A_SIDE:
+            values = both.reshape(len(time), -1)  # front left, front right, rear left, rear right
+        else:
+            values = np.stack([left.value[at].sum(axis=1), other.sum(axis=1)], axis=-1)
+        found |= {name: Signal(time, value) for name, value in motor_fields(values).items()}
+    if found and wheels is not None and "odometry" in signals:
+        twist = signals["odometry"]
+        half = 0.5 * wheels.track * np.array([[-1.0, 1.0]])
+        speeds = (twist.value[:, :1] + half * twist.value[:, 1:]) / wheels.radius
+        found["wheels"] = Signal(twist.time, speeds)
+    return found
 
 
 def _stride(reader: Reader, path: Path, topic: Topic, role: str, findings: list[Finding]) -> int:
@@ -149,10 +202,17 @@ def _signal(path: Path, rows: TopicRows, time: FloatArray, topic: Topic, role: s
             findings.append(Finding(kind, "warning", where + ranges(rows.stride * np.flatnonzero(~good) + 1), lost))
     keep = finite & ordered
     value = rows.value[keep]
+    if not keep.any() and role in ("battery", *_SIDES):
+        joints = getattr(topic, "joints", None)
+        remedy = f"is one of the joints {', '.join(joints)} in it?" if joints else "leave it out of the mapping"
+        raise ConfigError(f"{path}: topic '{rows.topic}' holds no usable number; {remedy}")
     if role == "pose":
         value = unwrapped(value * [1.0, 1.0, topic.sign])
+    elif role in _SIDES:
+        assert isinstance(topic, MotorTopic)
+        value = topic.sign * FACTORS[topic.unit] * value
     elif role != "command":
-        value = value * ([1.0, topic.sign] if role == "odometry" else [topic.sign])
+        value = value * ([1.0, topic.sign] if role in ("odometry", "battery") else [topic.sign])
     return Signal(time[keep] - topic.delay, value)
 
 

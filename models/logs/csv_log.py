@@ -194,6 +194,7 @@ def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
     columns, wheels = (mapping or _own_mapping(path)).columns, mapping.wheels if mapping else None
     if columns is None:
         raise ConfigError(f"{path}: the mapping has no 'columns', which a CSV file needs")
+    columns = columns.found_in(read_header(path))
     return log_of_table(_where(read_table(path, columns.names()), columns), columns, wheels)
 
 
@@ -243,7 +244,7 @@ def log_of_table(whole: CsvTable, columns: Columns, wheels: Wheels | None = None
 def _own_mapping(path: Path) -> LogMapping:
     mapping, header = load_mapping(OWN_FORMAT), read_header(path)
     assert mapping.columns is not None
-    if header and not mapping.columns.names() <= set(header):
+    if header and not mapping.columns.found_in(header).names() <= set(header):
         raise ConfigError(f"{path}: which column is what? Give a mapping file; the columns are {', '.join(header)}")
     return mapping
 
@@ -301,14 +302,20 @@ def _measured(reader: RowReader, columns: Columns, time: FloatArray) -> dict[str
     if columns.pose is not None:
         axes = (columns.pose.x, columns.pose.y, columns.pose.theta)
         add("pose", columns.pose, {"pose": np.column_stack([reader.column(axis)[0] for axis in axes])})
-    for field, sensor, names in (
-        ("battery", columns.battery, ("voltage", "current")),
-        ("motor_current", columns.motors, SIDES),
-    ):
-        if sensor is not None:
-            values = [reader.column(getattr(sensor, name))[0] for name in names]
-            add(field, sensor, {field: np.column_stack(values)})
+    if columns.battery is not None:
+        parts = (columns.battery.voltage, columns.battery.current)
+        add("battery", columns.battery, {"battery": np.column_stack([reader.column(part)[0] for part in parts])})
+    if columns.motors is not None:
+        found = [reader.column(getattr(columns.motors, name))[0] for name in columns.motors.given]
+        add("motors", columns.motors, motor_fields(np.column_stack(found)))
     return signals
+
+
+def motor_fields(currents: FloatArray) -> dict[str, FloatArray]:
+    """Fields of a record for currents (n, 2) of the sides, or (n, 4) of the motors [A]."""
+    if currents.shape[1] == len(SIDES):
+        return {"motor_current": currents}
+    return {"motor_current": currents[:, :2] + currents[:, 2:], "motor_currents": currents}
 
 
 def _seems_held(table: CsvTable, sensor: str, readings: FloatArray) -> list[Finding]:

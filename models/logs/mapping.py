@@ -205,18 +205,39 @@ class PoseColumns(SensorColumns):
     theta: AngleColumn
 
 
-class BatteryColumns(SensorColumns):
+class PowerColumns(SensorColumns):
+    """Of battery or motors."""
+
+    optional: bool = Field(False, description="whether logs without these columns are read, too, as if not mapped")
+
+
+class BatteryColumns(PowerColumns):
     """What the battery gives."""
 
     voltage: VoltageColumn
     current: CurrentColumn
 
 
-class MotorColumns(SensorColumns):
-    """Currents of the motors, of a side together."""
+class MotorColumns(PowerColumns):
+    """Currents of the motors: of a side together, or of each of four."""
 
-    left: CurrentColumn
-    right: CurrentColumn
+    left: CurrentColumn | None = None
+    right: CurrentColumn | None = None
+    front_left: CurrentColumn | None = None
+    front_right: CurrentColumn | None = None
+    rear_left: CurrentColumn | None = None
+    rear_right: CurrentColumn | None = None
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Names of the columns that are named."""
+        return tuple(name for name in (*SIDES, *FOUR_WHEELS) if getattr(self, name) is not None)
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if self.given not in (SIDES, FOUR_WHEELS):
+            raise ValueError(f"name the columns of {', '.join(SIDES)}, or of {', '.join(FOUR_WHEELS)}")
+        return self
 
 
 class Columns(StrictModel):
@@ -243,6 +264,17 @@ class Columns(StrictModel):
             raise ValueError("nothing measured: name the columns of 'encoders', 'gyro' or 'pose'")
         return self
 
+    def found_in(self, there: Collection[str]) -> Self:
+        """The same without what is optional and not all among the columns that are `there`."""
+        absent = [
+            key
+            for key, group in (("battery", self.battery), ("motors", self.motors))
+            if group is not None
+            and group.optional
+            and not {part.column for _, part in group if isinstance(part, Column)} <= set(there)
+        ]
+        return self.model_copy(update=dict.fromkeys(absent))
+
     def names(self) -> set[str]:
         """Names of all columns that the mapping uses."""
         groups = [self.command, self.encoders, self.gyro, self.pose, self.battery, self.motors]
@@ -255,12 +287,34 @@ class Topic(_NameOrMore):
     """One topic of a bag; a plain name stands for a topic without sign or delay."""
 
     topic: str = Field(min_length=1)
-    sign: Sign = Field(1, description="of yaw rates and headings; -1 for a sensor mounted upside down")
+    sign: Sign = Field(1, description="of yaw rates, headings and currents; -1 for a sensor mounted upside down")
     delay: float = Field(0.0, description="how long after the fact its stamps are [s]")
     fields: tuple[str, ...] | None = Field(
-        None, description="where its numbers stand in a message of another type, such as twist.linear.x"
+        None, description="where its numbers stand in a message of another type, such as twist.linear.x or data.0"
     )
     on_change: bool = Field(False, description="of commands: sent when they change, and in force until the next")
+
+
+class MotorTopic(Topic):
+    """Currents of the motors of one side; several numbers are added up, and a plain name is one of std_msgs Float32."""
+
+    joints: tuple[str, ...] | None = Field(
+        None, description="of sensor_msgs JointState: whose `effort` is the current of a motor of this side"
+    )
+    unit: CurrentUnit = "A"
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        if self.joints is not None and self.fields is not None:
+            raise ValueError("give 'joints' or 'fields', not both")
+        return self
+
+
+class MotorTopics(StrictModel):
+    """Where the currents of the two sides are, perhaps in the same topic."""
+
+    left: MotorTopic
+    right: MotorTopic
 
 
 class Topics(StrictModel):
@@ -272,6 +326,10 @@ class Topics(StrictModel):
     pose: Topic | None = Field(
         None, description="PoseStamped, PoseWithCovarianceStamped or Odometry of a localisation, not of the encoders"
     )
+    battery: Topic | None = Field(
+        None, description="sensor_msgs BatteryState, whose current is negative where it discharges; else give sign: -1"
+    )
+    motors: MotorTopics | None = Field(None, description="currents of the motors, positive where they drive forward")
     clock: Literal["stamp", "receive"] = Field(
         "stamp", description="whose times count: the messages' or the recorder's"
     )
@@ -308,7 +366,7 @@ class LogMapping(StrictModel):
     gap: Positive | None = Field(None, description="longest time between two commands or rows of one stretch [s]")
 
     def sources(self) -> dict[str, str]:
-        """Names of columns or topics by stream: "command", "encoders", "gyro", "pose"."""
+        """Names of columns or topics by stream: "command", "encoders", "gyro", "pose"; of topics "battery", too."""
         found: dict[str, str] = {}
         for group in (self.columns, self.topics):
             for role, part in group or ():

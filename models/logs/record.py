@@ -63,6 +63,8 @@ class Record:
         (K, 2) voltage [V], current [A] of the battery, NaN without a reading near; None where it is not logged.
     motor_current
         (K, 2) current of the motors left, right [A], of a side together, NaN without one near; None if not logged.
+    motor_currents
+        (K, 4) front left, front right, rear left, rear right [A]; None where the log has not all four.
     fresh_twist, fresh_yaw_rate, fresh_pose
         (K,) True where a reading of the encoders (twist and wheels), the gyro, the pose falls on the sample.
 
@@ -84,6 +86,7 @@ class Record:
     wheel_commands: FloatArray | None = None
     battery: FloatArray | None = None
     motor_current: FloatArray | None = None
+    motor_currents: FloatArray | None = None
     fresh_twist: BoolArray | None = None
     fresh_yaw_rate: BoolArray | None = None
     fresh_pose: BoolArray | None = None
@@ -93,10 +96,10 @@ class Record:
         if not (np.isfinite(self.dt) and self.dt > 0):
             raise ValueError(f"record '{self.name}': sample time {self.dt} s; it must be positive and finite")
         count = len(self.command)
-        for name in ("battery", "motor_current"):
+        for name, width in (("battery", 2), ("motor_current", 2), ("motor_currents", 4)):
             value = getattr(self, name)
-            if value is not None and value.shape != (count, 2):
-                raise ValueError(f"record '{self.name}': {name} has shape {value.shape}, expected {(count, 2)}")
+            if value is not None and value.shape != (count, width):
+                raise ValueError(f"record '{self.name}': {name} has shape {value.shape}, expected {(count, width)}")
         for name in ("command", "wheel_commands", *_MASKS):
             value = getattr(self, name)
             if value is None:

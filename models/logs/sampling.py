@@ -199,7 +199,7 @@ def resample(
         part = signal.between(first - tolerance, last + tolerance)
         values, fresh = sample(part, grid, dt, tolerance, reach)
         sampled[field] = values[:, 0] if field == "yaw_rate" else values
-        if field not in ("battery", "motor_current"):
+        if field not in ("battery", "motor_current", "motor_currents"):
             sampled[f"fresh_{field}" if field in ("yaw_rate", "pose") else "fresh_twist"] = fresh
     place = f"{name}, {start:.1f} to {grid[-1]:.1f} s"
     return Record(name=place, start=start, dt=dt, **sampled)

@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import BSpline, PchipInterpolator, make_lsq_spline
+from scipy.interpolate import PchipInterpolator, make_lsq_spline
 
 from diffdrive_mpc.models.interface import FloatArray
 
@@ -63,15 +63,14 @@ class TorqueSpline:
     def symbolic(self, curvature: Any) -> tuple[Any, Any]:  # noqa: ANN401 - SX or MX
         """The same as CasADi expressions, with continuous second derivatives but at the two ends of the table."""
         scaled = ca.fmax(-self._most, ca.fmin(self._most, ca.asinh(curvature / _BEND)))
-        mean, difference = (self._truncated_powers(spline, scaled) for spline in self._splines)
-        return mean, difference
-
-    def _truncated_powers(self, spline: BSpline, at: Any) -> Any:  # noqa: ANN401
-        """Uniform B-splines as cubes of what lies beyond each knot: no cases, so derivatives hold everywhere."""
+        # Uniform B-splines as cubes of what lies beyond each knot: no cases, so derivatives hold everywhere.
         binomial = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0
-        weights = np.convolve(spline.c, binomial)
-        total: Any = 0.0
-        for knot, weight in zip(spline.t, weights[: len(spline.t)], strict=True):
+        weights = [np.convolve(spline.c, binomial) for spline in self._splines]
+        mean: Any = 0.0
+        difference: Any = 0.0
+        for k, knot in enumerate(self._splines[0].t):
             if knot < self._most:
-                total = total + weight * ca.fmax(0.0, (at - knot) / self._width) ** 3
-        return total
+                beyond = ca.fmax(0.0, (scaled - knot) / self._width)
+                cube = beyond * beyond * beyond
+                mean, difference = mean + weights[0][k] * cube, difference + weights[1][k] * cube
+        return mean, difference

@@ -98,6 +98,7 @@ def make_plant(
             firmware=build.firmware if build else None,
             base=build.base if build else None,
             drive=build.drive if build else None,
+            battery=build.battery if build else None,
             scenario=happening if happening.physical else None,
             sideways=floor.sideways,
             sample_time=sample_time,

@@ -18,6 +18,8 @@ from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, SpeedObserver, Ve
 from diffdrive_mpc.sim.plants.link import DelayLine, clip_command
 from diffdrive_mpc.sim.plants.twin import Twin
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
+from diffdrive_mpc.sim.sensing.battery import Battery
+from diffdrive_mpc.sim.sensing.power_readings import PowerReadings
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 from diffdrive_mpc.sim.sensing.sensors import TIME_TOLERANCE, Sensors
 from diffdrive_mpc.sim.worlds.world import World
@@ -43,6 +45,8 @@ class MujocoPlant:
         What its base does to commands; nothing by default.
     drive
         Electrical constants of its motors, by which energy is counted; by default those of the papers' robot.
+    battery
+        What a sensor of power reads; by default the usual one.
     scenario
         What happens to chassis and motors; the rest of it is for `sim.plants.disturbed_plant.DisturbedPlant`.
     sideways
@@ -69,6 +73,7 @@ class MujocoPlant:
         firmware: Firmware | None = None,
         base: BaseCommands | None = None,
         drive: DriveConstants | None = None,
+        battery: Battery | None = None,
         scenario: Scenario | None = None,
         sideways: float = 1.0,
         sample_time: float | None = None,
@@ -96,6 +101,8 @@ class MujocoPlant:
             wheel_base, torque = twin.chassis.wheel_base, twin.motor.stall_torque
             self._disturbances = DisturbedPhysics(scenario, self._chassis, self._loops, friction, wheel_base, torque)
         self._exact_speeds = sensors.encoders.speed_sd == 0.0
+        read = sensors.power
+        self._power = None if read is None else PowerReadings(read, battery or Battery(), self.drive, seed)
         kinematics = WheelKinematics(robot.wheel_radius, robot.track)
         self._sensors = Sensors(sensors, kinematics, self._sample_time, seed=seed, noisy_encoders=False)
         self.reset(np.zeros(3))
@@ -134,6 +141,11 @@ class MujocoPlant:
         return self._twin.motors
 
     @property
+    def power(self) -> FloatArray | None:
+        """(6,) readings of battery and motors at this tick, as `sim.sensing.power_readings`; None without a sensor."""
+        return None if self._power is None else self._power.value
+
+    @property
     def crossed(self) -> list[Span]:
         """When the robot got onto and off each patch of the floor that it has met since the last reset [s]."""
         return self._disturbances.crossed if self._disturbances else []
@@ -152,6 +164,8 @@ class MujocoPlant:
         if self._disturbances is not None:
             self._disturbances.reset()
         self._sensors.reset(self._chassis.pose, np.zeros(4))
+        if self._power is not None:
+            self._power.reset()
 
     def measure(self) -> Measurement:
         """Everything that the sensors delivered since the last call."""
@@ -179,5 +193,7 @@ class MujocoPlant:
             k = int(np.searchsorted(edges[1:] + TIME_TOLERANCE, look))
             start, end, before, after = edges[k], edges[k + 1], poses[k], poses[k + 1]
             self._sensors.see_pose(look, before + (look - start) / (end - start) * (after - before))
+        if self._power is not None:
+            self._power.see(self._twin.motors)
         speeds = self._chassis.wheel_speeds if self._exact_speeds else self._observer.speed
         self._sensors.see_motion(self.time, speeds, self._chassis.yaw_rate)

@@ -98,6 +98,12 @@ class PlantAround:
         return found
 
     @property
+    def power(self) -> FloatArray | None:
+        """(6,) readings of battery and motors; None without a sensor of them."""
+        found: FloatArray | None = getattr(self._plant, "power", None)
+        return found
+
+    @property
     def drive(self) -> DriveConstants | None:
         """Electrical constants of the motors; None without motors."""
         found: DriveConstants | None = getattr(self._plant, "drive", None)

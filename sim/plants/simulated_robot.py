@@ -12,6 +12,7 @@ from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.robot import Positive, Robot, load_robot
 from diffdrive_mpc.sim.plants.base_commands import BaseCommands
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
+from diffdrive_mpc.sim.sensing.battery import Battery
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
 
 ROBOTS = Path(__file__).parent / "robots"
@@ -34,6 +35,7 @@ class SimulatedRobot(StrictModel):
         default_factory=papers_drive,
         description="motors and drivers as models/energy/drives, by name or written out: what energy is counted with",
     )
+    battery: Battery = Field(default_factory=Battery, description="that sensors of power read")
     sensors: SensorSet = Field(description="those that are its default ones, as sim/sensing/sensor_sets")
 
     @model_validator(mode="after")

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked, load_variation
 from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.models.robot import NotNegative
 
 SENSOR_SETS = Path(__file__).parent / "sensor_sets"
 Deviation = Annotated[float, Field(ge=0, le=1e3)]
@@ -44,12 +45,24 @@ class Encoders(StrictModel):
     speed_sd: Deviation = Field(description="standard deviation of one wheel's speed estimate [rad/s]; 0: exact")
 
 
+class PowerSensor(StrictModel):
+    """Monitor of the battery, and current sensors in the motor drivers: means since the tick before."""
+
+    voltage_sd: Deviation = Field(description="standard deviation of the battery's voltage [V]")
+    voltage_step: NotNegative = Field(description="resolution of it [V]; 0: none")
+    current_sd: Deviation = Field(description="standard deviation of the battery's current [A]")
+    current_step: NotNegative = Field(description="resolution of it [A]")
+    motor_current_sd: Deviation = Field(description="standard deviation of the current of a motor [A]")
+    motor_current_step: NotNegative = Field(description="resolution of it [A]")
+
+
 class SensorSet(StrictModel):
     """All sensors of one robot."""
 
     pose: PoseSensor
     gyro: Gyro
     encoders: Encoders
+    power: PowerSensor | None = Field(default=None, description="of battery and motors; null: none")
 
 
 def load_sensor_set(name: str | Path) -> SensorSet:

@@ -89,6 +89,13 @@ def message(kind, reading, seconds):
         "PoseStamped": lambda: [header, pose(*reading)],
         "PoseWithCovarianceStamped": lambda: [header, with_covariance("Pose", pose(*reading))],
         "String": lambda: ["hello"],
+        "Float32": lambda: [float(reading[0])],
+        "BatteryState": lambda: [
+            header,
+            *(float(reading[0]), float("nan"), float(reading[1]), *[float("nan")] * 4),
+            *(2, 0, 0, True, np.empty(0, np.float32), np.empty(0, np.float32), "", ""),
+        ],
+        "JointState": lambda: [header, ["fl", "fr", "rl", "rr"], np.empty(0), np.zeros(4), np.array(reading, float)],
     }
     return types[kind](*bodies[short]())
 

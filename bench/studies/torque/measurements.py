@@ -70,6 +70,7 @@ def plant_of(robot: str, surface: str, payload: float = 0.0, seed: int = 0, sens
         firmware=build.firmware,
         base=build.base,
         drive=build.drive,
+        battery=build.battery,
         scenario=load,
         sideways=floor.sideways,
     )

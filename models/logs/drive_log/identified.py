@@ -48,7 +48,7 @@ def _columns(log: DriveLog, there: set[str]) -> Columns:
     }
     if not any(found.values()):
         raise ConfigError(f"{log.path}: no sensor has a reading in it")
-    return columns.model_copy(update=found)
+    return columns.model_copy(update=found).found_in(there)
 
 
 def _cut(log: DriveLog) -> tuple[Finding, ...]:

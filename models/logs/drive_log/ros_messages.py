@@ -16,6 +16,8 @@ from diffdrive_mpc.models.logs.drive_log.topics import BASE, IMU_LINK, MAP, ODOM
 _NANO = 10**9
 # Rows of (x, y, yaw) and of (x, yaw) in ROS' 6 x 6 covariances over x, y, z, roll, pitch, yaw.
 _PLANE, _FORWARD = (0, 1, 5), (0, 5)
+# POWER_SUPPLY_STATUS_... of BatteryState.
+_CHARGING, _DISCHARGING = 1, 2
 Numbers = Sequence[float]
 Message = Any
 """A message of one of the classes that `rosbags` makes."""
@@ -111,6 +113,36 @@ def joint_state(stamp: int, speeds: Stamped) -> Message:
         velocity=np.array(speeds.value, dtype=float),
         effort=empty,
     )
+
+
+def battery_state(now: int, voltage: float, current: float) -> Message:
+    """BatteryState: voltage [V], and the current that it gives [A], which is negative there; the rest is not known."""
+    unknown = math.nan
+    return _make(
+        "sensor_msgs/msg/BatteryState",
+        header=_header(now, BASE),
+        voltage=voltage,
+        temperature=unknown,
+        current=-current,
+        charge=unknown,
+        capacity=unknown,
+        design_capacity=unknown,
+        percentage=unknown,
+        power_supply_status=_DISCHARGING if current > 0 else _CHARGING,
+        power_supply_health=0,
+        power_supply_technology=0,
+        present=True,
+        cell_voltage=np.empty(0, dtype=np.float32),
+        cell_temperature=np.empty(0, dtype=np.float32),
+        location="",
+        serial_number="",
+    )
+
+
+def motor_currents(currents: Numbers) -> Message:
+    """Float64MultiArray: front left, front right, rear left, rear right [A]."""
+    layout = _make("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
+    return _make("std_msgs/msg/Float64MultiArray", layout=layout, data=np.array(currents, dtype=float))
 
 
 def pose(now: int, at: Numbers, frame: str) -> Message:

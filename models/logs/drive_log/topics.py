@@ -6,6 +6,7 @@ STATE = "/diffdrive_mpc/state"
 """The row of each tick, as JSON."""
 COMMAND, ODOMETRY, IMU, POSE, JOINTS = "/cmd_vel", "/odom", "/imu", "/pose", "/joint_states"
 TRUE_POSE, TRUE_TWIST = "/ground_truth/pose", "/ground_truth/twist"
+BATTERY, MOTORS = "/battery_state", "/motor_currents"
 PLAN, REFERENCE = "/diffdrive_mpc/predicted_path", "/diffdrive_mpc/reference_path"
 MODE, ERROR = "/diffdrive_mpc/mode", "/diffdrive_mpc/tracking_error"
 DIAGNOSTICS, TRANSFORMS = "/diagnostics", "/tf"
@@ -18,6 +19,8 @@ KINDS = {
     IMU: "sensor_msgs/msg/Imu",
     POSE: "geometry_msgs/msg/PoseWithCovarianceStamped",
     JOINTS: "sensor_msgs/msg/JointState",
+    BATTERY: "sensor_msgs/msg/BatteryState",
+    MOTORS: "std_msgs/msg/Float64MultiArray",
     TRUE_POSE: "geometry_msgs/msg/PoseStamped",
     TRUE_TWIST: "geometry_msgs/msg/TwistStamped",
     PLAN: "nav_msgs/msg/Path",

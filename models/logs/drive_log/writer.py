@@ -135,6 +135,10 @@ class DriveWriter:
             self._message(topic.POSE, now, ros.sensed_pose(stamp(pose), pose))
         if speeds is not None:
             self._message(topic.JOINTS, now, ros.joint_state(stamp(speeds), speeds))
+        if battery := _numbers(row, "battery_voltage_v", "battery_current_a"):
+            self._message(topic.BATTERY, now, ros.battery_state(now, *battery))
+        if motors := _numbers(row, "motor_fl_a", "motor_fr_a", "motor_rl_a", "motor_rr_a"):
+            self._message(topic.MOTORS, now, ros.motor_currents(motors))
 
     def _truth(self, now: int, row: TickRow) -> None:
         if pose := _numbers(row, "true_x_m", "true_y_m", "true_theta_rad"):

@@ -1,0 +1,67 @@
+"""Settings of the planner: `settings.yaml` says what each is."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from pydantic import Field
+
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.robot import NotNegative, Positive, Share
+
+
+class SearchSettings(StrictModel):
+    """How the shape is found."""
+
+    yaw_rates: int = Field(ge=2, le=200)
+    concentration: Positive
+    step: Positive
+    step_angle: Positive
+    cell: Positive
+    headings: int = Field(ge=4, le=720)
+    batch: int = Field(ge=1, le=1000)
+    most_states: int = Field(ge=1)
+    eager: float = Field(ge=1.0)
+    gap: NotNegative
+    shots: int = Field(ge=1, le=200)
+    map_cell: Positive
+    map_room: Positive
+
+
+class PolishSettings(StrictModel):
+    """How it is made smooth and exact."""
+
+    interval: Positive
+    most_nodes: int = Field(ge=20)
+    ramp_intervals: int = Field(ge=2)
+    iterations: int = Field(ge=1)
+    rounds: int = Field(ge=1)
+    sag: NotNegative
+    radius_margin: Share
+    smoothness: NotNegative
+
+
+class Motion(StrictModel):
+    """What the reference keeps to, beside the given speed and the least radius."""
+
+    acceleration: Positive = Field(description="of the command [m/s^2]")
+    yaw_acceleration: Positive = Field(description="of the command [rad/s^2]")
+    yaw_rate: Positive = Field(description="of the command, at most [rad/s]; sharper arcs are driven slower")
+    top_speed: Positive = Field(description="fastest that may be asked for [m/s]")
+    margin: NotNegative = Field(description="between robot and obstacles [m]")
+    longest_detour: Positive = Field(description="shortest allowed way over the straight distance, at most [-]")
+
+
+class PlanSettings(StrictModel):
+    """All of it."""
+
+    search: SearchSettings
+    polish: PolishSettings
+    motion: Motion
+
+
+@cache
+def load_plan_settings(path: str | Path | None = None) -> PlanSettings:
+    """Read the settings; the shipped ones without a path. Raises ConfigError on a mistake in the file."""
+    return load_checked(PlanSettings, path or Path(__file__).parent / "settings.yaml")

@@ -1,0 +1,61 @@
+"""What a battery monitor and the motor drivers say: means over a sample, from the true torques."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from diffdrive_mpc.models.energy.drive_constants import DriveConstants
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.sim.sensing.battery import Battery
+from diffdrive_mpc.sim.sensing.sensor_set import PowerSensor
+
+READINGS = ("battery_voltage_v", "battery_current_a", "motor_fl_a", "motor_fr_a", "motor_rl_a", "motor_rr_a")
+"""Names of what is read, in its order."""
+
+_UNREAD = np.full(len(READINGS), np.nan)
+# Spawn keys of the other sensors' streams are 0, 1, 2, ...: this one can never meet them.
+_KEY = 1_001
+
+
+def power_read(plant: object) -> FloatArray:
+    """(6,) readings of a plant at this tick; NaN where it has no such sensors."""
+    read: FloatArray | None = getattr(plant, "power", None)
+    return _UNREAD if read is None else read
+
+
+class PowerReadings:
+    """Reads at each tick, with noise of a stream of its own.
+
+    Parameters
+    ----------
+    sensor
+        Noise and resolution.
+    battery
+        What feeds the drive.
+    drive
+        Constants by which torque is current.
+    seed
+        Of the noise.
+    """
+
+    def __init__(self, sensor: PowerSensor, battery: Battery, drive: DriveConstants, seed: int) -> None:
+        self._battery, self._drive, self._seed = battery, drive, seed
+        self._sd = np.array([sensor.voltage_sd, sensor.current_sd, *[sensor.motor_current_sd] * 4])
+        step = np.array([sensor.voltage_step, sensor.current_step, *[sensor.motor_current_step] * 4])
+        self._step, self._steps = np.where(step > 0, step, 1.0), step > 0
+        self.reset()
+
+    def reset(self) -> None:
+        """At rest since ever, at time 0."""
+        self._noise = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_KEY,)))
+        self.see(np.zeros((1, 2, 4)))
+
+    def see(self, motors: FloatArray) -> None:
+        """A sample has passed: torques [N m] and wheel speeds [rad/s] (steps, 2, 4) in it."""
+        torque, speed = motors[:, 0], motors[:, 1]
+        # As energy is counted: of the means over the sample, which the drivers' capacitors smooth.
+        drawn = self._drive.motor_power((torque * speed).mean(axis=0), (torque**2).mean(axis=0))
+        loaded = self._battery.loaded(float(drawn.sum()) + self._drive.idle_power)
+        true = np.array([*loaded, *torque.mean(axis=0) / self._drive.torque_per_current])
+        noisy = true + self._sd * self._noise.standard_normal(len(true))
+        self.value = np.where(self._steps, np.rint(noisy / self._step) * self._step, noisy)
