@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diffdrive_mpc.mpc.planner import Plan, plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from opened_report import check_report
@@ -24,6 +23,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.terrain import load_vehicle
 from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc.mpc.planner import Plan, plan
 
 STUDY = load_study()
 

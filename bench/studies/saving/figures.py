@@ -154,6 +154,7 @@ def _outlines(path: FloatArray, outline: tuple[float, float]) -> list[FloatArray
 
 def _arrow(axes: Axes, pose: Sequence[float]) -> None:
     x, y, theta = pose
+    axes.plot(x + 0.9 * np.cos(theta), y + 0.9 * np.sin(theta), alpha=0.0)
     axes.annotate(
         "",
         (x + 0.8 * np.cos(theta), y + 0.8 * np.sin(theta)),

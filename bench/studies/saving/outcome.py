@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,10 +14,9 @@ from diffdrive_mpc.bench.studies.saving.pairs import Pair
 from diffdrive_mpc.bench.studies.saving.settings import SavingStudySettings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.turn_costs import load_turn_costs
-from diffdrive_mpc.mpc.planner import PlanError, plan
+from diffdrive_mpc.mpc.planner import Objective, PlanError, plan_each
 
-Aim = Literal["energy", "distance", "time"]
-AIMS: tuple[Aim, ...] = ("energy", "distance", "time")
+AIMS: tuple[Objective, ...] = ("energy", "distance", "time")
 """What is made least, in the order of the tables."""
 
 
@@ -27,12 +26,12 @@ class PairOutcome(NamedTuple):
     surface: str
     number: int
     pair: Pair
-    drives: Mapping[str, Driven]
-    """By aim"""
+    drives: Mapping[Objective, Driven]
+    """By aim; none where there is no plan"""
     told: str
     """Why there is no plan; empty where there is one for each aim"""
 
-    def saving(self, over: Aim = "distance", *, computer: float = 0.0) -> float:
+    def saving(self, over: Objective = "distance", *, computer: float = 0.0) -> float:
         """Energy that the energy-optimal drive takes less than another, over that of the other [-]; NaN without both.
 
         Of drives that did not arrive nothing is said. `computer` is power that is drawn all the time beside [W].
@@ -42,7 +41,7 @@ class PairOutcome(NamedTuple):
             return math.nan
         return 1 - (own.measured + computer * own.seconds) / (other.measured + computer * other.seconds)
 
-    def promised(self, over: Aim = "distance") -> float:
+    def promised(self, over: Objective = "distance") -> float:
         """The same by the plans [-]."""
         return 1 - self.drives["energy"].predicted / self.drives[over].predicted
 
@@ -50,14 +49,11 @@ class PairOutcome(NamedTuple):
 def measure_pair(asked: SavingStudySettings, surface: str, number: int, pair: Pair) -> PairOutcome:
     """Plan and drive one pair, for each aim by the same rules: cap of speed, ramps, controller, floor, noise."""
     costs = load_turn_costs(asked.costs_of(surface))
-    drives: dict[str, Driven] = {}
-    for aim in AIMS if number < asked.time_optimal else AIMS[:2]:
-        try:
-            found = plan(costs, pair.start, pair.goal, minimise=aim, speed=asked.speed, settings=asked.planning.settings)
-        except PlanError as error:
-            return PairOutcome(surface, number, pair, drives, f"{aim}: {error}")
-        drives[aim] = drive_closed(asked, found, surface)
-    return PairOutcome(surface, number, pair, drives, "")
+    try:
+        plans = plan_each(costs, pair.start, pair.goal, speed=asked.speed, settings=asked.planning.settings)
+    except PlanError as error:
+        return PairOutcome(surface, number, pair, {}, str(error))
+    return PairOutcome(surface, number, pair, {aim: drive_closed(asked, plans[aim], surface) for aim in AIMS}, "")
 
 
 class Saved(NamedTuple):
@@ -77,7 +73,7 @@ class Saved(NamedTuple):
     """mean saving by the plans [-]"""
 
     @classmethod
-    def of(cls, outcomes: Sequence[PairOutcome], over: Aim = "distance") -> Saved:
+    def of(cls, outcomes: Sequence[PairOutcome], over: Objective = "distance") -> Saved:
         """Of the pairs of a floor."""
         both = [one for one in outcomes if math.isfinite(one.saving(over))]
         found = np.array([one.saving(over) for one in both])

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive_mpc.bench.studies.saving.drives import Driven, drive_closed, drive_open
-from diffdrive_mpc.bench.studies.saving.outcome import AIMS
 from diffdrive_mpc.bench.studies.saving.pairs import Pose
 from diffdrive_mpc.bench.studies.saving.settings import Place, Post, SavingStudySettings, Scenario
 from diffdrive_mpc.bench.studies.torque.measurements import diagnostic_drive, plant_of, sides
@@ -20,7 +19,7 @@ from diffdrive_mpc.models.terrain import Terrain, load_terrain, side_torques
 from diffdrive_mpc.models.torque import TorqueCurves
 from diffdrive_mpc.models.turn_costs import SlipCoefficients, TurnCosts, load_turn_costs
 from diffdrive_mpc.mpc.free_space import MovingDisc, Surroundings
-from diffdrive_mpc.mpc.planner import plan
+from diffdrive_mpc.mpc.planner import plan_each
 from diffdrive_mpc.sim.plants.make import plant_outline
 
 
@@ -169,12 +168,8 @@ def check_scenario(study: SavingStudySettings, asked: Scenario) -> None:
 def _planned(study: SavingStudySettings, asked: Scenario, costs: TurnCosts, by: str) -> Planned:
     start, goal = pose_of(asked.start), pose_of(asked.goal)
     around = Surroundings(discs=[MovingDisc(*post) for post in asked.posts])
-    found, shortest = (
-        plan(
-            costs, start, goal, minimise=aim, speed=study.speed, obstacles=around, settings=study.planning.settings
-        )
-        for aim in AIMS[:2]
-    )
+    plans = plan_each(costs, start, goal, speed=study.speed, obstacles=around, settings=study.planning.settings)
+    found, shortest = plans["energy"], plans["distance"]
     opened = drive_open(study, found, asked.surface, asked.payload)
     closed = drive_closed(study, found, asked.surface, asked.payload)
     outline = plant_outline(f"mujoco:{study.robot}")

@@ -80,7 +80,6 @@ class SavingStudySettings(StrictModel):
     speed: Positive
     planning: Planning
     pairs: Drawn
-    time_optimal: int = Field(ge=0)
     standing: Standing
     scenarios: tuple[Scenario, ...]
     seed: int = Field(ge=0)
@@ -108,7 +107,6 @@ def quick(study: SavingStudySettings) -> SavingStudySettings:
         update={
             "surfaces": ("default",),
             "pairs": study.pairs.model_copy(update={"count": 2}),
-            "time_optimal": 1,
             "scenarios": study.scenarios[:1],
         }
     )

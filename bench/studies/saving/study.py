@@ -162,7 +162,7 @@ def _tables(results: Results, computer: float) -> list[Table]:
             "by the plans [%]": lambda one: _percent(one.predicted),
         },
         over_time,
-        note="Energy-optimal against time-optimal, the first pairs.",
+        note="Energy-optimal against time-optimal.",
     )
     by_aim = [
         ((surface, aim), [one.drives[aim] for one in outcomes if aim in one.drives])
