@@ -147,6 +147,7 @@ class _Layer:
         self._legs: list[int] = []
         self._durations: list[float] = []
         self._free: list[bool] = []
+        self._curvature = 0.0
 
     def ramp(self, after: float, piece: int) -> None:
         """From the speed that it has to another, through rest where the direction changes."""

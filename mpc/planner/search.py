@@ -18,7 +18,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc.planner.clearance import ClearanceMap
-from diffdrive_mpc.mpc.planner.inputs import Index, Inputs
+from diffdrive_mpc.mpc.planner.inputs import Index, Inputs, Mask
 from diffdrive_mpc.mpc.planner.settings import SearchSettings
 from diffdrive_mpc.mpc.planner.words import Words, arc_arc_arc, arc_straight, arc_straight_arc, placed
 
@@ -27,7 +27,7 @@ _CHECK, _CHECK_ANGLE = 0.12, 0.3
 # Within this distance of a target its direction tells no turn that has to be made [m].
 _NEAR = 0.3
 # So many ways from a batch are held against the map, cheapest first.
-_TRIED = 16
+_TRIED = 120
 
 
 class Piece(NamedTuple):
@@ -311,25 +311,22 @@ class Search:
         rows = rows[np.argsort(total[rows], kind="stable")]
         if self._free is None:
             return [int(row) for row in rows[:most]]
-        kept: list[int] = []
-        for row in rows[:_TRIED]:
-            if self._is_free(self._free, poses[words.start[row]], words.inputs[row], words.times[row]):
-                kept.append(int(row))
-                if len(kept) == most:
-                    break
-        return kept
+        rows = rows[:_TRIED]
+        clear = self._are_free(self._free, poses[words.start[rows]], words.inputs[rows], words.times[rows])
+        return [int(row) for row in rows[clear][:most]]
 
-    def _is_free(self, free: tuple[ClearanceMap, float], pose: FloatArray, inputs: Index, times: FloatArray) -> bool:
-        at = pose
-        for one, time in zip(inputs.tolist(), times.tolist(), strict=True):
-            speed, omega = self._inputs.speeds[one], abs(self._inputs.twists[one, 2])
-            parts = max(1, int(np.ceil(time * max(speed / _CHECK, omega / _CHECK_ANGLE))))
-            moved = self._inputs.moved(np.full(parts, one), time * np.arange(1, parts + 1) / parts)
-            way = placed(at, moved)
-            if not free[0].free(way, free[1]).all():
-                return False
-            at = way[-1]
-        return True
+    def _are_free(self, free: tuple[ClearanceMap, float], poses: FloatArray, held: Index, times: FloatArray) -> Mask:
+        """(k,) whether ways of three pieces (k, 3) from poses (k, 3) keep clear."""
+        clear, at = np.ones(len(held), dtype=bool), poses
+        for piece in range(held.shape[1]):
+            inputs, lasting = held[:, piece], times[:, piece]
+            speed, omega = self._inputs.speeds[inputs], np.abs(self._inputs.twists[inputs, 2])
+            parts = float((lasting * np.maximum(speed / _CHECK, omega / _CHECK_ANGLE)).max(initial=0.0))
+            share = np.linspace(0.0, 1.0, max(2, math.ceil(parts) + 1))
+            way = placed(at[:, None], self._inputs.moved(inputs[:, None], lasting[:, None] * share))
+            clear &= free[0].free(way, free[1]).all(axis=1)
+            at = way[:, -1]
+        return clear
 
     def _held(self, words: Words, row: int) -> Held:
         pairs = zip(words.inputs[row].tolist(), words.times[row].tolist(), strict=True)
