@@ -56,7 +56,13 @@ BENCH = ShownReport(
 )
 TRACKING = ShownReport("tracking", ("ablation.png", "error-sources.png"), (), "tracking.md")
 REPRODUCE = ShownReport(
-    "reproduce", ("odometry.png", "orders.png", "virtual-track.png", "slip-scatter.png"), (), "reproduce.md"
+    "reproduce",
+    (
+        *("odometry.png", "orders.png", "virtual-track.png", "slip-scatter.png"),
+        *("turn-torques.png", "turn-power.png", "turn-learning.png", "turn-energy.png"),
+    ),
+    (),
+    "reproduce.md",
 )
 SPEED = ShownReport("speed", ("horizon.png", "tail.png"), ("speed.json",), "performance.md")
 PEERS = ShownReport("peers", (), (), "peers.md")

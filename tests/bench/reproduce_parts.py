@@ -23,6 +23,8 @@ from diffdrive_mpc.bench.studies.reproduce.state_space import (
     VelocityFit,
 )
 from diffdrive_mpc.bench.studies.reproduce.study import ReproduceResults, ReproduceStudy
+from diffdrive_mpc.bench.studies.reproduce.turn_learning import EnergyRun, LearnedTurns
+from diffdrive_mpc.bench.studies.reproduce.turning import LAW, SteadyTurns, TurningResult
 from diffdrive_mpc.bench.studies.reproduce.virtual_track import check_virtual_track
 from diffdrive_mpc.bench.study import Report, write_report
 
@@ -121,6 +123,42 @@ def scatter(floor: str = "p4_grass", drifts: float = 1.0, *, modest: float = 1.0
     )
 
 
+RADII = np.array([0.2, 1.0, 10.0, 40.0, 1000.0])
+
+
+def steady(source: str = LAW, speed: float = 0.2, *, grown: float = 1.0, bent: float = 1.0) -> SteadyTurns:
+    """The inner side drives beyond 20 m times `bent`; torques of the outer one are `grown` times as large."""
+    sharp = np.log(20.0 * bent / RADII) / np.log(1000.0)
+    torque = np.stack([grown * (1.0 + sharp), -sharp], axis=-1)
+    return SteadyTurns(source, speed, RADII, torque, torque * speed)
+
+
+def turning(**changes) -> TurningResult:
+    law, driven = (tuple(steady(source, v) for v in (0.2, 0.4, 0.6)) for source in (LAW, "slippery"))
+    return TurningResult(**{"law": law, "driven": driven, "inner_forward_from": 0.245, **changes})
+
+
+def learned_turns(
+    floor: str = "grippy", *, missed: float = -0.1, learned: float = 2.0, own: float = 2.0
+) -> LearnedTurns:
+    """Vinyl misses a third of the energy of each drive; raw torques are at the limit from 1.8 m on."""
+    times = np.linspace(0.0, 10.0, 20)
+    runs = tuple(EnergyRun(k, times, 10 * times, 10 * (1 - missed) * times, 6.7 * times) for k in (1, 2))
+    torque = np.stack([4.0 - np.log(RADII) / 2, np.log(RADII) / 2 - 3.0], axis=-1)
+    raw = np.column_stack(
+        [
+            RADII,
+            torque[:, :1] - 0.2,
+            torque[:, :1],
+            torque[:, :1] + 0.2,
+            torque[:, 1:] - 0.2,
+            torque[:, 1:],
+            torque[:, 1:] + 0.2,
+        ]
+    )
+    return LearnedTurns(floor, 4.6, raw, RADII, torque, 0.3 * torque, (0.03, 0.04), own, 1.8, learned, 0.0, runs, 6e-5)
+
+
 def made_up(repetitions: int = 2) -> ReproduceResults:
     return ReproduceResults(
         mbm_sm=tuple(mbm_sm(k) for k in range(1, repetitions + 1)),
@@ -130,6 +168,8 @@ def made_up(repetitions: int = 2) -> ReproduceResults:
         cost=cost(),
         virtual_track=check_virtual_track(load_published().virtual_track, certain=2.0),
         slip_scatter=(scatter(), scatter("mujoco default"), scatter(drifts=0.001), scatter("mujoco default", 0.001)),
+        turning=turning(),
+        learned_turns=(learned_turns("default"), learned_turns("grippy")),
     )
 
 

@@ -26,9 +26,12 @@ from diffdrive_mpc.bench.studies.reproduce.published import load_published
 from diffdrive_mpc.bench.studies.reproduce.settings import CostStudy, MbmSmStudy, SsmStudy, load_study
 from diffdrive_mpc.bench.studies.reproduce.state_space import IDENTIFIED, PRINTED, compare_orders
 from diffdrive_mpc.bench.studies.reproduce.study import ReproduceStudy
+from diffdrive_mpc.bench.studies.reproduce.turn_learning import learn_turns
+from diffdrive_mpc.bench.studies.reproduce.turning import turn_steadily
 from diffdrive_mpc.bench.studies.reproduce.virtual_track import check_virtual_track, fit_line
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.terrain import load_vehicle
 from diffdrive_mpc.mpc import load_trajectory
 
 DT = load_robot().sample_time
@@ -208,3 +211,26 @@ def test_both_tracks_alone_tell_the_two_mbm_apart():
         assert len(found.motor_fit[data]) == 4
         assert max(found.motor_fit[data]) < 100
     assert found.motor_fit[DATA[0]] != found.motor_fit[DATA[1]]
+
+
+def test_in_a_steady_turn_what_the_outer_side_drives_the_inner_one_brakes_but_for_the_drag():
+    asked = load_study(quick=True).turning.model_copy(update={"radii": (1.0, 5.0, 1000.0), "speeds": (0.2, 0.4)})
+    found, drag = turn_steadily(asked), load_vehicle("fsu_bot").drag_torque
+    for one in (*found.law, *found.driven):
+        assert one.torque.sum(axis=1) == pytest.approx(np.full(3, 2 * drag), abs=0.03)
+        assert one.torque[-1] == pytest.approx([drag, drag], abs=0.03)
+        # All that the motors give is heat at last.
+        assert (one.power.sum(axis=1) > 0).all()
+
+
+def test_what_is_foreseen_of_a_drive_is_nearer_once_its_floor_was_learned():
+    asked = load_study(quick=True).turning.model_copy(update={"seeds": (41,), "turns": 3})
+    found = learn_turns(asked, "carpet")
+    (run,) = found.runs
+    assert (np.diff(run.learned) > 0).all()
+    assert abs(run.missed(run.learned)) < abs(run.missed(run.prior))
+    for least, mean, most in (found.raw[:, 1:4].T, found.raw[:, 4:].T):
+        assert (least <= mean + 1e-9).all()
+        assert (mean <= most + 1e-9).all()
+        assert max(np.abs(least).max(), np.abs(most).max()) <= found.limit + 1e-9
+    assert found.raw[:, 0].min() < found.raw_least < found.raw[:, 0].max()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
-from reproduce_parts import cost, lstm, made_up, mbm_sm, network_rows, scatter, ssm
+from reproduce_parts import cost, learned_turns, lstm, made_up, mbm_sm, network_rows, scatter, ssm, steady, turning
 
 from diffdrive_mpc.bench.studies.reproduce.study import find
 from diffdrive_mpc.bench.studies.reproduce.virtual_track import VirtualTrackResult, fit_line
@@ -146,3 +147,49 @@ def test_what_is_foreseen_is_judged_floor_by_floor():
     assert [5 * float(one) for one in first.split(", ")] == pytest.approx(
         [float(one) for one in second.split(", ")], rel=0.02
     )
+
+
+@pytest.mark.parametrize(
+    ("law", "words", "expected"),
+    [
+        ((steady(), steady(speed=0.6, bent=2.0)), "inner side drives beyond the printed radius", "1 of 2"),
+        ((steady(), steady(speed=0.6, grown=1.3)), "torques do not depend on the speed", "no"),
+        ((steady(), steady(speed=0.6, bent=0.005)), "inner side gives back power", "1 of 2"),
+        ((steady(), steady(speed=0.6, grown=-1.0)), "torques grow as turns get sharper", "1 of 2"),
+    ],
+)
+def test_turns_are_judged_by_speed(law, words, expected):
+    found = turning(law=law)
+    assert verdict(replace(made_up(), turning=found), words, "shear law") == expected
+    assert verdict(replace(made_up(), turning=found), words, "slippery") == "yes"
+
+
+def test_half_of_the_printed_track_is_not_the_printed_radius():
+    results = replace(made_up(), turning=turning(inner_forward_from=0.195))
+    assert verdict(results, "the inner wheels turn forward") == "no"
+
+
+def test_the_inner_side_drives_where_its_torque_changes_its_sign():
+    for bent in (0.5, 1.0, 3.0):
+        assert steady(bent=bent).drives_beyond == pytest.approx(20.0 * bent)
+    assert np.isnan(steady(bent=1000.0).drives_beyond)
+    assert steady(bent=1000.0).gives_back == (0.2, 1000.0)
+    assert steady().gives_back == (0.2, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words", "expected"),
+    [
+        ({"missed": 0.05}, "too much energy is foreseen", "1 of 2"),
+        ({"missed": -0.5}, "foreseen nearer than by vinyl", "1 of 2"),
+        ({"learned": 1.5}, "within 20 %", "1 of 2"),
+        ({"learned": 0.0}, "within 20 %", "1 of 2"),
+        ({"learned": 1.7}, "widest turn whose raw torques", "1 of 2"),
+        ({"learned": 1.9}, "nor below that of steady turns", "1 of 2"),
+        ({"learned": 0.0}, "know no least radius", "1 of 2"),
+    ],
+)
+def test_what_was_learned_is_judged_by_floor(changes, words, expected):
+    results = replace(made_up(), learned_turns=(learned_turns("default"), learned_turns(**changes)))
+    assert verdict(made_up(), words) == "yes"
+    assert verdict(results, words) == expected

@@ -15,7 +15,10 @@ from diffdrive_mpc.bench.contents import CONTENTS
 from diffdrive_mpc.bench.documents import REPRODUCE, sections
 
 runner = CliRunner()
-FIGURES = ("odometry.png", "orders.png", "virtual-track.png", "slip-scatter.png")
+FIGURES = (
+    *("odometry.png", "orders.png", "virtual-track.png", "slip-scatter.png"),
+    *("turn-torques.png", "turn-power.png", "turn-learning.png", "turn-energy.png"),
+)
 
 
 @pytest.fixture(scope="module")
@@ -44,10 +47,17 @@ def test_every_table_is_filled_and_published_numbers_stand_beside_ours():
         "Virtual track",
         "Scatter of foreseen poses",
         "Learned terms",
+        "Steady turns",
+        "Least radius learned",
+        "Energy foreseen",
+        "Cost of learning",
     ]
     for table in tables.values():
         assert table.rows
         assert all(cell for cells in table.rows for cell in cells)
+    assert ("P4, concrete, mean", "-", "-", "-16.8", "42.2") in tables["Energy foreseen"].rows
+    assert ("grippy, mean", "-", "-", "-10.0", "33.0") in tables["Energy foreseen"].rows
+    assert ("P4, grass", "1.11", "-", "1.2", "8.1", "-") in tables["Least radius learned"].rows
     assert ("RMSE", "circle", "0.848", "1.057", "0.079", "0.158", "0.237") in tables[
         "Position errors of open-loop odometry"
     ].rows
@@ -73,6 +83,7 @@ def test_the_report_has_every_figure_and_the_verdicts(report: Path):
     assert verdicts["the printed tests give the printed p1 within 2 standard deviations"] == "no"
     assert len(data["mbm_sm"]) == len(data["ssm"]) == 2
     assert "paths" not in data["mbm_sm"][0]
+    assert data["learned_turns"][0]["runs"][0] == {"seed": 1, "measured": 100.0, "learned": 110.0, "prior": 67.0}
     text = (report / "reproduce.md").read_text()
     for name in FIGURES:
         assert (report / "figures" / name).stat().st_size > 20_000
@@ -93,7 +104,8 @@ def test_every_table_and_figure_has_its_place_on_the_page(report: Path):
 
 
 def test_parts_that_were_not_run_leave_nothing(tmp_path: Path):
-    write_made_up(replace(made_up(), mbm_sm=(), ssm=(), lstm=(), rows=(), cost=None, slip_scatter=()), tmp_path)
+    only = replace(made_up(), mbm_sm=(), ssm=(), lstm=(), rows=(), cost=None, slip_scatter=())
+    write_made_up(replace(only, turning=None, learned_turns=()), tmp_path)
     assert [path.name for path in (tmp_path / "figures").iterdir()] == ["virtual-track.png"]
     text = (tmp_path / "reproduce.md").read_text()
     assert [line for line in text.splitlines() if line.startswith("## ")] == ["## Findings", "## Virtual track"]
@@ -115,6 +127,6 @@ def test_the_command_writes_its_report(tmp_path: Path):
 def test_an_unknown_part_is_one_line_and_nothing_is_made(tmp_path: Path):
     result = runner.invoke(app, ["reproduce", "--out", str(tmp_path / "out"), "--only", "ssm,costs"])
     assert result.exit_code == 2
-    known = "mbm_sm, ssm, lstm, cost, virtual_track, drive_models, slip_scatter"
+    known = "mbm_sm, ssm, lstm, cost, virtual_track, drive_models, slip_scatter, turning"
     assert result.stderr == f"error: --only: unknown part 'costs'; known: {known}\n"
     assert not (tmp_path / "out").exists()

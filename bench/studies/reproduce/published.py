@@ -81,6 +81,38 @@ class PublishedDriveErrors(StrictModel):
     omega: tuple[float, float]
 
 
+class PublishedLeastRadius(StrictModel):
+    """By the raw torques, and of the network [m]."""
+
+    raw: float
+    network: float
+
+
+class PublishedEnergyMissed(StrictModel):
+    """Measured less foreseen energy [%], with learning and by the prior."""
+
+    learned: float
+    prior: float
+
+
+class PublishedLearningCost(StrictModel):
+    """Time of one iteration, or of a plan [s]."""
+
+    mran: float
+    ipem: float
+    sbmpo: float
+
+
+class PublishedTurning(StrictModel):
+    """P4's turns: regimes of the inner side [m], least radii, energies and times."""
+
+    inner_forward_from: float
+    inner_drives_beyond: float
+    least_radius: dict[str, PublishedLeastRadius]
+    energy_missed: dict[str, PublishedEnergyMissed]
+    cost: PublishedLearningCost
+
+
 class Rules(StrictModel):
     """Thresholds that decide findings."""
 
@@ -93,6 +125,13 @@ class Rules(StrictModel):
     chance: float
     corresponds: float
     inside: tuple[float, float]
+    turn_radius_off: float
+    turn_rise: float
+    turn_crossing: float
+    turn_alike: float
+    turn_alike_from: float
+    turn_torque_off: float
+    turn_least_radius_off: float
 
 
 class Published(StrictModel):
@@ -110,6 +149,7 @@ class Published(StrictModel):
     cost: dict[str, PublishedCost]
     virtual_track: PublishedTrack
     drive_models: dict[str, dict[str, PublishedDriveErrors]]
+    turning: PublishedTurning
     rules: Rules
 
 

@@ -10,7 +10,7 @@ from pydantic import Field
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.robot import NotNegative, Positive
 
-PARTS = ("mbm_sm", "ssm", "lstm", "cost", "virtual_track", "drive_models", "slip_scatter")
+PARTS = ("mbm_sm", "ssm", "lstm", "cost", "virtual_track", "drive_models", "slip_scatter", "turning")
 """Names of the parts, in the order of the report."""
 
 Count = Annotated[int, Field(ge=1)]
@@ -126,6 +126,19 @@ class ScatterStudy(StrictModel):
     estimator: dict[str, float] = Field(description="keys of `estimator` in the configuration")
 
 
+class TurningStudy(StrictModel):
+    """P4's steady turns, its learned torque curves and the energy that they foresee; the rest as in `torque`."""
+
+    radii: Annotated[tuple[Positive, ...], Field(min_length=3)] = Field(description="of steady turns, ascending [m]")
+    speeds: Annotated[tuple[Positive, ...], Field(min_length=2)] = Field(description="of steady turns, ascending [m/s]")
+    smooth_floor: str = Field(description="that stands in for the laboratory's vinyl")
+    settling: NotNegative = Field(description="of a steady turn, that is not measured [s]")
+    hold: Positive = Field(description="of it that is [s]")
+    floors: Annotated[tuple[str, ...], Field(min_length=1)] = Field(description="on which torques are learned")
+    seeds: Annotated[tuple[int, ...], Field(min_length=1)] = Field(description="of drives whose energy is foreseen")
+    turns: Count = Field(description="of such a drive")
+
+
 class ReproduceSettings(StrictModel):
     """All parts; a repetition has drives and noise of its own."""
 
@@ -137,6 +150,7 @@ class ReproduceSettings(StrictModel):
     drive_models: DriveStudy
     driven_track: TrackStudy
     slip_scatter: ScatterStudy
+    turning: TurningStudy
 
 
 def load_study(*, quick: bool = False) -> ReproduceSettings:

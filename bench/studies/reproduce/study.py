@@ -55,6 +55,18 @@ from diffdrive_mpc.bench.studies.reproduce.state_space import (
     order_table,
     ssm_findings,
 )
+from diffdrive_mpc.bench.studies.reproduce.turn_learning import (
+    LearnedTurns,
+    learn_turns,
+    turn_learning_findings,
+    turn_learning_tables,
+)
+from diffdrive_mpc.bench.studies.reproduce.turning import (
+    TurningResult,
+    turn_steadily,
+    turning_findings,
+    turning_table,
+)
 from diffdrive_mpc.bench.studies.reproduce.virtual_track import (
     VirtualTrackResult,
     check_virtual_track,
@@ -64,7 +76,17 @@ from diffdrive_mpc.bench.studies.reproduce.virtual_track import (
 from diffdrive_mpc.bench.study import Draw, Report, Study, check_parts
 from diffdrive_mpc.bench.table import Table
 
-Result = SsmResult | MbmSmResult | NetworkResult | NetworkRows | DriveModelsResult | DrivenTrack | SlipScatter
+Result = (
+    SsmResult
+    | MbmSmResult
+    | NetworkResult
+    | NetworkRows
+    | DriveModelsResult
+    | DrivenTrack
+    | SlipScatter
+    | TurningResult
+    | LearnedTurns
+)
 Task = Callable[[], Result]
 
 
@@ -88,6 +110,10 @@ class ReproduceResults:
         One for each floor.
     slip_scatter
         One for each floor, for each setting of the drifts, for each repetition.
+    turning
+        Steady turns, by law and driven.
+    learned_turns
+        One for each floor.
     """
 
     mbm_sm: tuple[MbmSmResult, ...] = ()
@@ -99,6 +125,8 @@ class ReproduceResults:
     drive_models: tuple[DriveModelsResult, ...] = ()
     driven_track: tuple[DrivenTrack, ...] = ()
     slip_scatter: tuple[SlipScatter, ...] = ()
+    turning: TurningResult | None = None
+    learned_turns: tuple[LearnedTurns, ...] = ()
 
 
 class ReproduceStudy(Study[list[Task], ReproduceResults]):
@@ -130,6 +158,9 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         if "slip_scatter" in only:
             own = s.slip_scatter
             tasks += [partial(scatter_of, own, f, d, k) for f in own.floors for d in own.drifts for k in s.repetitions]
+        if "turning" in only:
+            tasks += [partial(learn_turns, s.turning, floor) for floor in s.turning.floors]
+            tasks.append(partial(turn_steadily, s.turning))
         if "virtual_track" in only:
             tasks += [partial(drive_tests, s.driven_track, surface) for surface in s.driven_track.surfaces]
         return tasks + [partial(compare_mbm_and_sm, s.mbm_sm, k) for k in s.repetitions if "mbm_sm" in only]
@@ -149,6 +180,8 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
             drive_models=tuple(driven),
             driven_track=tuple(result for result in done if isinstance(result, DrivenTrack)),
             slip_scatter=tuple(result for result in done if isinstance(result, SlipScatter)),
+            turning=next((result for result in done if isinstance(result, TurningResult)), None),
+            learned_turns=tuple(result for result in done if isinstance(result, LearnedTurns)),
             cost=measure_cost(self.settings.cost, bar.advance) if timed else None,
             virtual_track=check_virtual_track(published.virtual_track, published.rules.certain) if tracked else None,
         )
@@ -159,6 +192,11 @@ class ReproduceStudy(Study[list[Task], ReproduceResults]):
         written = plain(results)
         for result in (*written["mbm_sm"], *written["slip_scatter"]):
             del result["paths"]
+        for floor in written["learned_turns"]:
+            floor["runs"] = [
+                {"seed": run["seed"], **{name: run[name][-1] for name in ("measured", "learned", "prior")}}
+                for run in floor["runs"]
+            ]
         findings = find(results)
         repetitions = ", ".join(map(str, self.settings.repetitions))
         where = f"plant mujoco, surface default, sensors default, repetitions {repetitions}"
@@ -198,12 +236,16 @@ def report_tables(results: ReproduceResults, findings: Table, settings: Reproduc
         tables += drive_model_tables(results.drive_models, published)
     if results.slip_scatter:
         tables += slip_scatter_tables(results.slip_scatter, settings.slip_scatter.horizon)
+    if results.turning is not None:
+        tables.append(turning_table(results.turning))
+    if results.learned_turns:
+        tables += turn_learning_tables(results.learned_turns, published)
     return tables
 
 
 def _drawings(results: ReproduceResults) -> dict[str, Draw]:
     """Figures of the parts that were run."""
-    from diffdrive_mpc.bench.studies.reproduce import figures  # noqa: PLC0415 - matplotlib loads slowly
+    from diffdrive_mpc.bench.studies.reproduce import figures, turn_figures  # noqa: PLC0415 - matplotlib loads slowly
 
     drawn: dict[str, Draw] = {}
     if results.mbm_sm:
@@ -214,6 +256,12 @@ def _drawings(results: ReproduceResults) -> dict[str, Draw]:
         drawn["virtual-track.png"] = partial(figures.draw_virtual_track, results.virtual_track)
     if results.slip_scatter:
         drawn["slip-scatter.png"] = partial(figures.draw_slip_scatter, results.slip_scatter)
+    if results.turning is not None:
+        drawn["turn-torques.png"] = partial(turn_figures.draw_turn_torques, results.turning)
+        drawn["turn-power.png"] = partial(turn_figures.draw_turn_power, results.turning)
+    if results.learned_turns:
+        drawn["turn-learning.png"] = partial(turn_figures.draw_turn_learning, results.learned_turns)
+        drawn["turn-energy.png"] = partial(turn_figures.draw_turn_energy, results.learned_turns)
     return drawn
 
 
@@ -238,6 +286,10 @@ def find(results: ReproduceResults) -> list[Finding]:
         findings += drive_model_findings(results.drive_models, published)
     if results.slip_scatter:
         findings += slip_scatter_findings(results.slip_scatter, published)
+    if results.turning is not None:
+        findings += turning_findings(results.turning, published)
+    if results.learned_turns:
+        findings += turn_learning_findings(results.learned_turns, published)
     return findings
 
 

@@ -199,8 +199,12 @@ def turn_costs_of(
 
 def true_energy(drive: Drive, constants: DriveConstants, sample_time: float) -> float:
     """What the battery gave for a drive [J], from what each motor really did."""
-    power = constants.motor_power(drive.motor_power, drive.motor_square).sum(axis=1) + constants.idle_power
-    return float(power.sum() * sample_time)
+    return float(true_power(drive, constants).sum() * sample_time)
+
+
+def true_power(drive: Drive, constants: DriveConstants) -> FloatArray:
+    """(K,) what the battery gave in each sample [W], as `true_energy`."""
+    return np.asarray(constants.motor_power(drive.motor_power, drive.motor_square).sum(axis=1) + constants.idle_power)
 
 
 def map_back(study: TorqueStudySettings, vehicle: Vehicle, curves: TorqueCurves, speed: float) -> FittedShear:
