@@ -71,7 +71,7 @@ def draw_prediction(floors: Sequence[tuple[str, Sequence[PairOutcome]]], path: P
         ticks: list[int] = []
         most, offset = 1.0, 0
         for k, (surface, outcomes) in enumerate(floors):
-            for aim, filled in (("energy", True), ("distance", False)):
+            for aim, filled in zip(AIMS[:2], (True, False), strict=True):
                 drives = [one.drives[aim] for one in outcomes if aim in one.drives and one.drives[aim].arrived]
                 measured, predicted = [one.measured for one in drives], [one.predicted for one in drives]
                 most = max(most, *measured, *predicted) if drives else most
