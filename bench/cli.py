@@ -15,6 +15,7 @@ from diffdrive_mpc.bench.commands import (
     export,
     identify,
     monitor,
+    plan,
     prove,
     real_logs,
     replay,
@@ -48,6 +49,7 @@ app.command("reproduce", epilog=studies.EXAMPLES["reproduce"])(studies.reproduce
 app.command("peers", epilog=studies.EXAMPLES["peers"])(studies.peers)
 app.command("torque", epilog=studies.EXAMPLES["torque"])(studies.torque)
 app.command("saving", epilog=studies.EXAMPLES["saving"])(studies.saving)
+app.command("plan", epilog=plan.EXAMPLE)(plan.plan)
 app.command("robustness", epilog=studies.EXAMPLES["robustness"])(studies.robustness)
 app.command("worlds", epilog=studies.EXAMPLES["worlds"])(studies.worlds)
 app.command("campaign", epilog=campaign.EXAMPLE)(campaign.campaign)

@@ -107,5 +107,6 @@ _OFFERS: dict[str, Callable[[], Offered]] = {
     "surface": _shipped("surface"),
     "timing": _timings,
     "trajectory": _shipped("trajectory"),
+    "turn-costs": _shipped("turn-costs"),
     "world": _shipped("world"),
 }

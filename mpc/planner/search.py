@@ -203,10 +203,14 @@ class Search:
         points = np.concatenate([self._start[None, :2], self._via])
         return all(bool(np.isfinite(field(point[None]))[0]) for field, point in zip(self._fields, points, strict=True))
 
+    def bound_from(self, pose: FloatArray) -> float:
+        """No way from a pose (3,) on the first leg is cheaper."""
+        return float(self._left(pose[None], 0)[0])
+
     def run(self) -> Found | None:
         """Search; None where no way was found."""
         asked, count = self._settings, 0
-        tree = _Tree(self._start, float(self._left(self._start[None], 0)[0]), asked)
+        tree = _Tree(self._start, self.bound_from(self._start), asked)
         while count < asked.most_states:
             batch = tree.batch(asked.batch if count else 1)
             if not batch:

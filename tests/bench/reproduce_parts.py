@@ -156,7 +156,9 @@ def learned_turns(
             torque[:, 1:] + 0.2,
         ]
     )
-    return LearnedTurns(floor, 4.6, raw, RADII, torque, 0.3 * torque, (0.03, 0.04), own, 1.8, learned, 0.0, runs, 6e-5)
+    return LearnedTurns(
+        floor, 4.6, raw, RADII, torque, 0.3 * torque, (0.03, 0.04), own, 1.8, learned, 0.0, runs, 6e-5, (0.3, 0.5)
+    )
 
 
 def made_up(repetitions: int = 2) -> ReproduceResults:

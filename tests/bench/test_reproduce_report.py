@@ -57,6 +57,7 @@ def test_every_table_is_filled_and_published_numbers_stand_beside_ours():
         assert all(cell for cells in table.rows for cell in cells)
     assert ("P4, concrete, mean", "-", "-", "-16.8", "42.2") in tables["Energy foreseen"].rows
     assert ("grippy, mean", "-", "-", "-10.0", "33.0") in tables["Energy foreseen"].rows
+    assert ("a plan on 10 m by 10 m (SBMPO)", "240", "400") in tables["Cost of learning"].rows
     assert ("P4, grass", "1.11", "-", "1.2", "8.1", "-") in tables["Least radius learned"].rows
     assert ("RMSE", "circle", "0.848", "1.057", "0.079", "0.158", "0.237") in tables[
         "Position errors of open-loop odometry"

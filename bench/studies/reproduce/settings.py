@@ -137,6 +137,7 @@ class TurningStudy(StrictModel):
     floors: Annotated[tuple[str, ...], Field(min_length=1)] = Field(description="on which torques are learned")
     seeds: Annotated[tuple[int, ...], Field(min_length=1)] = Field(description="of drives whose energy is foreseen")
     turns: Count = Field(description="of such a drive")
+    plans: Count = Field(description="that are timed on each floor")
 
 
 class ReproduceSettings(StrictModel):
