@@ -86,6 +86,10 @@ torque: $(READY) ## what a turn costs: torque, least radius and energy, measured
 saving: $(READY) ## how much an energy-optimal path saves, driven in closed loop: out/saving
 	$(BIN)/diffdrive-mpc saving --out $(SAVING_OUT)
 
+.PHONY: energy-front
+energy-front: $(READY) ## what a cost of energy in the controller saves, and what it costs in error: out/energy-front
+	$(BIN)/diffdrive-mpc energy-front --out out/energy-front
+
 tracking: $(READY) ## what the tracking reaches, what each part is worth, how much is left: tables and figures in out/tracking
 	$(BIN)/diffdrive-mpc tracking --out $(TRACKING_OUT) $(TRACKING)
 

@@ -93,7 +93,22 @@ SAVING = ShownReport(
     (),
     "saving.md",
 )
-SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, LOOP_SPEED, PEERS, EDGE, ROBUSTNESS, PROVE, TUNE, TORQUE, SAVING)
+ENERGY_FRONT = ShownReport("energy-front", ("front.png",), (), "energy.md")
+SHOWN = (
+    BENCH,
+    TRACKING,
+    REPRODUCE,
+    SPEED,
+    LOOP_SPEED,
+    PEERS,
+    EDGE,
+    ROBUSTNESS,
+    PROVE,
+    TUNE,
+    TORQUE,
+    ENERGY_FRONT,
+    SAVING,
+)
 
 
 def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:

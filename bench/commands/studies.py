@@ -44,6 +44,7 @@ EXAMPLES = {
     "tracking": "Example: diffdrive-mpc tracking --out results --quick --only cross,bound",
     "reproduce": "Example: diffdrive-mpc reproduce --out results --only virtual_track",
     "peers": "Example: diffdrive-mpc peers --out results --peers pursuit,lqr+slip",
+    "energy-front": "Example: diffdrive-mpc energy-front --out results --quick",
     "torque": "Example: diffdrive-mpc torque --out results --quick",
     "saving": "Example: diffdrive-mpc saving --out results --quick",
     "robustness": "Example: diffdrive-mpc robustness --out results --only mass_left,frozen_pose --models sm,ssm",
@@ -338,6 +339,23 @@ def loop_speed(
 
     paths = split_names(trajectories, "--trajectories")
     carry_out(LoopSpeedStudy(split_names(models, "--models"), paths, plant, scenario, repeats), out)
+
+
+def energy_front(
+    *,
+    out: Annotated[Path, out_option("report.html, energy-front.json, energy-front.md and figures/")],
+    quick: Annotated[bool, typer.Option("--quick", help="One path and three weights, to see that it works.")] = False,
+    study: Annotated[Path | None, file_option("Study file", "--study")] = None,
+    jobs: Jobs = None,
+) -> None:
+    """Energy against tracking error as the weight of energy in the controller grows; minutes on two cores."""
+    from diffdrive_mpc.bench.studies.energy_front import settings  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.studies.energy_front.study import EnergyFrontStudy  # noqa: PLC0415
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+
+    asked = settings.load_study(study)
+    folder = study.parent if study else settings.HERE
+    carry_out(EnergyFrontStudy(settings.quick(asked) if quick else asked, folder), out, jobs)
 
 
 def torque(
