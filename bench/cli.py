@@ -49,6 +49,7 @@ app.command("reproduce", epilog=studies.EXAMPLES["reproduce"])(studies.reproduce
 app.command("peers", epilog=studies.EXAMPLES["peers"])(studies.peers)
 app.command("energy-front", epilog=studies.EXAMPLES["energy-front"])(studies.energy_front)
 app.command("torque", epilog=studies.EXAMPLES["torque"])(studies.torque)
+app.command("saving", epilog=studies.EXAMPLES["saving"])(studies.saving)
 app.command("plan", epilog=plan.EXAMPLE)(plan.plan)
 app.command("robustness", epilog=studies.EXAMPLES["robustness"])(studies.robustness)
 app.command("worlds", epilog=studies.EXAMPLES["worlds"])(studies.worlds)

@@ -46,6 +46,7 @@ EXAMPLES = {
     "peers": "Example: diffdrive-mpc peers --out results --peers pursuit,lqr+slip",
     "energy-front": "Example: diffdrive-mpc energy-front --out results --quick",
     "torque": "Example: diffdrive-mpc torque --out results --quick",
+    "saving": "Example: diffdrive-mpc saving --out results --quick",
     "robustness": "Example: diffdrive-mpc robustness --out results --only mass_left,frozen_pose --models sm,ssm",
     "worlds": "Example: diffdrive-mpc worlds --out results --quick --controllers mpc,rpp+stop",
     "speed": "Example: diffdrive-mpc speed --out results --quick --peers ours,acados",
@@ -408,3 +409,26 @@ def torque(
     if surfaces is not None:
         asked = asked.model_copy(update={"surfaces": split_names(surfaces, "--surfaces")})
     carry_out(TorqueStudy(asked), out, jobs)
+
+
+def saving(
+    *,
+    out: Annotated[Path, out_option("report.html, saving.json, saving.md and figures/")],
+    quick: Annotated[bool, typer.Option("--quick", help="One floor and two pairs, to see that it works.")] = False,
+    study: Annotated[Path | None, file_option("Study file", "--study")] = None,
+    surfaces: Annotated[
+        str | None,
+        typer.Option(metavar="NAMES", help="Floors, with commas between.", show_default="those of the study"),
+    ] = None,
+    jobs: Jobs = None,
+) -> None:
+    """Drive energy-optimal and distance-optimal paths of the same ends, and say what is saved: minutes on two cores."""
+    from diffdrive_mpc.bench.studies.saving import settings  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.studies.saving.study import SavingStudy  # noqa: PLC0415
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+
+    asked = settings.load_study(study)
+    asked = settings.quick(asked) if quick else asked
+    if surfaces is not None:
+        asked = asked.model_copy(update={"surfaces": split_names(surfaces, "--surfaces")})
+    carry_out(SavingStudy(asked), out, jobs)
