@@ -5,6 +5,7 @@ OUT ?= out/bench
 TRACKING_OUT ?= out/tracking
 REPRODUCE_OUT ?= out/reproduce
 TORQUE_OUT ?= out/torque
+SAVING_OUT ?= out/saving
 SPEED_OUT ?= out/speed
 EDGE_OUT ?= out/edge
 PEERS_OUT ?= out/peers
@@ -81,6 +82,14 @@ tune: $(READY) ## search for a better configuration, and hold it against the shi
 torque: $(READY) ## what a turn costs: torque, least radius and energy, measured, learned and predicted: out/torque
 	$(BIN)/diffdrive-mpc torque --out $(TORQUE_OUT)
 
+.PHONY: saving
+saving: $(READY) ## how much an energy-optimal path saves, driven in closed loop: out/saving
+	$(BIN)/diffdrive-mpc saving --out $(SAVING_OUT)
+
+.PHONY: energy-front
+energy-front: $(READY) ## what a cost of energy in the controller saves, and what it costs in error: out/energy-front
+	$(BIN)/diffdrive-mpc energy-front --out out/energy-front
+
 tracking: $(READY) ## what the tracking reaches, what each part is worth, how much is left: tables and figures in out/tracking
 	$(BIN)/diffdrive-mpc tracking --out $(TRACKING_OUT) $(TRACKING)
 
@@ -134,7 +143,7 @@ calibrate: $(READY) ## fit the simulated robot to the published SSM again
 	$(BIN)/diffdrive-mpc models calibrate
 
 readme: $(READY) ## copy tables and figures of the last `make bench` and of the studies that were made into README and docs
-	$(BIN)/python -m diffdrive_mpc.bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT) $(PEERS_OUT) $(EDGE_OUT) $(ROBUSTNESS_OUT) $(PROVE_OUT) $(TORQUE_OUT))
+	$(BIN)/python -m diffdrive_mpc.bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT) $(PEERS_OUT) $(EDGE_OUT) $(ROBUSTNESS_OUT) $(PROVE_OUT) $(TORQUE_OUT) $(SAVING_OUT))
 
 schemas: $(READY) ## write the JSON Schemas of all kinds of files again
 	$(BIN)/python -m diffdrive_mpc.bench.schemas.generate

@@ -17,6 +17,7 @@ from diffdrive_mpc.models.interface import Reference, TrackingController
 from diffdrive_mpc.models.load import MODEL_NAMES, load_model, model_path
 from diffdrive_mpc.models.robot import TwistBounds, load_robot
 from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_config, load_trajectory
+from diffdrive_mpc.mpc.problem.energy_term import with_least_radius
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc.mpc.trajectories.scaled import scaled_to_robot
@@ -135,11 +136,13 @@ def controller_config(model: str, config: str | None = None, overrides: Override
     Raises ConfigError if the model is unknown or the configuration has a mistake.
     """
     if config is not None:
-        return load_config(config, {"model": _model_reference(model), **dict(overrides)})
-    if model in MODEL_NAMES:
-        return load_config(model, dict(overrides))
-    load_model(model)
-    return load_config("ssm", {"model": _model_reference(model), "extra_dead_time": {}, **dict(overrides)})
+        found = load_config(config, {"model": _model_reference(model), **dict(overrides)})
+    elif model in MODEL_NAMES:
+        found = load_config(model, dict(overrides))
+    else:
+        load_model(model)
+        found = load_config("ssm", {"model": _model_reference(model), "extra_dead_time": {}, **dict(overrides)})
+    return with_least_radius(found)
 
 
 def chosen_model(model: str | None, config: Path | None) -> str:

@@ -79,7 +79,36 @@ TORQUE = ShownReport(
     (),
     "energy.md",
 )
-SHOWN = (BENCH, TRACKING, REPRODUCE, SPEED, LOOP_SPEED, PEERS, EDGE, ROBUSTNESS, PROVE, TUNE, TORQUE)
+SAVING = ShownReport(
+    "saving",
+    (
+        "saving.png",
+        "paths-default.png",
+        "prediction.png",
+        "scenario-1.png",
+        "scenario-2.png",
+        "scenario-3.png",
+        "scenario-4.png",
+    ),
+    (),
+    "saving.md",
+)
+ENERGY_FRONT = ShownReport("energy-front", ("front.png",), (), "energy.md")
+SHOWN = (
+    BENCH,
+    TRACKING,
+    REPRODUCE,
+    SPEED,
+    LOOP_SPEED,
+    PEERS,
+    EDGE,
+    ROBUSTNESS,
+    PROVE,
+    TUNE,
+    TORQUE,
+    ENERGY_FRONT,
+    SAVING,
+)
 
 
 def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:

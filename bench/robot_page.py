@@ -32,6 +32,7 @@ _TITLES = {
     "failure": "Failure",
     "fence": "Fence",
     "free_space": "Corridors and obstacles",
+    "energy": "What turns cost",
     "reentry": "Re-entry",
     "finish": "Finish",
     "rehearsal": "Rehearsal, when the same reference is started again",

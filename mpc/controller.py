@@ -35,6 +35,7 @@ from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import Words
 from diffdrive_mpc.mpc.problem.build import chosen_model, sampled_model
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, SLACK, Problem
+from diffdrive_mpc.mpc.problem.energy_term import energy_terms, with_least_radius
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_parameters, parameter_places
 from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
@@ -107,9 +108,10 @@ class Controller:
         model: VelocityModel | NonlinearModel | str | None = None,
         terms: Sequence[Term] = (),
     ) -> None:
+        config = with_least_radius(config)
         self._config, self._given = config, (model, tuple(terms))
         self._speed_limit: float | None = None
-        self._terms = all_terms(config.terms, (*terms, *half_space_terms(config.free_space)))
+        self._terms = all_terms(config.terms, (*terms, *energy_terms(config), *half_space_terms(config.free_space)))
         dt, chosen = config.sample_time, chosen_model(config, model)
         self._predicted = _Predicted.by(chosen, dt)
         self._dead_time = online_dead_time(config, chosen)

@@ -44,7 +44,9 @@ EXAMPLES = {
     "tracking": "Example: diffdrive-mpc tracking --out results --quick --only cross,bound",
     "reproduce": "Example: diffdrive-mpc reproduce --out results --only virtual_track",
     "peers": "Example: diffdrive-mpc peers --out results --peers pursuit,lqr+slip",
+    "energy-front": "Example: diffdrive-mpc energy-front --out results --quick",
     "torque": "Example: diffdrive-mpc torque --out results --quick",
+    "saving": "Example: diffdrive-mpc saving --out results --quick",
     "robustness": "Example: diffdrive-mpc robustness --out results --only mass_left,frozen_pose --models sm,ssm",
     "worlds": "Example: diffdrive-mpc worlds --out results --quick --controllers mpc,rpp+stop",
     "speed": "Example: diffdrive-mpc speed --out results --quick --peers ours,acados",
@@ -339,6 +341,23 @@ def loop_speed(
     carry_out(LoopSpeedStudy(split_names(models, "--models"), paths, plant, scenario, repeats), out)
 
 
+def energy_front(
+    *,
+    out: Annotated[Path, out_option("report.html, energy-front.json, energy-front.md and figures/")],
+    quick: Annotated[bool, typer.Option("--quick", help="One path and three weights, to see that it works.")] = False,
+    study: Annotated[Path | None, file_option("Study file", "--study")] = None,
+    jobs: Jobs = None,
+) -> None:
+    """Energy against tracking error as the weight of energy in the controller grows; minutes on two cores."""
+    from diffdrive_mpc.bench.studies.energy_front import settings  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.studies.energy_front.study import EnergyFrontStudy  # noqa: PLC0415
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+
+    asked = settings.load_study(study)
+    folder = study.parent if study else settings.HERE
+    carry_out(EnergyFrontStudy(settings.quick(asked) if quick else asked, folder), out, jobs)
+
+
 def torque(
     *,
     out: Annotated[Path, out_option("report.html, torque.json, torque.md, turn-costs-FLOOR.yaml and figures/")],
@@ -348,15 +367,68 @@ def torque(
         str | None,
         typer.Option(metavar="NAMES", help="Floors, with commas between.", show_default="those of the study"),
     ] = None,
+    log: Annotated[Path | None, typer.Option(help="Log of a robot, in place of the study.", show_default=False)] = None,
+    mapping: Annotated[
+        str | None, typer.Option(help="With --log: what its columns or topics are.", show_default=False)
+    ] = None,
+    vehicle: Annotated[
+        str | None, typer.Option(help="With --log: vehicle, shipped or a file.", show_default=False)
+    ] = None,
+    drive: Annotated[
+        str | None,
+        typer.Option(help="With --log: drive constants to begin with, shipped or a file.", show_default=False),
+    ] = None,
     jobs: Jobs = None,
 ) -> None:
-    """What a turn costs: torque, least radius and energy, measured, learned and predicted; minutes on two cores."""
+    """What a turn costs: torque, least radius and energy, measured, learned and predicted; minutes on two cores.
+
+    With --log of a robot whose battery and motors are logged: its drive constants, torque curves and slip law, as
+    drive.yaml and turn-costs.yaml.
+    """
     from diffdrive_mpc.bench.studies.torque import settings  # noqa: PLC0415 - --help does without it
     from diffdrive_mpc.bench.studies.torque.study import TorqueStudy  # noqa: PLC0415
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+    from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
+
+    of_log = {"--mapping": mapping, "--vehicle": vehicle, "--drive": drive}
+    of_study = {"--quick": quick or None, "--study": study, "--surfaces": surfaces}
+    alone = [name for name, value in (of_log if log is None else of_study).items() if value is not None]
+    if alone:
+        raise ConfigError(f"{alone[0]} {'needs' if log is None else 'does not go with'} --log")
+    if log is not None:
+        from diffdrive_mpc.bench.studies.torque.log_study import TorqueLogStudy  # noqa: PLC0415
+
+        if vehicle is None:
+            raise ConfigError(
+                "--log needs --vehicle: its weight, lengths and torque limit (default, fsu_bot or a file)"
+            )
+        carry_out(TorqueLogStudy(log, mapping, vehicle, drive), out, jobs)
+        return
+    asked = settings.load_study(study)
+    asked = settings.quick(asked) if quick else asked
+    if surfaces is not None:
+        asked = asked.model_copy(update={"surfaces": split_names(surfaces, "--surfaces")})
+    carry_out(TorqueStudy(asked), out, jobs)
+
+
+def saving(
+    *,
+    out: Annotated[Path, out_option("report.html, saving.json, saving.md and figures/")],
+    quick: Annotated[bool, typer.Option("--quick", help="One floor and two pairs, to see that it works.")] = False,
+    study: Annotated[Path | None, file_option("Study file", "--study")] = None,
+    surfaces: Annotated[
+        str | None,
+        typer.Option(metavar="NAMES", help="Floors, with commas between.", show_default="those of the study"),
+    ] = None,
+    jobs: Jobs = None,
+) -> None:
+    """Drive energy-optimal and distance-optimal paths of the same ends, and say what is saved: minutes on two cores."""
+    from diffdrive_mpc.bench.studies.saving import settings  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.studies.saving.study import SavingStudy  # noqa: PLC0415
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
     asked = settings.load_study(study)
     asked = settings.quick(asked) if quick else asked
     if surfaces is not None:
         asked = asked.model_copy(update={"surfaces": split_names(surfaces, "--surfaces")})
-    carry_out(TorqueStudy(asked), out, jobs)
+    carry_out(SavingStudy(asked), out, jobs)

@@ -107,6 +107,7 @@ class TorqueCurves:
         right: ArrayLike,
         sample_time: float,
         on_sample: Callable[[int], None] | None = None,
+        settled: ArrayLike | None = None,
     ) -> int:
         """Take in a drive in order of time, but for what follows a change of the command; returns how much was used.
 
@@ -120,15 +121,19 @@ class TorqueCurves:
             Time between two rows [s].
         on_sample
             Called with the number of each row once it was taken in.
+        settled
+            (n,) of bool: the rows of steady turns; by default those in which the command has not changed for the
+            settling time.
         """
         rows = np.asarray(commands, dtype=float)
         torques = np.stack([np.asarray(left, dtype=float), np.asarray(right, dtype=float)], axis=-1)
-        changed = np.concatenate([[True], (np.abs(np.diff(rows, axis=0)) > 1e-9).any(axis=1)])
-        since = np.arange(len(rows)) - np.maximum.accumulate(np.where(changed, np.arange(len(rows)), 0))
-        settled = (since + 0.5) * sample_time > self._settings.curves.settling
+        if settled is None:
+            changed = np.concatenate([[True], (np.abs(np.diff(rows, axis=0)) > 1e-9).any(axis=1)])
+            since = np.arange(len(rows)) - np.maximum.accumulate(np.where(changed, np.arange(len(rows)), 0))
+            settled = (since + 0.5) * sample_time > self._settings.curves.settling
         turning = rows[:, 0] != 0
-        used = np.flatnonzero(settled & turning)
-        with np.errstate(divide="ignore"):
+        used = np.flatnonzero(np.asarray(settled, dtype=bool) & turning)
+        with np.errstate(divide="ignore", invalid="ignore"):
             radii = np.abs(rows[:, 0] / rows[:, 1])
         for k in used.tolist():
             v, omega = rows[k]

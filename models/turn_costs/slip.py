@@ -100,14 +100,19 @@ def identify_slip_from_poses(
     rows, found = np.asarray(commands, dtype=float), np.asarray(poses, dtype=float)
     if found.shape != (len(rows), 3) or not sample_time > 0:
         raise ConfigError(f"poses of shape {found.shape}, {sample_time} s apart: give (n, 3) and a positive time")
-    moved = np.diff(found, axis=0)
+    return identify_slip(rows[:-1], body_twists(found[:-1], found[1:], sample_time), sample_time, settling)
+
+
+def body_twists(before: FloatArray, after: FloatArray, time: float) -> FloatArray:
+    """(n, 3) forward, lateral speed [m/s] and yaw rate [rad/s] that take poses (n, 3) to others in `time` [s]."""
+    moved = after - before
     turn = np.arctan2(np.sin(moved[:, 2]), np.cos(moved[:, 2]))
-    middle = found[:-1, 2] + 0.5 * turn
+    middle = before[:, 2] + 0.5 * turn
     # The chord of an arc, over how much shorter it is than the arc.
-    shorter = np.sinc(0.5 * turn / np.pi) * sample_time
+    shorter = np.sinc(0.5 * turn / np.pi) * time
     forward = (np.cos(middle) * moved[:, 0] + np.sin(middle) * moved[:, 1]) / shorter
     lateral = (-np.sin(middle) * moved[:, 0] + np.cos(middle) * moved[:, 1]) / shorter
-    return identify_slip(rows[:-1], np.stack([forward, lateral, turn / sample_time], -1), sample_time, settling)
+    return np.stack([forward, lateral, turn / time], axis=-1)
 
 
 def _repeats(rest: FloatArray) -> FloatArray:

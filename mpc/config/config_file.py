@@ -23,8 +23,8 @@ def load_config(
     ----------
     source
         "mbm", "sm" or "ssm" for the shipped configuration of that model, or the path of a YAML file. A relative
-        path of a model or of a term inside that file is taken from the folder of the file. Or keys and values as such a
-        file holds them, for instance those that `identify` found.
+        path of a model, a term or turn costs inside that file is taken from the folder of the file. Or keys and values
+        as such a file holds them, for instance those that `identify` found.
     overrides
         Values by dotted key, for instance ``{"horizon": 20, "weights.across": 200.0}``.
 
@@ -44,6 +44,10 @@ def load_config(
     beside = path.parent / config.model
     if config.model not in MODEL_NAMES and not Path(config.model).is_absolute() and beside.is_file():
         config = config.model_copy(update={"model": str(beside)})
+    beside = path.parent / config.energy.turn_costs
+    if config.energy.turn_costs and not Path(config.energy.turn_costs).is_absolute() and beside.is_file():
+        energy = config.energy.model_copy(update={"turn_costs": str(beside)})
+        config = config.model_copy(update={"energy": energy})
     terms = [term.model_copy(update={"file": str((path.parent / term.file).absolute())}) for term in config.terms]
     return config.model_copy(update={"terms": terms}) if terms else config
 

@@ -11,6 +11,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.robot import SampleTime, load_robot
+from diffdrive_mpc.mpc.config.energy import Energy
 from diffdrive_mpc.mpc.config.free_space import FreeSpace
 from diffdrive_mpc.mpc.config.group import Group, NotNegative, Positive
 from diffdrive_mpc.mpc.config.rehearsal import Drivable, Rehearsal
@@ -376,6 +377,7 @@ class ControllerConfig(Group):
     failure: Failure = Failure()
     fence: Fence = Fence()
     free_space: FreeSpace = FreeSpace()
+    energy: Energy = Energy()
     reentry: Reentry = Reentry()
     finish: Finish = Finish()
     rehearsal: Rehearsal = Rehearsal()

@@ -18,6 +18,7 @@ from diffdrive_mpc.mpc.core.functions import generated_functions
 from diffdrive_mpc.mpc.core.sources import SIZES, core_texts
 from diffdrive_mpc.mpc.export.generated_c import constants_text, sizes_text, trajectory_texts
 from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
+from diffdrive_mpc.mpc.problem.energy_term import energy_terms, with_least_radius
 from diffdrive_mpc.mpc.problem.terms import Term, all_terms
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 
@@ -90,7 +91,8 @@ def export_controller(
             "clear of things by other means"
         )
     chosen = chosen_model(config, model)
-    everything = all_terms(config.terms, terms)
+    config = with_least_radius(config)
+    everything = all_terms(config.terms, (*terms, *energy_terms(config)))
     # Off its path an exported controller chases the reference, or brakes.
     alone = config.model_copy(update={"reentry": config.reentry.model_copy(update={"enabled": False})})
     problem = build_problem(alone, chosen, everything)

@@ -16,6 +16,8 @@ _HEADER = 4 + 8 + 4 + LONGEST_NAME + 1 + 8
 """Bytes of a serialised header at most: stamp, name with its length and end, room to align."""
 SENSOR_BYTES = 2048
 """Bytes of a message of odometry, gyro or pose at most: their numbers take less than 800, two names the rest."""
+BATTERY_BYTES = 8192
+"""Bytes of a battery's state at most: two numbers for each of some hundreds of cells, and three names."""
 POSE_BYTES = _HEADER + 7 * 8
 """Bytes of a pose with its header at most."""
 

@@ -11,6 +11,7 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.mpc.ros.bond import Bond
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopState
 from diffdrive_mpc.mpc.ros.conversions import time_message
+from diffdrive_mpc.mpc.ros.drive_energy import DriveEnergy
 from diffdrive_mpc.mpc.ros.latency import Durations
 from diffdrive_mpc.mpc.ros.recording import Recording
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
@@ -26,6 +27,7 @@ def diagnostics(
     recording: Recording | None = None,
     bond: Bond | None = None,
     surroundings: Sequence[TopicWatch] = (),
+    energy: DriveEnergy | None = None,
 ) -> DiagnosticArray:
     """One status named after the node.
 
@@ -45,6 +47,8 @@ def diagnostics(
         The bond with a lifecycle manager; None where there is none.
     surroundings
         The topics that tell what lies around the robot.
+    energy
+        Of the drive; None where nothing is known of it.
     """
     status = DiagnosticStatus(name=f"{name}: control", hardware_id=name, level=DiagnosticStatus.OK, message=lifecycle)
     values = {"lifecycle": lifecycle}
@@ -55,6 +59,10 @@ def diagnostics(
             objection = "" if loop.objection in loop.last.message else loop.objection
             words = "; ".join(filter(None, [loop.last.message, objection, loop.inbox.fault, loop.warning]))
             status.message = f"{loop.last.mode}: {words}" if words else loop.last.mode
+    if energy is not None and loop is not None:
+        values |= energy.values() | _watches(energy.topics, loop.inbox.now)
+        if energy.fault and status.level == DiagnosticStatus.OK:
+            status.level, status.message = DiagnosticStatus.WARN, f"{status.message}; {energy.fault}"
     if bond is not None:
         values["bond"] = bond.words
     if recording is not None:

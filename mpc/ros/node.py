@@ -13,19 +13,21 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import Imu, PointCloud2
+from sensor_msgs.msg import BatteryState, Imu, PointCloud2
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.turn_costs import TurnCosts, load_turn_costs
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.ros.bond import Bond
-from diffdrive_mpc.mpc.ros.bounded_messages import subscribe_bounded, too_long
+from diffdrive_mpc.mpc.ros.bounded_messages import BATTERY_BYTES, subscribe_bounded, too_long
 from diffdrive_mpc.mpc.ros.control_loop import Begun, ControlLoop, RefusedError, Tick
 from diffdrive_mpc.mpc.ros.conversions import check_frame
 from diffdrive_mpc.mpc.ros.diagnostics import diagnostics
+from diffdrive_mpc.mpc.ros.drive_energy import DriveEnergy
 from diffdrive_mpc.mpc.ros.follow_goal import Following, FrameError, lay_for_robot
 from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.parameter_changes import ParameterChanges
@@ -174,6 +176,8 @@ class TrackingNode(LifecycleNode):
         self._inbox.restart()
         if self._surroundings is not None:
             self._surroundings.restart()
+        if self._energy is not None:
+            self._energy.restart()
         self._loop = ControlLoop(
             self._controller, self._settings, self._inbox, self._trajectory, in_sim_time=in_sim_time, held=self._held
         )
@@ -240,6 +244,7 @@ class TrackingNode(LifecycleNode):
         settings, config = read(self, NodeSettings), read(self, ControllerConfig, fixed=self._fixed)
         if (settings.use_costmap or settings.use_obstacles) and not config.free_space.enabled:
             raise RefusedError("use_costmap or use_obstacles is set: set free_space.enabled, too")
+        costs = load_turn_costs(config.energy.turn_costs) if config.energy.turn_costs else None
         trajectory: Trajectory | None = None
         if settings.trajectory:
             trajectory = load_trajectory(settings.trajectory)
@@ -270,6 +275,7 @@ class TrackingNode(LifecycleNode):
                 subscribe_bounded(self, kind, "pose", inbox.take_pose, sensors, refuse=inbox.pose.refuse)
             )
         self._inputs += [*hears, *self._optional_inputs()]
+        self._energy = self._energy_of(settings, costs, config.sample_time)
         self._read = self.create_guard_condition(lambda: None)
         self._aside = SideProcess(self._read.trigger, _LONGEST_READING)
         self._read.callback = self._aside.deliver
@@ -278,6 +284,18 @@ class TrackingNode(LifecycleNode):
         self._diagnostics_timer = self.create_timer(
             1.0 / settings.diagnostics_rate, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
+
+    def _energy_of(self, settings: NodeSettings, costs: TurnCosts | None, sample_time: float) -> DriveEnergy | None:
+        """What counts power and energy; None where neither turn costs nor the battery are asked for."""
+        if costs is None and not settings.use_battery:
+            return None
+        energy, sensors = DriveEnergy(settings, costs, self._inbox, sample_time), qos_profile_sensor_data
+        if settings.use_battery:
+            take, refuse = energy.take_battery, energy.battery.refuse
+            self._inputs.append(
+                subscribe_bounded(self, BatteryState, "battery_state", take, sensors, refuse=refuse, most=BATTERY_BYTES)
+            )
+        return energy
 
     def _see_around(self, settings: NodeSettings, controller: Controller) -> SurroundingsInput | None:
         """What hears of surroundings; None where no topic of them is used."""
@@ -443,8 +461,9 @@ class TrackingNode(LifecycleNode):
             if self._ticks % self._visual_ticks == 0:
                 outgoing.visuals(tick.result, self._period, time)
         self._ticks += 1
+        heard = {} if self._energy is None else self._energy.tick(tick.command, loop.begun)
         if self._recording is not None:
-            self._recording.tick(tick, time, loop.inbox)
+            self._recording.tick(tick, time, loop.inbox, heard)
 
     def _say(self, begun: Begun, tick: Tick, time: int) -> None:
         """Say what makes a tick replayable; a fault in that is not worth the robot, and ends it for this activation."""
@@ -470,7 +489,9 @@ class TrackingNode(LifecycleNode):
             self._aside.prepare(nothing)
         time = self.get_clock().now().nanoseconds
         seen = () if self._surroundings is None else self._surroundings.topics
-        message = diagnostics(self.get_name(), time, self._label, self._loop, self._recording, self._bond, seen)
+        message = diagnostics(
+            self.get_name(), time, self._label, self._loop, self._recording, self._bond, seen, self._energy
+        )
         self._diagnostics.publish(message)
         if self._recording is not None:
             self._recording.diagnostics(message, time)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import wraps
 from importlib.metadata import PackageNotFoundError, version
@@ -90,12 +90,13 @@ class Recording:
         self._recorder.hand("reference", time, stamps, begun.reference.sample(times).pose)
 
     @_harmless
-    def tick(self, tick: Tick, time: int, inbox: Inbox) -> None:
-        """Record one tick, which began at `time` [ns]."""
+    def tick(self, tick: Tick, time: int, inbox: Inbox, heard: Mapping[str, Cell]) -> None:
+        """Record one tick, which began at `time` [ns], with what else of its row was `heard`."""
         asked, result = tick.asked, tick.result
         row: dict[str, Cell] = {
             **(_standing(tick) if result is None else decided_cells(result)),
             "t_s": inbox.now if asked is None else asked.time,
+            **heard,
         }
         if result is not None and result.reference is not None:
             row |= zip(_REFERENCE, result.reference[0].tolist(), strict=True)

@@ -77,6 +77,15 @@ class NodeSettings(StrictModel, strict=True):
         "frame of control; needs free_space.enabled [-]",
     )
     use_imu: bool = Field(True, description="use the yaw rate on `imu` [-]")
+    use_battery: bool = Field(
+        False, description="measure power and energy by `battery_state` (sensor_msgs/BatteryState), for diagnostics [-]"
+    )
+    battery_discharge_negative: bool = Field(
+        True, description="its current is negative while the battery gives, as ROS has it; false: positive [-]"
+    )
+    battery_timeout: Positive = Field(
+        2.0, description="between two readings further apart no energy is counted; an older one is named [s]"
+    )
     odom_frame: Frame = Field("odom", description="frame_id that odometry must have [-]")
     map_frame: Frame = Field(
         "map", description="frame_id that poses must have; with pose_source tf the frame that control is in [-]"

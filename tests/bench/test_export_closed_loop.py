@@ -11,6 +11,7 @@ from export_parts import differences, drive_both, export
 
 from diffdrive_mpc.models import Measurement, Stamped
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.mpc import Mode, load_trajectory
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.problem.terms import Term
@@ -100,6 +101,22 @@ def test_curved_slip_and_a_least_turn_radius_come_along(tmp_path):
     commands = np.abs([theirs.command for _, theirs in steps])
     assert (1.2 * commands[:, 1] <= commands[:, 0] + 1e-12).all()
     assert np.isclose(1.2 * commands[:, 1], commands[:, 0]).sum() > 20
+
+
+def test_energy_and_its_least_radius_come_along(tmp_path):
+    overrides = {
+        "energy.turn_costs": "fsu_bot-carpet",
+        "energy.weight": 0.01,
+        "energy.least_radius": True,
+        "horizon": 12,
+    }
+    program = export(tmp_path / "energy", "circle", "double", overrides, "-O1")
+    steps = drive_both(program, "circle", overrides, 120, offset=(0.0, 0.03, 0.05))
+    assert np.abs(differences(steps)).max() <= DOUBLE
+    radius = load_turn_costs("fsu_bot-carpet").least_radius()
+    commands = np.abs([theirs.command for _, theirs in steps])
+    assert (radius * commands[:, 1] <= commands[:, 0] + 1e-12).all()
+    assert np.isclose(radius * commands[:, 1], commands[:, 0]).any()
 
 
 def test_to_the_end(in_double):

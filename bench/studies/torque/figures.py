@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from diffdrive_mpc.bench.figure_style import MARKERS, REFERENCE_COLOUR, colour, line_style, new_figure
+from diffdrive_mpc.bench.studies.torque.from_log import LogOutcome
 from diffdrive_mpc.bench.studies.torque.measurements import sides
 from diffdrive_mpc.bench.studies.torque.outcome import CLOSE, FloorOutcome, PayloadOutcome
 from diffdrive_mpc.models.energy import DriveConstants
@@ -55,6 +56,22 @@ def draw_learned(floor: FloorOutcome, vehicle: Vehicle, speed: float, path: Path
             axes.axvline(floor.learned_radius, color=colour(2), linestyle="-.", label=label)
         _limits(axes, vehicle, f"Learned on '{floor.surface}' (as figures 16 to 18)")
         axes.legend(ncols=2)
+
+
+def draw_log(outcome: LogOutcome, path: Path) -> None:
+    """Torques by the currents of a log, and the curves learned from them."""
+    with new_figure(path, 6.4, 3.8) as figure:
+        axes = figure.subplots()
+        radii, outer, inner = outcome.samples.T
+        pairs = ((outer, outcome.curves.outer, "outer"), (inner, outcome.curves.inner, "inner"))
+        for side, (values, said, name) in enumerate(pairs):
+            axes.plot(radii, values, ".", color=colour(side), markersize=1.5, alpha=0.25, rasterized=True)
+            axes.plot(_RADII, said(_RADII), color=colour(side), label=name)
+        least = outcome.curves.least_radius()
+        if 0 < least < np.inf:
+            axes.axvline(least, color=colour(2), linestyle="-.", label=f"least radius {least:.2f} m")
+        _limits(axes, outcome.vehicle, f"Torques by the motors' currents in {outcome.log.name}")
+        axes.legend()
 
 
 def draw_power(

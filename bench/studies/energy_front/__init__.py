@@ -1,0 +1,1 @@
+"""What a cost of energy in the controller saves, and what it costs in tracking error."""

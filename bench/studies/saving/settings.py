@@ -1,0 +1,112 @@
+"""What the saving study does: `study.yaml` says what each value is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.robot import NotNegative, Positive, Share
+from diffdrive_mpc.mpc.planner import PlanSettings, load_plan_settings
+
+FOLDER = Path(__file__).parent
+
+Place = tuple[float, float, float]
+"""x, y [m] and heading [degrees]."""
+Post = tuple[float, float, Positive]
+"""x, y and radius [m]."""
+
+
+class Drawn(StrictModel):
+    """Pairs of start and goal."""
+
+    count: int = Field(ge=1)
+    seed: int = Field(ge=0)
+    tuning_seed: int = Field(ge=0)
+    distance: tuple[Positive, Positive]
+
+    @model_validator(mode="after")
+    def _apart(self) -> Drawn:
+        if self.seed == self.tuning_seed:
+            raise ValueError("seed and tuning_seed are the same: what is reported must not have been tuned on")
+        if not self.distance[0] < self.distance[1]:
+            raise ValueError("distance: give the least and then the largest")
+        return self
+
+
+class Planning(StrictModel):
+    """In place of the planner's own settings."""
+
+    radius_margin: Share
+    longest_detour: Positive
+
+    @property
+    def settings(self) -> PlanSettings:
+        """The planner's settings with these."""
+        own = load_plan_settings()
+        polish = own.polish.model_copy(update={"radius_margin": self.radius_margin})
+        motion = own.motion.model_copy(update={"longest_detour": self.longest_detour})
+        return own.model_copy(update={"polish": polish, "motion": motion})
+
+
+class Standing(StrictModel):
+    """When the robot stands."""
+
+    speed: Positive
+    yaw_rate: Positive
+    wait: Positive
+
+
+class Scenario(StrictModel):
+    """One of P4's, section 4.3."""
+
+    kind: Literal["nominal", "foreign", "loaded"]
+    surface: str
+    start: Place
+    goal: Place
+    posts: tuple[Post, ...]
+    law: str = ""
+    payload: NotNegative = 0.0
+
+
+class SavingStudySettings(StrictModel):
+    """All of it."""
+
+    robot: str
+    controller: Path
+    surfaces: Annotated[tuple[str, ...], Field(min_length=1)]
+    speed: Positive
+    planning: Planning
+    pairs: Drawn
+    standing: Standing
+    scenarios: tuple[Scenario, ...]
+    seed: int = Field(ge=0)
+    asked: NotNegative
+    computer: NotNegative
+
+    @property
+    def configuration(self) -> Path:
+        """Of the controller; a relative path that is not found from here is taken from the folder of this study."""
+        return self.controller if self.controller.is_file() else FOLDER / self.controller
+
+    def costs_of(self, surface: str) -> str:
+        """Name of the shipped turn costs of the robot on a surface."""
+        return f"{self.robot}-{surface}"
+
+
+def load_study(path: Path | None = None) -> SavingStudySettings:
+    """Read what to do; raises ConfigError on a mistake in the file."""
+    return load_checked(SavingStudySettings, path or FOLDER / "study.yaml")
+
+
+def quick(study: SavingStudySettings) -> SavingStudySettings:
+    """Two pairs on one floor and the first scenario, to see that it works."""
+    return study.model_copy(
+        update={
+            "surfaces": ("default",),
+            "pairs": study.pairs.model_copy(update={"count": 2}),
+            "scenarios": study.scenarios[:1],
+        }
+    )
