@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.turn_costs import TurnCosts
 from diffdrive_mpc.mpc.planner.checks import PlanError, words_of
@@ -194,9 +195,16 @@ class Task:
         rows = np.column_stack([dt * np.arange(len(poses)), poses])
         # What is checked here is that the rows are a path; limits were looked at above.
         limits = TrajectoryLimits(10.0, 100.0, 100.0, 1000.0)
+        try:
+            trajectory = lay_timed_poses(rows, limits, name=f"plan-{minimise}", where="plan")
+        except ConfigError as error:
+            raise PlanError(
+                f"goal {words_of(self.goal)}: at {self.speed:g} m/s the robot slides sideways "
+                f"{_most_lateral(twists):.3f} m/s in turns of the plan, more than a reference may; go slower"
+            ) from error
         return Plan(
             minimise=minimise,
-            trajectory=lay_timed_poses(rows, limits, name=f"plan-{minimise}", where="plan"),
+            trajectory=trajectory,
             poses=poses,
             commands=commands,
             power=power,
@@ -221,3 +229,7 @@ class Task:
     def _remedies(self) -> str:
         back = "" if self.reverse else "allow driving backward (--reverse) or turning on the spot (--on-the-spot), "
         return f"{back}give the goal another heading or more room, or go slower"
+
+
+def _most_lateral(twists: FloatArray) -> float:
+    return float(np.abs(twists[:, 1]).max())

@@ -24,6 +24,7 @@ from diffdrive_mpc.models.energy.drive_constants import load_drive_constants
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.terrain.terrain_file import load_terrain
 from diffdrive_mpc.models.terrain.vehicle import load_vehicle
+from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.monitor.judge import Judge
 from diffdrive_mpc.mpc.monitor.rules import load_rules
@@ -151,6 +152,7 @@ _DOORS: dict[str, Callable[[Path], object]] = {
     "world": load_world,
     "drive": load_drive_constants,
     "terrain": load_terrain,
+    "turn-costs": load_turn_costs,
     "vehicle": load_vehicle,
     "base": load_base_settings,
 }
