@@ -41,7 +41,7 @@ def pairs_of(*rows: tuple[float, float]) -> list[PairOutcome]:
     """Pairs with these energies, energy-optimal and distance-optimal."""
     pair = Pair((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     return [
-        PairOutcome("x", k, pair, {"energy": driven(own), "distance": driven(other)}, "")
+        PairOutcome("x", k, pair, {"energy": driven(own), "distance": driven(other)}, None, "")
         for k, (own, other) in enumerate(rows)
     ]
 
@@ -66,6 +66,9 @@ def test_the_quick_study_saves_and_arrives(report: Path) -> None:
             assert abs(one[aim]["error"]) < 0.2
         assert one["energy"]["predicted"] <= one["distance"]["predicted"] * 1.001
         assert one["energy"]["length"] >= one["distance"]["length"] * 0.999
+        fed, shortest = one["energy_with_computer"], one["distance"]
+        assert fed["arrived"] and abs(fed["error"]) < 0.2 and fed["length"] <= one["energy"]["length"] * 1.01
+        assert fed["measured"] <= shortest["measured"] + STUDY.computer * shortest["seconds"]
         assert one["saving"] == pytest.approx(1 - one["energy"]["measured"] / one["distance"]["measured"])
 
 
@@ -114,6 +117,10 @@ def test_a_computer_costs_who_drives_longer() -> None:
     )
     assert one.saving() == pytest.approx(0.5)
     assert one.saving(computer=2.5) == pytest.approx(0.0)
+    # Planned with it: what it drew is in the measured energy of that drive already.
+    assert math.isnan(one.saving_fed(2.5))
+    assert one._replace(fed=driven(100, seconds=12)).saving_fed(2.5) == pytest.approx(0.2)
+    assert math.isnan(one._replace(fed=driven(100, arrived=False)).saving_fed(2.5))
 
 
 def test_arrival_is_compared_pair_by_pair() -> None:

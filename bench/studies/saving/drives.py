@@ -58,13 +58,18 @@ class Driven(NamedTuple):
         return self.predicted / self.measured - 1
 
 
-def drive_closed(asked: SavingStudySettings, plan: Plan, surface: str, payload: float = 0.0) -> Driven:
-    """Drive a plan with the controller, always the same one, from the same start and with the same noise."""
+def drive_closed(
+    asked: SavingStudySettings, plan: Plan, surface: str, payload: float = 0.0, *, beside: float = 0.0
+) -> Driven:
+    """Drive a plan with the controller, always the same one, from the same start and with the same noise.
+
+    `beside` is drawn by others than the motors until the robot stands [W].
+    """
     config = load_config(asked.configuration)
     plant = plant_of(asked.robot, surface, payload, seed=asked.seed)
     run = simulate(Controller(config), plant, plan.trajectory, extra_time=asked.standing.wait)
     rows = (run.true_pose, run.true_twist, run.motor_torque, run.motor_power, run.motor_square)
-    return _judged(asked, plan, rows, run.sample_time, run.ended)
+    return _judged(asked, plan, rows, run.sample_time, run.ended, beside)
 
 
 def drive_open(asked: SavingStudySettings, plan: Plan, surface: str, payload: float = 0.0) -> Driven:
@@ -86,7 +91,12 @@ def standing_from(twist: FloatArray, asked: Standing) -> int:
 
 
 def _judged(
-    asked: SavingStudySettings, plan: Plan, rows: tuple[FloatArray, ...], sample_time: float, ended: str
+    asked: SavingStudySettings,
+    plan: Plan,
+    rows: tuple[FloatArray, ...],
+    sample_time: float,
+    ended: str,
+    beside: float = 0.0,
 ) -> Driven:
     constants, limit = load_drive_constants(asked.robot), 0.5 * load_vehicle(asked.robot).torque_limit
     pose, twist, torque, power, square = rows
@@ -95,7 +105,8 @@ def _judged(
     goal = plan.trajectory.sample([plan.trajectory.duration]).pose[0]
     end = pose[min(count, len(pose) - 1)]
     used = np.isfinite(power).all(axis=1) & (np.arange(len(power)) < count)
-    drawn = constants.motor_power(power[used], square[used]).sum() + constants.idle_power * np.count_nonzero(used)
+    idle = constants.idle_power + beside
+    drawn = constants.motor_power(power[used], square[used]).sum() + idle * np.count_nonzero(used)
     expected = plan.trajectory.sample(np.arange(len(pose)) * sample_time)
     errors = tracking_errors(plan.trajectory, expected, pose, twist)
     away = float(np.hypot(*(end - goal)[:2]))

@@ -13,8 +13,8 @@ from diffdrive_mpc.bench.studies.saving.drives import Driven, drive_closed
 from diffdrive_mpc.bench.studies.saving.pairs import Pair
 from diffdrive_mpc.bench.studies.saving.settings import SavingStudySettings
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.turn_costs import load_turn_costs
-from diffdrive_mpc.mpc.planner import Objective, PlanError, plan_each
+from diffdrive_mpc.models.turn_costs import TurnCosts, load_turn_costs
+from diffdrive_mpc.mpc.planner import Objective, PlanError, plan, plan_each
 
 AIMS: tuple[Objective, ...] = ("energy", "distance", "time")
 """What is made least, in the order of the tables."""
@@ -28,6 +28,8 @@ class PairOutcome(NamedTuple):
     pair: Pair
     drives: Mapping[Objective, Driven]
     """By aim; none where there is no plan"""
+    fed: Driven | None
+    """energy-optimal where a computer on board is fed as long as it lasts; its energy has both"""
     told: str
     """Why there is no plan; empty where there is one for each aim"""
 
@@ -41,6 +43,16 @@ class PairOutcome(NamedTuple):
             return math.nan
         return 1 - (own.measured + computer * own.seconds) / (other.measured + computer * other.seconds)
 
+    def saving_fed(self, computer: float) -> float:
+        """What the energy-optimal drive takes less than the distance-optimal [-], where a computer draws so much [W].
+
+        The first was planned with the computer; NaN as above.
+        """
+        other = self.drives.get("distance")
+        if self.fed is None or other is None or not (self.fed.arrived and other.arrived):
+            return math.nan
+        return 1 - self.fed.measured / (other.measured + computer * other.seconds)
+
     def promised(self, over: Objective = "distance") -> float:
         """The same by the plans [-]."""
         return 1 - self.drives["energy"].predicted / self.drives[over].predicted
@@ -48,12 +60,21 @@ class PairOutcome(NamedTuple):
 
 def measure_pair(asked: SavingStudySettings, surface: str, number: int, pair: Pair) -> PairOutcome:
     """Plan and drive one pair, for each aim by the same rules: cap of speed, ramps, controller, floor, noise."""
-    costs = load_turn_costs(asked.costs_of(surface))
+    costs, settings = load_turn_costs(asked.costs_of(surface)), asked.planning.settings
     try:
-        plans = plan_each(costs, pair.start, pair.goal, speed=asked.speed, settings=asked.planning.settings)
+        plans = plan_each(costs, pair.start, pair.goal, speed=asked.speed, settings=settings)
+        fed = plan(fed_costs(costs, asked.computer), pair.start, pair.goal, speed=asked.speed, settings=settings)
     except PlanError as error:
-        return PairOutcome(surface, number, pair, {}, str(error))
-    return PairOutcome(surface, number, pair, {aim: drive_closed(asked, plans[aim], surface) for aim in AIMS}, "")
+        return PairOutcome(surface, number, pair, {}, None, str(error))
+    drives = {aim: drive_closed(asked, plans[aim], surface) for aim in AIMS}
+    beside = drive_closed(asked, fed, surface, beside=asked.computer)
+    return PairOutcome(surface, number, pair, drives, beside, "")
+
+
+def fed_costs(costs: TurnCosts, computer: float) -> TurnCosts:
+    """The same robot with a computer that draws so much [W]."""
+    drive = costs.drive.model_copy(update={"idle_power": costs.drive.idle_power + computer})
+    return costs.model_copy(update={"drive": drive})
 
 
 class Saved(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 
 from diffdrive_mpc.bench.html_report.page import KeyFigure, Shown
 from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.bench.proof.statistics import Estimate
+from diffdrive_mpc.bench.proof.statistics import Estimate, mean
 from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.studies.saving.drives import Driven
 from diffdrive_mpc.bench.studies.saving.outcome import AIMS, PairOutcome, Saved, measure_pair, worse_arrival
@@ -27,6 +27,7 @@ from diffdrive_mpc.bench.studies.saving.settings import SavingStudySettings, Sce
 from diffdrive_mpc.bench.studies.torque.measurements import plant_of
 from diffdrive_mpc.bench.study import Draw, Report, Study
 from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.sim.plants.make import plant_outline
@@ -96,12 +97,13 @@ class SavingStudy(Study[SavingStudySettings, Results]):
             draws[f"paths-{surface}.png"] = partial(figures.draw_paths, outcomes, surface)
         for k, scenario in enumerate(results.scenarios):
             draws[f"scenario-{k + 1}.png"] = partial(figures.draw_scenario, scenario, outline)
-        drives = sum(len(one.drives) for _, outcomes in results.floors for one in outcomes)
+        pairs = [one for _, outcomes in results.floors for one in outcomes]
+        drives = sum(len(one.drives) + (one.fed is not None) for one in pairs)
         drawn = asked.pairs
         return Report(
             counted=f"{drives} drives, {len(results.scenarios)} scenarios",
             meta={"robot": asked.robot, "speed_m_s": asked.speed, "pairs": drawn.count, "pair_seed": drawn.seed},
-            content=_content(results),
+            content=_content(results, asked.computer),
             facts=[
                 f"Robot '{asked.robot}' in the physics, at {asked.speed:g} m/s at most, in {seconds} s; "
                 f"{drawn.count} pairs from seed {drawn.seed}, {drawn.distance[0]:g} to {drawn.distance[1]:g} m apart, "
@@ -132,6 +134,7 @@ def _key_figure(surface: str, outcomes: Sequence[PairOutcome], least: float) -> 
 def _tables(results: Results, computer: float) -> list[Table]:
     floors = results.floors
     saved = [((surface,), (outcomes, Saved.of(outcomes))) for surface, outcomes in floors]
+    floors_by_name = [((surface,), outcomes) for surface, outcomes in floors]
     saving = Table.of(
         "Saving",
         ("floor",),
@@ -144,12 +147,28 @@ def _tables(results: Results, computer: float) -> list[Table]:
             "took more": lambda one: str(one[1].worse),
             "of all energy [%]": lambda one: _percent(one[1].total),
             "by the plans [%]": lambda one: _percent(one[1].predicted),
-            "longer way [%]": lambda one: _percent(_longer(one[0])),
+            "longer way [%]": lambda one: _percent(
+                _longer([(each.drives.get("energy"), each.drives.get("distance")) for each in one[0]])
+            ),
             f"beside {computer:g} W [%]": lambda one: _percent(_beside(one[0], computer)),
         },
         saved,
         note="Energy-optimal against distance-optimal. Took more: pairs whose energy-optimal drive did. Beside: mean "
         "saving of the same drives, were a computer to draw so much as long as they last; not planned with it.",
+    )
+    fed = Table.of(
+        "Saving with a computer",
+        ("floor",),
+        {
+            "pairs": lambda one: str(len(_savings_fed(one, computer))),
+            "mean [%]": lambda one: _percent(_fed(one, computer).value),
+            "95 % interval [%]": lambda one: _interval(_fed(one, computer)),
+            "took more": lambda one: str(int(np.count_nonzero(_savings_fed(one, computer) < 0))),
+            "longer way [%]": lambda one: _percent(_longer([(each.fed, each.drives.get("distance")) for each in one])),
+        },
+        floors_by_name,
+        note=f"Energy-optimal against distance-optimal for a robot whose computer draws {computer:g} W as long as it "
+        "drives, planned with it.",
     )
     over_time = [((surface,), Saved.of(outcomes, "time")) for surface, outcomes in floors]
     against_time = Table.of(
@@ -220,11 +239,11 @@ def _tables(results: Results, computer: float) -> list[Table]:
         note="Cone: from the robot's outline to the nearest one; below zero it ran over it. Saved: against the "
         "distance-optimal plan of the same knowledge, both by the controller.",
     )
-    tables = [saving, against_time, arrival, prediction, scenarios]
+    tables = [saving, fed, against_time, arrival, prediction, scenarios]
     return [table for table in tables if table.rows]
 
 
-def _content(results: Results) -> dict[str, Any]:
+def _content(results: Results, computer: float) -> dict[str, Any]:
     pairs = [
         {
             "surface": one.surface,
@@ -234,6 +253,7 @@ def _content(results: Results) -> dict[str, Any]:
             "saving_over_time": one.saving("time"),
             "told": one.told,
             **{aim: _plain(drive) for aim, drive in one.drives.items()},
+            **({"energy_with_computer": _plain(one.fed)} if one.fed else {}),
         }
         for _, outcomes in results.floors
         for one in outcomes
@@ -241,6 +261,7 @@ def _content(results: Results) -> dict[str, Any]:
     floors = []
     for surface, outcomes in results.floors:
         saved, (position, heading) = Saved.of(outcomes), worse_arrival(outcomes)
+        fed = _fed(outcomes, computer)
         floors.append(
             {
                 "surface": surface,
@@ -248,6 +269,8 @@ def _content(results: Results) -> dict[str, Any]:
                 "saving": saved.mean.value,
                 "saving_interval": [saved.mean.low, saved.mean.high],
                 "saving_of_all_energy": saved.total,
+                "saving_with_computer": fed.value,
+                "saving_with_computer_interval": [fed.low, fed.high],
                 "saving_by_the_plans": saved.predicted,
                 "position_worse_m": [position.value, position.low, position.high],
                 "heading_worse_rad": [heading.value, heading.low, heading.high],
@@ -276,12 +299,23 @@ def _plain(one: Driven) -> dict[str, Any]:
     }
 
 
-def _longer(outcomes: Sequence[PairOutcome]) -> float:
-    """By how much the energy-optimal plans are longer, all together [-]."""
-    both = [one.drives for one in outcomes if {"energy", "distance"} <= {*one.drives}]
+def _longer(drives: Sequence[tuple[Driven | None, Driven | None]]) -> float:
+    """By how much the first plans are longer than the second, all together [-]."""
+    both = [(one.length, other.length) for one, other in drives if one is not None and other is not None]
     if not both:
         return math.nan
-    return sum(one["energy"].length for one in both) / sum(one["distance"].length for one in both) - 1
+    own, others = np.sum(both, axis=0)
+    return float(own / others - 1)
+
+
+def _savings_fed(outcomes: Sequence[PairOutcome], computer: float) -> FloatArray:
+    """Of the pairs for which both drives arrived [-]."""
+    found = np.array([one.saving_fed(computer) for one in outcomes])
+    return np.asarray(found[np.isfinite(found)])
+
+
+def _fed(outcomes: Sequence[PairOutcome], computer: float) -> Estimate:
+    return Estimate.of_runs(_savings_fed(outcomes, computer), mean)
 
 
 def _beside(outcomes: Sequence[PairOutcome], computer: float) -> float:
