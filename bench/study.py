@@ -129,6 +129,8 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
     console = output_console()
     for table in report.tables:
         console.print(table.rich())
+    for warned in report.shown.warnings:
+        console.print(f"warning: {warned.what} {warned.remedy}", highlight=False)
     seconds = time.perf_counter() - began
     console.print(f"{report.counted} in {seconds:.0f} s; report in {out}", highlight=False)
     return results

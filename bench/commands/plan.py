@@ -44,6 +44,15 @@ def plan(
         float | None,
         typer.Option(min=0.0, help="Between robot and obstacles [m].", show_default="that of the settings"),
     ] = None,
+    idle_power: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            metavar="W",
+            help="What computer, sensors and drivers draw as long as the robot drives [W].",
+            show_default="that of the costs",
+        ),
+    ] = None,
     settings: Annotated[Path | None, file_option("Settings of the planner", "--settings")] = None,
 ) -> None:
     """Plan a timed reference over slip, torque and least radius of a floor; seconds."""
@@ -59,6 +68,8 @@ def plan(
     if objective is None:
         raise PlanError(f"--minimise '{minimise}': give {', '.join(OBJECTIVES[:-1])} or {OBJECTIVES[-1]}")
     found, asked = load_turn_costs(costs), load_plan_settings(settings)
+    if idle_power is not None:
+        found = found.with_idle_power(idle_power)
     if margin is not None:
         asked = asked.model_copy(update={"motion": asked.motion.model_copy(update={"margin": margin})})
     carry_out(

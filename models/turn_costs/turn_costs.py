@@ -148,6 +148,16 @@ class TurnCosts(StrictModel):
             provenance=provenance,
         )
 
+    def with_idle_power(self, power: float) -> Self:
+        """The same robot with so much drawn at rest, by computer, sensors and drivers [W], in place of its own.
+
+        Raises ConfigError if that is no number of watts.
+        """
+        if not (np.isfinite(power) and power >= 0):
+            raise ConfigError(f"idle power {power} W: give zero or a positive number")
+        drive = self.drive.model_copy(update={"idle_power": float(power)})
+        return self.model_copy(update={"drive": drive})
+
     def torques(self, commands: ArrayLike) -> FloatArray:
         """(n, 2) torques left, right [N m] in steady turns under commands (n, 2) v [m/s], omega [rad/s]; zero at rest.
 

@@ -64,3 +64,15 @@ def test_a_mistake_is_one_sentence_and_writes_nothing(tmp_path, arguments, words
     result = run(*arguments, "--out", str(tmp_path / "out"))
     assert result.exit_code != 0 and words in " ".join(result.output.replace("│", " ").split())
     assert not (tmp_path / "out").exists()
+
+
+def test_a_long_way_is_pointed_out_and_a_computer_on_board_shortens_it(tmp_path):
+    ends = ("--costs", "fsu_bot-grippy", "--from", "0,0,0", "--to=-3,7,90")
+    lengths = []
+    for drawn in ((), ("--idle-power", "10")):
+        result = run(*ends, *drawn, "--out", str(tmp_path / "plan"))
+        assert result.exit_code == 0, result.output
+        energy = json.loads((tmp_path / "plan" / "plan.json").read_text())["plans"][0]
+        lengths.append(energy["length_m"])
+        assert ("times as long as the shortest" in result.output) == (not drawn)
+    assert lengths[1] < 0.8 * lengths[0]

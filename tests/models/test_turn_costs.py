@@ -225,3 +225,12 @@ def test_curves_that_were_shown_nothing_give_no_table():
         TurnCosts.from_curves("none", BOT, MOTORS, TorqueCurves(4.6), np.zeros(9), "nothing")
     with pytest.raises(ConfigError, match="nine finite numbers"):
         SlipCoefficients.of(np.zeros(8))
+
+
+def test_power_at_rest_adds_to_that_of_every_command() -> None:
+    own = load_turn_costs("fsu_bot-default")
+    fed = own.with_idle_power(own.drive.idle_power + 7.0)
+    commands = np.array([[0.4, 0.0], [0.4, 0.15], [0.0, 0.0], [-0.2, 0.3]])
+    np.testing.assert_allclose(fed.power(commands) - own.power(commands), 7.0)
+    with pytest.raises(ConfigError, match="idle power -1"):
+        own.with_idle_power(-1.0)

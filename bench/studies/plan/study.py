@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from diffdrive_mpc.bench.html_report.page import KeyFigure, Shown
+from diffdrive_mpc.bench.html_report.page import KeyFigure, Shown, Warned
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
@@ -20,7 +20,8 @@ from diffdrive_mpc.mpc.planner import Objective, Plan, plan_each
 from diffdrive_mpc.mpc.planner.settings import PlanSettings
 from diffdrive_mpc.sim.worlds.world import World
 
-_MILLI = 1e3
+# A way of least energy that is so many times as long as the shortest is pointed out.
+_LONG = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +145,7 @@ class PlanStudy(Study[Asked, Plans]):
                 "paths.png": partial(figures.draw_paths, asked, results),
                 "power.png": partial(figures.draw_power, asked, results),
             },
-            shown=Shown(key_figures=_key_figures(results, asked.minimise)),
+            shown=Shown(key_figures=_key_figures(results, asked.minimise), warnings=_warnings(asked, results)),
             files={"trajectory.csv": trajectory_text(chosen)},
         )
 
@@ -158,6 +159,20 @@ def trajectory_text(plan: Plan) -> str:
 def saving(results: Plans) -> float:
     """Share of energy that the energy-optimal plan saves over the distance-optimal one [-]."""
     return 1 - results["energy"].energy / results["distance"].energy
+
+
+def _warnings(asked: Asked, results: Plans) -> list[Warned]:
+    """Where nothing is drawn at rest a long way costs no more for its time."""
+    own, shortest = results["energy"].length, results["distance"].length
+    if asked.minimise != "energy" or asked.costs.drive.idle_power > 0 or own < _LONG * shortest:
+        return []
+    return [
+        Warned(
+            f"The way of least energy is {own / shortest:.1f} times as long as the shortest: by its drive constants "
+            "the robot draws nothing at rest.",
+            "Say what computer and sensors draw: --idle-power, or idle_power in the costs.",
+        )
+    ]
 
 
 def _key_figures(results: Plans, minimise: Objective) -> list[KeyFigure]:

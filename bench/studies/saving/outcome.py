@@ -13,7 +13,7 @@ from diffdrive_mpc.bench.studies.saving.drives import Driven, drive_closed
 from diffdrive_mpc.bench.studies.saving.pairs import Pair
 from diffdrive_mpc.bench.studies.saving.settings import SavingStudySettings
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.turn_costs import TurnCosts, load_turn_costs
+from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.mpc.planner import Objective, PlanError, plan, plan_each
 
 AIMS: tuple[Objective, ...] = ("energy", "distance", "time")
@@ -63,18 +63,13 @@ def measure_pair(asked: SavingStudySettings, surface: str, number: int, pair: Pa
     costs, settings = load_turn_costs(asked.costs_of(surface)), asked.planning.settings
     try:
         plans = plan_each(costs, pair.start, pair.goal, speed=asked.speed, settings=settings)
-        fed = plan(fed_costs(costs, asked.computer), pair.start, pair.goal, speed=asked.speed, settings=settings)
+        with_computer = costs.with_idle_power(costs.drive.idle_power + asked.computer)
+        fed = plan(with_computer, pair.start, pair.goal, speed=asked.speed, settings=settings)
     except PlanError as error:
         return PairOutcome(surface, number, pair, {}, None, str(error))
     drives = {aim: drive_closed(asked, plans[aim], surface) for aim in AIMS}
     beside = drive_closed(asked, fed, surface, beside=asked.computer)
     return PairOutcome(surface, number, pair, drives, beside, "")
-
-
-def fed_costs(costs: TurnCosts, computer: float) -> TurnCosts:
-    """The same robot with a computer that draws so much [W]."""
-    drive = costs.drive.model_copy(update={"idle_power": costs.drive.idle_power + computer})
-    return costs.model_copy(update={"drive": drive})
 
 
 class Saved(NamedTuple):
