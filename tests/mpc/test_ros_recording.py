@@ -17,7 +17,9 @@ from diffdrive_mpc.mpc.ros import recording
 
 def recorded(folder, ticks, **parameters):
     """Drive along the circle; the file, and the commands that arrived at the base."""
-    with stack(drive=True, record=True, record_folder=str(folder), **parameters) as s:
+    # Diagnostics go by the clock on the wall, and a quick machine drives for less than a second of it.
+    asked = {"record": True, "record_folder": str(folder), "diagnostics_rate": 20.0}
+    with stack(drive=True, **asked, **parameters) as s:
         s.base.run(ticks)
         sent = [*zip(s.base.times, s.base.commands, strict=True)]
     (path,) = folder.iterdir()
