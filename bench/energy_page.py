@@ -16,9 +16,10 @@ import numpy as np
 from diffdrive_mpc.bench.documents import insert
 from diffdrive_mpc.bench.studies.torque.diagnostic_log import write_diagnostic_log
 from diffdrive_mpc.bench.studies.torque.from_log import learn_log
-from diffdrive_mpc.bench.studies.torque.measurements import plant_of
-from diffdrive_mpc.bench.studies.torque.power_drives import diagnostic_commands, drawn, driven, record
+from diffdrive_mpc.bench.studies.torque.measurements import diagnostic_commands, plant_of
+from diffdrive_mpc.bench.studies.torque.power_drives import drawn, driven, record
 from diffdrive_mpc.bench.studies.torque.settings import load_study
+from diffdrive_mpc.bench.studies.torque.study import radius_text
 from diffdrive_mpc.bench.table import number
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.energy import identify_constants, load_drive_constants
@@ -113,14 +114,10 @@ def learned_table(floors: Sequence[str] = FLOORS) -> str:
             found.drive.resistance / true.resistance - 1,
             float(np.sqrt(np.mean((own - others) ** 2) / np.mean(others**2))),
         ]
-        radii = [_radius(costs.least_radius()) for costs in (found.costs, shipped)]
+        radii = [radius_text(costs.least_radius()) for costs in (found.costs, shipped)]
         cells = [number(100 * share, 1) for share in shares] + radii
         lines.append(f"| {floor} | {' | '.join(cells)} | {number(100 * (found.predicted / found.measured - 1), 1)} |")
     return "\n".join(lines)
-
-
-def _radius(value: float) -> str:
-    return number(value, 2) if value else "none"
 
 
 def main() -> None:

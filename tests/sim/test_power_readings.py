@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loop_parts import ConstantTwist, FeedForward
 
-from diffdrive_mpc.bench.studies.torque.power_drives import Driven, diagnostic_commands, drawn, driven, record
+from diffdrive_mpc.bench.studies.torque.measurements import diagnostic_commands
+from diffdrive_mpc.bench.studies.torque.power_drives import Driven, drawn, driven, record
 from diffdrive_mpc.models.energy import identify_constants, load_drive_constants, logged_energy
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.sim import make_plant, simulate

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from diffdrive_mpc.bench.studies.torque.measurements import diagnostic_commands
 from diffdrive_mpc.bench.studies.torque.settings import load_study
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim.plants.make import make_plant
@@ -40,10 +41,8 @@ def write_diagnostic_log(robot: str, surface: str, path: str | Path, seed: int =
     """
     asked = load_study().diagnostic
     plant = make_plant(f"mujoco:{robot}", surface=surface, sensors="power", seed=seed)
-    rest = np.zeros((round(_REST / plant.sample_time), 2))
-    speeds = np.resize(asked.speeds, len(asked.radii))
-    turns = np.stack([speeds, speeds / np.array(asked.radii)], axis=-1)
-    commands = np.concatenate([rest, np.repeat(turns, round(asked.hold / plant.sample_time), axis=0), rest])
+    hold, rest = (round(time / plant.sample_time) for time in (asked.hold, _REST))
+    commands = diagnostic_commands(asked.radii, asked.speeds, hold, rest)
     plant.reset(np.zeros(3))
     with whole_file(path) as draft, draft.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

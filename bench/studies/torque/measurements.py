@@ -78,10 +78,15 @@ def plant_of(robot: str, surface: str, payload: float = 0.0, seed: int = 0, sens
 
 def diagnostic_drive(plant: MujocoPlant, asked: Diagnostic) -> Drive:
     """The spiral of P4: each radius held, to the left and to the right, the speeds in turn."""
-    count = round(asked.hold / plant.sample_time)
-    speeds = np.resize(asked.speeds, len(asked.radii))
-    rows = np.stack([speeds, speeds / np.array(asked.radii)], axis=-1)
-    return drive_open_loop(plant, np.repeat(rows, count, axis=0))
+    return drive_open_loop(plant, diagnostic_commands(asked.radii, asked.speeds, round(asked.hold / plant.sample_time)))
+
+
+def diagnostic_commands(radii: Sequence[float], speeds: Sequence[float], hold: int, rest: int = 0) -> FloatArray:
+    """(n, 2) turns held one after the other for `hold` samples, the speeds in turn, with rest before and after."""
+    each = np.resize(speeds, len(radii))
+    rows = np.repeat(np.stack([each, each / np.array(radii)], axis=-1), hold, axis=0)
+    still = np.zeros((rest, 2))
+    return np.concatenate([still, rows, still])
 
 
 def steady_turns(plant: MujocoPlant, radii: Sequence[float], speed: float, asked: Measured, track: float) -> Steady:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,14 +24,6 @@ class Driven(NamedTuple):
     """(n, 4) as the encoders say [rad/s]"""
     motors: FloatArray
     """(n, steps, 2, 4) in the sample before the tick"""
-
-
-def diagnostic_commands(radii: Sequence[float], speeds: Sequence[float], hold: int, rest: int) -> FloatArray:
-    """(n, 2) turns held one after the other, with rest before and after."""
-    each = np.resize(speeds, len(radii))
-    rows = np.repeat(np.stack([each, each / np.array(radii)], axis=-1), hold, axis=0)
-    still = np.zeros((rest, 2))
-    return np.concatenate([still, rows, still])
 
 
 def driven(plant: MujocoPlant, commands: FloatArray) -> Driven:

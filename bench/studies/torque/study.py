@@ -151,11 +151,11 @@ def _tables(results: Results, speed: float) -> list[Table]:
         "Least radius",
         ("floor",),
         {
-            "own, by torque [m]": lambda one: _radius(one.own_radius[0]),
-            "own, not kept [m]": lambda one: _radius(one.own_radius[1]),
-            "model [m]": lambda one: _radius(one.model_radius),
+            "own, by torque [m]": lambda one: radius_text(one.own_radius[0]),
+            "own, not kept [m]": lambda one: radius_text(one.own_radius[1]),
+            "model [m]": lambda one: radius_text(one.model_radius),
             "off [%]": lambda one: _off(one.model_radius, one.own_radius[0]),
-            "learned [m]": lambda one: _radius(one.learned_radius),
+            "learned [m]": lambda one: radius_text(one.learned_radius),
             "learned off [%]": lambda one: _off(one.learned_radius, one.own_radius[0]),
         },
         floors,
@@ -247,7 +247,8 @@ def _payload_error(one: PayloadOutcome, side: int, said: FloatArray) -> float:
     return float(np.sqrt(np.mean((said[:, side] - true) ** 2) / np.mean(true**2)))
 
 
-def _radius(value: float) -> str:
+def radius_text(value: float) -> str:
+    """A least radius [m] for a table."""
     return "none" if value == 0 else number(value, 2)
 
 
