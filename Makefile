@@ -1,4 +1,4 @@
-# Everything sets itself up from a bare clone: only Python 3.11 or newer and make are needed.
+# Everything sets itself up from a bare clone: Python 3.11 or newer, make and a C compiler are needed.
 PYTHON ?= python3
 VENV ?= .venv
 OUT ?= out/bench
@@ -33,26 +33,37 @@ HASHED := --no-config --universal --python-version 3.11 --generate-hashes --no-e
 	--no-header --no-annotate --quiet
 PEERS_LIST := bench/studies/speed/subjects/requirements
 BIN := $(VENV)/bin
+# What `make bench` needs: the package alone, 50 packages of some 300.
+CORE := $(VENV)/.core
+# What everything else needs: tests, studies, documents, ROS.
 READY := $(VENV)/.ready
+PIP_INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
 
 # One thread per process: the matrices are small, and runs are spread over the cores as processes.
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench edge gallery goals peers robustness worlds prove tune tracking reproduce speed screenshots wheel test fuzz lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
+.PHONY: help bench bench-full edge gallery goals peers robustness worlds prove tune tracking reproduce speed screenshots wheel test test-system fuzz lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
 
 help: ## this list
-	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
 
-$(READY): requirements.txt pyproject.toml
+$(CORE): requirements-bench.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, this is %d.%d; try: make PYTHON=python3.12 ..." % sys.version_info[:2] if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.txt
-	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	$(PIP_INSTALL) --require-hashes -r requirements-bench.txt
+	$(PIP_INSTALL) --no-deps --no-build-isolation --editable .
+	@touch $(CORE)
+
+$(READY): $(CORE) requirements.txt
+	$(PIP_INSTALL) --require-hashes -r requirements.txt
 	@touch $(READY)
 
-bench: $(READY) ## models x trajectories x seeds and the horizon sweep: tables and figures in out/bench
+bench: $(CORE) ## every model along every trajectory with five seeds: tables and figures in out/bench
 	$(BIN)/diffdrive-mpc bench --out $(OUT)
+
+bench-full: $(CORE) ## the same, and sweeps of speed, dead time and horizon: out/bench
+	$(BIN)/diffdrive-mpc bench --sweeps --out $(OUT)
 
 edge: $(READY) ## fast and tight paths, all models beside their peers, path by path: out/edge
 	$(BIN)/diffdrive-mpc bench --out $(EDGE_OUT) --controller mpc,pursuit+slip,kanayama+slip,lqr+slip,mppi+slip \
@@ -63,14 +74,14 @@ goals: $(READY) ## a hundred random goals of the node's action in a row, over DD
 	$(BIN)/python tests/mpc/follow_long.py --goals 100 $(GOALS)
 
 peers: $(READY) ## tune the peers again, and show that their neighbours are no better: out/peers
-	$(BIN)/diffdrive-mpc peers --out $(PEERS_OUT)
+	$(BIN)/diffdrive-mpc study peers --out $(PEERS_OUT)
 
 robustness: $(READY) ## every controller on other robots, floors, loads and sensors: out/robustness
-	$(BIN)/diffdrive-mpc robustness --out $(ROBUSTNESS_OUT) --controllers mpc,pursuit+slip,kanayama+slip,lqr+slip \
+	$(BIN)/diffdrive-mpc study robustness --out $(ROBUSTNESS_OUT) --controllers mpc,pursuit+slip,kanayama+slip,lqr+slip \
 		--models ssm,sm --trajectories circle,s --seeds 6,7
 
 worlds: $(READY) ## drawn and named worlds with contacts counted, beside peers that see the same: out/worlds, some hours
-	$(BIN)/diffdrive-mpc worlds --out $(WORLDS_OUT) $(WORLDS)
+	$(BIN)/diffdrive-mpc study worlds --out $(WORLDS_OUT) $(WORLDS)
 
 prove: $(READY) ## how often the controller fails on many plants, paths and faults, and where it stops to hold: out/prove
 	$(BIN)/diffdrive-mpc prove ssm --out $(PROVE_OUT) $(PROVE)
@@ -80,24 +91,24 @@ tune: $(READY) ## search for a better configuration, and hold it against the shi
 
 .PHONY: torque
 torque: $(READY) ## what a turn costs: torque, least radius and energy, measured, learned and predicted: out/torque
-	$(BIN)/diffdrive-mpc torque --out $(TORQUE_OUT)
+	$(BIN)/diffdrive-mpc study torque --out $(TORQUE_OUT)
 
 .PHONY: saving
 saving: $(READY) ## how much an energy-optimal path saves, driven in closed loop: out/saving
-	$(BIN)/diffdrive-mpc saving --out $(SAVING_OUT)
+	$(BIN)/diffdrive-mpc study saving --out $(SAVING_OUT)
 
 .PHONY: energy-front
 energy-front: $(READY) ## what a cost of energy in the controller saves, and what it costs in error: out/energy-front
-	$(BIN)/diffdrive-mpc energy-front --out out/energy-front
+	$(BIN)/diffdrive-mpc study energy-front --out out/energy-front
 
 tracking: $(READY) ## what the tracking reaches, what each part is worth, how much is left: tables and figures in out/tracking
-	$(BIN)/diffdrive-mpc tracking --out $(TRACKING_OUT) $(TRACKING)
+	$(BIN)/diffdrive-mpc study tracking --out $(TRACKING_OUT) $(TRACKING)
 
 reproduce: $(READY) ## the papers' experiments on the simulated robot, beside the papers' figures: out/reproduce
-	$(BIN)/diffdrive-mpc reproduce --out $(REPRODUCE_OUT) $(REPRODUCE)
+	$(BIN)/diffdrive-mpc study reproduce --out $(REPRODUCE_OUT) $(REPRODUCE)
 
 speed: $(READY) ## step times beside acados, do-mpc and CasADi's solvers on the same problem: out/speed
-	$(BIN)/diffdrive-mpc speed --out $(SPEED_OUT) $(SPEED)
+	$(BIN)/diffdrive-mpc study speed --out $(SPEED_OUT) $(SPEED)
 
 screenshots: $(READY) ## reports of small real runs, and their pictures for docs/reports.md, in a real browser
 	$(BIN)/diffdrive-mpc simulate --trajectory s --out $(REPORTS_OUT)/simulate --log $(REPORTS_OUT)/s.csv
@@ -106,7 +117,7 @@ screenshots: $(READY) ## reports of small real runs, and their pictures for docs
 	$(BIN)/diffdrive-mpc identify $(REPORTS_OUT)/s.csv $(REPORTS_OUT)/square.csv --validate $(REPORTS_OUT)/cane.csv \
 		--structure ssm --out $(REPORTS_OUT)/identify
 	$(BIN)/diffdrive-mpc bench --quick --out $(REPORTS_OUT)/bench
-	$(BIN)/diffdrive-mpc tracking --quick --out $(REPORTS_OUT)/tracking
+	$(BIN)/diffdrive-mpc study tracking --quick --out $(REPORTS_OUT)/tracking
 	$(BIN)/diffdrive-mpc tune ssm --plan docs/reports/plan.yaml --out $(REPORTS_OUT)/tune
 	$(BIN)/diffdrive-mpc prove ssm --runs 100 --out $(REPORTS_OUT)/prove
 	$(BIN)/diffdrive-mpc commission heavy --inside 5x4 --quick --out $(REPORTS_OUT)/commission
@@ -119,8 +130,11 @@ screenshots: $(READY) ## reports of small real runs, and their pictures for docs
 wheel: $(READY) ## a wheel for this machine and a source archive, both in dist/: it needs neither the clone nor a compiler any more
 	$(BIN)/uv build --python $(BIN)/python --out-dir dist
 
-test: $(READY) ## all tests
-	$(BIN)/pytest -n 2 --dist worksteal $(TEST)
+test: $(READY) ## all tests but those of `make test-system`
+	$(BIN)/pytest -n 2 --dist worksteal -m "not system" $(TEST)
+
+test-system: $(READY) ## tests that need Debian packages: a browser, ffmpeg, cross compilers, an emulator, an X server
+	$(BIN)/pytest -n 2 --dist worksteal -m system $(TEST)
 
 fuzz: $(READY) ## odd input at every door: FUZZ=long for minutes, FUZZ="live" for the node over DDS; see CONTRIBUTING.md
 	PYTHONPATH=tests:tests/models $(BIN)/python -m fuzz $(FUZZ)
@@ -164,6 +178,9 @@ pictures: $(READY) ## pictures of the documents that no study leaves
 requirements: ## pin all dependencies anew (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \
 		--no-emit-index-url --no-emit-find-links --no-header --quiet --output-file requirements.txt
+	echo 'setuptools>=77' | uv pip compile pyproject.toml - --constraint requirements.txt --no-emit-package pandas --universal --python-version 3.11 \
+		--generate-hashes --no-emit-index-url --no-emit-find-links --no-header --no-annotate --quiet \
+		--output-file requirements-bench.txt
 	for list in .ci/colcon .ci/tools; do uv pip compile $$list.in $(HASHED) --output-file $$list.txt || exit 1; done
 	uv pip compile $(PEERS_LIST).in --no-deps $(HASHED) --output-file $(PEERS_LIST).txt
 
@@ -171,7 +188,7 @@ bill: $(READY) ## what is installed, with versions, hashes and licences, as Cycl
 	$(BIN)/python .ci/tools.py bill $(BIN)/python $(BILL_OUT)
 
 audit: $(READY) ## known vulnerabilities of what is pinned; says so where nobody could be asked
-	$(BIN)/python .ci/tools.py audit requirements.txt .ci/colcon.txt $(PEERS_LIST).txt
+	$(BIN)/python .ci/tools.py audit requirements.txt requirements-bench.txt .ci/colcon.txt $(PEERS_LIST).txt
 
 clean: ## remove what make has built
 	rm -rf $(VENV) out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info

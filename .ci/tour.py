@@ -1,7 +1,7 @@
 """Paste the commands of documents, as they stand, where only a wheel is installed: `python .ci/tour.py PAGE...`.
 
-In order, in the current folder. Lines with `make` need the clone and are left out; a file is written as its block
-shows it. Only what a shell and Python bring is used, so that any installation can be tried.
+In order, in the current folder. Lines with `make` or `--from .` need the clone and are left out; a file is
+written as its block shows it. Only what a shell and Python bring is used, so that any installation can be tried.
 """
 
 import re
@@ -20,5 +20,5 @@ for page in map(Path, sys.argv[1:]):
         elif language == "python":
             subprocess.run(["python", "-c", body], check=True)
         else:
-            lines = [line for line in body.splitlines() if not line.startswith("make ")]
+            lines = [line for line in body.splitlines() if not line.startswith("make ") and "--from ." not in line]
             subprocess.run([SHELL, "-e", "-x", "-c", "\n".join(lines)], check=True)

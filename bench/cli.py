@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import os
+import sys
+from collections.abc import Callable
+from typing import Annotated, Any
 
 import typer
 
@@ -28,48 +31,67 @@ from diffdrive_mpc.bench.commands import (
 from diffdrive_mpc.bench.commands.config import config_app
 from diffdrive_mpc.bench.commands.log import log_app
 from diffdrive_mpc.bench.commands.models import models_app
-from diffdrive_mpc.bench.commands.one_line_errors import OneLineErrors, leave_on_sigterm
+from diffdrive_mpc.bench.commands.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
 from diffdrive_mpc.bench.commands.options import PASSED_ON
 
+MOVED = {
+    **{name: f"study {name}" for name in (*studies.STUDIES, "real-logs", "monitor-study")},
+    "robot": "sim-robot",
+}
+"""Former names of commands, each with the present one."""
+
+
+class Commands(OneLineErrors):
+    """The commands; a former name is answered with the present one."""
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401 - of classes that typer hides
+        """The command of that name; None if there is none."""
+        if cmd_name in MOVED and not ctx.resilient_parsing:
+            raise ValueError(f"{cmd_name}: this command is `diffdrive-mpc {MOVED[cmd_name]}` now")
+        return super().get_command(ctx, cmd_name)
+
+
 app = typer.Typer(
-    cls=OneLineErrors,
+    cls=Commands,
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Model-predictive trajectory tracking for skid-steer and differential-drive robots.",
 )
-app.command("simulate", epilog=studies.EXAMPLES["simulate"])(studies.simulate)
-app.command("animate", epilog=animate.EXAMPLE)(animate.animate)
-app.command("bench", epilog=studies.EXAMPLES["bench"])(studies.bench)
-app.command("identify", epilog=identify.EXAMPLE)(identify.identify)
-app.command("replay", epilog=replay.EXAMPLE)(replay.replay)
-app.command("twin", epilog=twin.EXAMPLE)(twin.twin)
-app.command("tracking", epilog=studies.EXAMPLES["tracking"])(studies.tracking)
-app.command("real-logs", epilog=real_logs.EXAMPLE)(real_logs.real_logs)
-app.command("reproduce", epilog=studies.EXAMPLES["reproduce"])(studies.reproduce)
-app.command("peers", epilog=studies.EXAMPLES["peers"])(studies.peers)
-app.command("energy-front", epilog=studies.EXAMPLES["energy-front"])(studies.energy_front)
-app.command("torque", epilog=studies.EXAMPLES["torque"])(studies.torque)
-app.command("saving", epilog=studies.EXAMPLES["saving"])(studies.saving)
-app.command("plan", epilog=plan.EXAMPLE)(plan.plan)
-app.command("robustness", epilog=studies.EXAMPLES["robustness"])(studies.robustness)
-app.command("worlds", epilog=studies.EXAMPLES["worlds"])(studies.worlds)
-app.command("campaign", epilog=campaign.EXAMPLE)(campaign.campaign)
-app.command("prove", epilog=prove.EXAMPLE)(prove.prove)
-app.command("commission", epilog=commission.EXAMPLE)(commission.commission)
-app.command("tune", epilog=tune.EXAMPLE)(tune.tune)
-app.command("speed", epilog=studies.EXAMPLES["speed"])(studies.speed)
-app.command("loop-speed", epilog=studies.EXAMPLES["loop-speed"])(studies.loop_speed)
-app.command("excite", epilog=excite.EXAMPLE)(excite.excite)
-app.command("export", epilog=export.EXAMPLE)(export.export)
-app.command("node", epilog=ros.EXAMPLES["node"], context_settings=PASSED_ON)(ros.node)
-app.command("robot", epilog=ros.EXAMPLES["robot"], context_settings=PASSED_ON)(ros.robot)
-app.command("monitor", epilog=monitor.EXAMPLES["monitor"], context_settings=PASSED_ON)(monitor.monitor)
-app.command("monitor-study", epilog=monitor.EXAMPLES["monitor-study"])(monitor.monitor_study)
-app.command("doctor", epilog=doctor.EXAMPLE)(doctor.doctor)
-app.command("schema", epilog=schema.EXAMPLE)(schema.schema)
-app.add_typer(config_app, name="config")
-app.add_typer(log_app, name="log")
-app.add_typer(models_app, name="models")
+study_app = typer.Typer(
+    cls=OneLineErrors, no_args_is_help=True, help="Repeat a study: the evidence for this project's own claims."
+)
+
+
+def _add(panel: str, name: str, command: Callable[..., None], example: str, **more: Any) -> None:  # noqa: ANN401 - of typer
+    app.command(name, epilog=example, rich_help_panel=panel, **more)(command)
+
+
+_add("Drive", "simulate", studies.simulate, studies.EXAMPLES["simulate"])
+_add("Drive", "bench", studies.bench, studies.EXAMPLES["bench"])
+_add("Drive", "campaign", campaign.campaign, campaign.EXAMPLE)
+_add("Drive", "replay", replay.replay, replay.EXAMPLE)
+_add("Drive", "animate", animate.animate, animate.EXAMPLE)
+_add("Your robot", "identify", identify.identify, identify.EXAMPLE)
+_add("Your robot", "excite", excite.excite, excite.EXAMPLE)
+_add("Your robot", "twin", twin.twin, twin.EXAMPLE)
+_add("Your robot", "tune", tune.tune, tune.EXAMPLE)
+_add("Your robot", "prove", prove.prove, prove.EXAMPLE)
+_add("Your robot", "commission", commission.commission, commission.EXAMPLE)
+_add("Robot", "node", ros.node, ros.EXAMPLES["node"], context_settings=PASSED_ON)
+_add("Robot", "sim-robot", ros.robot, ros.EXAMPLES["sim-robot"], context_settings=PASSED_ON)
+_add("Robot", "monitor", monitor.monitor, monitor.EXAMPLES["monitor"], context_settings=PASSED_ON)
+_add("Robot", "export", export.export, export.EXAMPLE)
+_add("Robot", "doctor", doctor.doctor, doctor.EXAMPLE)
+_add("Files", "plan", plan.plan, plan.EXAMPLE)
+_add("Files", "schema", schema.schema, schema.EXAMPLE)
+app.add_typer(models_app, name="models", rich_help_panel="Files")
+app.add_typer(config_app, name="config", rich_help_panel="Files")
+app.add_typer(log_app, name="log", rich_help_panel="Files")
+app.add_typer(study_app, name="study", rich_help_panel="Evidence")
+for _name, _study in studies.STUDIES.items():
+    study_app.command(_name, epilog=studies.EXAMPLES[_name])(_study)
+study_app.command("real-logs", epilog=real_logs.EXAMPLE)(real_logs.real_logs)
+study_app.command("monitor-study", epilog=monitor.EXAMPLES["monitor-study"])(monitor.monitor_study)
 
 
 def _print_version(wanted: bool) -> None:
@@ -92,4 +114,7 @@ def _options(
 def main() -> None:
     """Entry point of the console command."""
     leave_on_sigterm()
+    # A shell that completes a line says it elsewhere.
+    if "_DIFFDRIVE_MPC_COMPLETE" not in os.environ:
+        build_only_named(app, sys.argv[1:])
     app(prog_name="diffdrive-mpc")

@@ -9,25 +9,26 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from diffdrive_mpc.bench.case import AS_FILED, NO_WORLD, Case, Overrides, label
+from diffdrive_mpc.bench.case import AS_FILED, NO_MODEL, NO_WORLD, Case, Overrides, label
+from diffdrive_mpc.bench.drive import plant_settings
 from diffdrive_mpc.bench.late_plant import LatePlant
 from diffdrive_mpc.bench.peers import PEERS, make_peer
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Reference, TrackingController
 from diffdrive_mpc.models.load import MODEL_NAMES, load_model, model_path
-from diffdrive_mpc.models.robot import TwistBounds, load_robot
 from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.mpc.problem.energy_term import with_least_radius
-from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc.mpc.trajectories.scaled import scaled_to_robot
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
-from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
 from diffdrive_mpc.sim import Plant, Run, make_plant, simulate
-from diffdrive_mpc.sim.plants.make import plant_outline
+from diffdrive_mpc.sim.plants.make import physics_robot, plant_outline
 from diffdrive_mpc.sim.worlds.world_file import load_world
 
 CONTROLLERS = ("mpc", *PEERS)
+_SAME_TRACK = 0.05
+"""Tracks of a plant and a configuration that differ by less are those of one robot [-]."""
 
 
 def build(case: Case) -> tuple[TrackingController, Plant, Reference]:
@@ -43,10 +44,7 @@ def build_plant(case: Case) -> Plant:
     """Make the plant of a case; raises as `build` does."""
     told: dict[str, Any] = {}
     if case.controller not in PEERS:
-        config, carried = controller_config(case.model, case.config, case.overrides), load_robot().limits
-        # What the link of the papers' robot carries is no limit of another robot's model.
-        bounds = {name: max(getattr(config.limits, name), getattr(carried, name)) for name in ("v", "omega")}
-        told = {"sample_time": config.sample_time, "limits": TwistBounds(**bounds)}
+        told = plant_settings(controller_config(case.model, case.config, case.overrides))
     plant = make_plant(
         case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario, world=case.world, **told
     )
@@ -81,14 +79,14 @@ def load_reference(case: Case) -> Trajectory:
                 "'way' out of a copy of the world's file"
             )
         if way is not None:
-            limits, name = TrajectoryLimits.of_robot(), label(case.world)
-            return lay_waypoints(way.waypoints, limits, name=name, speed=way.speed, timing="smooth")
+            limits = TrajectoryLimits.of_controller(_config_of_robot(case).limits)
+            from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints  # noqa: PLC0415 - loads SciPy
+
+            return lay_waypoints(way.waypoints, limits, name=label(case.world), speed=way.speed, timing="smooth")
         if case.trajectory == case.world:
             raise ConfigError(f"--world {case.world}: it has no way of its own; give a --trajectory beside it")
+    config = _config_of_robot(case)
     if case.scaled:
-        config = controller_config(
-            Case().model if case.controller in PEERS else case.model, case.config, case.overrides
-        )
         return scaled_to_robot(case.trajectory, config, load_model(config.model))
     if case.top_speed is not None:
         segments = load_segments(case.trajectory)
@@ -97,8 +95,47 @@ def load_reference(case: Case) -> Trajectory:
             Segment(v=one.v * faster, omega=one.omega * faster, duration=one.duration / faster) for one in segments
         ]
         name = f"{case.trajectory} at {case.top_speed:g} m/s"
-        return lay_segments(scaled, TrajectoryLimits.of_robot(), name=name)
-    return load_trajectory(case.trajectory, timing=None if case.timing == AS_FILED else case.timing)
+        return lay_segments(scaled, TrajectoryLimits.of_controller(config.limits), name=name)
+    try:
+        return load_trajectory(case.trajectory, config, timing=None if case.timing == AS_FILED else case.timing)
+    except BeyondLimitError as error:
+        if case.config is not None:
+            raise
+        raise BeyondLimitError(f"{error}, or give the configuration of the robot (--config)") from error
+
+
+def other_robots(cases: Iterable[Case]) -> list[str]:
+    """Return a sentence for each plant of the physics that is another robot than the configuration of its case says."""
+    predictive = (case for case in cases if case.controller == "mpc" and case.model != NO_MODEL)
+    kinds = {(case.model, case.config, case.overrides, case.plant): case for case in predictive}
+    sentences = (_other_robot(case) for case in kinds.values())
+    return list(dict.fromkeys(filter(None, sentences)))
+
+
+def _other_robot(case: Case) -> str:
+    robot = physics_robot(case.plant)
+    if robot is None:
+        return ""
+    config = controller_config(case.model, case.config, case.overrides)
+    track, differences = config.wheels.encoder_track, []
+    if abs(track / robot.track - 1.0) > _SAME_TRACK:
+        differences.append(f"its track is {robot.track:.3g} m, the configuration's {track:.3g} m")
+    for name, unit in (("v", "m/s"), ("omega", "rad/s")):
+        own, limit = getattr(robot.limits, name), getattr(config.limits, name)
+        if limit > own:
+            differences.append(f"it clips {name} at {own:.3g} {unit}, limits.{name} is {limit:.3g} {unit}")
+    if not differences:
+        return ""
+    return (
+        f"the plant '{label(case.plant)}' is another robot than the configuration's: {'; '.join(differences)}. For "
+        "yours give --plant model:FILE with its model, or mujoco:FILE with its twin (diffdrive-mpc twin)"
+    )
+
+
+def _config_of_robot(case: Case) -> ControllerConfig:
+    """The configuration that says what the robot of a case can do; a peer has none of its own."""
+    model = Case().model if case.controller in PEERS or case.model == NO_MODEL else case.model
+    return controller_config(model, case.config, case.overrides)
 
 
 def make_controller(case: Case) -> TrackingController:

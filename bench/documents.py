@@ -42,6 +42,11 @@ class ShownReport:
     study: str = ""
 
     @property
+    def made_by(self) -> str:
+        """The target of make that writes all of it."""
+        return "bench-full" if self.name == "bench" else self.name
+
+    @property
     def file(self) -> str:
         """Name of the report."""
         return f"{self.study or self.name}.md"
@@ -117,7 +122,7 @@ def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
     Raises ConfigError if `out` holds no report.
     """
     if not (out / shown.file).is_file():
-        raise ConfigError(f"{out}: no {shown.file}; run `make {shown.name}` first")
+        raise ConfigError(f"{out}: no {shown.file}; run `make {shown.made_by}` first")
     documents.mkdir(parents=True, exist_ok=True)
     report = (out / shown.file).read_text(encoding="utf-8")
     for figure in shown.figures:

@@ -213,7 +213,8 @@ def driven(
     case: Case, trajectory: Path, on_tick: Callable[[int, int], None] | None = None, *, keep_plans: bool = False
 ) -> Run:
     """One run along a trajectory file; raises ConfigError if it or the plant cannot be used."""
-    parts = make_controller(case), build_plant(case), load_trajectory(trajectory)
+    limits = controller_config(case.model, case.config, case.overrides)
+    parts = make_controller(case), build_plant(case), load_trajectory(trajectory, limits)
     return simulate(*parts, keep_plans=keep_plans, on_tick=on_tick)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -15,6 +16,9 @@ from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.sim.plants.calibration import validate_calibration
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware
+
+_LABEL = 19
+"""Characters of the labels on the left of a model's text, with the space after them."""
 
 
 def print_models() -> None:
@@ -32,13 +36,24 @@ def print_models() -> None:
 
 def print_model(name: str) -> None:
     """Print everything about one model; raises ConfigError or ModelError when it cannot be loaded."""
-    output_console().print(model_text(load_model(name)), markup=False, highlight=False, soft_wrap=True)
+    console = output_console()
+    for line in model_text(load_model(name), console.width).splitlines():
+        for part in _wrapped(line, console.width):
+            console.print(part, markup=False, highlight=False, soft_wrap=True)
 
 
-def model_text(model: VelocityModel | NonlinearModel) -> str:
-    """Matrices or architecture, poles, gains and provenance as lines of text."""
-    if isinstance(model, NonlinearModel):
-        return _function_text(model)
+def model_text(model: VelocityModel | NonlinearModel, width: int = 140) -> str:
+    """Matrices or architecture, poles, gains and provenance as lines of text; matrices are at most `width` wide."""
+    lines = _function_lines(model) if isinstance(model, NonlinearModel) else _linear_lines(model, width)
+    return "\n".join([*lines, *_provenance_lines(model.provenance)])
+
+
+def _wrapped(line: str, width: int) -> list[str]:
+    """Break a line between words, and indent what follows as far as its value; long words stay whole."""
+    return textwrap.wrap(line, width, subsequent_indent=" " * _LABEL, break_long_words=False, break_on_hyphens=False)
+
+
+def _linear_lines(model: VelocityModel, width: int) -> list[str]:
     poles = sorted(model.poles, key=lambda pole: (-pole.real, pole.imag))
     lines = [
         f"{model.name} ({model.structure.upper()}, {model.order} states)",
@@ -47,18 +62,17 @@ def model_text(model: VelocityModel | NonlinearModel) -> str:
         f"poles [rad/s]      {', '.join(_pole(pole) for pole in poles)}",
     ]
     for label, matrix in (("dc gain", model.dc_gain), ("A", model.A), ("B", model.B), ("C", model.C)):
-        lines += _matrix_lines(label, matrix)
-    lines += _provenance_lines(model.provenance)
-    return "\n".join(lines)
+        lines += _matrix_lines(label, matrix, width)
+    return lines
 
 
-def _function_text(model: NonlinearModel) -> str:
+def _function_lines(model: NonlinearModel) -> list[str]:
     lines = [
         f"{model.name} ({model.structure.upper()}, {model.order} states)",
         f"sample time [s]    {model.dt:.4g}",
         f"past commands      {model.memory}",
         f"lag at rest [s]    v {model.lag[0]:.4g}, omega {model.lag[1]:.4g}",
-        *_matrix_lines("dc gain at rest", model.dc_gain),
+        *_matrix_lines("dc gain at rest", model.dc_gain, width=140),
     ]
     if isinstance(model, NetworkModel):
         kind = model.network.architecture
@@ -66,11 +80,11 @@ def _function_text(model: NonlinearModel) -> str:
             f"{kind.window} commands, {kind.layers} x LSTM of {kind.units}, dense {kind.dense} with {kind.activation}"
         )
         lines.append(f"network            {words}: {kind.parameters} parameters")
-    return "\n".join([*lines, *_provenance_lines(model.provenance)])
+    return lines
 
 
-def _matrix_lines(label: str, matrix: FloatArray) -> list[str]:
-    rows = np.array2string(matrix, precision=5, suppress_small=True, max_line_width=100).splitlines()
+def _matrix_lines(label: str, matrix: FloatArray, width: int) -> list[str]:
+    rows = np.array2string(matrix, precision=5, suppress_small=True, max_line_width=width - _LABEL).splitlines()
     return [f"{label if i == 0 else '':<18} {row}" for i, row in enumerate(rows)]
 
 

@@ -87,7 +87,7 @@ class Outcome:
     """A case and all of its run; satisfies `Scored`.
 
     Where it was timed, `clean_share` is the share of its ticks that could be measured undisturbed; the times of the
-    others are NaN, or if there is none all stand as they are.
+    others are NaN, unless those of all controllers were kept, see `bench.timing.time_outcomes`.
     """
 
     case: Case

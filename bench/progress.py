@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from types import TracebackType
 from typing import TYPE_CHECKING
@@ -69,6 +70,9 @@ class ProgressBar:
 
 
 def output_console(width_elsewhere: int = 140) -> Console:
-    """Console on stdout; where that is no terminal (a file, a pipe, a build log) it is wide enough for the tables."""
+    """Console on stdout, as wide as the variable COLUMNS or else the terminal.
+
+    Without both (a file, a pipe, a build log) it is wide enough for the tables.
+    """
     console = Console()
-    return console if console.is_terminal else Console(width=width_elsewhere)
+    return console if console.is_terminal or os.environ.get("COLUMNS", "").isdigit() else Console(width=width_elsewhere)

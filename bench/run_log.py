@@ -18,7 +18,6 @@ from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.whole_file import reason, whole_file
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.log_csv import write_rows
-from diffdrive_mpc.sim.log_mcap import write_ticks
 
 _SIMULATE = ("diffdrive-mpc", "simulate")
 WriteLog = Callable[..., None]
@@ -52,6 +51,8 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
     def write(run: Run, case: Case, command: Sequence[str] = ()) -> None:
         try:
             if holds_plans(log):
+                from diffdrive_mpc.sim.log_mcap import write_ticks  # noqa: PLC0415 - loads slowly
+
                 write_ticks(run, draft, _told(case, command or repeating(case)))
             else:
                 write_rows(run, draft)

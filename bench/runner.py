@@ -11,9 +11,6 @@ from contextvars import ContextVar
 from functools import cache
 from typing import TypeVar
 
-from joblib import Parallel, delayed, parallel_config
-from joblib.externals.loky import get_reusable_executor
-from joblib.externals.loky.process_executor import BrokenProcessPool
 from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.bench.errors import WorkerDiedError
@@ -61,6 +58,9 @@ def run_tasks(tasks: Sequence[Callable[[], T]], jobs: int, on_done: OnDone) -> l
     if jobs == 1 or len(tasks) < 2:
         with threadpool_limits(limits=1):
             return [_announced(task(), on_done) for task in tasks]
+    from joblib import Parallel, delayed, parallel_config  # noqa: PLC0415 - loads slowly, and one run needs no pool
+    from joblib.externals.loky.process_executor import BrokenProcessPool  # noqa: PLC0415
+
     finished = False
     try:
         with parallel_config(backend="loky", n_jobs=jobs, inner_max_num_threads=1):
@@ -77,6 +77,8 @@ def run_tasks(tasks: Sequence[Callable[[], T]], jobs: int, on_done: OnDone) -> l
 
 
 def _end_processes(*, at_once: bool) -> None:
+    from joblib.externals.loky import get_reusable_executor  # noqa: PLC0415 - see run_tasks
+
     pool = get_reusable_executor(reuse=True, kill_workers=at_once)
     pool.shutdown(wait=True, kill_workers=at_once)
 

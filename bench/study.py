@@ -8,13 +8,15 @@ from __future__ import annotations
 import json
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.controllers import other_robots
 from diffdrive_mpc.bench.html_report.document import REPORT, picture, write_page
 from diffdrive_mpc.bench.html_report.origin import origin
 from diffdrive_mpc.bench.html_report.page import NOTHING, Page, Picture, Shown
@@ -57,6 +59,8 @@ class Report:
         What the page `report.html` shows beside tables and figures.
     files
         Text of each further file, by name.
+    screen
+        Tables that are printed in place of all of them, for a screen of 80 columns.
     """
 
     counted: str
@@ -69,6 +73,7 @@ class Report:
     figures_first: int | None = None
     shown: Shown = NOTHING
     files: Mapping[str, str] = field(default_factory=dict)
+    screen: Sequence[Table] = ()
 
 
 class Study(ABC, Generic[P, R]):
@@ -89,6 +94,10 @@ class Study(ABC, Generic[P, R]):
 
         Raises ConfigError or ValueError if something that is named does not exist or cannot be used.
         """
+
+    def cases(self, plan: P) -> Iterable[Case]:  # noqa: ARG002
+        """List cases whose plant is checked to be the configuration's robot; none where that is no question."""
+        return ()
 
     @abstractmethod
     def run(self, plan: P, jobs: int, bar: ProgressBar) -> R:
@@ -116,6 +125,8 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
     """
     began = time.perf_counter()
     plan = study.plan()
+    for sentence in other_robots(study.cases(plan)):
+        output_console().print(f"note: {sentence}", markup=False, highlight=False, soft_wrap=True)
     files = (REPORT, f"{study.name}.json", f"{study.name}.md")
     with (
         staged(out, files, (FIGURES,), owner=study.name, shared=study.shared) as folder,
@@ -126,14 +137,18 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
         report = study.report(results, run["wall_time_s"])
         bar.begin("drawing figures", len(report.figures))
         write_report(study, report, run | report.meta, folder, bar.advance, jobs or available_cores())
+    print_report(report, run["wall_time_s"], out)
+    return results
+
+
+def print_report(report: Report, seconds: float, out: Path) -> None:
+    """Print warnings and tables of a report, and last where it lies; `seconds` are those that it states itself."""
     console = output_console()
-    for table in report.tables:
-        console.print(table.rich())
     for warned in report.shown.warnings:
         console.print(f"warning: {warned.what} {warned.remedy}", highlight=False)
-    seconds = time.perf_counter() - began
-    console.print(f"{report.counted} in {seconds:.0f} s; report in {out}", highlight=False)
-    return results
+    for table in report.screen or report.tables:
+        console.print(table.rich())
+    console.print(f"{report.counted} in {seconds:g} s; report: {out / REPORT}", highlight=False, soft_wrap=True)
 
 
 def write_report(

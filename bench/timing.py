@@ -83,7 +83,8 @@ def time_outcomes(outcomes: Sequence[Outcome], on_done: OnDone) -> tuple[list[Ou
     Returns
     -------
     outcomes
-        With the new times; NaN for ticks that were disturbed whenever they were measured, unless all of a run were.
+        With the new times; NaN for ticks that were disturbed whenever they were measured, unless a controller has no
+        others: then those of all controllers are kept.
     timing
         How the machine was.
 
@@ -92,15 +93,23 @@ def time_outcomes(outcomes: Sequence[Outcome], on_done: OnDone) -> tuple[list[Ou
     groups = list(group(outcomes, lambda outcome: _place(outcome.case)).values())
     with quiet_core() as core:
         began, own, counted = time.perf_counter(), time.process_time(), CoreCounters.read(core)
-        replays = [[CaseReplay(outcome.case, outcome.run) for outcome in group] for group in groups]
+        replays = [[CaseReplay(outcome.case, outcome.run) for outcome in place] for place in groups]
         found, best = take_turns(replays, core=core, on_replay=on_done)
         busy = CoreCounters.read(core).since(counted).busy - (time.process_time() - own)
         others = max(0.0, busy) / (time.perf_counter() - began)
-    timed = {
-        outcome.case: replace(outcome, run=outcome.run.with_step_time(*one.kept[0].T), clean_share=one.share)
-        for group, times in zip(groups, found, strict=True)
-        for outcome, one in zip(group, times, strict=True)
+    times = {
+        outcome.case: one
+        for place, several in zip(groups, found, strict=True)
+        for outcome, one in zip(place, several, strict=True)
     }
+    # What is left out of one controller's times is left out of all.
+    drivers = group(outcomes, lambda outcome: _driver(outcome.case)).values()
+    alike = all(any(times[outcome.case].clean.any() for outcome in runs) for runs in drivers)
+    timed = {}
+    for outcome in outcomes:
+        measured = times[outcome.case]
+        kept = measured.only_clean if alike else measured.times
+        timed[outcome.case] = replace(outcome, run=outcome.run.with_step_time(*kept[0].T), clean_share=measured.share)
     ticks = [len(outcome.run.time) for outcome in outcomes]
     clean = float(np.average([timed[outcome.case].clean_share for outcome in outcomes], weights=ticks))
     return [timed[outcome.case] for outcome in outcomes], TimingPass(clean, others, best)
@@ -109,6 +118,11 @@ def time_outcomes(outcomes: Sequence[Outcome], on_done: OnDone) -> tuple[list[Ou
 def _place(case: Case) -> Case:
     """What cases share that are compared with each other."""
     return replace(case, controller="", model="", config=None, overrides=())
+
+
+def _driver(case: Case) -> tuple[object, ...]:
+    """What tells controllers apart."""
+    return case.controller, case.model, case.config, case.overrides
 
 
 class CaseReplay:

@@ -22,9 +22,12 @@ BLOCK = 25
 COLD = 1
 """Ticks at the begin of a turn that are not timed: the caches are full of others' data, and they take four times as
 long."""
+STRETCH = 2e-3
+"""Longest time that is watched at once [s]: a slow controller's whole turn would hardly ever be undisturbed, beside one
+whose turn takes a millisecond."""
 AGAIN = 4
 """How many more times all is replayed where blocks were disturbed, at most."""
-PATIENCE = 2.0
+PATIENCE = 1.0
 """How long that may go on, in units of the time that the wanted replays took."""
 
 
@@ -69,9 +72,14 @@ class TurnTimes:
         return float(self.clean.mean())
 
     @property
+    def only_clean(self) -> FloatArray:
+        """The times with NaN for disturbed ticks."""
+        return np.where(self.clean[..., None], self.times, np.nan)
+
+    @property
     def kept(self) -> FloatArray:
         """The times with NaN for disturbed ticks, unless none is clean: then all of them."""
-        return np.where(self.clean[..., None] if self.clean.any() else True, self.times, np.nan)
+        return self.only_clean if self.clean.any() else self.times
 
 
 @dataclass(eq=False)
@@ -91,18 +99,43 @@ class _Track:
     repetitions: int
     blocks: dict[int, list[_Measured]] = field(default_factory=dict)
     failed: bool = False
+    stretch: int = 0
+
+    def stretches(self, first: int, last: int) -> list[tuple[int, int]]:
+        """Begins and ends of what is watched at once in a turn: all of the first, which tells how long a tick is."""
+        size = self.stretch if first and self.stretch else last - first
+        return [(begin, min(begin + size, last)) for begin in range(first, last, size)]
+
+    def take(self, first: int, last: int) -> list[_Measured]:
+        """Have a turn."""
+        turn = []
+        for begin, end in self.stretches(first, last):
+            result = self.replay.run(begin, end)
+            if result is None:
+                self.failed = True
+                break
+            turn.append(_Measured(*result))
+            self.blocks.setdefault(begin, []).append(turn[-1])
+            if not self.stretch:
+                self.stretch = max(1, int(STRETCH / max(turn[-1].effort.elapsed / (end - begin), 1e-9)))
+        return turn
 
     def clean(self, block: int, best: float) -> list[_Measured]:
-        """Undisturbed turns of the block that begins at a tick."""
+        """Undisturbed measurements of the stretch that begins at a tick."""
         return [one for one in self.blocks.get(block, []) if not one.disturbed and one.effort.undisturbed(best)]
 
     def end(self, best: float, block: int) -> int:
-        """The tick after the last block that lacks clean turns; 0 if none does."""
-        starts = range(0, 0 if self.failed else self.replay.ticks, block)
-        lacking = [first for first in starts if len(self.clean(first, best)) < self.repetitions]
-        return min(lacking[-1] + block, self.replay.ticks) if lacking else 0
+        """The tick after the last turn in which a stretch lacks clean measurements; 0 if none does."""
+        if self.failed:
+            return 0
+        ticks = self.replay.ticks
+        for first in reversed(range(0, ticks, block)):
+            last = min(first + block, ticks)
+            if any(len(self.clean(begin, best)) < self.repetitions for begin, _ in self.stretches(first, last)):
+                return last
+        return 0
 
-    def result(self, best: float) -> TurnTimes:
+    def result(self, best: float, block: int) -> TurnTimes:
         times = np.full((self.repetitions, self.replay.ticks, 2), np.nan)
         clean = np.zeros(times.shape[:2], dtype=bool)
         for first, turns in self.blocks.items():
@@ -112,7 +145,8 @@ class _Track:
             for row, one in enumerate(chosen):
                 place = slice(first, first + len(one.times))
                 times[row, place], clean[row, place] = one.times, row < len(good)
-                times[row, first : first + COLD] = np.nan
+                if first % block == 0:
+                    times[row, first : first + COLD] = np.nan
         return TurnTimes(times, clean)
 
 
@@ -161,7 +195,7 @@ def take_turns(
             )
             for _ in group if again == 0 else []:
                 on_replay()
-    return [[track.result(best) for track in group] for group in tracks], float(best)
+    return [[track.result(best, block) for track in group] for group in tracks], float(best)
 
 
 def _go_round(group: list[_Track], best: float, block: int, core: int | None) -> None:
@@ -176,12 +210,7 @@ def _go_round(group: list[_Track], best: float, block: int, core: int | None) ->
             last = min(first + block, ends[id(track)])
             if track.failed or first >= last:
                 continue
-            found = track.replay.run(first, last)
-            if found is None:
-                track.failed = True
-                continue
-            measured.append(_Measured(*found))
-            track.blocks.setdefault(first, []).append(measured[-1])
+            measured += track.take(first, last)
         disturbed = CoreCounters.read(core).since(before).disturbed
         for one in measured:
             one.disturbed = disturbed

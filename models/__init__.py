@@ -59,4 +59,4 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - the type checker sees the i
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -14,20 +13,23 @@ from diffdrive_mpc.models.bounded_yaml import parse_yaml
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.input_file import MEGABYTE, read_input
 from diffdrive_mpc.models.plain_text import plain_line
+from diffdrive_mpc.models.suggestions import suggestion
 
 _LARGEST = 50 * MEGABYTE
 _SHOWN = 100
 """Characters of a wrong value or of a key that a message repeats."""
+_MOST_MISTAKES = 10
+"""Mistakes that a message lists."""
 
 
 class ConfigError(DiffdriveMpcError, ValueError):
-    """A parameter or configuration file cannot be used. The message is one line: place, mistake, remedy."""
+    """A parameter or configuration file cannot be used. The message is one line: place, mistakes, remedies."""
 
 
 class StrictModel(BaseModel):
     """Base of every schema: unknown keys are errors, values are immutable, numbers are finite."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 Schema = TypeVar("Schema", bound=BaseModel)
@@ -62,7 +64,7 @@ def load_checked(schema: type[Schema], path: str | Path) -> Schema:
     Raises
     ------
     ConfigError
-        With one line that names the file, the key, what is wrong and what would be right.
+        With one line that names the file and for every mistake the key, what is wrong and what would be right.
     """
     return check(schema, read_yaml(path), str(path))
 
@@ -105,10 +107,17 @@ def check(schema: type[Schema], data: object, where: str) -> Schema:
     try:
         return schema.model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        more = error.error_count() - 1
-        tail = f" (and {more} more)" if more else ""
-        raise ConfigError(f"{where}: {_sentence(schema, first)}{tail}") from error
+        raise ConfigError(mistakes(where, [_sentence(schema, detail) for detail in error.errors()])) from error
+
+
+def mistakes(where: str, sentences: Sequence[str]) -> str:
+    """One line that says all mistakes of what `where` names, numbered where there are several."""
+    different = list(dict.fromkeys(sentences))
+    if len(different) == 1:
+        return f"{where}: {different[0]}"
+    listed = [f"({number}) {sentence}" for number, sentence in enumerate(different[:_MOST_MISTAKES], start=1)]
+    more = len(different) - len(listed)
+    return f"{where}: {len(different)} mistakes: {'; '.join(listed)}{f' (and {more} more)' if more else ''}"
 
 
 def _sentence(schema: type[BaseModel], error: Any) -> str:  # noqa: ANN401 - pydantic's error dictionary
@@ -117,7 +126,7 @@ def _sentence(schema: type[BaseModel], error: Any) -> str:  # noqa: ANN401 - pyd
     place = ".".join(plain_line(str(part), _SHOWN) for part in location)
     kind = error["type"]
     if kind == "extra_forbidden":
-        return f"unknown key '{place}'" + _suggestion(schema, location)
+        return f"unknown key '{place}'" + suggestion(schema, location)
     if kind == "missing":
         return f"key '{place}' is missing"
     message = str(error["msg"]).removeprefix("Value error, ")
@@ -125,40 +134,3 @@ def _sentence(schema: type[BaseModel], error: Any) -> str:  # noqa: ANN401 - pyd
     plain = isinstance(found, (int, float, str, bool, type(None)))
     shown = f" (found {plain_line(repr(found), _SHOWN)})" if plain else ""
     return f"{place}: {message}{shown}" if place else message
-
-
-def _suggestion(schema: type[BaseModel], location: list[Any]) -> str:
-    """The known key nearest to the unknown one, looked for beside it and then in the whole schema."""
-    *parents, key = [str(part) for part in location]
-    level: type[BaseModel] | None = schema
-    for parent in parents:
-        level = _child(level, parent) if level else None
-    known = list(level.model_fields) if level else []
-    near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
-    if near:
-        return f"; did you mean '{'.'.join([*parents, near[0]])}'?"
-    elsewhere = {path.rsplit(".", 1)[-1]: path for path in _paths(schema)}
-    near = difflib.get_close_matches(key, elsewhere, n=1, cutoff=0.7)
-    if near:
-        return f"; did you mean '{elsewhere[near[0]]}'?"
-    return f"; known keys: {', '.join(known)}" if known else ""
-
-
-def _child(level: type[BaseModel], name: str) -> type[BaseModel] | None:
-    field = level.model_fields.get(name)
-    if field is None:
-        return None
-    for candidate in (field.annotation, *get_args(field.annotation)):
-        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-            return candidate
-    return None
-
-
-def _paths(schema: type[BaseModel], prefix: str = "") -> list[str]:
-    paths: list[str] = []
-    for name in schema.model_fields:
-        paths.append(prefix + name)
-        child = _child(schema, name)
-        if child:
-            paths.extend(_paths(child, f"{prefix}{name}."))
-    return paths

@@ -133,23 +133,21 @@ def zero_order_hold(A: FloatArray, B: FloatArray, C: FloatArray, dead_time: Floa
     dt
         Sample time [s], positive.
     """
-    import control  # noqa: PLC0415 - loads slowly, and only construction needs it
+    from scipy.linalg import expm  # noqa: PLC0415 - loads slowly, and only construction needs it
 
     delay = np.floor(dead_time / dt + _WHOLE).astype(np.int64)
     rest = np.maximum(dead_time - delay * dt, 0.0)
     rest[rest < _WHOLE * dt] = 0.0
-    system = control.ss(A, B, C, np.zeros((2, 2)))
-    whole = control.sample_system(system, dt, method="zoh")
-    B0 = np.column_stack(
-        [
-            control.sample_system(system, dt - rest[j], method="zoh").B[:, j] if rest[j] < dt else 0 * B[:, j]
-            for j in (0, 1)
-        ]
-    )
+    n = len(A)
+    # The inputs as states that stay: one exponential holds the sampled A and B (Van Loan, IEEE TAC 23(3), 1978).
+    extended = np.zeros((n + 2, n + 2))
+    extended[:n] = np.hstack([A, B])
+    whole = expm(dt * extended)[:n]
+    B0 = np.column_stack([expm((dt - rest[j]) * extended)[:n, n + j] for j in (0, 1)])
     return DiscreteModel(
-        A=np.asarray(whole.A),
+        A=whole[:, :n].copy(),
         B0=B0,
-        B1=np.asarray(whole.B) - B0 if rest.any() else np.zeros_like(B0),
+        B1=whole[:, n:] - B0 if rest.any() else np.zeros_like(B0),
         C=C.copy(),
         D=np.zeros((2, 2)),
         delay=delay,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+_LONGEST_VALUE = 40
+"""Characters of a value that a message repeats."""
+
 
 class DiffdriveMpcError(Exception):
     """What the project itself refuses or cannot do; the message is one line: place, mistake, remedy.
@@ -13,3 +16,28 @@ class DiffdriveMpcError(Exception):
 
 class MissingPackageError(DiffdriveMpcError, ImportError):
     """Something was asked for that needs a package which is not installed; says how to install it."""
+
+
+class ArgumentError(DiffdriveMpcError, TypeError):
+    """An argument has a type that cannot be used. One line: argument, expected type, actual type, how to make it."""
+
+
+def wrong_type(argument: str, expected: str, value: object, remedy: str) -> ArgumentError:
+    """Make the error for `value`, which arrived as `argument` where something else is expected."""
+    return ArgumentError(f"{argument}: expected {expected}, got {described(value)}; {remedy}")
+
+
+def described(value: object) -> str:
+    """Name the type of a value in a few words, with its shape or, where it is short, the value."""
+    if value is None:
+        return "None"
+    if isinstance(value, type):
+        return f"the class {value.__name__} itself"
+    kind = type(value)
+    package = kind.__module__.partition(".")[0]
+    name = kind.__name__ if package in ("builtins", __package__.partition(".")[0]) else f"{package}.{kind.__name__}"
+    shape = getattr(value, "shape", None)
+    if isinstance(shape, tuple):
+        return f"{name} of shape {shape}"
+    text = repr(value)
+    return f"{name} {text}" if package == "builtins" and len(text) <= _LONGEST_VALUE and "<" not in text else name

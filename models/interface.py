@@ -6,10 +6,12 @@ Frames follow REP 103: x forward, y left, yaw counter-clockwise. Units are SI th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, NoReturn, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from diffdrive_mpc.models.errors import wrong_type
 
 FloatArray = NDArray[np.float64]
 
@@ -49,6 +51,12 @@ class Measurement:
         (4,) front left, front right, rear left, rear right [rad/s]; for logs and identification.
     sent
         (v, omega) that the robot really got last tick, where that is known and may differ from the command.
+
+    Raises
+    ------
+    ArgumentError
+        If a value other than `sent` is not `Stamped`. What is inside it is judged by `Controller.step`, which never
+        raises on data.
     """
 
     pose: Stamped | None = None
@@ -56,6 +64,18 @@ class Measurement:
     yaw_rate: Stamped | None = None
     wheel_speeds: Stamped | None = None
     sent: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse values without the time they are valid for."""
+        for value in (self.pose, self.wheel_twist, self.yaw_rate, self.wheel_speeds):
+            if value is not None and not isinstance(value, Stamped):
+                self._refuse(value)
+
+    def _refuse(self, value: object) -> NoReturn:
+        name = next(name for name in self.__slots__ if getattr(self, name) is value)
+        raise wrong_type(
+            f"Measurement({name}=...)", "a value with its time", value, f"write {name}=Stamped(value, time in s)"
+        )
 
 
 class ReferenceSample(NamedTuple):

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
+from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.models.networks.network import NETWORK
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
@@ -46,7 +47,16 @@ def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
         If there is no such model or its file has a mistake.
     models.velocity_model.ModelError
         If the numbers cannot be a robot's: unstable, not finite, wrong units.
+    models.errors.ArgumentError
+        If it is neither a name nor a path.
     """
+    if not isinstance(name, (str, Path)):
+        raise wrong_type(
+            "load_model",
+            "a name such as 'ssm' or the path of a model file",
+            name,
+            "a system of python-control becomes a model with VelocityModel.from_control(system, dead_time=(0.0, 0.0))",
+        )
     path = model_path(name)
     data = read_yaml(path)
     try:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.trust import check_trusted
 
 
 def named_file(
@@ -31,11 +32,14 @@ def named_file(
     ------
     models.checked_yaml.ConfigError
         If there is neither; the message lists the shipped names and suggests the nearest.
+    models.trust.UntrustedFileError
+        If it is a file that may not be opened, see `models.trust.only_trusted`.
     """
     known = shipped_names(folder) if shipped is None else shipped
     text = str(name)
     if text in known:
         return folder / f"{text}.yaml"
+    check_trusted(name)
     if Path(name).is_file():
         return Path(name)
     near = difflib.get_close_matches(text, known, n=1, cutoff=0.5)

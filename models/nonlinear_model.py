@@ -15,7 +15,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.velocity_model import CHANNELS, ModelError
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class NonlinearModel:
     """x[k+1] = step(x[k], window), y[k] = output(x[k]); window = (u[k - memory], ..., u[k]), oldest first.
 
@@ -58,6 +58,13 @@ class NonlinearModel:
     known_lag: ArrayLike | None = None
     provenance: Mapping[str, object] = field(default_factory=dict)
     delay: NDArray[np.int64] = field(default_factory=lambda: np.zeros(2, dtype=np.int64), init=False, repr=False)
+
+    def __repr__(self) -> str:
+        """Kind, name, order and sample time in one line."""
+        return (
+            f"{type(self).__name__} '{self.name}' (a function; order {self.order}, {self.memory} past commands, "
+            f"samples of {self.dt:g} s)"
+        )
 
     def __post_init__(self) -> None:
         """Check names, shapes, rest and stability."""

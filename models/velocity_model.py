@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,7 +37,7 @@ def mean_delay(A: FloatArray, B: FloatArray, C: FloatArray, dead_time: FloatArra
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class VelocityModel:
     """Linear dynamics from commanded to true body twist, x' = A x + B u(t - dead_time), y = C x.
 
@@ -75,6 +76,55 @@ class VelocityModel:
         for name in ("A", "B", "C", "dead_time"):
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=float))
         self._check()
+
+    @staticmethod
+    def from_control(system: Any, dead_time: ArrayLike = (0.0, 0.0), name: str | None = None) -> VelocityModel:  # noqa: ANN401
+        """Make a model of systems of python-control.
+
+        Parameters
+        ----------
+        system
+            A `control.TransferFunction` or `control.StateSpace` from (v_ref, omega_ref) to (v, omega), or a pair of
+            single-input ones, for v and for omega. A discrete one is made continuous by the exact inverse of a
+            zero-order hold, and its delays of whole samples become dead time.
+        dead_time
+            (2,) dead time of each input on top of that [s]: systems of python-control have none.
+        name
+            Name for tables and messages; by default that of the system.
+
+        Raises
+        ------
+        ArgumentError, ModelError
+            If it is something else, has another number of inputs or outputs, passes its input straight through, or
+            cannot be a robot's; or if no continuous system gives the discrete one.
+        """
+        from diffdrive_mpc.models.control_systems import from_control  # noqa: PLC0415 - needs this module, and SciPy
+
+        return from_control(system, dead_time, name)
+
+    def to_control(self, dt: float | None = None) -> Any:  # noqa: ANN401 - python-control has no types
+        """Make a `control.StateSpace` from (v_ref, omega_ref) to (v, omega).
+
+        Parameters
+        ----------
+        dt
+            None for the continuous system x' = A x + B u, y = C x, which leaves `dead_time` out: python-control has no
+            dead time. With a sample time [s] the discrete system under a zero-order hold, whose further states are
+            the commands on their way through the dead time, so that it is exact.
+        """
+        from diffdrive_mpc.models.control_systems import to_control  # noqa: PLC0415 - needs this module, and SciPy
+
+        return to_control(self, dt)
+
+    def __repr__(self) -> str:
+        """Name, structure, order, and gain, lag and dead time of each channel in one line."""
+        channels = [
+            f"{channel}: gain {gain:.3g}, lag {1e3 * lag:.0f} ms of which {1e3 * dead_time:.0f} ms dead time"
+            for channel, gain, lag, dead_time in zip(
+                CHANNELS, np.diag(self.dc_gain), self.lag, self.dead_time, strict=True
+            )
+        ]
+        return f"VelocityModel '{self.name}' ({self.structure}, order {self.order}; {'; '.join(channels)})"
 
     @property
     def order(self) -> int:

@@ -10,26 +10,25 @@ import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
-from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.config.config_file import load_config, replace_values
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.core.functions import compile_functions
 from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.dead_time import DeadTime, online_dead_time
 from diffdrive_mpc.mpc.estimation.belief import Belief
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
-from diffdrive_mpc.mpc.floor_rehearsal import FloorRehearsal
-from diffdrive_mpc.mpc.free_space.keeper import FreeSpaceKeeper
-from diffdrive_mpc.mpc.free_space.surroundings import Surroundings
 from diffdrive_mpc.mpc.free_space.term import half_space_terms
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import Words
@@ -37,15 +36,21 @@ from diffdrive_mpc.mpc.problem.build import chosen_model, sampled_model
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, SLACK, Problem
 from diffdrive_mpc.mpc.problem.energy_term import energy_terms, with_least_radius
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
-from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_parameters, parameter_places
+from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_parameters, checked_terms, parameter_places
 from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
-from diffdrive_mpc.mpc.rehearsal import Rehearsal
 from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask
-from diffdrive_mpc.mpc.solver.backends import BACKENDS
+from diffdrive_mpc.mpc.solver.backends import load_backend
 from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
 from diffdrive_mpc.mpc.step_result import StepResult
+from diffdrive_mpc.mpc.trajectories.checked_reference import checked_reference
 from diffdrive_mpc.mpc.trajectories.native import NativeReference
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.mpc.floor_rehearsal import FloorRehearsal
+    from diffdrive_mpc.mpc.free_space.keeper import FreeSpaceKeeper
+    from diffdrive_mpc.mpc.free_space.surroundings import Surroundings
+    from diffdrive_mpc.mpc.rehearsal import Rehearsal
 
 _CHANGEABLE = ("weights", "limits")
 # Of ddmpc_pending.
@@ -87,9 +92,9 @@ class Controller:
     Parameters
     ----------
     config
-        The configuration, see `load_config`.
+        The configuration, or what `load_config` makes one of, such as "ssm".
     model
-        A velocity model or the name of one, instead of the configuration's. The extra dead time belongs to the
+        A velocity model, or the name or path of one, instead of the configuration's. The extra dead time belongs to the
         configuration's model, so another one is taken as it is.
     terms
         Terms of cost and soft limits beside those that the configuration names, see `mpc.problem.terms`.
@@ -100,16 +105,18 @@ class Controller:
         If the model cannot be loaded or used, or the horizon is too short for the dead time.
     NotCompiledError
         If there is no compiled core, and no compiler to make one.
+    ArgumentError
+        If an argument is of another type.
     """
 
     def __init__(
         self,
-        config: ControllerConfig,
-        model: VelocityModel | NonlinearModel | str | None = None,
+        config: ControllerConfig | str | Path | Mapping[str, object],
+        model: VelocityModel | NonlinearModel | str | Path | None = None,
         terms: Sequence[Term] = (),
     ) -> None:
-        config = with_least_radius(config)
-        self._config, self._given = config, (model, tuple(terms))
+        config, terms = with_least_radius(load_config(config)), checked_terms(terms)
+        self._config, self._given = config, (model, terms)
         self._speed_limit: float | None = None
         self._terms = all_terms(config.terms, (*terms, *energy_terms(config), *half_space_terms(config.free_space)))
         dt, chosen = config.sample_time, chosen_model(config, model)
@@ -151,22 +158,41 @@ class Controller:
         )
 
     def _make_backend(self, config: ControllerConfig) -> Backend:
-        return BACKENDS[config.solver.backend](config.horizon, self._kinds, config.solver, config.weights)
+        return load_backend(config.solver.backend)(config.horizon, self._kinds, config.solver, config.weights)
 
     def _make_rehearsal(self, config: ControllerConfig) -> Rehearsal | FloorRehearsal | None:
+        # A feature and its libraries are loaded here and not in `step`, and only where the configuration enables it.
+        self._floor: FloorRehearsal | None = None
         if not config.rehearsal.enabled:
             return None
-        by_floor = config.rehearsal.by == "floor"
-        return FloorRehearsal(config, self._predicted.feed_forward.inverse_gain) if by_floor else Rehearsal(config)
+        if config.rehearsal.by == "floor":
+            from diffdrive_mpc.mpc.floor_rehearsal import FloorRehearsal  # noqa: PLC0415
+
+            self._floor = FloorRehearsal(config, self._predicted.feed_forward.inverse_gain)
+            return self._floor
+        from diffdrive_mpc.mpc.rehearsal import Rehearsal  # noqa: PLC0415
+
+        return Rehearsal(config)
 
     def _make_keeper(self, config: ControllerConfig) -> FreeSpaceKeeper | None:
         if not config.free_space.enabled:
             return None
+        from diffdrive_mpc.mpc.free_space.keeper import FreeSpaceKeeper  # noqa: PLC0415 - see _make_rehearsal
+
         return FreeSpaceKeeper(config, self._tick, parameter_places(self._terms)["free_space_0"].start)
 
     def _set_defaults(self) -> None:
         defaults = [value for term in self._terms for value in term.defaults]
         self._tick.parameters[:] = np.array(defaults, dtype=float)
+
+    def __repr__(self) -> str:
+        """What it predicts with and what it tracks, in one line."""
+        config, model, reference = self._config, self.model, self._reference
+        tracked = "nothing yet" if reference is None else f"'{reference.name}'"
+        return (
+            f"Controller with model '{model.name}', {config.horizon} steps of {config.sample_time:g} s ahead, tracking "
+            f"{tracked}"
+        )
 
     def __getstate__(self) -> dict[str, object]:
         """What a process pool needs to make it anew: configuration, model, terms, reference; no drive under way."""
@@ -192,6 +218,11 @@ class Controller:
     def config(self) -> ControllerConfig:
         """The configuration in force."""
         return self._config
+
+    @property
+    def sample_time(self) -> float:
+        """Period at which `step` is called [s]."""
+        return self._config.sample_time
 
     @property
     def model(self) -> VelocityModel | NonlinearModel:
@@ -278,22 +309,36 @@ class Controller:
         if self._dead_time is not None:
             self._dead_time.overrule(given[-1])
 
-    def start(self, reference: Reference, t0: float) -> None:
+    def start(self, reference: Reference | str | Path, t0: float) -> None:
         """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`.
 
         The estimate starts anew, and so does the clock. The robot may be moving: commands on their way are remembered,
-        and the next command keeps the slew limit against the last.
+        and the next command keeps the slew limit against the last. A name or path is that of a trajectory, loaded with
+        the limits of the configuration.
 
         Raises
         ------
+        ArgumentError
+            If the reference is something else.
         ValueError
             If `t0` is not finite, or the reference is not, or is faster than the limits of the configuration, or takes
             commands beyond them by the model's gain.
         """
+        if isinstance(reference, (str, Path)):
+            from diffdrive_mpc.mpc.trajectories.load import load_trajectory  # noqa: PLC0415 - rarely needed
+
+            reference = load_trajectory(reference, self._config)
         self._check(reference, t0)
         self._begin(reference, t0)
 
     def _check(self, reference: Reference, t0: float) -> None:
+        if not isinstance(reference, Reference):
+            raise wrong_type(
+                "reference",
+                "a trajectory",
+                reference,
+                "make it with load_trajectory('circle') or Trajectory.from_arrays(t, x, y)",
+            )
         if not math.isfinite(t0):
             raise ValueError(f"t0 = {t0}: the start time must be finite")
         check_speeds(reference, self._config.limits, self._config.sample_time, self.model.dc_gain)
@@ -311,6 +356,7 @@ class Controller:
 
     def _laid(self, reference: Reference) -> tuple[NativeReference, Reference]:
         """A reference for the core, and as it will be driven."""
+        reference = checked_reference(reference)
         tracked = reference if self._free_space is None else self._free_space.start(reference)
         return NativeReference(tracked), tracked
 
@@ -368,8 +414,8 @@ class Controller:
 
     def _begin_with_learned(self) -> None:
         """Slip that was learned of the floor is what the next estimate begins with."""
-        if isinstance(self._rehearsal, FloorRehearsal):
-            self._tick.begin_with(astuple(self._rehearsal.slip))
+        if self._floor is not None:
+            self._tick.begin_with(astuple(self._floor.slip))
 
     def update(
         self, weights: Mapping[str, float] | None = None, limits: Mapping[str, float] | None = None
@@ -492,6 +538,8 @@ class Controller:
         ------
         RuntimeError
             If `start` was not called.
+        ArgumentError
+            If `measurement` is no `Measurement`.
         """
         started = time.perf_counter()
         if self._reference is None:
@@ -499,7 +547,15 @@ class Controller:
         if self._pending is not None:
             self._apply_pending(self._pending)
         tick, pursuit, given = self._tick, self._pursuit, self._input
-        tick.input.fill(measurement)
+        try:
+            tick.input.fill(measurement)
+        except AttributeError as error:
+            raise wrong_type(
+                "measurement",
+                "a Measurement",
+                measurement,
+                "call step(t, Measurement(...)); without news Measurement()",
+            ) from error
         keeper, sent = self._free_space, None
         if keeper is not None:
             sent = tick.last_command
@@ -588,8 +644,8 @@ class Controller:
         self._config, self._backend, self._pending = prepared.config, prepared.backend, None
         self._predicted = prepared.predicted
         self._tick.configure(prepared.constants, prepared.sizes)
-        if isinstance(self._rehearsal, FloorRehearsal):
-            self._rehearsal.config = prepared.config
+        if self._floor is not None:
+            self._floor.config = prepared.config
         self._begin_with_learned()
         if self._dead_time is not None:
             self._dead_time.used = self._predicted.dead_time
@@ -605,16 +661,16 @@ class Controller:
         self._blocked_for = 0.0
         try:
             target = self._pursuit.target(since_start, reference_time, estimate, self._ahead, self._c_result.reach)
+            if isinstance(target, TooFar):
+                return tick.lib.ddmpc_too_far(self._c, target.distance), ""
+            self._blocked_for = target.blocked_for
+            sample = target.sample or target.reference.sample(target.time + self._ahead)
+            # A base that is held must not be asked for more and more: let go, it would leap.
+            share = self._config.reentry.blocked_share if target.blocked_for else 1.0
+            return tick.track(sample.pose, sample.twist, share), target.message
         except (ArithmeticError, ValueError) as error:
             # A reference that samples nonsense after all; what is left of the last plan is better than an exception.
             return tick.lib.ddmpc_give_up(self._c), f"there is nothing to track: {error}"
-        if isinstance(target, TooFar):
-            return tick.lib.ddmpc_too_far(self._c, target.distance), ""
-        self._blocked_for = target.blocked_for
-        sample = target.sample or target.reference.sample(target.time + self._ahead)
-        # A base that is held must not be asked for more and more: let go, it would leap.
-        share = self._config.reentry.blocked_share if target.blocked_for else 1.0
-        return tick.track(sample.pose, sample.twist, share), target.message
 
     def _ask_backend(self) -> bool:
         """Solve with the backend, and give the core its answer; returns whether it refused the numbers."""

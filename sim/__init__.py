@@ -31,3 +31,7 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - the type checker sees the i
     if name not in _HOMES:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -25,6 +25,9 @@ from diffdrive_mpc.sim.run import NO_SOLVER, Run
 from diffdrive_mpc.sim.sensing.power_readings import power_read
 from diffdrive_mpc.sim.worlds.sight import Seen
 
+_SAME_PERIOD = 1e-3
+"""Two sample times that differ by less are the same [-]."""
+
 
 @runtime_checkable
 class Seeing(Protocol):
@@ -71,10 +74,10 @@ def simulate(
     Raises
     ------
     ValueError
-        If `extra_time` is negative or not finite, or the controller's command is not two finite numbers.
+        If `extra_time` is negative or not finite, the controller has another `sample_time` than the plant, or its
+        command is not two finite numbers.
     """
-    if not (np.isfinite(extra_time) and extra_time >= 0):
-        raise ValueError(f"extra_time = {extra_time}: give a time in seconds, zero or more")
+    _check_arguments(controller, plant, extra_time)
     plant.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, plant.time)
     around = _Around(plant, controller, reference)
@@ -201,6 +204,18 @@ class _Said(NamedTuple):
         if solver is None:
             return cls(str(step.mode), step.message, "", NO_SOLVER)
         return cls(str(step.mode), step.message, str(solver.status), str(solver.path))
+
+
+def _check_arguments(controller: TrackingController, plant: Plant, extra_time: float) -> None:
+    """Refuse a controller with another sample time than the plant; one without a `sample_time` takes any."""
+    if not (np.isfinite(extra_time) and extra_time >= 0):
+        raise ValueError(f"extra_time = {extra_time}: give a time in seconds, zero or more")
+    period = getattr(controller, "sample_time", None)
+    if period is not None and not math.isclose(period, plant.sample_time, rel_tol=_SAME_PERIOD):
+        raise ValueError(
+            f"the controller's sample_time is {period:g} s, the plant's is {plant.sample_time:g} s: make the plant "
+            f"with make_plant(..., sample_time={period:g}), or set sample_time in the configuration"
+        )
 
 
 def _stacked(plans: Sequence[FloatArray | None]) -> FloatArray:

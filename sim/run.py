@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from diffdrive_mpc.models.energy.drive_constants import DriveConstants
-from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, ReferenceSample, Stamped
+from diffdrive_mpc.models.pandas_package import load_pandas
 from diffdrive_mpc.models.results import ReadOnlyArrays
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE, Metrics, compute_metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
@@ -26,6 +26,7 @@ from diffdrive_mpc.sim.worlds.world import World
 if TYPE_CHECKING:
     from typing import Self
 
+    from matplotlib.figure import Figure
     from pandas import DataFrame
 
 
@@ -264,11 +265,22 @@ class Run(ReadOnlyArrays):
         models.errors.MissingPackageError
             If pandas is not installed.
         """
-        try:
-            import pandas as pd  # noqa: PLC0415 - optional
-        except ImportError as error:
-            raise MissingPackageError("run.to_dataframe() needs pandas: pip install pandas") from error
-        return pd.DataFrame(dict(self.columns))
+        frame: DataFrame = load_pandas("run.to_dataframe()").DataFrame(dict(self.columns))
+        return frame
+
+    def plot(self) -> Figure:
+        """Draw path, errors and commands as a matplotlib figure.
+
+        It is one of pyplot: `matplotlib.pyplot.show()` shows it, `run.plot().savefig("run.png")` writes it.
+
+        Raises
+        ------
+        models.errors.MissingPackageError
+            If matplotlib is not installed.
+        """
+        from diffdrive_mpc.sim.run_plot import plot_run  # noqa: PLC0415 - matplotlib loads slowly
+
+        return plot_run(self)
 
     def __str__(self) -> str:
         """Its statistics as a table."""

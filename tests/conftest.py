@@ -1,20 +1,148 @@
-"""One hypothesis profile for all tests: the same examples on every run, no deadline. ROS types that have no wheel."""
+"""Test suite setup: one hypothesis profile, the system suite, the order of files, ROS types that have no wheel.
 
+The hypothesis profile draws the same examples on every run, without a deadline; `--hypothesis-profile=many` draws more.
+"""
+
+import ctypes
 import os
+import shutil
 import sys
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+import yaml
 from hypothesis import settings
 
-settings.register_profile("reproducible", deadline=None, derandomize=True, print_blob=False)
+settings.register_profile("reproducible", deadline=None, derandomize=True, print_blob=False, max_examples=25)
+settings.register_profile("many", settings.get_profile("reproducible"), max_examples=200)
 settings.load_profile("reproducible")
+# Workers of xdist have a width of their own; tables are as wide as in a pipe.
+os.environ.pop("COLUMNS", None)
+
+SYSTEM_PACKAGES = yaml.safe_load(Path(__file__).with_name("system_packages.yaml").read_text(encoding="utf-8"))
+"""By need of a test marked `system`: programs and shared libraries, each with its Debian packages."""
+LONG_TESTS = {
+    "test_campaign_kills.py",
+    "test_commission.py",
+    "test_core_library.py",
+    "test_documents.py",
+    "test_export_command.py",
+    "test_hybrids.py",
+    "test_identify_command.py",
+    "test_identify_truth.py",
+    "test_model_comparison.py",
+    "test_monitor_over_dds.py",
+    "test_network_identification.py",
+    "test_over_dds.py",
+    "test_real_time_iterations.py",
+    "test_replay_bags.py",
+    "test_reproduce_experiments.py",
+    "test_saving_study.py",
+    "test_torque_study.py",
+    "test_tutorials.py",
+}
+"""Files with a test or a fixture of five seconds or more: they begin first, so that no core waits at the end."""
+deselected_system_tests = pytest.StashKey[int]()
+
+
+@cache
+def is_installed(name):
+    """Whether a program is on the path, or a shared library loads."""
+    if ".so" not in name:
+        return shutil.which(name) is not None
+    try:
+        ctypes.CDLL(name)
+    except OSError:
+        return False
+    return True
+
+
+def missing_packages(needs):
+    """One line that names missing programs and the Debian packages that bring them; empty if nothing is missing."""
+    wanted = {name: packages for need in needs for name, packages in SYSTEM_PACKAGES[need].items()}
+    missing = {name: packages for name, packages in wanted.items() if not is_installed(name)}
+    if not missing:
+        return ""
+    packages = " ".join(sorted({package for names in missing.values() for package in names.split()}))
+    return f"not installed: {', '.join(missing)}; on Debian or Ubuntu: sudo apt-get install {packages}"
+
+
+def pytest_configure(config):
+    config.stash[deselected_system_tests] = 0
+    # Workers of xdist would each fail with a traceback of their own.
+    if config.option.markexpr == "system" and not hasattr(config, "workerinput"):
+        line = missing_packages(SYSTEM_PACKAGES)
+        if line:
+            raise pytest.UsageError(f"the system suite cannot run: {line}")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if "ros_types" in item.fixturenames:
+            item.add_marker(pytest.mark.system("compiler"))
+    items.sort(key=lambda item: item.path.name not in LONG_TESTS)
+
+
+def pytest_runtest_setup(item):
+    marker = item.get_closest_marker("system")
+    line = marker and missing_packages(marker.args)
+    if line:
+        pytest.fail(line, pytrace=False)
+
+
+def pytest_deselected(items):
+    if items:
+        count = sum(item.get_closest_marker("system") is not None for item in items)
+        items[0].config.stash[deselected_system_tests] += count
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node, error):
+    # Every worker of xdist collects all tests, and one that crashed reports nothing.
+    count = getattr(node, "workeroutput", {}).get("deselected_system_tests", 0)
+    node.config.stash[deselected_system_tests] = max(count, node.config.stash[deselected_system_tests])
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_sessionfinish(session):
+    config = session.config
+    if hasattr(config, "workeroutput"):
+        config.workeroutput["deselected_system_tests"] = config.stash[deselected_system_tests]
+    result = yield
+    # Below pytest's own last line.
+    reporter, count = config.pluginmanager.getplugin("terminalreporter"), config.stash[deselected_system_tests]
+    if count and reporter:
+        needs = ", ".join(SYSTEM_PACKAGES)
+        reporter.write_line(f"{count} more tests need Debian packages ({needs}): make test-system")
+    return result
+
+
+@pytest.fixture
+def one_process(monkeypatch):
+    """Commands that are told no number of jobs take one process: to start others takes seconds each."""
+    from diffdrive_mpc.bench import runner
+
+    monkeypatch.setattr(runner, "os", SimpleNamespace(**vars(os) | {"sched_getaffinity": lambda process: {0}}))
+
+
+@pytest.fixture
+def quick_search():
+    """Drives to learn from are searched for, networks trained and twins fitted as shortly as can be."""
+    from quick_settings import quick_settings
+
+    with quick_settings():
+        yield
 
 
 @pytest.fixture(scope="session")
 def ros_types():
     """Lets this process and its children import nav2_msgs, tf2_msgs and bond: import them inside of tests.
 
-    Returns the folder. Without it, tests run as on a machine that has no such packages.
+    Returns the folder. Without it, tests run as on a machine that has no such packages. Types are compiled as C++, so
+    that a test that uses them is one of the system suite.
     """
     from diffdrive_mpc.bench.ros_types.build import built_types, search_path
 

@@ -22,10 +22,18 @@ COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 # What make would set up is set up already; .ci/run calls these as they stand.
 CI_SCRIPT = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 RUN_IN_CI = {line.strip() for line in CI_SCRIPT.splitlines()}
-OWN_PROCESS = ("node", "robot", "monitor")
+# Commands that a test of their own runs with the same options, to look at what they leave.
+RUN_IN_TESTS = {
+    "diffdrive-mpc study energy-front --quick --out front": "bench/test_energy_front.py",
+    "diffdrive-mpc study saving --quick --out saved": "bench/test_saving_study.py",
+    "diffdrive-mpc study torque --quick --out turn": "bench/test_torque_study.py",
+}
+OWN_PROCESS = ("node", "sim-robot", "monitor")
 # These say how to install it: .ci/tour.py runs them as they stand, where only a wheel is installed.
 TOURED = {ROOT / "README.md", ROOT / "docs" / "install.md"}
-RUN_BY_CI = re.compile(r"make (bench|tracking|reproduce|speed|site|test|lint|types|wheel|fuzz)$")
+# What of a command says that it needs a program of the system.
+NEEDS = {".mp4": "film", "--render": "rendering", "--view": "window", "--emulate": "microcontroller"}
+RUN_BY_CI = re.compile(r"make (bench|tracking|reproduce|speed|site|test|test-system|lint|types|wheel|fuzz)$")
 
 
 def blocks(document):
@@ -36,7 +44,15 @@ def named(document):
     return str(document.relative_to(ROOT))
 
 
-@pytest.mark.parametrize("document", sorted({*DOCUMENTS} - TOURED), ids=named)
+def marked(document):
+    """The document as a parameter, in the system suite if one of its commands belongs there."""
+    commands = "".join(body for language, body in blocks(document) if language == "sh")
+    needs = [need for word, need in NEEDS.items() if word in commands]
+    return pytest.param(document, marks=[pytest.mark.system(*needs)] if needs else [])
+
+
+@pytest.mark.usefixtures("one_process", "quick_search")
+@pytest.mark.parametrize("document", map(marked, sorted({*DOCUMENTS} - TOURED)), ids=named)
 def test_every_command_and_example_runs(document, tmp_path, monkeypatch):
     """In order, in one folder: files first written as the document shows them."""
     monkeypatch.chdir(tmp_path)
@@ -46,13 +62,13 @@ def test_every_command_and_example_runs(document, tmp_path, monkeypatch):
             assert name, f"{named(document)}: a YAML example must say which file it is"
             (tmp_path / name[1]).write_text(body, encoding="utf-8")
         elif language == "python":
-            run([sys.executable, "-c", body], tmp_path)
+            exec(compile(body, named(document), "exec"), {"__name__": "__main__"})
         elif language == "sh":
             for line in body.strip().splitlines():
                 words = shlex.split(line)
                 if words[0] == "make":
                     assert RUN_BY_CI.match(line), f"{named(document)}: `{line}` is run by no test"
-                elif line in RUN_IN_CI:
+                elif line in RUN_IN_CI or line in RUN_IN_TESTS:
                     continue
                 elif "$DIFFDRIVE_MPC_DATA" in line or "real-logs" in line:
                     raise AssertionError(f"{named(document)}: .ci/run does not have `{line}`")
@@ -86,19 +102,29 @@ def test_a_page_is_named_by_its_question_and_begins_with_the_answer(document):
 
 
 def test_ci_runs_what_the_documents_leave_to_it():
-    called = " ".join(line for line in CI_SCRIPT.splitlines() if line.lstrip().startswith("make "))
+    called = " ".join(line for line in CI_SCRIPT.splitlines() if re.match(r" *(on_bare_machine )?make ", line))
     for target in ("bench", "tracking", "reproduce", "speed", "site", "test", "lint", "types", "wheel", "fuzz"):
         assert re.search(rf"\b{target}\b", called), target
     (tour,) = (line for line in CI_SCRIPT.splitlines() if ".ci/tour.py" in line)
     assert all(f'"$root/{named(page)}"' in tour for page in TOURED)
 
 
+@pytest.mark.parametrize(("line", "file"), RUN_IN_TESTS.items())
+def test_what_a_test_runs_is_run_there_as_the_documents_say(line, file):
+    command, *options = line.removeprefix("diffdrive-mpc ").partition(" --out ")[0].split(" --")
+    test = (ROOT / "tests" / file).read_text(encoding="utf-8")
+    assert f'["{command.split()[0]}", "' in test
+    assert all('", "'.join(f"--{option}".split()) in test for option in options)
+    assert any(line in body.splitlines() for document in DOCUMENTS for _, body in blocks(document))
+
+
 @pytest.mark.parametrize("document", sorted(TOURED), ids=named)
 def test_a_toured_page_has_only_what_the_tour_runs(document):
     for language, body in blocks(document):
         assert language in ("sh", "python", "yaml")
-        makes = [line for line in body.splitlines() if language == "sh" and line.startswith("make ")]
-        assert all(RUN_BY_CI.match(line) for line in makes)
+        lines = body.splitlines() if language == "sh" else []
+        assert all(RUN_BY_CI.match(line) for line in lines if line.startswith("make "))
+        assert all(line in RUN_IN_CI for line in lines if "--from ." in line)
 
 
 @pytest.mark.parametrize("document", LINKING, ids=named)

@@ -14,6 +14,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8").replace("\\\n", " ")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+# Every Debian has them, though the path of the tests may not.
+SHELL = {"capture_output": True, "text": True, "env": {"PATH": os.defpath}}
 SCRIPTS = sorted((ROOT / "docker").glob("*.sh"))
 PYTHONS = [f"3.{minor}" for minor in (11, 12, 13, 14)]
 
@@ -40,7 +42,7 @@ def test_pins_of_the_image_are_those_of_the_project():
     """The image's own command makes them of the file with hashes."""
     (command,) = re.findall(r"sed .*?> \S+", DOCKERFILE)
     shell = command.replace("/source", str(ROOT)).rpartition(">")[0]
-    pins = subprocess.run(["/bin/sh", "-c", shell], capture_output=True, text=True, check=True).stdout.splitlines()
+    pins = subprocess.run(["/bin/sh", "-c", shell], check=True, **SHELL).stdout.splitlines()
     assert len(pins) > 100
     assert all(re.match(r"[a-z0-9][\w.\[\]-]*==\S+( ;.*)?$", pin, re.IGNORECASE) for pin in pins)
     (numpy,) = (pin for pin in pins if pin.startswith("numpy==1.26"))
@@ -50,7 +52,7 @@ def test_pins_of_the_image_are_those_of_the_project():
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.name)
 def test_scripts_of_the_image_can_be_run(script):
     assert os.access(script, os.X_OK)
-    subprocess.run(["bash", "-n", script], check=True)
+    subprocess.run(["/bin/bash", "-n", script], check=True, **SHELL)
 
 
 def test_the_devcontainer_is_a_stage_of_the_image():

@@ -15,6 +15,7 @@ from diffdrive_mpc.bench.animation.playback import Playback
 from diffdrive_mpc.bench.animation.recording import read_recording
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.trust import only_trusted
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.sim.view.body import Body, robot_body
@@ -61,17 +62,18 @@ def animate_log(
     limits = None if config is None else load_config(config).limits
     with film_draft(wanted.path, "--out") as draft:
         playback = read_recording(log, mapping, None if limits is None else (limits.v, limits.omega))
-        body = _told_body(playback) if plant is None else robot_body(plant)
+        body = _told_body(playback, log) if plant is None else robot_body(plant)
         film = replace(wanted.film, surface=surface or playback.surface or wanted.film.surface)
         write_film(playback, film, body, draft)
     for line in missing(playback, body, log.name):
         typer.echo(line)
 
 
-def _told_body(playback: Playback) -> Body | None:
-    """Of the robot that the log names; None where it names none, or one that is not known here."""
+def _told_body(playback: Playback, log: Path) -> Body | None:
+    """Of the robot that the log names; None where it names none, or one that does not ship."""
     try:
-        return None if playback.plant is None else robot_body(playback.plant)
+        with only_trusted(log):
+            return None if playback.plant is None else robot_body(playback.plant)
     except ConfigError:
         return None
 

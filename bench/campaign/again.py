@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -13,13 +14,29 @@ from diffdrive_mpc.bench.outcomes import Outcome
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.run_log import holds_plans, run_log
 from diffdrive_mpc.bench.studies.comparison.single import draw, report
+from diffdrive_mpc.models.trust import only_trusted
 
 
-def simulate_again(file: Path, out: Path | None = None, log: Path | None = None) -> bool:
-    """Drive the run of `file`, print its tables, write figures and log where asked; whether its figures are the same.
+def simulate_again(
+    file: Path,
+    out: Path | None = None,
+    log: Path | None = None,
+    trusted: Sequence[Path] = (),
+    *,
+    details: bool = False,
+) -> bool:
+    """Drive the run of `file`, print a summary or with `details` its tables, write figures and log where asked.
 
-    Raises ConfigError or ValueError if the file, or one that it names, cannot be used.
+    Returns whether its figures are the same.
+
+    Raises ConfigError or ValueError if the file, or one that it names, cannot be used, or lies in none of the folders
+    `trusted` and does not ship.
     """
+    with only_trusted(file, trusted):
+        return _drive_again(file, out, log, details)
+
+
+def _drive_again(file: Path, out: Path | None, log: Path | None, details: bool) -> bool:
     told = load_run(file)
     definition = told.definition
     with ExitStack() as stack:
@@ -34,7 +51,7 @@ def simulate_again(file: Path, out: Path | None = None, log: Path | None = None)
             draw(Outcome(definition.case, run), folder, time.perf_counter() - began)
     console = output_console()
     if run is not None:
-        report(Outcome(definition.case, run))
+        report(Outcome(definition.case, run), out, details=details)
     else:
         console.print(f"not completed: {row['error']}", markup=False, highlight=False)
     same, sentence = compared(told, row)

@@ -24,6 +24,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.interface import ControlStep, Measurement, Reference, TrackingController
 from diffdrive_mpc.models.load import MODEL_NAMES
 from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.models.trust import UntrustedFileError, also_trusted
 from diffdrive_mpc.mpc.config.config_file import PARAMETERS
 from diffdrive_mpc.sim import Plant, Run, simulate
 from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, ROBOTS, load_simulated_robot
@@ -75,7 +76,7 @@ def built(definition: Definition) -> Iterator[tuple[TrackingController, Plant, R
 
     Raises ConfigError or ValueError if a name is unknown, or a file or a value that replaces one has a mistake.
     """
-    with TemporaryDirectory(prefix="diffdrive-mpc-") as folder:
+    with TemporaryDirectory(prefix="diffdrive-mpc-") as folder, also_trusted(Path(folder)):
         yield build(_with_files(definition, Path(folder)))
 
 
@@ -98,8 +99,8 @@ def drive_whole(
                 watched = WatchedController(controller)
                 run = simulate(watched, plant, reference, keep_plans=keep_plans, on_tick=on_tick)
                 _ = run.errors
-        except (MemoryError, OSError):
-            raise  # the machine's fault, not the run's: it is to be done again
+        except (MemoryError, OSError, UntrustedFileError):
+            raise  # the machine's or the caller's fault, not the run's: it is to be done again
         except Exception as fault:
             error = f"{type(fault).__name__}: {' '.join(str(fault).split())}"
         unsafe = watched.unsafe(definition) if watched else None

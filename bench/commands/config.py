@@ -33,6 +33,7 @@ def show(
 @config_app.command(epilog="Example: diffdrive-mpc config check my_robot.yaml")
 def check(file: Annotated[str, typer.Argument(metavar="FILE", help="A configuration file.")]) -> None:
     """Check a configuration file, and that a controller can be built from it."""
+    from diffdrive_mpc.bench.config_report import robot_defaults  # noqa: PLC0415 - --help does without it
     from diffdrive_mpc.mpc import Controller, load_config  # noqa: PLC0415
 
     config = load_config(file)
@@ -41,16 +42,24 @@ def check(file: Annotated[str, typer.Argument(metavar="FILE", help="A configurat
         f"{file}: valid, horizon {config.horizon} steps of {config.sample_time:g} s "
         f"({config.horizon * config.sample_time:.2f} s)"
     )
+    unset = robot_defaults(config)
+    if unset:
+        typer.echo(f"note: of the papers' robot, as the file leaves them out: {', '.join(unset)}; set those of yours")
 
 
-@config_app.command(epilog="Example: diffdrive-mpc config schema --json --out controller.schema.json")
+@config_app.command(epilog="Example: diffdrive-mpc config schema weights")
 def schema(
+    part: Annotated[
+        str | None,
+        typer.Argument(metavar="KEY", help="A group or key, such as weights or limits.v.", show_default="all of them"),
+    ] = None,
+    *,
     as_json: Annotated[bool, typer.Option("--json", help="The JSON schema, for editors.")] = False,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the JSON schema here.", show_default="standard output")
     ] = None,
 ) -> None:
-    """List every key with its default, unit, range and meaning.
+    """List every key, or those of a group, with default, unit, range and meaning.
 
     With a first line `# yaml-language-server: $schema=FILE` in a configuration, editors complete and check its keys.
     """
@@ -59,6 +68,8 @@ def schema(
     from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
     from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
 
+    if part is not None and as_json:
+        raise ConfigError(f"--json is the schema of the whole configuration; leave '{part}' out")
     if out is not None and not as_json:
         raise ConfigError("--out is for the JSON schema; give --json too")
     if out is not None:
@@ -67,4 +78,4 @@ def schema(
     elif as_json:
         typer.echo(KINDS["controller"].text(), nl=False)
     else:
-        print_schema()
+        print_schema(part)

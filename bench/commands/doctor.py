@@ -26,7 +26,7 @@ def doctor(
         typer.echo(examination.as_json(found))
     else:
         console = output_console()
-        typer.echo(examination.heading())
+        console.print(examination.heading(), markup=False, highlight=False)
         for table in examination.tables(found):
             typer.echo()
             console.print(table.rich())

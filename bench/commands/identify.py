@@ -48,11 +48,19 @@ def identify(
         bool, typer.Option("--effects", help="Look for what the base does around an sm: slew, steps, tyres, veer.")
     ] = False,
     name: Annotated[str | None, typer.Option(help="Name of the model.", show_default="from the logs")] = None,
+    draft_mapping: Annotated[
+        bool, typer.Option("--draft-mapping", help="Only write a first mapping of LOG, to be corrected (mapping.yaml).")
+    ] = False,
     force: Annotated[
         bool, typer.Option("--force", help="Write model and configuration also where logs or FIT speak against it.")
     ] = False,
 ) -> None:
     """Identify a velocity model from logs; write it with a configuration, a report and figures."""
+    if draft_mapping:
+        from diffdrive_mpc.bench.studies.identification.draft import write_draft  # noqa: PLC0415
+
+        write_draft(logs, out)
+        return
     from diffdrive_mpc.bench.studies.identification.study import identify_into  # noqa: PLC0415 - --help does without it
 
     identify_into(

@@ -11,7 +11,7 @@ from diffdrive_mpc.bench.commands.options import Jobs, out_option, ros_arguments
 
 EXAMPLES = {
     "monitor": "Example: diffdrive-mpc monitor --ros-args -r cmd_vel:=/base/cmd_vel",
-    "monitor-study": "Example: diffdrive-mpc monitor-study --out watched --seeds 2 --hours 0.2",
+    "monitor-study": "Example: diffdrive-mpc study monitor-study --out watched --seeds 2 --hours 0.2",
 }
 
 RulesFile = Annotated[str, typer.Option(metavar="NAME|FILE", help="Rules: a shipped name, or the path of a YAML file.")]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -33,6 +34,10 @@ OPTIONAL_PACKAGES = {
 """Packages that only some commands need, and what to do without them."""
 
 
+_SINGULARS = {"trajectories": "trajectory", "models": "model"}
+"""Options of one value by those of several; not `seeds`, which counts where `seed` names."""
+
+
 class OneLineErrors(TyperGroup):
     """A group of commands whose bad input ends in `error: ...` and exit code 2, without a traceback.
 
@@ -40,6 +45,26 @@ class OneLineErrors(TyperGroup):
     (OSError), and what the parser of the command line rejects. The project's other errors end likewise,
     with exit code 1. Anything else is a fault and shows its traceback.
     """
+
+    def make_context(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - the signature of the base class
+        """Begin to parse; commands of this group take `--trajectory` and `--trajectories` for each other."""
+        return super().make_context(*args, token_normalize_func=_singular, **kwargs)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - of a class that typer hides
+        """Write the overview without Rich, which takes longer to load than all else that the overview needs."""
+        super(TyperGroup, self).format_help(ctx, formatter)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - see above
+        """List the commands under their panels."""
+        panels: dict[str, list[tuple[str, str]]] = {}
+        for name in self.list_commands(ctx):
+            command: Any = self.get_command(ctx, name)
+            panel = command.rich_help_panel if isinstance(command.rich_help_panel, str) else "Commands"
+            if not command.hidden:
+                panels.setdefault(panel, []).append((name, command.get_short_help_str(limit=1000)))
+        for panel, rows in panels.items():
+            with formatter.section(panel):
+                formatter.write_dl(rows)
 
     def main(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - the signature of the base class
         """Parse the command line, run the command and exit."""
@@ -75,6 +100,31 @@ class OneLineErrors(TyperGroup):
         if code == INTERRUPTED:
             _complain("aborted")
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def _singular(name: str) -> str:
+    """Name of an option without the plural of the option beside it; both of them are read by this name."""
+    return _SINGULARS.get(name, name)
+
+
+def build_only_named(app: typer.Typer, words: Sequence[str]) -> None:
+    """Let `app` build the options of those commands only that `words` name; to build all takes longer than to run one.
+
+    The others keep what the overview shows: their names and help.
+    """
+    for command in app.registered_commands:
+        if command.name not in words and command.callback is not None:
+            command.callback = _without_options(command.callback)
+    for group in app.registered_groups:
+        if group.typer_instance is not None and group.name not in words:
+            build_only_named(group.typer_instance, words)
+
+
+def _without_options(callback: Callable[..., Any]) -> Callable[[], None]:
+    def shown() -> None: ...
+
+    shown.__doc__ = callback.__doc__
+    return shown
 
 
 def leave_on_sigterm() -> None:

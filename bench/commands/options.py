@@ -68,6 +68,15 @@ Model = Annotated[
         autocompletion=choices("model"),
     ),
 ]
+TrustedFolders = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--trust-terms",
+        metavar="FOLDER",
+        help="Open and run files of this folder where the log or run file names them; repeatable.",
+        show_default="none: only what ships",
+    ),
+]
 Scaled = Annotated[
     bool,
     typer.Option(

@@ -23,7 +23,7 @@ def plan(
         str,
         typer.Option(
             metavar="NAME|FILE",
-            help="What the robot does and pays in turns on its floor (YAML); `torque` writes such files.",
+            help="What the robot does and pays in turns on its floor (YAML); `study torque` writes such files.",
             autocompletion=choices("turn-costs"),
         ),
     ] = "fsu_bot-default",

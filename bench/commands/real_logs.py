@@ -1,4 +1,4 @@
-"""`diffdrive-mpc real-logs`: what the effects of a base are worth on a log of a real robot."""
+"""`diffdrive-mpc study real-logs`: what the effects of a base are worth on a log of a real robot."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 
 from diffdrive_mpc.bench.commands.options import out_folder
 
-EXAMPLE = "Example: diffdrive-mpc real-logs husky --data logs --out husky"
+EXAMPLE = "Example: diffdrive-mpc study real-logs husky --data logs --out husky"
 
 
 def real_logs(

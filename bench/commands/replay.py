@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.bench.commands.options import ConfigFile, Mapping, Settings, out_folder
+from diffdrive_mpc.bench.commands.options import ConfigFile, Mapping, Settings, TrustedFolders, out_folder
 
 EXAMPLE = "Example: diffdrive-mpc replay drive.csv --config my_robot/config.yaml --out replayed"
 _DEFAULT_OUT = "replayed"
@@ -61,6 +61,7 @@ def replay(
         float | None,
         typer.Option(metavar="SECONDS", help="Of the controller.", show_default="that of the configuration"),
     ] = None,
+    trust_terms: TrustedFolders = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -94,5 +95,6 @@ def replay(
         begin=begin,
         end=end,
         sample_time=sample_time,
+        trusted=trust_terms or (),
     )
     replay_into(asked, out or Path(_DEFAULT_OUT))

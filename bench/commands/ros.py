@@ -1,4 +1,4 @@
-"""The commands that run ROS 2 nodes: `node`, the controller, and `robot`, the simulated robot."""
+"""The commands that run ROS 2 nodes: `node`, the controller, and `sim-robot`, the simulated robot."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from diffdrive_mpc.bench.commands.options import Settings, file_option, ros_argu
 
 EXAMPLES = {
     "node": "Example: diffdrive-mpc node --config my_robot.yaml --drive --ros-args -r cmd_vel:=/base/cmd_vel",
-    "robot": "Example: diffdrive-mpc robot --trajectory s --lock-step --record out/drive",
+    "sim-robot": "Example: diffdrive-mpc sim-robot --trajectory s --lock-step --record out/drive",
 }
 
 
@@ -62,6 +62,10 @@ def robot(
     duration: Annotated[
         float | None, typer.Option(help="End after so many seconds on the robot's clock.", show_default="go on")
     ] = None,
+    config: Annotated[
+        Path | None,
+        file_option("Configuration of the node that drives it: the robot takes its sample time and limits", "--config"),
+    ] = None,
     base: Annotated[Path | None, file_option("Base settings: rates, timeouts", "--base")] = None,
     stamped: Annotated[
         bool | None,
@@ -93,7 +97,8 @@ def robot(
         raise ValueError(f"--duration {duration}: give a time in seconds, more than zero")
     arguments = ros_arguments(context)
 
-    from diffdrive_mpc.mpc import load_trajectory  # noqa: PLC0415 - --help does without it, and without ROS
+    from diffdrive_mpc.bench.case import Case  # noqa: PLC0415 - --help does without it, and without ROS
+    from diffdrive_mpc.bench.controllers import build_plant, chosen_model, load_reference  # noqa: PLC0415
     from diffdrive_mpc.sim import make_plant  # noqa: PLC0415
     from diffdrive_mpc.sim.ros.base_settings import load_base_settings  # noqa: PLC0415
     from diffdrive_mpc.sim.ros.run_robot import run_robot  # noqa: PLC0415
@@ -106,10 +111,15 @@ def robot(
         "lock_step.answer_timeout": answer_timeout,
     }
     settings = load_base_settings(base, changes)
-    start = load_trajectory(values["trajectory"]).sample([0.0]).pose[0]
+    case = Case(model=chosen_model(None, config), config=None if config is None else str(config), **values)
+    plant = (
+        make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario)
+        if config is None
+        else build_plant(case)
+    )
     run_robot(
-        make_plant(values["plant"], values["surface"], values["sensors"], values["seed"], scenario=values["scenario"]),
-        start,
+        plant,
+        load_reference(case).sample([0.0]).pose[0],
         settings,
         load_sensor_set(values["sensors"]),
         lock_step=lock_step,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -27,6 +28,7 @@ from diffdrive_mpc.bench.commands.options import (
     Scaled,
     Settings,
     Sweep,
+    TrustedFolders,
     file_option,
     out_option,
     parts_option,
@@ -41,16 +43,16 @@ _QUICK = 2
 EXAMPLES = {
     "simulate": "Example: diffdrive-mpc simulate --model ssm --trajectory square --set horizon=20 --out results",
     "bench": "Example: diffdrive-mpc bench --out results --models ssm --set weights.across=60,120,240",
-    "tracking": "Example: diffdrive-mpc tracking --out results --quick --only cross,bound",
-    "reproduce": "Example: diffdrive-mpc reproduce --out results --only virtual_track",
-    "peers": "Example: diffdrive-mpc peers --out results --peers pursuit,lqr+slip",
-    "energy-front": "Example: diffdrive-mpc energy-front --out results --quick",
-    "torque": "Example: diffdrive-mpc torque --out results --quick",
-    "saving": "Example: diffdrive-mpc saving --out results --quick",
-    "robustness": "Example: diffdrive-mpc robustness --out results --only mass_left,frozen_pose --models sm,ssm",
-    "worlds": "Example: diffdrive-mpc worlds --out results --quick --controllers mpc,rpp+stop",
-    "speed": "Example: diffdrive-mpc speed --out results --quick --peers ours,acados",
-    "loop-speed": "Example: diffdrive-mpc loop-speed --out results --models ssm --trajectories circle,s",
+    "tracking": "Example: diffdrive-mpc study tracking --out results --quick --only cross,bound",
+    "reproduce": "Example: diffdrive-mpc study reproduce --out results --only virtual_track",
+    "peers": "Example: diffdrive-mpc study peers --out results --peers pursuit,lqr+slip",
+    "energy-front": "Example: diffdrive-mpc study energy-front --out results --quick",
+    "torque": "Example: diffdrive-mpc study torque --out results --quick",
+    "saving": "Example: diffdrive-mpc study saving --out results --quick",
+    "robustness": "Example: diffdrive-mpc study robustness --out results --only mass_left,frozen_pose --models sm,ssm",
+    "worlds": "Example: diffdrive-mpc study worlds --out results --quick --controllers mpc,rpp+stop",
+    "speed": "Example: diffdrive-mpc study speed --out results --quick --peers ours,acados",
+    "loop-speed": "Example: diffdrive-mpc study loop-speed --out results --models ssm --trajectories circle,s",
 }
 
 
@@ -90,8 +92,10 @@ def simulate(
     ] = False,
     from_run: Annotated[
         Path | None,
-        typer.Option(help="Drive a run that `prove` kept again; takes --out and --log.", show_default=False),
+        typer.Option(help="Drive a run that `prove` kept again; takes --out, --log and --details.", show_default=False),
     ] = None,
+    trust_terms: TrustedFolders = None,
+    details: Annotated[bool, typer.Option("--details", help="Print the tables instead of the summary.")] = False,
     **values: Any,  # noqa: ANN401 - text or number
 ) -> None:
     """Run one closed loop and print how well it tracked; --out draws it, --log writes it, --animate films it.
@@ -102,18 +106,21 @@ def simulate(
         raise ValueError("--render is of a film: give --animate FILE, too; to watch it drive, --view")
     if (animate is not None or view) and (laps != 1 or from_run is not None):
         raise ValueError("--animate and --view show one drive: leave --laps and --from-run out")
+    if trust_terms and from_run is None:
+        raise ValueError("--trust-terms: files of a run file's folder; give --from-run, too, or leave it out")
     if from_run is not None:
         from diffdrive_mpc.bench.campaign.again import simulate_again  # noqa: PLC0415 - --help does without it
 
         said = {name: value for name, value in values.items() if value != DEFAULTS[name]}
         if said or config is not None or settings or laps != 1 or scale_to_robot or rerun is not None:
-            raise ValueError("--from-run: the file says what is driven; give --out and --log beside it, nothing else")
-        if not simulate_again(from_run, out, log):
+            raise ValueError(
+                "--from-run: the file says what is driven; give --out, --log and --details beside it, nothing else"
+            )
+        if not simulate_again(from_run, out, log, trust_terms or (), details=details):
             raise typer.Exit(FAILED)
         return
-    from diffdrive_mpc.bench.studies.comparison.laps import simulate_laps  # noqa: PLC0415 - --help does without it
-    from diffdrive_mpc.bench.studies.comparison.single import simulate_one  # noqa: PLC0415
-
+    if laps != 1 and details:
+        raise ValueError("--details: with --laps there is one table, which is printed anyway; leave it out")
     if laps != 1 and rerun is not None:
         raise ValueError("--rerun: it shows one drive; write the last lap with --log, and show it by `log rerun`")
     film = None
@@ -130,7 +137,15 @@ def simulate(
             end=end,
             surface=values["surface"],
         )
-    run = partial(simulate_one, rerun=rerun, film=film, view=view) if laps == 1 else partial(simulate_laps, laps=laps)
+    run: Callable[..., None]
+    if laps == 1:
+        from diffdrive_mpc.bench.studies.comparison.single import simulate_one  # noqa: PLC0415 - --help does without it
+
+        run = partial(simulate_one, rerun=rerun, film=film, view=view, details=details)
+    else:
+        from diffdrive_mpc.bench.studies.comparison.laps import simulate_laps  # noqa: PLC0415
+
+        run = partial(simulate_laps, laps=laps)
     run(values, config=config, settings=settings or [], out=out, log=log, scaled=scale_to_robot)
 
 
@@ -145,11 +160,14 @@ def bench(
         typer.Option(
             metavar="LIST|none",
             help="Horizons to sweep in steps.",
-            show_default=f"{','.join(map(str, HORIZONS))}; none with --set, --scenario or --quick",
+            show_default=f"none; {','.join(map(str, HORIZONS))} with --sweeps",
         ),
     ] = None,
+    sweeps: Annotated[
+        bool, typer.Option("--sweeps", help="Sweep horizons, speeds and dead times, and drive other seeds, too.")
+    ] = False,
     jobs: Jobs = None,
-    quick: Annotated[bool, typer.Option("--quick", help="One seed and no horizon sweep.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="One seed.")] = False,
     scale_to_robot: Scaled = False,
     **values: str | None,
 ) -> None:
@@ -163,7 +181,13 @@ def bench(
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
     asked = read_options(
-        values, horizons=horizons, config=config, settings=settings or [], quick=quick, scaled=scale_to_robot
+        values,
+        horizons=horizons,
+        config=config,
+        settings=settings or [],
+        quick=quick,
+        scaled=scale_to_robot,
+        sweeps=sweeps,
     )
     complaint = incomplete(carry_out(ComparisonStudy(asked), out or Path(_BENCH_OUT), jobs))
     if complaint:
@@ -432,3 +456,18 @@ def saving(
     if surfaces is not None:
         asked = asked.model_copy(update={"surfaces": split_names(surfaces, "--surfaces")})
     carry_out(SavingStudy(asked), out, jobs)
+
+
+STUDIES: dict[str, Callable[..., None]] = {
+    "tracking": tracking,
+    "robustness": robustness,
+    "worlds": worlds,
+    "peers": peers,
+    "reproduce": reproduce,
+    "torque": torque,
+    "saving": saving,
+    "energy-front": energy_front,
+    "speed": speed,
+    "loop-speed": loop_speed,
+}
+"""The studies by the names of their commands, `diffdrive-mpc study NAME`."""

@@ -24,8 +24,7 @@ from diffdrive_mpc.bench.studies.identification.trial_drives import trial_doubts
 from diffdrive_mpc.bench.studies.twin.study import twin_into
 from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.identification import Identification, identify
-from diffdrive_mpc.models.identification.configuration import MODEL_FILE, Setting
-from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE
+from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE, Setting
 from diffdrive_mpc.models.identification.lateral_slip import lateral_slip
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.velocity_model import CHANNELS

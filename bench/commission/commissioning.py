@@ -22,8 +22,7 @@ from diffdrive_mpc.bench.tune.optuna_study import needs_optuna
 from diffdrive_mpc.bench.tune.tune_file import load_plan
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.errors import DiffdriveMpcError
-from diffdrive_mpc.models.identification.configuration import MODEL_FILE
-from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE
+from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE
 from diffdrive_mpc.models.load import MODEL_NAMES
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.named_file import named_file

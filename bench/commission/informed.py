@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from diffdrive_mpc.models.identification.configuration import MODEL_FILE
-from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE
+from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE
 from diffdrive_mpc.models.identification.horizon import choose_pace
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.validation import validate

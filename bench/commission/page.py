@@ -30,7 +30,7 @@ from diffdrive_mpc.bench.html_report.page import (
 from diffdrive_mpc.bench.html_report.run_series import run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.machine import describe_run
-from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE
+from diffdrive_mpc.models.identification.configuration import CONFIG_FILE
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.sim import Run
 

@@ -14,7 +14,7 @@ from diffdrive_mpc.bench.commission.ledger import Done
 from diffdrive_mpc.bench.commission.page import commission_page
 from diffdrive_mpc.bench.html_report.document import REPORT, write_page
 from diffdrive_mpc.bench.progress import output_console
-from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE
+from diffdrive_mpc.models.identification.configuration import CONFIG_FILE
 from diffdrive_mpc.models.whole_file import whole_file
 
 ROBOT_FILE, COMPARISON = "robot.yaml", "comparison.json"

@@ -37,7 +37,7 @@ def ros(machine: Machine) -> Finding:
         "ROS 2",
         "missing",
         "none",
-        "needed for `node` and `robot` only: source the setup file, or pip install 'diffdrive-mpc[ros]'",
+        "needed for `node` and `sim-robot` only: source the setup file, or pip install 'diffdrive-mpc[ros]'",
     )
 
 

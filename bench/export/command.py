@@ -45,7 +45,7 @@ def export_library(
         raise ConfigError(f"--precision '{precision}': give double or float")
     name = chosen_model(model, config)
     values = controller_config(name, None if config is None else str(config), single_settings(settings))
-    reference = load_trajectory(trajectory)
+    reference = load_trajectory(trajectory, values)
     with (
         staged(out, files=(*FILES, README, REPORT), folders=FOLDERS, owner="export") as folder,
         ProgressBar("exporting") as bar,

@@ -61,11 +61,12 @@ def link_stm32f4(folder: Path, program: Path) -> bool:
 
 
 def measure_sizes(folder: Path) -> list[Size]:
-    """Build the programs of an exported `folder` with each compiler that is installed.
+    """Build the programs of an exported `folder` with each compiler that is installed, with its binutils.
 
     Raises ConfigError if a compiler does not take the sources.
     """
-    sizes = [_size(target, folder) for target, compiler in TARGETS.items() if shutil.which(compiler)]
+    installed = [target for target, gcc in TARGETS.items() if shutil.which(gcc) and shutil.which(_sizer(gcc))]
+    sizes = [_size(target, folder) for target in installed]
     return [size for size in sizes if size is not None]
 
 
@@ -75,13 +76,18 @@ def _size(target: str, folder: Path) -> Size | None:
         program = Path(scratch) / "program"
         if not _link(target, folder, program):
             return None
-        sizer = [compiler.removesuffix("gcc") + "size", "-A", str(program)]
+        sizer = [_sizer(compiler), "-A", str(program)]
         listed = subprocess.run(sizer, capture_output=True, text=True, check=True).stdout
     lines = [words for line in listed.splitlines() if len(words := line.split()) == 3 and words[1].isdigit()]
     sections = {name: int(size) for name, size, _ in lines}
     data, zero, stack = sections.get(".data", 0), sections.get(".bss", 0), sections.get(_STACK, 0)
     constant = sum(sections.get(name, 0) for name in (".text", ".rodata", ".ARM.exidx"))
     return Size(target, compiler, constant + data, data + zero + stack, stack)
+
+
+def _sizer(compiler: str) -> str:
+    """The program of binutils that lists the sections of what `compiler` has linked."""
+    return compiler.removesuffix("gcc") + "size"
 
 
 def _link(target: str, folder: Path, program: Path) -> bool:

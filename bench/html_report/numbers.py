@@ -12,6 +12,13 @@ from diffdrive_mpc.models.interface import FloatArray
 _TAIL_POINTS = 120
 
 
+def from_zero(time: FloatArray) -> tuple[FloatArray, str]:
+    """Times (n,) [s] counted from the first, and the title of their axis, which names the first."""
+    begin = float(time[0]) if len(time) else 0.0
+    since = f" since {begin:.2f} s on the log's clock" if begin else ""
+    return time - begin, f"time [s]{since}"
+
+
 def rounded(value: float) -> float | None:
     """A number with four leading digits; None where it could not be computed."""
     return float(f"{value:.4g}") if math.isfinite(value) else None

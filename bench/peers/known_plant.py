@@ -10,7 +10,8 @@ import numpy as np
 from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.output_error.experiment import Experiment
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
-from diffdrive_mpc.models.structures.two_poles import TwoPoles, identify_channel, side_by_side
+from diffdrive_mpc.models.structures.files import TwoPoles, side_by_side
+from diffdrive_mpc.models.structures.two_poles import identify_channel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim.plants.make import make_plant

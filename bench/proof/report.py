@@ -220,7 +220,8 @@ def _worst(files: Mapping[str, Driven]) -> Table:
             "what was said most": words,
         },
         [((name, _brief(one.definition)), one) for name, one in files.items()],
-        "Each is a file: `diffdrive-mpc simulate --from-run FILE` drives it again.",
+        "Each is a file: `diffdrive-mpc simulate --from-run FILE` drives it again; where it names files of yours, with "
+        "`--trust-terms FOLDER`.",
     )
 
 

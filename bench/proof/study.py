@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -12,6 +12,7 @@ from diffdrive_mpc.bench.campaign.draws import Value
 from diffdrive_mpc.bench.campaign.engine import Driven, Place, drive_all
 from diffdrive_mpc.bench.campaign.parquet import needs_arrow, write_table
 from diffdrive_mpc.bench.campaign.run_file import write_run
+from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.outcomes import STATISTICS, plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.proof.boundaries import Boundary, find_boundaries
@@ -92,6 +93,10 @@ class ProofStudy(Study[ProofPlan, Proven]):
         told = told_of(self._config)
         probe = Definition.of(dict(self._proof.probe.factors) | dict(told), "probe")
         return ProofPlan([one.changed(told) for one in self._proof.definitions(self._runs)], probe)
+
+    def cases(self, plan: ProofPlan) -> Iterable[Case]:
+        """The run that the maps change a factor of."""
+        return [plan.probe.case]
 
     def run(self, plan: ProofPlan, jobs: int, bar: ProgressBar) -> Proven:
         """Drive everything that the store of the place does not have."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from diffdrive_mpc.bench.replay.assembly import Readings, assembled, on_grid
-from diffdrive_mpc.bench.replay.bag_records import read_records, record_topics
+from diffdrive_mpc.bench.replay.bag_records import LoggedConfigs, read_records, record_topics
 from diffdrive_mpc.bench.replay.pose_stand_in import by_odometry
 from diffdrive_mpc.bench.replay.recording import Recording
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -50,7 +50,7 @@ def _covariance(message: Any, kind: str) -> tuple[float, ...]:  # noqa: ANN401
 
 
 def read_bag_drive(
-    path: Path, mapping: LogMapping | None, sample_time: float, scratch: Path, *, stand_in: bool
+    path: Path, mapping: LogMapping | None, sample_time: float, configs: LoggedConfigs, *, stand_in: bool
 ) -> Recording:
     """Read a bag.
 
@@ -60,8 +60,8 @@ def read_bag_drive(
         The bag, and which topic is what; None for the usual names.
     sample_time
         Of the controller [s].
-    scratch
-        Folder for what has to lie in files.
+    configs
+        Reads the configurations in it.
     stand_in
         Whether dead reckoning by wheels and gyro takes the place of poses.
 
@@ -70,7 +70,7 @@ def read_bag_drive(
     with opened(path) as reader:
         said = record_topics(reader)
         if said is not None and mapping is None and not stand_in:
-            return read_records(reader, path, said, scratch)
+            return read_records(reader, path, said, configs)
         topics = (mapping.topics if mapping else None) or Topics()
         return _from_topics(reader, path, topics, sample_time, stand_in=stand_in)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,9 @@ import numpy as np
 from diffdrive_mpc.bench.replay.recording import Recording, Start, Tick
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord, TickRecordError
-from diffdrive_mpc.mpc import ControllerConfig, load_config
+from diffdrive_mpc.models.trust import UntrustedFileError
+from diffdrive_mpc.mpc import ControllerConfig
+from diffdrive_mpc.mpc.config.config_file import config_from_log
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.trajectories.tabled import TabledTrajectory
 
@@ -25,6 +27,39 @@ _LATE = 1.5
 """A first tick later than so many samples after the start has others before it."""
 
 
+@dataclass(frozen=True)
+class LoggedConfigs:
+    """Reads the configurations that stand in a log.
+
+    Attributes
+    ----------
+    log
+        The log.
+    scratch
+        Folder for the texts of models that do not ship.
+    trusted
+        Folders whose files a configuration may name; None: one that names files is left out, since another one drives.
+    """
+
+    log: Path
+    scratch: Path
+    trusted: Sequence[Path] | None = ()
+
+    def read(self, config: Mapping[str, Any], model: str) -> ControllerConfig | None:
+        """The configuration, with the text of its `model` where that does not ship; raises as `config_from_log`."""
+        values = dict(config)
+        if model:
+            file = self.scratch / f"{hashlib.sha256(model.encode()).hexdigest()[:12]}.yaml"
+            file.write_text(model, encoding="utf-8")
+            values["model"] = str(file)
+        try:
+            return config_from_log(values, self.log, (self.scratch, *(self.trusted or ())))
+        except UntrustedFileError:
+            if self.trusted is None:
+                return None
+            raise
+
+
 def record_topics(reader: Reader) -> tuple[str, str] | None:
     """Names of the topics of ticks and drives; None where the bag has none."""
     texts = {known.topic for known in reader.connections if known.msgtype == _TEXT and known.msgcount}
@@ -32,18 +67,18 @@ def record_topics(reader: Reader) -> tuple[str, str] | None:
     return next(((name, name[: -len("tick")] + "drive") for name in ticks), None)
 
 
-def read_records(reader: Reader, path: Path, topics: tuple[str, str], scratch: Path) -> Recording:
+def read_records(reader: Reader, path: Path, topics: tuple[str, str], configs: LoggedConfigs) -> Recording:
     """The drive of a bag with these topics; errors are those of `recorded_drive`."""
     of_ticks, of_drives = (_lines(reader, name) for name in topics)
-    return recorded_drive(path, "bag of the node", of_ticks, of_drives, scratch)
+    return recorded_drive(path, "bag of the node", of_ticks, of_drives, configs)
 
 
 def recorded_drive(
-    path: Path, source: str, of_ticks: Iterable[str], of_drives: Iterable[str], scratch: Path
+    path: Path, source: str, of_ticks: Iterable[str], of_drives: Iterable[str], configs: LoggedConfigs
 ) -> Recording:
-    """The drive that lines of its ticks and drives tell; model files that are not shipped are put into `scratch`.
+    """The drive that lines of its ticks and drives tell.
 
-    Raises ConfigError where a line is none, or there is no tick.
+    Raises ConfigError where a line is none, there is no tick, or a configuration names a file that is not trusted.
     """
     try:
         ticks = _numbered([TickRecord.read(line) for line in of_ticks])
@@ -53,7 +88,7 @@ def recorded_drive(
     if not ticks:
         raise ConfigError(f"{path}: no tick at which the controller drove is in it")
     by_number = dict(drives)
-    configs = {key: recorded_config(drive.config, drive.model, scratch) for key, drive in drives}
+    config_of = {key: configs.read(drive.config, drive.model) for key, drive in drives}
     found: list[Tick] = []
     approximated: list[str] = []
     now: tuple[int, int] | None = None
@@ -62,7 +97,7 @@ def recorded_drive(
         tick = Tick(record.time, record.measurement, record.command, hold)
         tick = replace(tick, mode=record.mode, solver_path=record.solver_path, message=record.message)
         if key != now:
-            tick = _begin(tick, by_number.get(key), configs.get(key), now is None, approximated)
+            tick = _begin(tick, by_number.get(key), config_of.get(key), now is None, approximated)
         now = key
         found.append(tick)
     numbers = np.diff([record.number for _, record in ticks])
@@ -71,7 +106,7 @@ def recorded_drive(
         approximated.append(
             f"{missing} ticks are missing from the bag: commands differ after each gap until the estimate has settled."
         )
-    config = next((one for one in configs.values()), None)
+    config = next(iter(config_of.values()), None)
     return Recording(path.name, source, tuple(found), config=config, approximated=tuple(approximated))
 
 
@@ -106,16 +141,6 @@ def _numbered(records: Sequence[Any]) -> list[tuple[tuple[int, int], Any]]:
         last = number
         found.append(((activation, number), record))
     return found
-
-
-def recorded_config(config: Mapping[str, Any], model: str, scratch: Path) -> ControllerConfig:
-    """A configuration from a log; the text of a `model` that does not ship goes into a file in `scratch`."""
-    values = dict(config)
-    if model:
-        file = scratch / f"{hashlib.sha256(model.encode()).hexdigest()[:12]}.yaml"
-        file.write_text(model, encoding="utf-8")
-        values["model"] = str(file)
-    return load_config(values)
 
 
 def _lines(reader: Reader, topic: str) -> Iterator[str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from diffdrive_mpc.bench.html_report.numbers import from_zero
 from diffdrive_mpc.bench.replay.open_loop import Replayed
 from diffdrive_mpc.bench.replay.recording import Recording
 from diffdrive_mpc.bench.replay.statistics import NAMES
@@ -22,7 +23,7 @@ def draw_commands(
     """Recorded and replayed commands over time, and by how much they differ."""
     from diffdrive_mpc.bench.figure_style import colour, line_style, new_figure  # noqa: PLC0415 - loads slowly
 
-    time = recording.time[counted]
+    time, title = from_zero(recording.time[counted])
     shown = {"recorded": recording.command, "replayed": replayed.command}
     if other is not None:
         shown["other"] = other
@@ -37,7 +38,7 @@ def draw_commands(
             axes[2 * column + 1].plot(time, apart, color=colour(1))
             axes[2 * column + 1].set(ylabel=f"difference\n[{unit}]")
         axes[0].legend(ncols=3)
-        axes[-1].set(xlabel="time [s]")
+        axes[-1].set(xlabel=title)
 
 
 def draw_path(
@@ -68,12 +69,13 @@ def draw_trust(recording: Recording, replayed: Replayed, counted: BoolArray, pat
     """Age of what each tick got, and how it fits to what was predicted."""
     from diffdrive_mpc.bench.figure_style import MARKERS, colour, new_figure  # noqa: PLC0415 - loads slowly
 
-    time = recording.time[counted]
+    begin = recording.time[counted][0]
+    time, title = from_zero(recording.time[counted])
     with new_figure(path, 9.0, 4.6) as figure:
         ages, fits = figure.subplots(2, 1, sharex=True)
         for i, (field, name) in enumerate(NAMES.items()):
             came = [
-                (tick.time, 1e3 * (tick.time - getattr(tick.measurement, field).time))
+                (tick.time - begin, 1e3 * (tick.time - getattr(tick.measurement, field).time))
                 for tick, keep in zip(recording.ticks, counted, strict=True)
                 if keep and getattr(tick.measurement, field) is not None
             ]
@@ -85,5 +87,5 @@ def draw_trust(recording: Recording, replayed: Replayed, counted: BoolArray, pat
             values = replayed.innovations[counted, column]
             fits.plot(time, values, MARKERS[i], color=colour(i), markersize=2.0, label=name)
         fits.axhline(1.0, color="black", linewidth=0.8)
-        fits.set(yscale="log", ylim=(1e-3, None), ylabel="innovation² / variance [-]", xlabel="time [s]")
+        fits.set(yscale="log", ylim=(1e-3, None), ylabel="innovation² / variance [-]", xlabel=title)
         fits.legend(ncols=3)

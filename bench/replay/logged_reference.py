@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc import Trajectory, load_trajectory
+from diffdrive_mpc.mpc import ControllerConfig, Trajectory, load_trajectory
+from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import BUILT_IN
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timing import TIMINGS
@@ -19,11 +21,14 @@ _SAME = 1e-9
 """Two references that agree to this at every tick are one [m, rad, m/s, rad/s]."""
 
 
-def logged_reference(columns: Mapping[str, FloatArray], name: str) -> Trajectory | None:
+def logged_reference(
+    columns: Mapping[str, FloatArray], name: str, config: ControllerConfig | None = None
+) -> Trajectory | None:
     """What was tracked at each tick as a trajectory whose time 0 is the first tick; None where it is not in the log.
 
-    Where it is one that ships that one is taken. Of another it is the reference itself at the ticks, so a controller
-    that is on time sees what the recorded one saw; it ends at the first tick from which on the reference rests.
+    Where it is one that ships, within the limits of `config` or the usual ones, that one is taken. Of another it is the
+    reference itself at the ticks, so a controller that is on time sees what the recorded one saw; it ends at the first
+    tick from which on the reference rests.
     """
     if not set(_POSE + _TWIST) <= set(columns) or len(columns["t_s"]) < 2:
         return None
@@ -31,14 +36,21 @@ def logged_reference(columns: Mapping[str, FloatArray], name: str) -> Trajectory
     time = columns["t_s"] - columns["t_s"][0]
     if not (np.isfinite(pose).all() and np.isfinite(twist).all() and (np.diff(time) > 0).all()):
         return None
-    return shipped(pose, twist, time) or hermite(name, time, pose, twist)
+    return shipped(pose, twist, time, config) or hermite(name, time, pose, twist)
 
 
-def shipped(pose: FloatArray, twist: FloatArray, time: FloatArray) -> Trajectory | None:
+def shipped(
+    pose: FloatArray, twist: FloatArray, time: FloatArray, config: ControllerConfig | None = None
+) -> Trajectory | None:
     """The trajectory that ships with these poses (m, 3) and twists (m, 2) at `time` (m,) [s]; None without one."""
-    for name in BUILT_IN:
-        for timing in (None, *TIMINGS):
-            found = load_trajectory(name, timing=timing)
+    usual = TrajectoryLimits.of_robot()
+    own = usual if config is None else TrajectoryLimits.of_controller(config.limits)
+    for limits in dict.fromkeys((own, usual)):
+        for name, timing in itertools.product(BUILT_IN, (None, *TIMINGS)):
+            try:
+                found = load_trajectory(name, limits, timing)
+            except BeyondLimitError:
+                continue
             if np.abs(found.sample(time[:1]).pose - pose[:1]).max() > _SAME:
                 continue
             sample = found.sample(time)

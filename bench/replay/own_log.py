@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive_mpc.bench.replay.bag_records import recorded_config, recorded_drive
+from diffdrive_mpc.bench.replay.bag_records import LoggedConfigs, recorded_drive
 from diffdrive_mpc.bench.replay.logged_reference import logged_reference
 from diffdrive_mpc.bench.replay.recording import Recording, Start, Tick
 from diffdrive_mpc.models.bounded_yaml import parse_yaml
@@ -46,42 +46,42 @@ def is_own_csv(path: Path) -> bool:
     return columns.found_in(header).names() | {"mode"} <= set(header)
 
 
-def read_own_csv(path: Path) -> Recording:
-    """Read a log that `simulate --log` has written; raises ConfigError if it is damaged or holds no tick."""
+def read_own_csv(path: Path, config: ControllerConfig | None = None) -> Recording:
+    """Read a log that `simulate --log` has written, perhaps with `config`; raises ConfigError if it is damaged."""
     numbers, texts, findings = read_rows(path)
     missing = [name for name in TOLD if name not in numbers]
     for name in ("wheel_t_s", "gyro_t_s"):
         numbers.setdefault(name, numbers["t_s"])
     rows = zip(*(column.tolist() for column in numbers.values()), strict=True)
     measurements = [measurement_of(dict(zip(numbers, row, strict=True))) for row in rows]
-    recording = _recording(path, "CSV log of `diffdrive-mpc simulate`", (numbers, texts), measurements)
+    recording = _recording(path, "CSV log of `diffdrive-mpc simulate`", (numbers, texts), measurements, config)
     approximated = (*recording.approximated, *([_NOT_TOLD] if missing else []))
     return replace(recording, approximated=approximated, findings=tuple(findings))
 
 
-def read_own_mcap(path: Path, scratch: Path) -> Recording:
-    """Read a log of `simulate --log FILE.mcap` or of a node; its model is put into `scratch` where it ships not."""
+def read_own_mcap(path: Path, configs: LoggedConfigs) -> Recording:
+    """Read a log of `simulate --log FILE.mcap` or of a node; raises ConfigError as `configs` does."""
     log = read_drive_log(path)
     if log.metadata.get("case", {}).get("recorded_by") == "node":
-        return _of_node(path, scratch, cut=log.cut)
+        return _of_node(path, configs, cut=log.cut)
     columns = log.columns
     numbers = {name: column for name, column in columns.items() if column.dtype != object}
     texts = {name: list(columns[name]) for name in TEXTS}
-    recording = _recording(path, "MCAP log of `diffdrive-mpc simulate`", (numbers, texts), log.measurements)
+    config = _config(log.metadata, configs)
+    recording = _recording(path, "MCAP log of `diffdrive-mpc simulate`", (numbers, texts), log.measurements, config)
     approximated = recording.approximated
     if "--laps" in log.metadata.get("case", {}).get("repeat", "").split():
         approximated = (*approximated, _LAPS)
-    config = _config(log.metadata, scratch)
     return replace(recording, config=config, approximated=approximated, findings=_cut(path, cut=log.cut))
 
 
-def _of_node(path: Path, scratch: Path, *, cut: bool) -> Recording:
+def _of_node(path: Path, configs: LoggedConfigs, *, cut: bool) -> Recording:
     """What a node has recorded: it says of each tick what its controller was asked."""
     lines: dict[str, list[str]] = {TICK: [], DRIVE: []}
     for kind, channel, message in messages(path):
         if channel.topic in lines:
             lines[channel.topic].append(str(decoded(kind, message.data).data))
-    found = recorded_drive(path, "MCAP log of the node", lines[TICK], lines[DRIVE], scratch)
+    found = recorded_drive(path, "MCAP log of the node", lines[TICK], lines[DRIVE], configs)
     return replace(found, findings=(*found.findings, *_cut(path, cut=cut)))
 
 
@@ -94,12 +94,13 @@ def _recording(
     source: str,
     columns: tuple[Mapping[str, FloatArray], Mapping[str, list[str]]],
     measurements: Sequence[Measurement],
+    config: ControllerConfig | None,
 ) -> Recording:
     """Of columns of numbers and of texts; the controller was started at the first tick, with the robot at rest."""
     numbers, texts = columns
     command = np.column_stack([numbers["v_ref_m_s"], numbers["omega_ref_rad_s"]])
     between = f"{path.name}: reference"
-    reference = logged_reference(numbers, between)
+    reference = logged_reference(numbers, between, config)
     said = zip(texts["mode"], texts["solver_path"], texts["message"], strict=True)
     ticks = [
         Tick(t, measurement, sent, None, None, None, *words)
@@ -110,10 +111,10 @@ def _recording(
     return Recording(path.name, source, tuple(ticks), approximated=(_BETWEEN,) if interpolated else ())
 
 
-def _config(metadata: Mapping[str, Mapping[str, str]], scratch: Path) -> ControllerConfig | None:
-    """The configuration that the file holds; None where its controller had none."""
+def _config(metadata: Mapping[str, Mapping[str, str]], configs: LoggedConfigs) -> ControllerConfig | None:
+    """The configuration that the file holds; None where its controller had none, or `configs` leaves it out."""
     if "configuration" not in metadata:
         return None
     values = parse_yaml(metadata["configuration"]["yaml"])
     text = "" if values.get("model") in MODEL_NAMES else metadata.get("model", {}).get("yaml", "")
-    return recorded_config(values, text, scratch)
+    return configs.read(values, text)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.bench.config_report import commented_yaml
+from diffdrive_mpc.bench.html_report.numbers import from_zero
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
     Chart,
@@ -173,15 +174,17 @@ def _filled(rows: FloatArray) -> FloatArray:
 
 def _charts(recording: Recording, replayed: Replayed, counted: BoolArray) -> list[Chart]:
     """Differences of commands, ages of readings, and innovations over time."""
-    time, apart = recording.time[counted], (replayed.command - recording.command)[counted]
-    when = Axis("time on the log's clock [s]")
+    begin, apart = recording.time[counted][0], (replayed.command - recording.command)[counted]
+    time, title = from_zero(recording.time[counted])
+    when = Axis(title)
     differences = [
         Series(f"{name} [{unit}]", *_thinned(time, apart[:, i]), style=i, kind="line")
         for i, (name, unit) in enumerate((("v", "m/s"), ("omega", "rad/s")))
     ]
     ages = [
-        Series(name, *_thinned(*_ages(recording, field, counted)), style=i, kind="line")
+        Series(name, *_thinned(came - begin, age), style=i, kind="line")
         for i, (field, name) in enumerate(NAMES.items())
+        for came, age in [_ages(recording, field, counted)]
     ]
     fits = [
         Series(name, *_thinned(time, replayed.innovations[counted, column]), style=i, kind="points")

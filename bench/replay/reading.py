@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -9,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from diffdrive_mpc.bench.replay.bag import read_bag_drive
+from diffdrive_mpc.bench.replay.bag_records import LoggedConfigs
 from diffdrive_mpc.bench.replay.own_log import is_own_csv, read_own_csv, read_own_mcap
 from diffdrive_mpc.bench.replay.pose_stand_in import STAND_IN
 from diffdrive_mpc.bench.replay.recording import Recording, Tick
@@ -19,6 +21,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.bags import is_bag
 from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log
 from diffdrive_mpc.models.logs.mapping import load_mapping
+from diffdrive_mpc.mpc import ControllerConfig
 
 PoseSource = Literal["log", "odometry"]
 _LEAST_TICKS = 10
@@ -28,7 +31,13 @@ _LONG_AGO = 600
 
 
 def read_recording(
-    path: Path, mapping: str | None, sample_time: float, scratch: Path, pose: PoseSource = "log"
+    path: Path,
+    mapping: str | None,
+    sample_time: float,
+    scratch: Path,
+    pose: PoseSource = "log",
+    trusted: Sequence[Path] | None = (),
+    config: ControllerConfig | None = None,
 ) -> Recording:
     """Read a log as the ticks of a controller.
 
@@ -44,19 +53,24 @@ def read_recording(
         Folder for what has to lie in files.
     pose
         "odometry" for dead reckoning in place of the log's poses.
+    trusted
+        Folders whose files the configuration in the log may name; None: where it names files it is left out.
+    config
+        The controller's, where it was named: shipped trajectories were within its limits.
 
-    Raises ConfigError if the log cannot be read or is too short.
+    Raises ConfigError if the log cannot be read, is too short, or names a file that is not trusted.
     """
     if not path.exists():
         raise ConfigError(f"{path}: there is no such file or folder")
     stand_in = pose == "odometry"
+    configs = LoggedConfigs(path, scratch, trusted)
     loaded = None if mapping is None else load_mapping(mapping)
     if loaded is None and not stand_in and is_drive_log(path):
-        found = read_own_mcap(path, scratch)
+        found = read_own_mcap(path, configs)
     elif is_bag(path):
-        found = read_bag_drive(path, loaded, sample_time, scratch, stand_in=stand_in)
+        found = read_bag_drive(path, loaded, sample_time, configs, stand_in=stand_in)
     elif loaded is None and is_own_csv(path) and not stand_in:
-        found = read_own_csv(path)
+        found = read_own_csv(path, config)
     else:
         found = read_mapped_csv(path, loaded or load_mapping("simulate"), sample_time, stand_in=stand_in)
     if len(found.ticks) < _LEAST_TICKS:

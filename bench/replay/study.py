@@ -61,6 +61,7 @@ class Asked:
     begin: float | None = None
     end: float | None = None
     sample_time: float | None = None
+    trusted: Sequence[Path] = ()
 
 
 @dataclass(frozen=True)
@@ -148,9 +149,9 @@ class ReplayStudy(Study[ReplayPlan, Found]):
         """Read the log and say what to ask of it; raises ConfigError or ValueError if something cannot be used."""
         asked = self._asked
         given = self._given_config()
-        recording = read_recording(
-            asked.log, asked.mapping, (given or load_config("ssm")).sample_time, self._scratch, asked.pose
-        )
+        sample_time = (given or load_config("ssm")).sample_time
+        trusted = asked.trusted if given is None else None
+        recording = read_recording(asked.log, asked.mapping, sample_time, self._scratch, asked.pose, trusted, given)
         recording = up_to(recording, asked.end)
         config = given or recording.config
         if config is None:
@@ -161,7 +162,7 @@ class ReplayStudy(Study[ReplayPlan, Found]):
             config = replace_values(config, dict(self._overrides))
         _check_sample_time(recording, config)
         recording = from_mid_drive(recording, (config.limits.v_slew, config.limits.omega_slew), config.sample_time)
-        references, words = self._references(recording)
+        references, words = self._references(recording, config)
         time = recording.time
         counted = (time >= (-np.inf if asked.begin is None else asked.begin)) & np.isfinite(time)
         if not counted.any():
@@ -187,12 +188,12 @@ class ReplayStudy(Study[ReplayPlan, Found]):
         told = () if asked.sample_time is None else (("sample_time", asked.sample_time),)
         return (*single_settings(asked.settings), *told)
 
-    def _references(self, recording: Recording) -> tuple[tuple[Reference, ...], str]:
+    def _references(self, recording: Recording, config: ControllerConfig) -> tuple[tuple[Reference, ...], str]:
         """What is tracked from each start on, and where it comes from."""
         asked = self._asked
         starts = [tick.start for tick in recording.ticks if tick.start is not None]
         if asked.trajectory is not None:
-            reference: Reference = load_trajectory(asked.trajectory)
+            reference: Reference = load_trajectory(asked.trajectory, config)
             if asked.start_at_robot:
                 reference = starting_at(reference, _first_pose(recording))
             return (reference,) * len(starts), f"The reference is the trajectory '{asked.trajectory}'."

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 from diffdrive_mpc.bench.campaign.draws import Value
 from diffdrive_mpc.bench.campaign.engine import Place
+from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.outcomes import STATISTICS, plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.proof.study import told_of
@@ -83,6 +84,10 @@ class TuneStudy(Study[Search, Tuned]):
         """Make the search; raises ConfigError where a range or a factor has a mistake."""
         needs_optuna()
         return Search(self._plan, told_of(self._config), self._place, self._storage, self._worker)
+
+    def cases(self, plan: Search) -> Iterable[Case]:
+        """A run of the verdict."""
+        return [plan.verdict_runs(1)[0].case]
 
     def run(self, plan: Search, jobs: int, bar: ProgressBar) -> Tuned:  # noqa: ARG002 - the place has them
         """Search, then judge the best point."""

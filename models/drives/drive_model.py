@@ -18,7 +18,7 @@ STEPS = {"drive_experimental": experimental_step, "drive_physical": physical_ste
 """One channel of each."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DriveModel(NonlinearModel):
     """A `NonlinearModel` with a sharp twin; make it with `drive_model`.
 

@@ -11,9 +11,9 @@ from pydantic import Field, model_validator
 from diffdrive_mpc.models.checked_yaml import StrictModel, check
 from diffdrive_mpc.models.hybrids.hybrid_model import Correction, HybridModel, hybrid_model
 from diffdrive_mpc.models.robot import Positive
+from diffdrive_mpc.models.structures.files import SmFile
 from diffdrive_mpc.models.structures.identified import rounded
 from diffdrive_mpc.models.structures.model_file import Finite, FunctionFile, build_model, write_parameters
-from diffdrive_mpc.models.structures.sm import SmFile
 
 _HEAD = (
     "A linear model and a network on what it leaves. Features: states, v_ref [m/s] and omega_ref [rad/s] over scale."

@@ -39,7 +39,7 @@ class Correction:
     least: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class HybridModel(NonlinearModel):
     """A `NonlinearModel` whose states are those of its linear model; make it with `hybrid_model`.
 

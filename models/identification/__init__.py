@@ -1,5 +1,11 @@
 """From logs of a robot to a velocity model, a controller configuration and a report."""
 
-from diffdrive_mpc.models.identification.from_logs import Identification, identify
+from typing import TYPE_CHECKING
+
+from diffdrive_mpc.models.lazy_names import on_first_use
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.models.identification.from_logs import Identification, identify
 
 __all__ = ["Identification", "identify"]
+__getattr__ = on_first_use(__name__, dict.fromkeys(__all__, "from_logs"))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.base_effects import BaseEffects, WheelCommand
-from diffdrive_mpc.models.identification.horizon import choose_pace
+from diffdrive_mpc.models.identification.horizon import choose_pace, round_period
 from diffdrive_mpc.models.identification.sensor_noise import sensor_noise
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
@@ -24,7 +24,7 @@ from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
-MODEL_FILE = "model.yaml"
+MODEL_FILE, CONFIG_FILE = "model.yaml", "config.yaml"
 _UNITS = {"v": "m/s", "omega": "rad/s"}
 _NOISE_UNITS = {
     "wheel_speed_noise": "m/s",
@@ -34,8 +34,11 @@ _NOISE_UNITS = {
     "heading_noise": "rad",
 }
 _UNKNOWN_SLEW = "# v_slew and omega_slew are not in a log: set them if the robot must be driven more gently"
+_SAME_TRACK = 0.01
+"""Tracks that differ by less are the same [-]."""
 _UNKNOWN_WHEELS = (
-    "# Not in the log: limits.wheel_speed, wheels.track and wheels.encoder_track keep the default; set them."
+    "# Not in the log: wheels.track and wheels.encoder_track keep the default; set them, and limits.wheel_speed with "
+    "them."
 )
 
 
@@ -133,6 +136,7 @@ def configure(
     train: Sequence[Record],
     geometry: WheelGeometry | None,
     *,
+    stated: float | None = None,
     every_sample: bool = False,
 ) -> Configuration:
     """The controller of an identified robot: limits that the log covers, and the tracks of the wheels.
@@ -147,6 +151,8 @@ def configure(
         The records it was identified from.
     geometry
         Wheel radius and track of the log; None without wheel speeds.
+    stated
+        Track that the mapping states [m]; it counts where the log has no wheel speeds that tell it.
     every_sample
         Whether the model that predicts is for samples of the log and no others.
 
@@ -180,13 +186,16 @@ def configure(
             for i, name in enumerate(CHANNELS)
         ),
     ]
+    if stated is not None and geometry is None:
+        geometry = WheelGeometry(np.nan, stated)
     wheels: list[Setting] = []
     track = base.track if base else firmware_track(train, geometry, identified.model.dc_gain) if geometry else None
+    reached = _reached(identified, train)
+    limits.append(_wheel_speed(np.minimum(asked, limit), track or load_robot().track, base, float(gain[0]), reached))
     if geometry is not None and track is not None:
-        limits.append(_wheel_speed(np.minimum(asked, limit), track, base, float(gain[0]), _reached(identified, train)))
         wheels = [
             _setting("track", track, "m, by which the robot turned omega_ref into wheel speeds"),
-            _setting("encoder_track", geometry.track, "m, by which the log's omega was computed"),
+            _setting("encoder_track", geometry.track, f"m, {_source_of_track(geometry, stated)}"),
         ]
     lengths = _lengths(limit[0] * gain[0], geometry)
     return Configuration(
@@ -198,6 +207,15 @@ def configure(
         tuple(lengths.get("reentry", ())),
         tuple(lengths.get("failure", ())),
     )
+
+
+def _source_of_track(geometry: WheelGeometry, stated: float | None) -> str:
+    if np.isnan(geometry.radius):
+        return "as the mapping states it"
+    source = "by which the log's omega was computed"
+    if stated is not None and abs(geometry.track - stated) > _SAME_TRACK * stated:
+        source += f"; the {stated:g} m that the mapping states is not used, as the log's wheels tell it"
+    return source
 
 
 def _lengths(speed: float, geometry: WheelGeometry | None) -> dict[str, list[Setting]]:
@@ -221,7 +239,7 @@ def _general(identified: IdentifiedModel, dt: float, *, every_sample: bool) -> t
     source = "of the log" if pace.every == 1 else f"{pace.every} samples of the log, as the robot answers slowly"
     return (
         Setting("model", MODEL_FILE),
-        Setting("sample_time", float(f"{pace.sample_time:.6g}"), f"s, {source}: the period at which `step` is called"),
+        Setting("sample_time", round_period(pace.sample_time), f"s, {source}: the period at which `step` is called"),
         Setting(
             "horizon",
             pace.horizon,

@@ -12,9 +12,13 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.identification.configuration import MODEL_FILE, Configuration, configure
+from diffdrive_mpc.models.errors import wrong_type
+from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE, Configuration, configure
 from diffdrive_mpc.models.identification.fitting import fit
+from diffdrive_mpc.models.identification.horizon import round_period
 from diffdrive_mpc.models.identification.log_data import LogData, OptionError, read_data
+from diffdrive_mpc.models.identification.log_surface import SURFACE_FILE, log_surface, surface_text
+from diffdrive_mpc.models.identification.node_parameters import NODE_FILE, node_text
 from diffdrive_mpc.models.identification.poses import from_poses
 from diffdrive_mpc.models.identification.predictor import Predictor, finders, with_predictor
 from diffdrive_mpc.models.identification.report import IdentificationReport
@@ -30,9 +34,8 @@ from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 AUTOMATIC = "auto"
 BESIDE = "sm"
 """The linear model beside a predictor."""
-CONFIG_FILE = "config.yaml"
-FILES = (MODEL_FILE, CONFIG_FILE, "report.json", "report.md")
-"""What `Identification.write` writes, and of a network the file of its weights."""
+FILES = (MODEL_FILE, CONFIG_FILE, SURFACE_FILE, NODE_FILE, "report.json", "report.md")
+"""What `Identification.write` writes, the node's parameters for bags only, and of a network the file of its weights."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,6 +49,8 @@ class Identification:
     config
         Keys and values that `load_config` takes: limits that the logs cover, the tracks of the wheels, and as model the
         name of the file that `write` puts beside the configuration.
+    surface
+        Keys and values of a surface file: the slip of the log, for a plant of the model.
     report
         Scores, parameters with their uncertainty, warnings: as data, `as_json` and `markdown`; prints as tables.
     content
@@ -56,6 +61,7 @@ class Identification:
 
     model: VelocityModel | NonlinearModel
     config: Mapping[str, Any]
+    surface: Mapping[str, Mapping[str, float]]
     report: IdentificationReport
     content: Any
     configuration: Configuration
@@ -67,6 +73,11 @@ class Identification:
     def __str__(self) -> str:
         """The report, in short."""
         return str(self.report)
+
+    @property
+    def verdict(self) -> str:
+        """Whether to trust the model, in a line."""
+        return self.report.verdict
 
     @property
     def refusal(self) -> str:
@@ -87,7 +98,7 @@ class Identification:
     def write(self, folder: str | Path, figures: Mapping[str, str] | None = None, *, force: bool = False) -> None:
         """Write `FILES` into `folder`, which is made where missing; files of these names are replaced.
 
-        Where there is a `refusal`, model and configuration are not written unless with `force`.
+        Where there is a `refusal`, model, configuration and surface are not written unless with `force`.
 
         Parameters
         ----------
@@ -114,6 +125,9 @@ class Identification:
             else:
                 predictor.write(folder / MODEL_FILE, self.content)
             (folder / CONFIG_FILE).write_text(self.configuration.text(), encoding="utf-8")
+            (folder / SURFACE_FILE).write_text(surface_text(self.surface), encoding="utf-8")
+            if self.report.data.topics:
+                (folder / NODE_FILE).write_text(node_text(self.report.data.topics), encoding="utf-8")
         (folder / "report.json").write_text(numbers, encoding="utf-8")
         (folder / "report.md").write_text(words, encoding="utf-8")
 
@@ -169,7 +183,12 @@ def identify(
     models.checked_yaml.ConfigError, ValueError, OSError
         If an argument or a log cannot be used, or the logs allow no model; the message is one line.
     """
-    paths = [Path(path) for path in ([logs] if isinstance(logs, (str, Path)) else logs)]
+    listed = [logs] if isinstance(logs, (str, Path)) else logs
+    if not (isinstance(listed, Sequence) and all(isinstance(path, (str, Path)) for path in listed)):
+        raise wrong_type(
+            "logs", "paths of log files", logs, "write arrays to a CSV file, and name its columns in a mapping"
+        )
+    paths = [Path(path) for path in listed]
     if not paths:
         raise ConfigError("no logs: give at least one")
     predictor = structure if structure in finders else None
@@ -243,7 +262,14 @@ def identify_data(
         announce(f"{predictor} (a minute or more)")
         fitted = with_predictor(data, fitted, finders[predictor]())
     report = IdentificationReport(name, data, fitted, from_poses(data, fitted), date.today())
-    configuration = configure(name, fitted.identified, data.train, fitted.geometry, every_sample=predictor is not None)
+    configuration = configure(
+        name,
+        fitted.identified,
+        data.train,
+        fitted.geometry,
+        stated=data.stated_track,
+        every_sample=predictor is not None,
+    )
     model: VelocityModel | NonlinearModel
     content: Any
     if fitted.predictor is None:
@@ -252,7 +278,8 @@ def identify_data(
     else:
         content = fitted.predictor.content(_fields(report, fitted.predictor))
         model = fitted.predictor.model(content)
-    found = Identification(model, configuration.mapping(), report, content, configuration)
+    surface = log_surface(data.train)
+    found = Identification(model, configuration.mapping(), surface, report, content, configuration)
     _lock(found)
     return found
 
@@ -276,7 +303,7 @@ def _fields(report: IdentificationReport, predictor: Predictor) -> dict[str, Any
     fitted, data = report.fitted, report.data
     return {
         "name": report.name,
-        "sample_time": data.train[0].dt,
+        "sample_time": round_period(data.train[0].dt),
         "limits": fitted.identified.limits or None,
         "warnings": [str(doubt) for doubt in report.doubts],
         "fit_percent": percent(fitted.train.fit_percent),

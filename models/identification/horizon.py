@@ -11,6 +11,8 @@ from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.velocity_model import VelocityModel
 
 _INSTANTS = 2000
+_SAME_PERIOD = 1e-4
+"""Two periods that differ by less are the same [-]."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,15 @@ def settling_time(model: VelocityModel) -> float:
         (unsettled,) = np.nonzero(np.abs(answer - model.dc_gain[row, row]) > share * abs(model.dc_gain[row, row]))
         late = max(late, dt * (unsettled[-1] + 1) if unsettled.size else 0.0)
     return late
+
+
+def round_period(dt: float) -> float:
+    """Sample time of a controller for samples `dt` [s] apart: the shortest number within 0.01 % of it [s].
+
+    Times of a log jitter: their median step is 0.0500001 s where 0.05 s was meant.
+    """
+    rounded = (float(f"{dt:.{digits}g}") for digits in range(1, 17))
+    return next((period for period in rounded if abs(period - dt) <= _SAME_PERIOD * dt), dt)
 
 
 def choose_pace(model: VelocityModel, dt: float) -> Pace:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,8 @@ from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.logs import Finding, Log, Record, read_log
 from diffdrive_mpc.models.logs.diagnosis import compare_logs
-from diffdrive_mpc.models.logs.record import refuse
+from diffdrive_mpc.models.logs.mapping import load_mapping
+from diffdrive_mpc.models.logs.record import Topics, refuse
 from diffdrive_mpc.models.output_error.experiment import YawSource
 from diffdrive_mpc.models.robot import SampleTime
 
@@ -58,6 +59,10 @@ class LogData:
         Of all logs, notes and warnings; with `force` errors, too.
     warnings
         What was left out of the logs.
+    stated_track
+        Track that the mapping states [m]; None where it states none.
+    topics
+        Topic and type of message by stream, of logs that are bags.
     """
 
     train: tuple[Record, ...]
@@ -67,6 +72,8 @@ class LogData:
     yaw: YawSource
     findings: tuple[Finding, ...]
     warnings: tuple[Doubt, ...]
+    stated_track: float | None = None
+    topics: Topics = field(default_factory=dict)
 
 
 def read_data(
@@ -116,6 +123,7 @@ def read_data(
     twice = [path for path in (*logs, *validate) if [*logs, *validate].count(path) > 1]
     if twice:
         raise ConfigError(f"{twice[0]}: this log is given twice; a model must not be tried on what it was made from")
+    geometry = None if mapping is None else load_mapping(mapping).wheels
     read: list[Log] = []
     for path in (*logs, *validate):
         log = read_log(path, mapping, read[0].records[0].dt if read else None)
@@ -165,6 +173,8 @@ def read_data(
         yaw=yaw,
         findings=(*(finding for log in read for finding in log.findings), *together, *spare),
         warnings=tuple(warnings),
+        stated_track=None if geometry is None else geometry.track,
+        topics=fitted[0].topics,
     )
     check(_Clock, {"sample_time": data.train[0].dt}, data.logs[0])
     return data

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from diffdrive_mpc.models.doubt import Doubt, lines
+from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE
 from diffdrive_mpc.models.identification.fitting import Fitted
 from diffdrive_mpc.models.identification.log_data import LogData
+from diffdrive_mpc.models.identification.log_surface import SURFACE_FILE
 from diffdrive_mpc.models.identification.poses import PoseResults
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.identification.tables import (
+    delay_table,
     drift_table,
     effect_table,
     finding_table,
@@ -32,6 +37,13 @@ from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.plain_text import plain_line
 from diffdrive_mpc.models.table import Table
 from diffdrive_mpc.models.velocity_model import CHANNELS
+
+
+def next_command(folder: Path = Path()) -> str:
+    """Return the command that drives the first path of the trials again, with the files of an identification."""
+    config, model, surface = (str(folder / name) for name in (CONFIG_FILE, MODEL_FILE, SURFACE_FILE))
+    words = ["--config", config, "--plant", f"model:{model}", "--surface", surface, "--scale-to-robot"]
+    return shlex.join(["diffdrive-mpc", "simulate", *words])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,10 +84,10 @@ class IdentificationReport:
         if self.data.yaw == "encoders":
             words = "omega: the log has no gyro, so this is the yaw rate of the wheels; a skid-steered body turns less"
             found.append(Doubt("no gyro", words))
-        if self.fitted.geometry is None:
+        if self.fitted.geometry is None and self.data.stated_track is None:
             words = (
-                "wheels: the log has no speeds of theirs: in config.yaml set limits.wheel_speed, wheels.track and "
-                "wheels.encoder_track"
+                "wheels: neither log nor mapping (wheels.track) tells the track: in config.yaml set wheels.track, "
+                "wheels.encoder_track and limits.wheel_speed"
             )
             found.append(Doubt("no wheels", words))
         return tuple(dict.fromkeys([*found, *score_doubts(self.fitted), *mount_doubts(self.poses)]))
@@ -87,11 +99,11 @@ class IdentificationReport:
 
     @property
     def _parameter_tables(self) -> list[Table]:
-        linear, predictor = self.fitted.identified.parameters, self.fitted.predictor
-        if predictor is None:
-            return [parameter_table("Parameters", linear)]
-        own = [parameter_table("Parameters", predictor.estimate)] if predictor.estimate else []
-        return [*own, parameter_table(f"Parameters of the linear model beside {predictor.title}", linear)]
+        identified, predictor = self.fitted.identified, self.fitted.predictor
+        own = [parameter_table("Parameters", predictor.estimate)] if predictor and predictor.estimate else []
+        delays = [] if identified.delays is None else [delay_table(identified.delays)]
+        title = f"Parameters of the linear model beside {predictor.title}" if predictor else "Parameters"
+        return [*own, *delays, parameter_table(title, identified.parameters, dead_times=not delays)]
 
     @property
     def _findings(self) -> list[Finding]:
@@ -107,18 +119,31 @@ class IdentificationReport:
         return f"{count}, {matter or 'none'} of which matter{'s' if matter == 1 else ''} for driving"
 
     def in_short(self) -> list[str]:
-        """What was found, whether to trust it, and what to do next: a line each."""
+        """What was found, whether to trust it, and what to do next, in the folder of the files: a line each."""
         model = self.fitted.identified.model
         gain, late, lag = model.dc_gain, model.dead_time, model.lag - model.dead_time
         lags = [
-            f"{channel} becomes {gain[i, i]:.3g} times its command, after a dead time of {late[i]:.2f} s and a lag of "
-            f"{lag[i]:.2f} s"
+            f"{channel} becomes {gain[i, i]:.3g} times its command, {late[i] + lag[i]:.2f} s later (dead time "
+            f"{late[i]:.2f} s, lag {lag[i]:.2f} s)"
             for i, channel in enumerate(CHANNELS)
         ]
         if self.fitted.predictor is not None:
             linear = "by the linear model beside it, which limits and tracks come from"
             lags[0] = f"{self.fitted.predictor.title}; {linear}, {lags[0]}"
         clipped = [f"{channel} clipped at {level:.3g}" for channel, level in self.fitted.identified.limits.items()]
+        return [f"Found: {'; '.join([*lags, *clipped])}.", f"To be trusted? {self.verdict}.", self.next_step()]
+
+    @property
+    def verdict(self) -> str:
+        """Whether to trust the model, in a line."""
+        return self._trust()[0]
+
+    def next_step(self, folder: Path = Path()) -> str:
+        """Return what to do next with the files, which are in `folder`, in a line."""
+        return f"Next: {self._trust()[1]}{next_command(folder)}"
+
+    def _trust(self) -> tuple[str, str]:
+        """Whether to trust the model, and what to do before it is driven with; empty where nothing is."""
         fit = [float(value) for value in self.fitted.validation.fit_percent]
         worst, limits = min(fit), identification_settings().warn
         errors = [finding for finding in self.data.findings if finding.severity == "error"]
@@ -126,19 +151,13 @@ class IdentificationReport:
         said = f"of what moves in the data held out it explains (FIT) {each}"
         count = self._counted()
         if errors or not worst >= 0:
-            trust, step = (
+            return (
                 f"No: {errors[0].words if errors else said}",
-                "mend that first, in the mapping or on the robot",
+                "mend that first; then ",
             )
-        elif worst < limits.low_fit:
-            trust, step = f"With care: {said}", "read the warnings, and drive gently with it"
-        else:
-            trust = f"Yes, at the speeds and on the floor of the log: {said}" + (f"; {count}" if count else "")
-            step = (
-                "diffdrive-mpc simulate --config config.yaml --plant model:model.yaml --scale-to-robot, then the "
-                "robot, as the end of the report says"
-            )
-        return [f"Found: {'; '.join([*lags, *clipped])}.", f"To be trusted? {trust}.", f"Next: {step}."]
+        if worst < limits.low_fit:
+            return f"With care: {said}", "read the warnings, and drive gently with it; begin with "
+        return f"Yes, at the speeds and on the floor of the log: {said}" + (f"; {count}" if count else ""), ""
 
     @property
     def scores(self) -> tuple[Table, ...]:

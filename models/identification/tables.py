@@ -57,11 +57,25 @@ def drift_table(poses: PoseResults) -> Table:
     return Table("Open-loop pose error", columns, tuple(rows), text_columns=0, note=note)
 
 
-def parameter_table(title: str, estimate: ParameterEstimate) -> Table:
-    """Values with their standard deviations."""
+def delay_table(delays: ParameterEstimate) -> Table:
+    """How late the robot answers: dead time and lag together, which a log tells, then how they are divided."""
+    cells = [
+        f"{value:.3g} +- {deviation:.2g}"
+        for value, deviation in zip(delays.values, delays.standard_deviation, strict=True)
+    ]
+    names = dict.fromkeys(name.partition(".")[0] for name in delays.names)
+    rows = [(name, *cells[3 * i : 3 * i + 3]) for i, name in enumerate(names)]
+    note = "With standard deviations. The sum is what tracking depends on; many divisions of it predict the same."
+    columns = ("answer of", "dead time and lag together [s]", "of it dead time [s]", "lag [s]")
+    return Table("How late the robot answers", columns, tuple(rows), note=note)
+
+
+def parameter_table(title: str, estimate: ParameterEstimate, *, dead_times: bool = True) -> Table:
+    """Values with their standard deviations, without the dead times where `delay_table` has them."""
     rows = [
         (name, f"{value:.5g}", f"{deviation:.2g}")
         for name, value, deviation in zip(estimate.names, estimate.values, estimate.standard_deviation, strict=True)
+        if dead_times or "dead_time" not in name
     ]
     note = "SI units: gains and damping [-], frequencies and poles [rad/s], times [s], lengths [m]."
     return Table(title, ("parameter", "value", "standard deviation"), tuple(rows), note=note)

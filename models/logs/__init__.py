@@ -1,6 +1,12 @@
 """Logs of robots as evenly sampled records: CSV files and ROS 2 bags, checked and never silently repaired."""
 
-from diffdrive_mpc.models.logs.reading import read_log
+from typing import TYPE_CHECKING
+
+from diffdrive_mpc.models.lazy_names import on_first_use
 from diffdrive_mpc.models.logs.record import Finding, Log, Record
 
+if TYPE_CHECKING:
+    from diffdrive_mpc.models.logs.reading import read_log
+
 __all__ = ["Finding", "Log", "Record", "read_log"]
+__getattr__ = on_first_use(__name__, {"read_log": "reading"})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import reduce
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.checked_yaml import ConfigError, mistakes
 from diffdrive_mpc.models.input_file import MEGABYTE, read_input
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.bag_bounds import check_messages, within_bounds
@@ -113,6 +113,8 @@ class TopicRows:
         (n, width), not checked for finiteness.
     stride
         One in how many messages was read.
+    kind
+        Type of its messages.
     """
 
     topic: str
@@ -120,6 +122,7 @@ class TopicRows:
     stamped: FloatArray
     value: FloatArray
     stride: int = 1
+    kind: str = ""
 
     @property
     def has_stamps(self) -> BoolArray:
@@ -169,6 +172,26 @@ def of_ros1(path: Path) -> bool:
         return file.read(7) == b"#ROSBAG" or path.suffix == ".bag"
 
 
+def require_topics(reader: Reader, path: Path, wanted: Iterable[tuple[Topic, Decoders]]) -> None:
+    """Raise ConfigError with all topics that the bag lacks, or that are of a type without a decoder."""
+    sentences, missing = [], []
+    for topic, decoders in wanted:
+        kinds = sorted({connection.msgtype for connection in reader.connections if connection.topic == topic.topic})
+        if not kinds:
+            missing.append(f"'{topic.topic}'")
+        elif len(kinds) > 1 or (topic.fields is None and kinds[0] not in decoders):
+            sentences.append(
+                f"topic '{topic.topic}' is of type {', '.join(kinds)}; expected {' or '.join(decoders)}; of another "
+                "type name 'fields', where its numbers stand, and a file for it under 'definitions'"
+            )
+    if missing:
+        there = ", ".join(sorted({f"{known.topic} ({known.msgtype})" for known in reader.connections})) or "none"
+        which = f"no topic {missing[0]}; name it" if len(missing) == 1 else f"no topics {', '.join(missing)}; name them"
+        sentences.insert(0, f"{which} under 'topics' in the mapping; the bag has {there}")
+    if sentences:
+        raise ConfigError(mistakes(str(path), sentences))
+
+
 def read_topic(
     reader: Reader,
     path: Path,
@@ -193,21 +216,12 @@ def read_topic(
 
     name = topic.topic
     connections: list[Any] = [connection for connection in reader.connections if connection.topic == name]
-    if not connections:
-        there = ", ".join(sorted({f"{known.topic} ({known.msgtype})" for known in reader.connections})) or "none"
-        raise ConfigError(f"{path}: no topic '{name}'; name it under 'topics' in the mapping; the bag has {there}")
-    kinds = sorted({connection.msgtype for connection in connections})
-    if topic.fields is not None:
-        decoders = dict.fromkeys(kinds, _reader_of(path, topic))
-    if len(kinds) > 1 or kinds[0] not in decoders:
-        raise ConfigError(
-            f"{path}: topic '{name}' is of type {', '.join(kinds)}; expected {' or '.join(decoders)}; of "
-            "another type name "
-            "'fields', where its numbers stand, and a file for it under 'definitions'"
-        )
+    require_topics(reader, path, [(topic, decoders)])
+    kind = connections[0].msgtype
+    decode = decoders[kind] if topic.fields is None else _reader_of(path, topic)
     ros1 = of_ros1(path)
-    store, decode = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY), decoders[kinds[0]]
-    _register(path, store, kinds[0], definitions)
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
+    _register(path, store, kind, definitions)
     # Bytes of numbers in a row: a list of Python's own takes ten times as much memory.
     times, values = array("q"), array("d")
     seen = 0
@@ -215,7 +229,7 @@ def read_topic(
         seen += 1
         if (seen - 1) % stride:
             continue
-        message = (store.deserialize_ros1 if ros1 else store.deserialize_cdr)(data, kinds[0])
+        message = (store.deserialize_ros1 if ros1 else store.deserialize_cdr)(data, kind)
         times.extend((timestamp, stamp(message)))
         values.extend(decode(message))
     promised = sum(connection.msgcount for connection in connections)
@@ -224,7 +238,7 @@ def read_topic(
     if not seen:
         raise ConfigError(f"{path}: topic '{name}' holds no message")
     received, stamped = (np.array(times[first::2]) for first in (0, 1))
-    return TopicRows(name, received, stamped, np.array(values).reshape(len(received), -1), stride)
+    return TopicRows(name, received, stamped, np.array(values).reshape(len(received), -1), stride, kind)
 
 
 def _register(path: Path, store: Any, kind: str, definitions: Mapping[str, str]) -> None:  # noqa: ANN401

@@ -20,6 +20,7 @@ from diffdrive_mpc.models.logs.bag_topics import (
     motor_readers,
     opened,
     read_topic,
+    require_topics,
 )
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.clock_checks import drifting_clocks, require_one_clock
@@ -88,6 +89,7 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
         if topics.motors is not None:
             for role, side in zip(_SIDES, (topics.motors.left, topics.motors.right), strict=True):
                 asked[role], readers[role] = side, motor_readers(side)
+        require_topics(reader, path, [(topic, readers[role]) for role, topic in asked.items()])
         findings: list[Finding] = []
         rows = {
             role: read_topic(
@@ -113,7 +115,8 @@ def read_bag(path: Path, mapping: LogMapping | None) -> RawLog:
     sample_time = usual_step([response.time])
     if not topics.command.on_change:
         sample_time = float(np.fmin(usual_step([stretch.command.time]), sample_time))
-    return RawLog(path.name, stretches, tuple(findings), float(sample_time))
+    kinds = {role: (of.topic, of.kind) for role, of in rows.items()}
+    return RawLog(path.name, stretches, tuple(findings), float(sample_time), kinds)
 
 
 def _power(signals: dict[str, Signal], wheels: Wheels | None) -> dict[str, Signal]:
@@ -134,7 +137,7 @@ def _power(signals: dict[str, Signal], wheels: Wheels | None) -> dict[str, Signa
         else:
             values = np.stack([left.value[at].sum(axis=1), other.sum(axis=1)], axis=-1)
         found |= {name: Signal(time, value) for name, value in motor_fields(values).items()}
-    if found and wheels is not None and "odometry" in signals:
+    if found and wheels is not None and wheels.radius is not None and "odometry" in signals:
         twist = signals["odometry"]
         half = 0.5 * wheels.track * np.array([[-1.0, 1.0]])
         speeds = (twist.value[:, :1] + half * twist.value[:, 1:]) / wheels.radius

@@ -12,7 +12,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import check_settings
 from diffdrive_mpc.models.logs.clock_checks import require_one_clock
-from diffdrive_mpc.models.logs.csv_table import CsvTable, read_header, read_table
+from diffdrive_mpc.models.logs.csv_table import CsvTable, read_header, read_table, require_columns
 from diffdrive_mpc.models.logs.diagnosis.readings import check_stamps, held_share, in_degrees
 from diffdrive_mpc.models.logs.long_logs import chosen_rows
 from diffdrive_mpc.models.logs.mapping import (
@@ -139,22 +139,23 @@ class RowReader:
 
     def _twist(self, sides: FloatArray, whose: str) -> FloatArray:
         wheels = self._lengths(f"turns the wheel speeds of the {whose} into v and omega")
-        return WheelKinematics(wheels.radius, wheels.track).twist(np.hstack([sides, sides]))
+        return WheelKinematics(*wheels).twist(np.hstack([sides, sides]))
 
     def _factor(self, column: SignalColumn) -> float:
         if isinstance(column, WheelColumn) and column.unit in ("ticks", "ticks/s"):
-            ticks = self._lengths("says the ticks per turn").ticks_per_turn
+            ticks = None if self.wheels is None else self.wheels.ticks_per_turn
             if ticks is None:
                 raise ConfigError(f"{self.table.path}: the mapping needs 'wheels.ticks_per_turn' for '{column.column}'")
             return 2.0 * np.pi / ticks
         if isinstance(column, WheelColumn) and column.unit == "m/s":
-            return 1.0 / self._lengths(f"turns the rim speed '{column.column}' into a wheel speed").radius
+            return 1.0 / self._lengths(f"turns the rim speed '{column.column}' into a wheel speed")[0]
         return FACTORS[column.unit]
 
-    def _lengths(self, purpose: str) -> Wheels:
-        if self.wheels is None:
+    def _lengths(self, purpose: str) -> tuple[float, float]:
+        """Radius and track [m]."""
+        if self.wheels is None or self.wheels.radius is None:
             raise ConfigError(f"{self.table.path}: the mapping needs 'wheels' with radius and track [m]: it {purpose}")
-        return self.wheels
+        return self.wheels.radius, self.wheels.track
 
 
 def fresh_rows(value: FloatArray) -> BoolArray:
@@ -194,8 +195,11 @@ def read_csv(path: Path, mapping: LogMapping | None) -> RawLog:
     columns, wheels = (mapping or _own_mapping(path)).columns, mapping.wheels if mapping else None
     if columns is None:
         raise ConfigError(f"{path}: the mapping has no 'columns', which a CSV file needs")
-    columns = columns.found_in(read_header(path))
-    return log_of_table(_where(read_table(path, columns.names()), columns), columns, wheels)
+    header = read_header(path)
+    columns = columns.found_in(header)
+    table = read_table(path, columns.names())
+    require_columns(path, header, columns.names())
+    return log_of_table(_where(table, columns), columns, wheels)
 
 
 def log_of_table(whole: CsvTable, columns: Columns, wheels: Wheels | None = None) -> RawLog:

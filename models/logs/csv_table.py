@@ -6,7 +6,7 @@ import csv
 import difflib
 import io
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -14,7 +14,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.checked_yaml import ConfigError, mistakes
 from diffdrive_mpc.models.input_file import open_input
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.growing import Growing
@@ -82,10 +82,7 @@ class CsvTable:
 
     def cells(self, name: str) -> FloatArray:
         """Cells (n,) of a column, words as their numbers; raises ConfigError if there is no such column."""
-        if name not in self.header:
-            near = difflib.get_close_matches(name, self.header, n=1, cutoff=0.5)
-            hint = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(self.header)}"
-            raise ConfigError(f"{self.path}: column '{name}' is missing; {hint}")
+        require_columns(self.path, self.header, [name])
         return self.values[name]
 
     def cell(self, text: str | float) -> float:
@@ -112,6 +109,17 @@ def read_header(path: Path) -> list[str]:
     """Names of the columns; raises ConfigError as `read_table`."""
     with _opened(path) as file:
         return _header(path, file)[0]
+
+
+def require_columns(path: Path, header: Sequence[str], names: Collection[str]) -> None:
+    """Raise ConfigError with all of the columns `names` that are not in the header, and the nearest to each."""
+    sentences = []
+    for name in sorted(set(names) - set(header)):
+        near = difflib.get_close_matches(name, header, n=1, cutoff=0.5)
+        hint = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(header)}"
+        sentences.append(f"column '{name}' is missing; {hint}")
+    if sentences:
+        raise ConfigError(mistakes(str(path), sentences))
 
 
 def read_table(path: Path, names: Collection[str]) -> CsvTable:

@@ -348,7 +348,7 @@ class Topics(StrictModel):
 class Wheels(StrictModel):
     """The lengths by which the mapping turns wheel speeds into (v, omega)."""
 
-    radius: Positive = Field(description="wheel radius [m]")
+    radius: Positive | None = Field(None, description="wheel radius [m]; for columns of wheels")
     track: Positive = Field(description="track [m]")
     ticks_per_turn: Positive | None = Field(None, description="encoder ticks per turn of the wheel")
 
@@ -364,6 +364,23 @@ class LogMapping(StrictModel):
         (), description="from and to of the parts to be used, on the log's clock [s]; without any, all of it"
     )
     gap: Positive | None = Field(None, description="longest time between two commands or rows of one stretch [s]")
+
+    def unused(self) -> list[str]:
+        """Return what is stated and cannot be used, a sentence each."""
+        groups = (self.columns.command, self.columns.encoders) if self.columns else ()
+        columns = [part for group in groups if group is not None for _, part in group if isinstance(part, WheelColumn)]
+        motors = self.topics is not None and self.topics.motors is not None
+        lines = []
+        if self.wheels is not None and self.wheels.radius is not None and not (columns or motors):
+            lines.append("wheels.radius is not used: nothing in the mapping is the speed of a wheel")
+        if self.wheels is not None and self.wheels.ticks_per_turn and not any("ticks" in of.unit for of in columns):
+            lines.append("wheels.ticks_per_turn is not used: no column has the unit ticks or ticks/s")
+        for role, topic in self.topics or ():
+            if isinstance(topic, Topic) and topic.on_change and role != "command":
+                lines.append(f"topics.{role}.on_change is not used: it is for commands")
+        if self.topics is not None and self.topics.command.sign != 1:
+            lines.append("topics.command.sign is not used: a command has no sign; it is for yaw rates and headings")
+        return lines
 
     def sources(self) -> dict[str, str]:
         """Names of columns or topics by stream: "command", "encoders", "gyro", "pose"; of topics "battery", too."""

@@ -65,11 +65,15 @@ def read_log(path: str | Path, mapping: str | Path | None = None, sample_time: f
         raise ConfigError(str(odd))
     longest_step = (loaded.gap if loaded else None) or settings.longest_step(period)
     records, findings = _records(raw, dt, longest_step, loaded.times if loaded else (), settings)
-    findings = [*raw.findings, *check_timing(raw, period, settings), *findings]
+    unused = [
+        Finding("unused value", "note", Path(mapping or "").name, words)
+        for words in (loaded.unused() if loaded else ())
+    ]
+    findings = [*unused, *raw.findings, *check_timing(raw, period, settings), *findings]
     records, stuck = check_sensors(records, settings)
     streams = streams_of(records, settings)
     findings += [*stuck, *check_commands(raw.name, records, settings), *diagnose(raw.name, streams, settings)]
-    return Log(raw.name, tuple(records), tuple(findings), streams, loaded.sources() if loaded else {})
+    return Log(raw.name, tuple(records), tuple(findings), streams, loaded.sources() if loaded else {}, raw.topics)
 
 
 def _raw(path: Path, mapping: LogMapping | None) -> RawLog:

@@ -142,6 +142,10 @@ class Record:
         return replace(self, name=f"{self.name} (of it {start:.1f} to {end:.1f} s)", start=start, **cut)
 
 
+Topics = Mapping[str, tuple[str, str]]
+"""Topic and type of message by stream: "command", "odometry", "imu", "pose"."""
+
+
 @dataclass(frozen=True)
 class Finding:
     """Something in a log that its user should know.
@@ -193,6 +197,8 @@ class Log:
         What the records hold, side by side, as the diagnosis looks at it.
     sources
         Columns or topics by stream: "command", "encoders", "gyro", "pose".
+    topics
+        Of a bag, with the types of their messages.
     """
 
     name: str
@@ -200,6 +206,7 @@ class Log:
     findings: tuple[Finding, ...]
     streams: Streams
     sources: Mapping[str, str] = field(default_factory=dict)
+    topics: Topics = field(default_factory=dict)
 
     @property
     def errors(self) -> tuple[Finding, ...]:

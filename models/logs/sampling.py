@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.check_settings import CheckSettings
-from diffdrive_mpc.models.logs.record import BoolArray, Finding, Record
+from diffdrive_mpc.models.logs.record import BoolArray, Finding, Record, Topics
 
 ABSURD = 1e20
 """No reading is as large in any unit, counts of ticks included; what is would overflow where it is squared."""
@@ -86,12 +86,15 @@ class RawLog:
         What the reader found wrong.
     sample_time
         The log's own [s]; None where it has to be found from the times.
+    topics
+        Of a bag, with the types of their messages.
     """
 
     name: str
     stretches: tuple[RawStretch, ...]
     findings: tuple[Finding, ...]
     sample_time: float | None = None
+    topics: Topics = field(default_factory=dict)
 
 
 def unwrapped(pose: FloatArray) -> FloatArray:
@@ -194,12 +197,12 @@ def resample(
     sampled: dict[str, Any] = {"command": hold(command, grid, tolerance)}
     if stretch.wheel_commands is not None:
         sampled["wheel_commands"] = hold(stretch.wheel_commands, grid, tolerance)
-    for field, signal in stretch.measured.items():
+    for key, signal in stretch.measured.items():
         reach = settings.longest_step(usual_step([signal.time]))
         part = signal.between(first - tolerance, last + tolerance)
         values, fresh = sample(part, grid, dt, tolerance, reach)
-        sampled[field] = values[:, 0] if field == "yaw_rate" else values
-        if field not in ("battery", "motor_current", "motor_currents"):
-            sampled[f"fresh_{field}" if field in ("yaw_rate", "pose") else "fresh_twist"] = fresh
+        sampled[key] = values[:, 0] if key == "yaw_rate" else values
+        if key not in ("battery", "motor_current", "motor_currents"):
+            sampled[f"fresh_{key}" if key in ("yaw_rate", "pose") else "fresh_twist"] = fresh
     place = f"{name}, {start:.1f} to {grid[-1]:.1f} s"
     return Record(name=place, start=start, dt=dt, **sampled)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
 from diffdrive_mpc.models.input_file import MEGABYTE, read_input
@@ -30,6 +30,14 @@ class NetworkFile(FunctionFile):
     architecture: Architecture
     weights: str = Field(description="name of the file with the weights, beside this one")
     sha256: str = Field(description="of that file")
+
+    @field_validator("weights")
+    @classmethod
+    def _beside(cls, name: str) -> str:
+        """A log may hold this text: it must lead to no other folder."""
+        if Path(name).name != name:
+            raise ValueError("give the name of a file beside this one, without its folder")
+        return name
 
 
 def load_network(path: Path, data: Any) -> NetworkModel:  # noqa: ANN401 - what a YAML file may hold

@@ -16,7 +16,7 @@ from diffdrive_mpc.models.networks.network import Network
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class NetworkModel(NonlinearModel):
     """A `NonlinearModel` whose state is the network's last output; make it with `network_model`.
 

@@ -1,6 +1,6 @@
 """A continuous linear system with dead time: how it is sampled, and its states under any drive.
 
-`models.discrete_model` samples a finished model through `control`. An estimator needs the derivatives too: the sampling
+`models.discrete_model` samples a finished model. An estimator needs the derivatives too: the sampling
 here takes complex numbers, and a complex step through it gives them to machine precision.
 """
 

@@ -17,7 +17,7 @@ from diffdrive_mpc.models.output_error.linear_system import LinearSystem
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model, structure_name, write_parameters
-from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
+from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel, mean_delay
 
 # The file carries this many digits: far finer than any standard deviation.
 _DIGITS = 8
@@ -27,6 +27,10 @@ _HEAD = (
 )
 _PERCENT_DIGITS = 2
 _CORRELATION_DIGITS = 4
+
+
+def _delay_names(groups: Sequence[str]) -> list[str]:
+    return [f"{group}.{part}" for group in groups for part in ("sum", "dead_time", "lag")]
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,36 @@ class IdentifiedModel:
     method: str
     fits: tuple[OutputErrorFit, ...]
     warnings: tuple[Doubt, ...]
+
+    @property
+    def delays(self) -> ParameterEstimate | None:
+        """Dead time and lag together, the dead time, and the lag [s] of each channel or motor.
+
+        Named `v.sum`, `v.dead_time`, `v.lag` and so on, with the covariance of the estimate. None for a structure that
+        has neither two poles a channel nor one fit of both channels.
+        """
+        names = self.parameters.names
+        groups = [name.removesuffix(".damping") for name in names if name.endswith(".damping")]
+
+        def of_two_poles(row: FloatArray) -> FloatArray:
+            value = dict(zip(names, row, strict=True))
+            late = [value.get(f"{group}.dead_time", value.get("dead_time", 0.0)) for group in groups]
+            lag = [2.0 * value[f"{group}.damping"] / value[f"{group}.natural_frequency"] for group in groups]
+            return np.column_stack([np.add(late, lag), late, lag]).ravel()
+
+        if groups:
+            return self.parameters.derived(_delay_names(groups), of_two_poles)
+        if len(self.fits) != 1:
+            return None
+        fit = self.fits[0]
+
+        def of_state_space(row: FloatArray) -> FloatArray:
+            system = fit.layout.system(row)
+            whole = mean_delay(system.A, system.B, system.C, system.dead_time, range(len(CHANNELS)))
+            return np.column_stack([whole, system.dead_time, whole - system.dead_time]).ravel()
+
+        estimate = ParameterEstimate(fit.layout.names, fit.parameters, fit.covariance)
+        return estimate.derived(_delay_names(CHANNELS), of_state_space)
 
     @property
     def structure(self) -> str:

@@ -1,15 +1,13 @@
-"""MBM: four motors between wheel kinematics; its file, and its identification from records."""
+"""MBM, four motors between wheel kinematics: its identification from records."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
-from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
@@ -19,21 +17,17 @@ from diffdrive_mpc.models.output_error.linear_system import AnyArray
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, joined
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
-from diffdrive_mpc.models.robot import Positive
+from diffdrive_mpc.models.structures.files import MbmFile, Motors, TwoPoles
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
-from diffdrive_mpc.models.structures.model_file import Matrices, ModelFile
-from diffdrive_mpc.models.structures.structure import Conditions, Found, Structure
+from diffdrive_mpc.models.structures.structure import Conditions, Found
 from diffdrive_mpc.models.structures.two_poles import (
     IdentifiedChannel,
-    TwoPoles,
     TwoPolesParametrisation,
     identify_channel,
-    side_by_side,
     two_poles,
     two_poles_parameters,
 )
 from diffdrive_mpc.models.velocity_model import CHANNELS
-from diffdrive_mpc.models.wheels import WheelKinematics
 
 METHOD = (
     "output error (simulation from commands alone), two poles and no zeros for each motor, one dead time, firmware "
@@ -41,38 +35,6 @@ METHOD = (
     "outliers held back"
 )
 _SIDES = (-1, 1, -1, 1)
-
-
-class Motors(StrictModel):
-    """One transfer function for each motor, from commanded to true wheel speed."""
-
-    front_left: TwoPoles
-    front_right: TwoPoles
-    rear_left: TwoPoles
-    rear_right: TwoPoles
-
-
-class MbmFile(ModelFile):
-    """MBM: four motors between wheel kinematics (Guffanti et al., Sensors 2025, 25(11), 3553).
-
-    Two tracks: on a skid-steer the one by which the firmware turns omega_ref into wheel speeds is not the one by which
-    wheel speeds turn into the true yaw rate.
-    """
-
-    structure: Literal["mbm"]
-    motors: Motors
-    wheel_radius: Positive = Field(description="[m]")
-    firmware_track: Positive = Field(description="track on the way in [m]")
-    effective_track: Positive = Field(description="track on the way out [m]")
-
-    def matrices(self) -> Matrices:
-        """Continuous A (8, 8), B (8, 2), C (2, 8)."""
-        A, B, C = side_by_side(
-            [self.motors.front_left, self.motors.front_right, self.motors.rear_left, self.motors.rear_right]
-        )
-        into = WheelKinematics(self.wheel_radius, self.firmware_track).body_to_wheels
-        out = WheelKinematics(self.wheel_radius, self.effective_track).wheels_to_body
-        return A, B @ into, out @ C
 
 
 @dataclass(frozen=True)
@@ -250,10 +212,8 @@ def _doubtful(parameters: ParameterEstimate) -> list[str]:
     return [name for name in parameters.names if name not in ("omega.offset", "dead_time")]
 
 
-def _identify(records: Sequence[Record], conditions: Conditions) -> Found:
+def identify(records: Sequence[Record], conditions: Conditions) -> Found:
+    """See `Structure.identify`."""
     if conditions.wheel_radius is None or conditions.yaw != "gyro":
         raise ConfigError("mbm: it needs wheel speeds and a gyro in the log; map them, or identify sm or ssm")
     return Found(identify_mbm(records, conditions.wheel_radius))
-
-
-MBM = Structure("mbm", MbmFile, _identify, needs_wheels=True)

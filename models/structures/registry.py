@@ -1,13 +1,32 @@
-"""All structures of velocity models: a new one is its own file and a line here."""
+"""All structures of velocity models: a new one is its schema, its identification and a line here."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-from diffdrive_mpc.models.structures.mbm import MBM
-from diffdrive_mpc.models.structures.sm import SM
-from diffdrive_mpc.models.structures.ssm import SSM
-from diffdrive_mpc.models.structures.structure import Structure
+from diffdrive_mpc.models.structures.files import MbmFile, SmFile, SsmFile
+from diffdrive_mpc.models.structures.structure import Conditions, Found, Structure
 
-STRUCTURES: Mapping[str, Structure] = {structure.name: structure for structure in (MBM, SM, SSM)}
+if TYPE_CHECKING:
+    from diffdrive_mpc.models.logs.record import Record
+
+LARGEST_ORDER = 5
+"""Of SSM."""
+
+
+def _identify_by(module: str, records: Sequence[Record], conditions: Conditions) -> Found:
+    """Identify by a module beside this one. It is imported now: who loads a model needs no estimator."""
+    found: Found = import_module(f"{__package__}.{module}").identify(records, conditions)
+    return found
+
+
+_ALL = (
+    Structure("mbm", MbmFile, partial(_identify_by, "mbm"), needs_wheels=True),
+    Structure("sm", SmFile, partial(_identify_by, "sm"), takes_effects=True),
+    Structure("ssm", SsmFile, partial(_identify_by, "ssm"), largest_order=LARGEST_ORDER),
+)
+STRUCTURES: Mapping[str, Structure] = {structure.name: structure for structure in _ALL}
 """By name, in the order of tables."""

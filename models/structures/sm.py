@@ -1,44 +1,24 @@
-"""SM: one transfer function for v, one for omega; its file, and its identification from records."""
+"""SM, one transfer function for v, one for omega: its identification from records."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 
-from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import YawSource, twist_experiments
 from diffdrive_mpc.models.output_error.parameters import joined
+from diffdrive_mpc.models.structures.files import SmFile, TwoPoles
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
-from diffdrive_mpc.models.structures.model_file import Matrices, ModelFile
-from diffdrive_mpc.models.structures.structure import Conditions, Found, Structure
-from diffdrive_mpc.models.structures.two_poles import IdentifiedChannel, TwoPoles, identify_channel, side_by_side
+from diffdrive_mpc.models.structures.structure import Conditions, Found
+from diffdrive_mpc.models.structures.two_poles import IdentifiedChannel, identify_channel
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 METHOD = (
     "output error (simulation from commands alone), two poles, no zeros and a dead time for each channel, all records "
     "at once, free initial states, outliers held back, several starts"
 )
-
-
-class SmChannels(StrictModel):
-    """One transfer function for each channel."""
-
-    v: TwoPoles
-    omega: TwoPoles
-
-
-class SmFile(ModelFile):
-    """SM: v_ref to v and omega_ref to omega (Guffanti et al., Sensors 2025, 25(11), 3553)."""
-
-    structure: Literal["sm"]
-    channels: SmChannels
-
-    def matrices(self) -> Matrices:
-        """Continuous A (4, 4), B (4, 2), C (2, 4)."""
-        return side_by_side([getattr(self.channels, channel) for channel in CHANNELS])
 
 
 def identify_sm(
@@ -109,8 +89,6 @@ def channel_limits(channels: Sequence[IdentifiedChannel]) -> dict[str, float]:
     }
 
 
-def _identify(records: Sequence[Record], conditions: Conditions) -> Found:
+def identify(records: Sequence[Record], conditions: Conditions) -> Found:
+    """See `Structure.identify`."""
     return Found(identify_sm(records, yaw=conditions.yaw))
-
-
-SM = Structure("sm", SmFile, _identify, takes_effects=True)

@@ -1,13 +1,11 @@
-"""SSM: one state-space model with a dead time for each input; its file, and its identification from records."""
+"""SSM, one state-space model with a dead time for each input: its identification from records."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
-from pydantic import model_validator
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
@@ -30,11 +28,12 @@ from diffdrive_mpc.models.output_error.state_space import (
     real_pole_names,
     spare_state,
 )
+from diffdrive_mpc.models.structures.files import SsmFile
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
-from diffdrive_mpc.models.structures.model_file import Matrices, ModelFile
 from diffdrive_mpc.models.structures.orders import OrderChoice, compare_orders
+from diffdrive_mpc.models.structures.registry import LARGEST_ORDER
 from diffdrive_mpc.models.structures.sm import identify_channels
-from diffdrive_mpc.models.structures.structure import Conditions, Found, Structure
+from diffdrive_mpc.models.structures.structure import Conditions, Found
 from diffdrive_mpc.models.structures.two_poles import IdentifiedChannel
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -43,28 +42,6 @@ METHOD = (
     "coordinates, all records at once, free initial states, outliers held back; starts from an impulse response "
     "(eigensystem realization) and from the order below"
 )
-LARGEST_ORDER = 5
-
-
-class SsmFile(ModelFile):
-    """SSM: one MIMO state-space model (Guffanti, Pavon, Sensors 2025, 25(18), 5821)."""
-
-    structure: Literal["ssm"]
-    A: list[list[float]]
-    B: list[list[float]]
-    C: list[list[float]]
-
-    @model_validator(mode="after")
-    def _rectangular(self) -> SsmFile:
-        for name in ("A", "B", "C"):
-            rows = getattr(self, name)
-            if not rows or len({len(row) for row in rows}) != 1:
-                raise ValueError(f"{name} must be a matrix: rows of equal length")
-        return self
-
-    def matrices(self) -> Matrices:
-        """Continuous A (n, n), B (n, 2), C (2, n) as the file states them."""
-        return np.array(self.A), np.array(self.B), np.array(self.C)
 
 
 def identify_ssm(
@@ -259,12 +236,10 @@ def _identified(fit: OutputErrorFit, yaw: YawSource) -> IdentifiedModel:
     )
 
 
-def _identify(records: Sequence[Record], conditions: Conditions) -> Found:
+def identify(records: Sequence[Record], conditions: Conditions) -> Found:
+    """See `Structure.identify`."""
     order = conditions.order
     # Order 1 is only a floor to compare with, so at least order 2 is tried beside it.
     largest = max(order or LARGEST_ORDER, 2)
     choice = choose_order(records, conditions.validation, largest=largest, yaw=conditions.yaw, asked=order)
     return Found(choice.identified, choice)
-
-
-SSM = Structure("ssm", SsmFile, _identify, largest_order=LARGEST_ORDER)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.experiment import YawSource
-from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.model_file import ModelFile
-from diffdrive_mpc.models.structures.orders import OrderChoice
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.models.logs.record import Record
+    from diffdrive_mpc.models.output_error.experiment import YawSource
+    from diffdrive_mpc.models.structures.identified import IdentifiedModel
+    from diffdrive_mpc.models.structures.orders import OrderChoice
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A transfer function with two poles: its schema, its parameters as the estimator moves them, its identification."""
+"""A transfer function with two poles: its parameters as the estimator moves them, and its identification."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import Field
 
-from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error import doubts
@@ -21,34 +19,10 @@ from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_p
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, find_limits, fit_output_error
 from diffdrive_mpc.models.output_error.statistics import output_spread
-from diffdrive_mpc.models.robot import Positive
-from diffdrive_mpc.models.structures.model_file import Matrices
+from diffdrive_mpc.models.structures.files import TwoPoles
 
 # So many points of the grid of first guesses are followed.
 _TRIED = 3
-
-
-class TwoPoles(StrictModel):
-    """gain w^2 / (s^2 + 2 damping w s + w^2): two poles, no zeros, real or complex."""
-
-    gain: Positive = Field(description="steady-state gain [-]")
-    natural_frequency: Positive = Field(description="w [rad/s]")
-    damping: Positive = Field(description="[-]; above 1 the poles are real")
-
-    def matrices(self) -> Matrices:
-        """Realisation with states (output, its derivative over w): (2, 2), (2, 1), (1, 2), all of one scale."""
-        w = self.natural_frequency
-        A = np.array([[0.0, w], [-w, -2 * self.damping * w]])
-        return A, np.array([[0.0], [self.gain * w]]), np.array([[1.0, 0.0]])
-
-
-def side_by_side(parts: list[TwoPoles]) -> Matrices:
-    """Side by side: each transfer function keeps its own input and output."""
-    import control  # noqa: PLC0415 - loads slowly, and only construction needs it
-
-    systems = [control.ss(*part.matrices(), 0.0) for part in parts]
-    whole = control.append(*systems)
-    return np.asarray(whole.A), np.asarray(whole.B), np.asarray(whole.C)
 
 
 @dataclass(frozen=True)

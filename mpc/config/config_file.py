@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
-from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.models.errors import wrong_type
+from diffdrive_mpc.models.load import MODEL_NAMES, model_path
 from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.models.trust import check_trusted, only_trusted
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 PARAMETERS = Path(__file__).parent / "parameters"
 
 
 def load_config(
-    source: str | Path | Mapping[str, object] = "ssm", overrides: Mapping[str, object] | None = None
+    source: str | Path | Mapping[str, object] | ControllerConfig = "ssm",
+    overrides: Mapping[str, object] | None = None,
 ) -> ControllerConfig:
     """Read and check a configuration.
 
@@ -24,7 +29,7 @@ def load_config(
     source
         "mbm", "sm" or "ssm" for the shipped configuration of that model, or the path of a YAML file. A relative
         path of a model, a term or turn costs inside that file is taken from the folder of the file. Or keys and values
-        as such a file holds them, for instance those that `identify` found.
+        as such a file holds them, for instance those that `identify` found. Or a configuration.
     overrides
         Values by dotted key, for instance ``{"horizon": 20, "weights.across": 200.0}``.
 
@@ -32,9 +37,22 @@ def load_config(
     ------
     models.checked_yaml.ConfigError
         With one line that names the file, the key, the mistake and the remedy.
+    models.errors.ArgumentError
+        If an argument is something else.
     """
+    if overrides is not None and not isinstance(overrides, Mapping):
+        raise wrong_type("overrides", "values by dotted key", overrides, "write {'weights.across': 200.0}")
+    if isinstance(source, ControllerConfig):
+        return replace_values(source, overrides) if overrides else source
     if isinstance(source, Mapping):
         return check(ControllerConfig, _replaced(source, overrides), "configuration")
+    if not isinstance(source, (str, Path)):
+        raise wrong_type(
+            "configuration",
+            "load_config(...), a name such as 'ssm', a path, or keys and values",
+            source,
+            "a model goes beside it: Controller('ssm', model=model)",
+        )
     path = named_file("configuration", PARAMETERS, source)
     data = read_yaml(path)
     if not isinstance(data, Mapping):
@@ -52,6 +70,37 @@ def load_config(
     return config.model_copy(update={"terms": terms}) if terms else config
 
 
+def config_from_log(values: Mapping[str, object], log: str | Path, trusted: Sequence[Path] = ()) -> ControllerConfig:
+    """The configuration that stands in a log, of which nothing is opened or run: keys and values as in its file.
+
+    Parameters
+    ----------
+    values
+        Keys and values.
+    log
+        Where they stand, for messages.
+    trusted
+        Folders whose files it may name.
+
+    Raises
+    ------
+    models.trust.UntrustedFileError
+        If it names a model, turn costs or a term in another file than a shipped one or one of those folders.
+    models.checked_yaml.ConfigError
+        As `load_config`.
+    """
+    config = check(ControllerConfig, values, f"{log}: configuration")
+    with only_trusted(log, trusted):
+        model_path(config.model)
+        if config.energy.turn_costs:
+            from diffdrive_mpc.models.turn_costs import load_turn_costs  # noqa: PLC0415 - loads CasADi
+
+            load_turn_costs(config.energy.turn_costs)
+        for term in config.terms:
+            check_trusted(term.file)
+    return config
+
+
 def replace_values(config: ControllerConfig, overrides: Mapping[str, object]) -> ControllerConfig:
     """A copy of `config` with values replaced by dotted key, checked anew; raises ConfigError."""
     return check(ControllerConfig, _replaced(config.model_dump(), overrides), "configuration")
@@ -67,7 +116,8 @@ def _replaced(data: Mapping[str, Any], overrides: Mapping[str, object] | None) -
 def _with_value(data: Mapping[str, Any], keys: list[str], value: object, whole: str) -> dict[str, Any]:
     first, *rest = keys
     if not rest:
-        return {**data, first: value}
+        # Numbers of NumPy, such as those of `np.arange`, as the schema knows them.
+        return {**data, first: value.item() if isinstance(value, np.generic) else value}
     inner = data.get(first, {})
     if not isinstance(inner, Mapping):
         raise ConfigError(f"configuration: unknown key '{whole}': '{first}' holds one value, not a group")

@@ -18,7 +18,7 @@ class Solver(Group):
         "where that is not proven; backend: the backend at every tick, to measure it under its own name [-]",
     )
     backend: Literal["osqp", "daqp"] = Field(
-        "osqp", description="osqp: operator splitting; daqp: dual active set, exact [-]"
+        "daqp", description="osqp: operator splitting; daqp: dual active set, exact [-]"
     )
     active_set_iterations: Annotated[int, Field(ge=0, le=5000)] = Field(
         500, description="systems that the active set may solve before the backend is asked; 0: ask it at once [-]"

@@ -161,14 +161,21 @@ class Tick:
         return now[0], now[1]
 
     def stray(self, pose: FloatArray, twist: FloatArray) -> Any:  # noqa: ANN401 - cffi has no types
-        """How the estimate lies to a reference pose (3,) with twist (2,): the fields of `ddmpc_stray`."""
-        pose, twist = np.ascontiguousarray(pose), np.ascontiguousarray(twist)
+        """How the estimate lies to a reference pose (3,) with twist (2,): the fields of `ddmpc_stray`.
+
+        Raises ValueError if they have other shapes.
+        """
+        pose, twist = _shaped("pose", pose, (3,)), _shaped("twist", twist, (2,))
         at = self._address
         return self.lib.ddmpc_stray_from(self.c, at("const real *", pose), at("const real *", twist))
 
     def track(self, poses: FloatArray, twists: FloatArray, share: float) -> int:
-        """Go on with a target: poses (samples, 3) and twists (samples, 2) from now on."""
-        poses, twists = np.ascontiguousarray(poses), np.ascontiguousarray(twists)
+        """Go on with a target: poses (samples, 3) and twists (samples, 2) from now on.
+
+        Raises ValueError if they have other shapes.
+        """
+        poses = _shaped("poses", poses, (self.samples, 3))
+        twists = _shaped("twists", twists, (self.samples, 2))
         at = self._address
         return int(self.lib.ddmpc_track(self.c, at("real *", poses), at("real *", twists), share))
 
@@ -267,6 +274,14 @@ class _Message:
         if covariance is not None:
             flat = covariance.reshape(-1) if isinstance(covariance, np.ndarray) else covariance
             _write(self._covariance, flat, self._count * self._count)
+
+
+def _shaped(name: str, values: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """`values` as C reads them, which cannot see how many there are; raises ValueError for another shape."""
+    array = np.ascontiguousarray(values, dtype=float)
+    if array.shape != shape:
+        raise ValueError(f"the reference gave {name} of shape {array.shape}, expected {shape}")
+    return array
 
 
 def _write(memory: Any, value: Any, count: int) -> None:  # noqa: ANN401 - whatever arrives

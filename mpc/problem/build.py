@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
@@ -20,7 +22,7 @@ from diffdrive_mpc.mpc.problem.terms import Term
 
 
 def chosen_model(
-    config: ControllerConfig, given: VelocityModel | NonlinearModel | str | None
+    config: ControllerConfig, given: VelocityModel | NonlinearModel | str | Path | None
 ) -> VelocityModel | NonlinearModel:
     """The model to predict with, extra dead time included where it is the configuration's.
 
@@ -28,13 +30,24 @@ def chosen_model(
     ------
     ConfigError, ModelError
         If the model cannot be loaded.
+    ArgumentError
+        If it is no model.
     """
     extra = config.extra_dead_time
     model: VelocityModel | NonlinearModel
     if given is None:
         model = load_model(config.model).with_extra_dead_time([extra.v, extra.omega])
+    elif isinstance(given, (str, Path)):
+        model = load_model(given)
+    elif isinstance(given, (VelocityModel, NonlinearModel)):
+        model = given
     else:
-        model = load_model(given) if isinstance(given, str) else given
+        raise wrong_type(
+            "model",
+            "a velocity model, or its name or path",
+            given,
+            "a system of python-control becomes one with VelocityModel.from_control(system, dead_time=(0.0, 0.0))",
+        )
     if config.compensation.dead_time:
         return model
     if isinstance(model, NonlinearModel):

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import casadi as ca
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.turn_costs import TurnCosts, load_turn_costs
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.problem.terms import Term
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.models.turn_costs import TurnCosts
 
 NAME = "energy"
 """Of the term; its one stage parameter is the weight [1/W]."""
@@ -45,7 +48,7 @@ def energy_terms(config: ControllerConfig) -> tuple[Term, ...]:
     """The term of a configuration; none with a weight of zero."""
     if not config.energy.weight:
         return ()
-    function = energy_function(load_turn_costs(config.energy.turn_costs))
+    function = energy_function(_load(config))
     return (Term(NAME, function, "residual", defaults=(config.energy.weight,)),)
 
 
@@ -59,7 +62,7 @@ def with_least_radius(config: ControllerConfig) -> ControllerConfig:
     """
     if not config.energy.least_radius or config.limits.least_commanded_radius is not None:
         return config
-    costs = load_turn_costs(config.energy.turn_costs)
+    costs = _load(config)
     radius = costs.least_radius()
     if math.isinf(radius):
         raise ConfigError(
@@ -70,3 +73,9 @@ def with_least_radius(config: ControllerConfig) -> ControllerConfig:
         return config
     limits = config.limits.model_copy(update={"least_commanded_radius": radius})
     return config.model_copy(update={"limits": limits})
+
+
+def _load(config: ControllerConfig) -> TurnCosts:
+    from diffdrive_mpc.models.turn_costs import load_turn_costs  # noqa: PLC0415 - most configurations name none
+
+    return load_turn_costs(config.energy.turn_costs)

@@ -20,7 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.trust import check_trusted
 from diffdrive_mpc.mpc.config.schema import TermConfig
 from diffdrive_mpc.mpc.problem.user_functions import user_term
 
@@ -122,6 +124,17 @@ class Term:
         return len(self.defaults)
 
 
+def checked_terms(terms: object) -> tuple[Term, ...]:
+    """`terms` as a tuple; raises ArgumentError where they are no list of terms."""
+    if isinstance(terms, (list, tuple)) and all(isinstance(term, Term) for term in terms):
+        return tuple(terms)
+    remedy = "write terms=[term], where term = Term(name, casadi.Function(...))"
+    odd = terms
+    if isinstance(terms, (list, tuple)):
+        odd = next(term for term in terms if not isinstance(term, Term))
+    raise wrong_type("terms", "a list of Term", odd, remedy)
+
+
 def all_terms(configs: Sequence[TermConfig], given: Sequence[Term]) -> tuple[Term, ...]:
     """Terms that a configuration names, whose files are run, and those given in Python, in this order.
 
@@ -195,6 +208,7 @@ def _load(config: TermConfig) -> Term:
 
 def _run(path: Path) -> dict[str, object]:
     """What a Python file defines."""
+    check_trusted(path)
     spec = importlib.util.spec_from_file_location(f"diffdrive_mpc_term_{path.stem}", path)
     if not path.is_file() or spec is None or spec.loader is None:
         raise ConfigError(
@@ -203,9 +217,11 @@ def _run(path: Path) -> dict[str, object]:
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
-        message = " ".join(str(error).split())
-        raise ConfigError(f"{path}: running it ends with {type(error).__name__}: {message}") from error
+    except KeyboardInterrupt:
+        raise  # the user's own, while the file ran
+    except BaseException as error:  # SystemExit, too: a file must not end the program in the user's name
+        message = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
+        raise ConfigError(f"{path}: running it ends with {message}") from error
     return vars(module)
 
 

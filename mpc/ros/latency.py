@@ -7,6 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+_ENOUGH = 20
+"""Ticks from which on their pace is judged."""
+_OUT_OF_STEP = 0.1
+"""Share of the period by which ticks may be off it [-]."""
+
 
 @dataclass(frozen=True, slots=True)
 class Percentiles:
@@ -77,6 +82,12 @@ class LoopTimes:
             self.jitter.add(abs(gap - self._period))
             self.misses += gap > 1.5 * self._period
         self._last = now
+
+    @property
+    def out_of_step(self) -> bool:
+        """Whether the time between two ticks is usually another than the period."""
+        jitter = self.jitter.percentiles()
+        return jitter.count >= _ENOUGH and jitter.p50 > _OUT_OF_STEP * self._period
 
     def end(self, duration: float, latency: float | None) -> None:
         """It took `duration` [s]; `latency` [s] where odometry has arrived."""

@@ -28,6 +28,7 @@ from diffdrive_mpc.mpc.ros.control_loop import Begun, ControlLoop, RefusedError,
 from diffdrive_mpc.mpc.ros.conversions import check_frame
 from diffdrive_mpc.mpc.ros.diagnostics import diagnostics
 from diffdrive_mpc.mpc.ros.drive_energy import DriveEnergy
+from diffdrive_mpc.mpc.ros.endpoints import deaf_to_commands, publishers_of
 from diffdrive_mpc.mpc.ros.follow_goal import Following, FrameError, lay_for_robot
 from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.parameter_changes import ParameterChanges
@@ -184,7 +185,6 @@ class TrackingNode(LifecycleNode):
         if self._door is not None:
             self._following = self._followed(self._loop, self._controller)
             self._door.open(self._following)
-        self._others: Others | None = None
         self._look_around()
         self._rivals_timer = self.create_timer(
             _LOOK_AROUND, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME)
@@ -247,7 +247,7 @@ class TrackingNode(LifecycleNode):
         costs = load_turn_costs(config.energy.turn_costs) if config.energy.turn_costs else None
         trajectory: Trajectory | None = None
         if settings.trajectory:
-            trajectory = load_trajectory(settings.trajectory)
+            trajectory = load_trajectory(settings.trajectory, config)
             check_speeds(trajectory, config.limits, config.sample_time)
         self._controller = Controller(config)
         self._settings, self._trajectory, self._changes.pending = settings, trajectory, False
@@ -267,13 +267,16 @@ class TrackingNode(LifecycleNode):
                 MultiDOFJointTrajectory, _REFERENCES[1], self._reads(read_trajectory), 1, raw=True
             ),
         ]
+        self._watched = [(inbox.odometry, self._inputs[0])]
         if settings.use_imu:
             self._inputs.append(subscribe_bounded(self, Imu, "imu", inbox.take_imu, sensors, refuse=inbox.imu.refuse))
+            self._watched.append((inbox.imu, self._inputs[-1]))
         if settings.poses_from == "topic":
             kind = PoseWithCovarianceStamped
             self._inputs.append(
                 subscribe_bounded(self, kind, "pose", inbox.take_pose, sensors, refuse=inbox.pose.refuse)
             )
+            self._watched.append((inbox.pose, self._inputs[-1]))
         self._inputs += [*hears, *self._optional_inputs()]
         self._energy = self._energy_of(settings, costs, config.sample_time)
         self._read = self.create_guard_condition(lambda: None)
@@ -371,15 +374,32 @@ class TrackingNode(LifecycleNode):
         return found
 
     def _look_around(self) -> None:
-        """Tell the loop who else publishes commands. Whoever appears while it drives makes it brake, or is named."""
+        """Tell the loop who else publishes commands, which makes it brake or is named, and who does not hear it."""
         loop, others = self._loop, self._rivals.others()
-        if loop is None or others == self._others:
+        if loop is None:
             return
-        self._others = others
+        before = loop.objection, loop.warning
         loop.objection = self._objection(others)
-        loop.warning = "" if loop.objection else publish_too(others, self._rivals.topic)
-        if loop.objection or loop.warning:
-            self.get_logger().warning(loop.objection or loop.warning)
+        topic = self._rivals.topic
+        warnings = (
+            "" if loop.objection else publish_too(others, topic),
+            deaf_to_commands(self, topic, stamped=self._settings.stamped),
+            self._out_of_step(loop),
+        )
+        loop.warning = "; ".join(filter(None, warnings))
+        if (loop.objection, loop.warning) != before and (loop.objection or loop.warning):
+            self.get_logger().warning("; ".join(filter(None, (loop.objection, loop.warning))))
+        for watch, subscription in self._watched:
+            watch.source = "" if watch.accepted else publishers_of(self, subscription)
+
+    def _out_of_step(self, loop: ControlLoop) -> str:
+        """Say that the simulated clock does not advance in steps of the period; empty where it does, or on a robot."""
+        if not (self.get_parameter("use_sim_time").value and loop.times.out_of_step):
+            return ""
+        return (
+            f"the simulated clock does not advance in steps of this node's sample_time, {1e-6 * self._period:.4g} ms: "
+            "start the simulated robot with the same configuration (robot --config FILE)"
+        )
 
     def _optional_inputs(self) -> list[Subscription]:
         """Those whose types not every installation has."""

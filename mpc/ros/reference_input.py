@@ -15,7 +15,6 @@ from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.config.schema import Limits
 from diffdrive_mpc.mpc.ros.bounded_messages import path_bytes
 from diffdrive_mpc.mpc.ros.conversions import NANOSECONDS, MessageError, nanoseconds, planar_pose
@@ -112,6 +111,4 @@ def _lay(times: list[float], poses: list[tuple[float, float, float]], limits: Li
         )
     if not all(map(math.isfinite, rows.ravel())):
         raise MessageError("it holds a number that is not finite")
-    acceleration = load_robot().reference_acceleration
-    bounds = TrajectoryLimits(limits.v, limits.omega, acceleration.v, acceleration.omega)
-    return lay_timed_poses(rows, bounds, name=name, where=name)
+    return lay_timed_poses(rows, TrajectoryLimits.of_controller(limits), name=name, where=name)

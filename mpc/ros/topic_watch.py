@@ -23,6 +23,8 @@ class TopicWatch:
         Why the last message was refused; empty once a good one came.
     last_refusal
         The same, kept for diagnostics.
+    source
+        What the topic is and who publishes on it, in words, for a topic on which nothing has come yet.
     delay
         From the stamp of the last good message to its arrival [s]; NaN before the first.
     """
@@ -30,7 +32,7 @@ class TopicWatch:
     def __init__(self, name: str) -> None:
         self.name = name
         self.accepted = self.refused = 0
-        self.reason = self.last_refusal = ""
+        self.reason = self.last_refusal = self.source = ""
         self.delay = math.nan
         self.restart()
 
@@ -70,7 +72,7 @@ class TopicWatch:
             return ""
         late = f"{self.name} is {age:.2f} s old, the limit is {timeout:g} s"
         if math.isinf(age):
-            late = f"no {self.name} yet"
+            late = f"no {self.name} yet" + (f" ({self.source})" if self.source else "")
         elif age < 0:
             late = f"{self.name} is {-age:.2f} s in the future: are the clocks in step?"
         return f"{late}; {self.reason}" if self.reason else late

@@ -30,7 +30,7 @@ class Stretch(NamedTuple):
     """Timing of the progress along the stretch."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ArcTrajectory(Trajectory):
     """Exact arcs, sampled in closed form: pose and twist agree to rounding at every instant.
 

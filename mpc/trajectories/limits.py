@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.robot import Robot, load_robot
+from diffdrive_mpc.mpc.config.schema import Limits
+
+
+class BeyondLimitError(ConfigError):
+    """A trajectory is faster than its limits allow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,4 +59,16 @@ class TrajectoryLimits:
             v_acceleration=robot.reference_acceleration.v,
             omega_acceleration=robot.reference_acceleration.omega,
             lateral_acceleration=robot.reference_acceleration.lateral,
+        )
+
+    @classmethod
+    def of_controller(cls, limits: Limits) -> TrajectoryLimits:
+        """Speed limits of a controller's configuration; accelerations as usual, but never beyond its slew limits."""
+        usual = cls.of_robot()
+        return replace(
+            usual,
+            v=limits.v,
+            omega=limits.omega,
+            v_acceleration=min(usual.v_acceleration, limits.v_slew),
+            omega_acceleration=min(usual.omega_acceleration, limits.omega_slew),
         )

@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
+from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.named_file import named_file, shipped_names
-from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.random_spline import PATTERN, lay_random_spline, seed_of
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, SegmentFile, lay_commanded, lay_segments
 from diffdrive_mpc.mpc.trajectories.settings import load_settings
-from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth
-from diffdrive_mpc.mpc.trajectories.timed_poses import read_timed_poses
 from diffdrive_mpc.mpc.trajectories.timing import TIMINGS, Timing
 from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
-from diffdrive_mpc.mpc.trajectories.waypoints import WaypointFile, lay_waypoints
 
 _FOLDER = Path(__file__).parent / "built_in"
 
 BUILT_IN: tuple[str, ...] = shipped_names(_FOLDER)
 """Names of the trajectories that ship with the package as files."""
+_RANDOM = "spline-SEED"
+"""How the names of random splines look."""
 
 
 def load_trajectory(
-    name_or_path: str | Path, limits: TrajectoryLimits | None = None, timing: str | None = None
+    name_or_path: str | Path,
+    limits: TrajectoryLimits | ControllerConfig | None = None,
+    timing: str | None = None,
 ) -> Trajectory:
     """Load a reference trajectory.
 
@@ -35,7 +38,8 @@ def load_trajectory(
         v [m/s], omega [rad/s], duration [s]) or with `waypoints` (a list of x, y [m]); or a CSV file of timed poses
         with the columns t [s], x, y [m], theta [rad].
     limits
-        Speeds and accelerations to respect; by default those of the robot of the papers.
+        Speeds and accelerations to respect, or the configuration whose limits they are; by default those of the robot
+        of the papers.
     timing
         "stop", "commanded" or "smooth" (see `timing.Timing`) in place of what the file says.
 
@@ -44,16 +48,34 @@ def load_trajectory(
     models.checked_yaml.ConfigError
         If the name is unknown, the file is missing, malformed, empty or beyond the limits, or the timing is unknown or
         asked for with timed poses, which have times of their own.
+    ArgumentError
+        If it is neither a name nor a path.
     """
+    if not isinstance(name_or_path, (str, Path)):
+        raise wrong_type(
+            "load_trajectory",
+            "a name such as 'circle' or the path of a file",
+            name_or_path,
+            "make it of arrays with Trajectory.from_arrays(t, x, y) or Trajectory.from_waypoints(points)",
+        )
     way = next((one for one in TIMINGS if one == timing), None)
     if timing is not None and way is None:
         raise ConfigError(f"timing '{timing}': give {', '.join(TIMINGS[:-1])} or {TIMINGS[-1]}")
-    limits = limits or TrajectoryLimits.of_robot()
-    seed = seed_of(name_or_path)
-    if seed is not None:
-        return lay_random_spline(seed, limits, way)
-    path = named_file("trajectory", _FOLDER, name_or_path, BUILT_IN, f", {PATTERN}")
-    trajectory = _read(path, limits, way)
+    if isinstance(limits, ControllerConfig):
+        limits = TrajectoryLimits.of_controller(limits.limits)
+    if random := re.fullmatch(r"spline-(\d{1,1000})", str(name_or_path), re.ASCII):
+        from diffdrive_mpc.mpc.trajectories.random_spline import lay_random_spline  # noqa: PLC0415 - see _read
+
+        return lay_random_spline(int(random[1]), limits or TrajectoryLimits.of_robot(), way)
+    path = named_file("trajectory", _FOLDER, name_or_path, BUILT_IN, f", {_RANDOM}")
+    try:
+        trajectory = _read(path, limits or TrajectoryLimits.of_robot(), way)
+    except BeyondLimitError as error:
+        if limits is not None:
+            raise
+        raise BeyondLimitError(
+            f"{error}. The limit is that of the papers' robot; for another robot: load_trajectory(path, config)"
+        ) from error
     longest = load_settings().longest_duration
     if trajectory.duration > longest:
         raise ConfigError(
@@ -75,12 +97,17 @@ def load_segments(name_or_path: str | Path) -> tuple[Segment, ...]:
 
 
 def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajectory:
+    # Paths of arcs, as most of the shipped ones are, do without SciPy, which all others are laid with.
     if path.suffix.lower() == ".csv":
+        from diffdrive_mpc.mpc.trajectories.timed_poses import read_timed_poses  # noqa: PLC0415
+
         if timing is not None:
             raise ConfigError(f"{path}: timing '{timing}': timed poses have times of their own; ask for none")
         return read_timed_poses(path, limits)
     data, where = read_yaml(path), str(path)
     if isinstance(data, Mapping) and "waypoints" in data:
+        from diffdrive_mpc.mpc.trajectories.waypoints import WaypointFile, lay_waypoints  # noqa: PLC0415
+
         route = check(WaypointFile, data, where)
         name, way = route.name or path.stem, timing or route.timing
         return lay_waypoints(route.waypoints, limits, name=name, speed=route.speed, where=where, timing=way)
@@ -88,6 +115,8 @@ def _read(path: Path, limits: TrajectoryLimits, timing: Timing | None) -> Trajec
     segments, start, way = sequence.segments, sequence.start, timing or sequence.timing
     name = sequence.name or path.stem
     if way == "smooth":
+        from diffdrive_mpc.mpc.trajectories.smooth_segments import lay_smooth  # noqa: PLC0415
+
         return lay_smooth(segments, limits, name=name, start=start, where=where, smoothing=sequence.smoothing)
     lay = lay_commanded if way == "commanded" else lay_segments
     return lay(segments, limits, name=name, start=start, where=where)

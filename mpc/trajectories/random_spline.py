@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -17,9 +16,6 @@ from diffdrive_mpc.mpc.trajectories.smooth_path import smooth_path
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timing import Timing
 from diffdrive_mpc.mpc.trajectories.waypoints import lay_waypoints
-
-PATTERN = "spline-SEED"
-"""How the names look."""
 
 
 class RandomSplines(StrictModel):
@@ -52,12 +48,6 @@ class RandomSplines(StrictModel):
 def random_splines() -> RandomSplines:
     """What the package draws random paths from."""
     return load_checked(RandomSplines, Path(__file__).parent / "random_spline.yaml")
-
-
-def seed_of(name: str | Path) -> int | None:
-    """The seed in a name such as `spline-7`; None for any other name."""
-    found = re.fullmatch(r"spline-(\d{1,1000})", str(name), re.ASCII)
-    return int(found[1]) if found else None
 
 
 def lay_random_spline(seed: int, limits: TrajectoryLimits, timing: Timing | None = None) -> SplineTrajectory:

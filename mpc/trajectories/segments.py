@@ -22,7 +22,7 @@ from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
 from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory, Stretch
-from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.settings import load_settings
 from diffdrive_mpc.mpc.trajectories.timing import Phase, Timing, between, rest_to_rest
 
@@ -119,7 +119,7 @@ def check_segments(segments: Sequence[Segment], limits: TrajectoryLimits, where:
         for key, unit in (("v", "m/s"), ("omega", "rad/s")):
             value, bound = getattr(segment, key), getattr(limits, key)
             if abs(value) > bound:
-                raise ConfigError(
+                raise BeyondLimitError(
                     f"{where}: segments.{i}.{key} = {value:g} {unit} is beyond the limit of {bound:g} {unit}; lower it"
                 )
 

@@ -7,6 +7,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.mpc.config.schema import Limits
 from diffdrive_mpc.mpc.config.thresholds import STANDING, TURNING
+from diffdrive_mpc.mpc.trajectories.checked_reference import checked_reference
 
 # A spline through timed poses may ring a little over its limit.
 _SPEED_EXCESS = 1.01
@@ -30,10 +31,11 @@ def check_speeds(reference: Reference, limits: Limits, dt: float, gain: FloatArr
     Raises
     ------
     ValueError
-        With one line that names reference, time, value and limit; also where duration or poses are not finite.
+        With one line that names reference, time, value and limit; also where duration or poses are not finite, or
+        where it gives poses or twists of another shape than it is asked for.
     """
     times = _instants(reference, dt)
-    sample = reference.sample(times)
+    sample = checked_reference(reference).sample(times)
     odd = np.flatnonzero(~(np.abs(sample.pose) <= _FURTHEST).all(axis=1))
     if odd.size:
         raise ValueError(
@@ -130,6 +132,22 @@ def steps_beyond_slew(reference: Reference, limits: Limits, dt: float) -> str:
         if step > slew * (times[2] - times[1]) * (1 + 1e-6)
     ]
     return f"reference '{reference.name}': {'; '.join(said)}" if said else ""
+
+
+def starts_beyond_slew(reference: Reference, limits: Limits, dt: float) -> str:
+    """One line on a reference that begins faster than a robot at rest can follow within `dt` [s]; empty otherwise."""
+    v, omega = np.abs(reference.sample([0.0]).twist[0]).tolist()
+    late = [
+        f"limits.{name}_slew = {slew:g} {unit}^2 takes {speed / slew:.2g} s to {speed:.3g} {unit}"
+        for name, unit, speed, slew in (("v", "m/s", v, limits.v_slew), ("omega", "rad/s", omega, limits.omega_slew))
+        if speed > slew * dt * (1 + 1e-6)
+    ]
+    if not late:
+        return ""
+    return (
+        f"reference '{reference.name}' starts at {v:.3g} m/s and {omega:.3g} rad/s, the robot at rest: "
+        f"{', '.join(late)}; let the reference begin at rest, or expect the robot behind it"
+    )
 
 
 def _instants(reference: Reference, dt: float) -> FloatArray:

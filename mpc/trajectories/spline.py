@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicHermiteSpline
 
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
 from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory
@@ -16,7 +15,7 @@ from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SplineTrajectory(Trajectory):
     """Cubic pieces of x, y, theta and arc length; the twist is their derivative, seen from the body.
 
@@ -43,16 +42,20 @@ class SplineTrajectory(Trajectory):
 
         `drawn` are the distances (m + 1,) from the path as it was drawn [m], where it is another.
         """
-        motion = CubicHermiteSpline(times, poses, rates)
-        step = np.diff(times)
+        motion, step = _hermite(times, poses, rates), np.diff(times)
         inside = times[:-1, None] + step[:, None] * (_NODES + 1) / 2
-        advance = _speed(motion(inside), motion(inside, 1)) @ _WEIGHTS * step / 2
+        passed = (inside - times[:-1, None])[..., None]
+        squared = passed * passed
+        cubic, square, linear, constant = motion[:, :, None]
+        between = constant + linear * passed + square * squared + cubic * (squared * passed)
+        moving = linear + square * passed * 2 + cubic * squared * 3
+        advance = _speed(between, moving) @ _WEIGHTS * step / 2
         # A cubic piece cannot turn back while its end slopes are at most three times its mean slope (Fritsch, Carlson,
         # SIAM J. Numer. Anal. 17(2), 1980): that bites only where the speed passes through zero.
         mean = np.pad(advance / step, 1, mode="edge")
         slope = np.minimum(_speed(poses, rates), 3 * np.minimum(mean[:-1], mean[1:]))
-        arc_length = CubicHermiteSpline(times, np.concatenate([[0.0], np.cumsum(advance)]), slope)
-        coefficients = np.concatenate([motion.c, arc_length.c[..., None]], axis=-1)
+        arc_length = _hermite(times, np.concatenate([[0.0], np.cumsum(advance)])[:, None], slope[:, None])
+        coefficients = np.concatenate([motion, arc_length], axis=-1)
         table = np.ascontiguousarray(coefficients.transpose(0, 2, 1).reshape(16, -1))
         return cls(name, float(times[-1]), times, table, drawn)
 
@@ -74,6 +77,17 @@ class SplineTrajectory(Trajectory):
     def __getstate__(self) -> dict[str, object]:
         """Without the memory of C."""
         return {name: value for name, value in self.__dict__.items() if name != "native"}
+
+
+def _hermite(times: FloatArray, values: FloatArray, slopes: FloatArray) -> FloatArray:
+    """Coefficients (4, m, n) of cubic pieces through values (m + 1, n) with given slopes, as `SplineTrajectory.table`.
+
+    Written out: SciPy's, which gives the same, takes longer to load than all else that a controller needs.
+    """
+    step = np.diff(times)[:, None]
+    mean = np.diff(values, axis=0) / step
+    bend = (slopes[:-1] + slopes[1:] - 2 * mean) / step
+    return np.stack([bend / step, (mean - slopes[:-1]) / step - bend, slopes[:-1], values[:-1]])
 
 
 def _speed(poses: FloatArray, rates: FloatArray) -> FloatArray:

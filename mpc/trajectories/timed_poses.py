@@ -8,13 +8,13 @@ from io import TextIOWrapper
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.input_file import open_input
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.plain_text import plain_line
-from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.settings import load_settings
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
@@ -37,8 +37,10 @@ def read_timed_poses(path: Path, limits: TrajectoryLimits) -> SplineTrajectory:
     return lay_timed_poses(_read(path), limits, name=path.stem, where=str(path))
 
 
-def lay_timed_poses(rows: FloatArray, limits: TrajectoryLimits, *, name: str, where: str) -> SplineTrajectory:
-    """Lay twice continuously differentiable splines through timed poses.
+def lay_timed_poses(
+    rows: FloatArray, limits: TrajectoryLimits | None, *, name: str, where: str, rates: FloatArray | None = None
+) -> SplineTrajectory:
+    """Lay twice continuously differentiable splines through timed poses, or splines with the rates that are given.
 
     Parameters
     ----------
@@ -46,11 +48,14 @@ def lay_timed_poses(rows: FloatArray, limits: TrajectoryLimits, *, name: str, wh
         (m, 4), m >= 2, of finite numbers: t [s], which increases and whose first becomes time 0; x, y [m];
         theta [rad], which may be wrapped: it is taken to turn by less than pi from row to row.
     limits
-        Speeds to respect, between the rows as well as at them. Accelerations are not checked: the rows decide them.
+        Speeds to respect, between the rows as well as at them; None: only sideways travel is refused. Accelerations are
+        not checked: the rows decide them.
     name
         Name for tables and figures.
     where
         Source of the rows, for error messages.
+    rates
+        (m, 3) time derivatives of x, y [m/s] and theta [rad/s] at the rows, where they are known.
 
     Raises
     ------
@@ -60,13 +65,14 @@ def lay_timed_poses(rows: FloatArray, limits: TrajectoryLimits, *, name: str, wh
     """
     settings = load_settings()
     pieces = settings.pieces_between(len(rows), settings.pieces_per_row, settings.least_pieces_per_row, where)
-    splines = CubicSpline(rows[:, 0] - rows[0, 0], np.column_stack([rows[:, 1:3], np.unwrap(rows[:, 3])]))
+    nodes, through = rows[:, 0] - rows[0, 0], np.column_stack([rows[:, 1:3], np.unwrap(rows[:, 3])])
+    splines = CubicSpline(nodes, through) if rates is None else CubicHermiteSpline(nodes, through, rates)
     share = np.arange(pieces) / pieces
     times = np.append((splines.x[:-1, None] + np.diff(splines.x)[:, None] * share).ravel(), splines.x[-1])
-    poses, rates = splines(times), splines(times, 1)
-    _check_speeds(where, times + rows[0, 0], poses, rates, limits)
+    poses, slopes = splines(times), splines(times, 1)
+    _check_speeds(where, times + rows[0, 0], poses, slopes, limits)
     # The Hermite form through nodes of a cubic spline is that spline.
-    return SplineTrajectory.through(name, times, poses, rates)
+    return SplineTrajectory.through(name, times, poses, slopes)
 
 
 def _read(path: Path) -> FloatArray:
@@ -129,7 +135,7 @@ def _numbers(path: Path, line: int, cells: list[str], columns: list[int]) -> lis
 
 
 def _check_speeds(
-    where: str, times: FloatArray, poses: FloatArray, rates: FloatArray, limits: TrajectoryLimits
+    where: str, times: FloatArray, poses: FloatArray, rates: FloatArray, limits: TrajectoryLimits | None
 ) -> None:
     """Refuse speeds beyond the limits and sideways travel."""
     settings = load_settings()
@@ -138,13 +144,14 @@ def _check_speeds(
     slower = "stretch the time or lower the speed"
     along = "let theta point along the direction of travel, or give more rows"
     for name, unit, speed, bound, excess, remedy in (
-        ("v", "m/s", forward, limits.v, settings.speed_excess, slower),
-        ("omega", "rad/s", rates[:, 2], limits.omega, settings.speed_excess, slower),
+        ("v", "m/s", forward, limits.v if limits else np.inf, settings.speed_excess, slower),
+        ("omega", "rad/s", rates[:, 2], limits.omega if limits else np.inf, settings.speed_excess, slower),
         ("sideways speed", "m/s", sideways, settings.lateral_speed, 0.0, along),
     ):
         worst = int(np.argmax(np.abs(speed)))
         if abs(speed[worst]) > bound * (1 + excess):
-            raise ConfigError(
+            kind = ConfigError if speed is sideways else BeyondLimitError
+            raise kind(
                 f"{where}: {name} = {speed[worst]:.3g} {unit} at t = {times[worst]:.3f} s is beyond the limit of "
                 f"{bound:.3g} {unit}; {remedy}"
             )

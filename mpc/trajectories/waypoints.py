@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
-from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds, timed
 from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath, smooth_path
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
@@ -57,7 +57,7 @@ def lay_waypoints(
     if len(waypoints) < 2:
         raise ConfigError(f"{where}: {len(waypoints)} waypoints; give at least two [x, y]")
     if speed is not None and speed > limits.v:
-        raise ConfigError(f"{where}: speed = {speed:g} m/s is beyond the limit of {limits.v:g} m/s; lower it")
+        raise BeyondLimitError(f"{where}: speed = {speed:g} m/s is beyond the limit of {limits.v:g} m/s; lower it")
     path = smooth_path(np.asarray(waypoints, dtype=float), where)
     if timing == "commanded":
         limits = _unlimited_yaw_acceleration(path, speed or limits.v, limits, where)
@@ -77,7 +77,7 @@ def _unlimited_yaw_acceleration(
     worst = int(np.argmax(path.bend))
     if path.bend[worst] * speed > limits.omega:
         x, y = path.points[worst]
-        raise ConfigError(
+        raise BeyondLimitError(
             f"{where}: timing commanded: omega = {path.bend[worst] * speed:.3g} rad/s at x = {x:.3g} m, y = {y:.3g} m "
             f"is beyond the limit of {limits.omega:g} rad/s; lower the speed, or take another timing"
         )

@@ -28,7 +28,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("simulated", default_value="false", description="Whether the robot is simulated."),
             DeclareLaunchArgument("use_pose_topic", default_value="false", description="Whether poses come on `pose`."),
             ExecuteProcess(
-                cmd=["diffdrive-mpc", "robot", "--lock-step", "--trajectory", trajectory],
+                cmd=["diffdrive-mpc", "sim-robot", "--lock-step", "--trajectory", trajectory],
                 output="screen",
                 condition=IfCondition(in_sim_time),
             ),

@@ -21,7 +21,9 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("config", default_value="ssm", description="Configuration: a name or a path."),
             DeclareLaunchArgument("trajectory", default_value="circle", description="Trajectory: a name or a path."),
             DeclareLaunchArgument("rviz", default_value="true", description="Whether to show RViz."),
-            ExecuteProcess(cmd=["diffdrive-mpc", "robot", "--lock-step", "--trajectory", trajectory], output="screen"),
+            ExecuteProcess(
+                cmd=["diffdrive-mpc", "sim-robot", "--lock-step", "--trajectory", trajectory], output="screen"
+            ),
             IncludeLaunchDescription(
                 PythonLaunchDescriptionSource(str(SHARE / "launch" / "node.launch.py")),
                 launch_arguments={

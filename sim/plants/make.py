@@ -4,19 +4,28 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.robot import Robot, TwistBounds, load_robot
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
 from diffdrive_mpc.sim.plants.chassis import outline
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.plant import Plant
-from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, load_simulated_robot
+from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, SimulatedRobot, load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.plants.twin_parameters import load_twin_parameters
 from diffdrive_mpc.sim.plants.world_plant import WorldPlant
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from diffdrive_mpc.sim.worlds.world_file import NO_WORLD, load_world
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+    from diffdrive_mpc.models.velocity_model import VelocityModel
 
 PHYSICS = "mujoco"
 """Name of the physics plant, and before a colon the kind of another robot in it."""
@@ -24,7 +33,7 @@ _MODEL_PREFIX = "model:"
 
 
 def make_plant(
-    name: str,
+    name: str | Path | VelocityModel | NonlinearModel,
     surface: str | Path = "default",
     sensors: str | Path = "default",
     seed: int = 0,
@@ -43,7 +52,7 @@ def make_plant(
         "mujoco" for the physics, "mujoco:NAME" for another robot in it, NAME shipped or the path of a robot file, or
         "model:NAME" for a velocity model with the base effects of its file, NAME as `models.load_model` takes it.
         "model:NAME+SECONDS" puts that dead time on top of the model's own, as `extra_dead_time` does: "model:sm+0.04".
-        Where a file has the whole of NAME+SECONDS for a path, it is that file.
+        Where a file has the whole of NAME+SECONDS for a path, it is that file. Or a velocity model itself.
     surface
         Name of a shipped surface or path of a surface file. For "mujoco:NAME" the default one has the friction that the
         robot file says, where it says one.
@@ -71,9 +80,13 @@ def make_plant(
         If a name is unknown, a file has a mistake, or the arguments do not go together.
     models.velocity_model.ModelError
         If a model cannot be a robot's, its dead time included.
+    models.errors.ArgumentError
+        If `name` is something else.
     """
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise ConfigError(f"seed {seed!r}: give an integer that is not negative")
+    seed, given_model = int(seed), None if isinstance(name, (str, Path)) else _checked_model(name)
+    name = str(name) if given_model is None else f"{_MODEL_PREFIX}{given_model.name}"
     floor, sensor_set = load_surface(surface), load_sensor_set(sensors)
     happening = load_scenario(scenario).draw(seed)
     around = None if str(world) == NO_WORLD else load_world(world, seed)
@@ -117,20 +130,23 @@ def make_plant(
             raise ConfigError(f"world '{world}' needs a plant with a body to touch it: '{name}' has none; use 'mujoco'")
         if not extra_dead_time >= 0:
             raise ConfigError(f"extra_dead_time {extra_dead_time} s: it must not be negative")
-        model, named_dead_time = _split(name.removeprefix(_MODEL_PREFIX))
-        extra_dead_time += named_dead_time
+        effects, model = BaseEffects(), given_model
+        if model is None:
+            file, named_dead_time = _split(name.removeprefix(_MODEL_PREFIX))
+            extra_dead_time += named_dead_time
+            effects, model = load_base_effects(file), load_model(file)
         if happening.physical:
             raise ConfigError(
                 f"scenario '{scenario}' needs a plant with mass, wheels and motors ({', '.join(happening.physical)}): "
                 f"'{name}' has none; use 'mujoco'"
             )
         plant = ModelPlant(
-            load_model(model),
+            model,
             floor.slip,
             sensor_set,
             seed,
             extra_dead_time=extra_dead_time,
-            effects=load_base_effects(model),
+            effects=effects,
             robot=_model_robot(sample_time, limits),
         )
         return DisturbedPlant(plant, happening, load_robot()) if happening.kinds else plant
@@ -146,9 +162,35 @@ def plant_outline(name: str) -> tuple[float, float]:
 
     Raises ConfigError where a robot file is named that cannot be used.
     """
-    kind, colon, file = name.partition(":")
-    build = load_simulated_robot(file) if colon and kind == PHYSICS else None
+    build = _build(name)
     return outline(build.robot, build.twin) if build else outline(load_robot(), load_twin_parameters())
+
+
+def _checked_model(model: object) -> VelocityModel | NonlinearModel:
+    """`model`; raises ArgumentError where it is none."""
+    from diffdrive_mpc.models.nonlinear_model import NonlinearModel  # noqa: PLC0415 - needs CasADi
+    from diffdrive_mpc.models.velocity_model import VelocityModel  # noqa: PLC0415
+
+    if not isinstance(model, (VelocityModel, NonlinearModel)):
+        raise wrong_type("plant", "a name or a velocity model", model, "make it with make_plant('mujoco')")
+    return model
+
+
+def physics_robot(name: str) -> Robot | None:
+    """Geometry and limits of the robot of a plant in the physics; None for "model:NAME".
+
+    Raises ConfigError where a robot file is named that cannot be used.
+    """
+    if name.partition(":")[0] != PHYSICS:
+        return None
+    build = _build(name)
+    return build.robot if build else load_robot()
+
+
+def _build(name: str) -> SimulatedRobot | None:
+    """The robot file that a plant's name says; None where it says none."""
+    kind, colon, file = name.partition(":")
+    return load_simulated_robot(file) if colon and kind == PHYSICS else None
 
 
 def _model_robot(sample_time: float | None, limits: TwistBounds | None) -> Robot:

@@ -58,13 +58,17 @@ class ModelPlant:
         effects: BaseEffects | None = None,
         robot: Robot | None = None,
     ) -> None:
-        self._robot = robot or load_robot()
+        self._robot, self._name = robot or load_robot(), model.name
         late = model.with_extra_dead_time([extra_dead_time, extra_dead_time])
         self._motion = BaseMotion(late, effects or BaseEffects(), self._robot.sample_time)
         self._slip = slip
         self._kinematics = WheelKinematics(self._robot.wheel_radius, self._robot.track)
         self._sensors = Sensors(sensors, self._kinematics, self._robot.sample_time, seed=seed, noisy_encoders=True)
         self.reset(np.zeros(3))
+
+    def __repr__(self) -> str:
+        """What it is, in one line."""
+        return f"ModelPlant of '{self._name}', samples of {self.sample_time:g} s"
 
     @property
     def sample_time(self) -> float:

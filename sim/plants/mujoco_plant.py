@@ -80,7 +80,7 @@ class MujocoPlant:
         world: World | None = None,
     ) -> None:
         robot, twin = robot or load_robot(), twin or load_twin_parameters()
-        self._robot = robot
+        self._robot, self._friction = robot, friction
         self.drive = drive or papers_drive()
         self._sample_time = robot.sample_time if sample_time is None else sample_time
         self._substeps = max(1, round(twin.substeps * self._sample_time / robot.sample_time))
@@ -106,6 +106,10 @@ class MujocoPlant:
         kinematics = WheelKinematics(robot.wheel_radius, robot.track)
         self._sensors = Sensors(sensors, kinematics, self._sample_time, seed=seed, noisy_encoders=False)
         self.reset(np.zeros(3))
+
+    def __repr__(self) -> str:
+        """What it is, in one line."""
+        return f"MujocoPlant, friction {self._friction:g}, samples of {self._sample_time:g} s"
 
     @property
     def sample_time(self) -> float:

@@ -71,6 +71,10 @@ class PlantAround:
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
 
+    def __repr__(self) -> str:
+        """What it is, in one line."""
+        return f"{type(self).__name__} around {self._plant!r}"
+
     @property
     def sample_time(self) -> float:
         """Time between two control ticks [s]."""

@@ -70,6 +70,33 @@ class WallClock:
         return time.monotonic_ns() + self._offset
 
 
+class CommandRhythm:
+    """Notices a controller with a longer period than the robot: every command is followed by ticks without one."""
+
+    def __init__(self) -> None:
+        self._answered: list[int] = []
+        self._reported = False
+
+    def differs(self, tick: int, *, answered: bool) -> bool:
+        """Take in whether a tick had a command; whether it shows another period, once."""
+        if answered:
+            self._answered = [*self._answered[-2:], tick]
+        if self._reported or not answered or len(self._answered) < 3:
+            return False
+        first, second, third = self._answered
+        self._reported = second > first + 1 and third > second + 1
+        return self._reported
+
+    def words(self, sample_time: float) -> str:
+        """Return what is wrong, both periods [s] and the remedy."""
+        period = 0.5 * (self._answered[-1] - self._answered[0]) * sample_time
+        return (
+            f"lock step: commands come about every {1e3 * period:.3g} ms, the robot's sample time is "
+            f"{1e3 * sample_time:.4g} ms: it waits in vain for each other command; start it with the node's "
+            "configuration (--config FILE)"
+        )
+
+
 def drive_in_lock_step(
     base: SimulatedBase, clock: SteppedClock, settings: LockStep, spin: Spin, going: Callable[[], bool]
 ) -> None:
@@ -88,10 +115,13 @@ def drive_in_lock_step(
     # One sample before the first tick, so that a timer that this wakes falls due again on the first tick.
     before = messages.clock(clock.at(-1))
     _wait_for_company(base, lambda: ticker.publish(before), settings, spin, going)
+    rhythm = CommandRhythm()
     while going():
         now = clock.at(base.tick)
         base.publish_sensors(now, clock.origin)
         _wait_for_answer(base, now, ticker.publish, settings, spin, going)
+        if rhythm.differs(base.tick, answered=base.inbox.answers(now)):
+            base.node.get_logger().warning(rhythm.words(base.plant.sample_time))
         base.advance(now)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from numpy.typing import ArrayLike
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rclpy.subscription import Subscription
@@ -27,6 +28,8 @@ from diffdrive_mpc.sim.sensing.odometry import Odometry
 _SAID_BY_CONTROLLER = (TICK, DRIVE)
 # rclpy's throttling of repeated warnings [s].
 _WARN_EVERY = 1.0
+# How often to look whether commands of the other type are published [s].
+_CHECK_EVERY = 0.5
 
 
 class SimulatedBase:
@@ -85,6 +88,10 @@ class SimulatedBase:
             topic: node.create_publisher(kind, topic, qos_profile_sensor_data) for topic, kind in kinds.items()
         }
         kind = TwistStamped if settings.stamped else Twist
+        self._misheard = ""
+        self._check = node.create_timer(
+            _CHECK_EVERY, self._check_senders, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
         self._commands = node.create_subscription(kind, "cmd_vel", self._receive, QoSProfile(depth=1))
         if record is not None:
             self._records = [self._recorded(node, topic, record) for topic in _SAID_BY_CONTROLLER]
@@ -109,6 +116,20 @@ class SimulatedBase:
     def command_topic(self) -> str:
         """Full name of the topic of commands."""
         return str(self._commands.topic_name)
+
+    def _check_senders(self) -> None:
+        """Say once who publishes commands of the type that this robot cannot hear."""
+        heard, other = ("TwistStamped", "Twist") if self._settings.stamped else ("Twist", "TwistStamped")
+        infos = self.node.get_publishers_info_by_topic(self.command_topic)
+        names = sorted({info.node_name for info in infos if info.topic_type == f"geometry_msgs/msg/{other}"})
+        misheard = " and ".join(names)
+        if misheard and misheard != self._misheard:
+            option, parameter = ("--unstamped", "true") if self._settings.stamped else ("--stamped", "false")
+            self.node.get_logger().warning(
+                f"{misheard} publishes {other} on {self.command_topic}, this robot listens to {heard}: start the robot "
+                f"with {option}, or set the node's parameter stamped:={parameter}"
+            )
+        self._misheard = misheard
 
     def _recorded(self, node: Node, topic: str, record: MessageRecorder) -> Subscription:
         """Record what a controller says on `topic`, and nothing else: the robot does not look at it."""

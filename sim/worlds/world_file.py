@@ -12,7 +12,6 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.sim.disturbances.drawn_values import check_drawn, drawn, extremes
-from diffdrive_mpc.sim.worlds.drawn_world import drawn_world
 from diffdrive_mpc.sim.worlds.world import World
 
 SHIPPED = Path(__file__).parent / "shipped"
@@ -41,6 +40,8 @@ def load_world(name: str | Path, seed: int = 0) -> World:
     """
     found = re.fullmatch(r"drawn:(\d{1,18})(:through)?", str(name), re.ASCII)
     if found:
+        from diffdrive_mpc.sim.worlds.drawn_world import drawn_world  # noqa: PLC0415 - loads SciPy
+
         return drawn_world(int(found[1]), through=found[2] is not None)
     if str(name).startswith("drawn"):
         raise ConfigError(f"world '{name}': a drawn one is called {PATTERN}, SEED being a number")

@@ -10,25 +10,28 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from diffdrive_mpc.bench.drive import simulate
+    from diffdrive_mpc.bench.parameter_sweep import sweep
     from diffdrive_mpc.models.checked_yaml import ConfigError
     from diffdrive_mpc.models.compiled.compiler import NotCompiledError
-    from diffdrive_mpc.models.errors import DiffdriveMpcError, MissingPackageError
+    from diffdrive_mpc.models.errors import ArgumentError, DiffdriveMpcError, MissingPackageError
     from diffdrive_mpc.models.identification.from_logs import identify
     from diffdrive_mpc.models.interface import Measurement, Stamped
     from diffdrive_mpc.models.load import load_model
     from diffdrive_mpc.models.nonlinear_model import NonlinearModel
     from diffdrive_mpc.models.pose import integrate_pose
-    from diffdrive_mpc.models.velocity_model import ModelError
+    from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
     from diffdrive_mpc.mpc.config.config_file import load_config
     from diffdrive_mpc.mpc.config.schema import ControllerConfig
     from diffdrive_mpc.mpc.controller import Controller
     from diffdrive_mpc.mpc.problem.terms import Term
     from diffdrive_mpc.mpc.trajectories.load import load_trajectory
-    from diffdrive_mpc.sim.loop import simulate
+    from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
     from diffdrive_mpc.sim.plants.make import make_plant
     from diffdrive_mpc.sim.plants.plant import RobotLostError
 
 _HOMES = {
+    "ArgumentError": "models.errors",
     "ConfigError": "models.checked_yaml",
     "Controller": "mpc.controller",
     "ControllerConfig": "mpc.config.schema",
@@ -41,16 +44,20 @@ _HOMES = {
     "RobotLostError": "sim.plants.plant",
     "Stamped": "models.interface",
     "Term": "mpc.problem.terms",
+    "Trajectory": "mpc.trajectories.trajectory",
+    "VelocityModel": "models.velocity_model",
     "identify": "models.identification.from_logs",
     "integrate_pose": "models.pose",
     "load_config": "mpc.config.config_file",
     "load_model": "models.load",
     "load_trajectory": "mpc.trajectories.load",
     "make_plant": "sim.plants.make",
-    "simulate": "sim.loop",
+    "simulate": "bench.drive",
+    "sweep": "bench.parameter_sweep",
 }
 
 __all__ = [
+    "ArgumentError",
     "ConfigError",
     "Controller",
     "ControllerConfig",
@@ -63,6 +70,8 @@ __all__ = [
     "RobotLostError",
     "Stamped",
     "Term",
+    "Trajectory",
+    "VelocityModel",
     "identify",
     "integrate_pose",
     "load_config",
@@ -70,6 +79,7 @@ __all__ = [
     "load_trajectory",
     "make_plant",
     "simulate",
+    "sweep",
 ]
 
 
@@ -81,4 +91,4 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - the type checker sees the i
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)

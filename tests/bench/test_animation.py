@@ -54,6 +54,7 @@ def probed(path):
     return told["streams"][0], float(told["format"]["duration"])
 
 
+@pytest.mark.system("film")
 def test_an_mp4_has_the_pictures_the_size_and_the_length_that_were_asked_for(playback, tmp_path):
     film = replace(SMALL, start=1.0, end=5.0)
     for name in ("one.mp4", "two.mp4"):
@@ -173,6 +174,7 @@ def test_a_robots_own_log_shows_what_it_has(run, tmp_path):
         assert image.size == (480, 270)
 
 
+@pytest.mark.system("rendering")
 def test_a_render_stands_beside_the_view_from_above(playback):
     film = replace(SMALL, render=True, start=4.0, end=4.0)
     (with_render,) = list(pictures(playback, film, robot_body()))
@@ -184,6 +186,9 @@ def test_a_render_stands_beside_the_view_from_above(playback):
 
 
 def test_endings_choose_and_what_is_missing_is_named(monkeypatch, tmp_path):
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "ffmpeg").touch(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
     assert film_path(tmp_path / "film").suffix == ".mp4"
     with pytest.raises(ConfigError, match=r"cannot write '.avi'; give a file that ends in .mp4, .webp, .gif, .png"):
         film_path(tmp_path / "film.avi")
@@ -251,6 +256,7 @@ def test_a_part_without_poses_is_named(playback):
     assert max(front[3:]) == 0
 
 
+@pytest.mark.system("window")
 def test_a_drive_that_is_watched_is_the_same_bit_for_bit(tmp_path):
     (tmp_path / "short.yaml").write_text(SHORT)
     simulate_it = [str(Path(sys.executable).with_name("diffdrive-mpc")), "simulate", "--trajectory", "short.yaml"]

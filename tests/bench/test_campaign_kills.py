@@ -10,5 +10,5 @@ from campaign_kills import disturb, prepare
 
 def test_results_are_those_of_an_undisturbed_campaign(tmp_path: Path) -> None:
     quiet, chance = prepare(tmp_path), random.Random(5)
-    assert len(disturb(tmp_path, quiet, 2, chance, dask=True)) == 2
+    assert len(disturb(tmp_path, quiet, 1, chance, dask=True)) == 1
     assert len(disturb(tmp_path, quiet, 1, chance, dask=False)) == 1

@@ -55,6 +55,29 @@ def test_the_schema_lists_every_key_with_its_default() -> None:
     assert "[" not in flat["weights.across"].help
 
 
+@pytest.mark.parametrize("part", ["weights", "limits.v", "solver", "terms"])
+def test_a_part_of_the_schema_is_shown_alone(part: str) -> None:
+    result = runner.invoke(app, ["config", "schema", part])
+    assert result.exit_code == 0, result.stderr
+    shown = [line.split()[0] for line in result.stdout.splitlines()[3:] if not line.startswith(" ")]
+    assert shown == [row.key for row in schema_rows() if re.fullmatch(rf"{part}((\[\])?\..*)?", row.key)]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["weigths"], "unknown key 'weigths'; did you mean 'weights'?"),
+        (["weights.acros"], "unknown key 'weights.acros'; did you mean 'weights.across'?"),
+        (["weights", "--json"], "--json is the schema of the whole configuration; leave 'weights' out"),
+    ],
+)
+def test_an_unknown_part_of_the_schema_is_one_line(words: list[str], message: str) -> None:
+    result = runner.invoke(app, ["config", "schema", *words])
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+
+
 def test_the_json_schema_is_that_of_the_model() -> None:
     result = runner.invoke(app, ["config", "schema", "--json"])
     assert json.loads(result.stdout) == ControllerConfig.model_json_schema()

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from opened_report import check_report
+from opened_report import check_report, content_of
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
@@ -19,20 +19,17 @@ from diffdrive_mpc.bench.commission.run import commission_into
 from diffdrive_mpc.bench.commission.settings import DriveSettings
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_config
-from diffdrive_mpc.mpc.trajectories import model_excitation as searched
 from diffdrive_mpc.mpc.trajectories.model_excitation import Room
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
+from quick_settings import quick_settings
 
 STEPS = ["excite-slow", "record-slow", "learn", "excite", "record", "identify", "twin", "prove"]
 
 
 @pytest.fixture(autouse=True, scope="module")
 def quick_search():
-    whole = searched.model_excitation_settings
-    settings = whole().model_copy(update={"population": 6, "generations": 1})
-    searched.model_excitation_settings = lambda: settings
-    yield
-    searched.model_excitation_settings = whole
+    with quick_settings():
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -80,10 +77,17 @@ def test_what_is_left_can_be_used(commissioned):
 def test_its_page_shows_each_step_and_the_delivered_controller_on_the_twin(commissioned):
     asked, out, said = commissioned
     assert commission_into(asked, out)
-    page = check_report(out / "report.html")
+    page = content_of(out / "report.html")
     assert [row[0] for row in page["tables"][0]["rows"]] == STEPS
     assert page["key_figures"][0]["value"] == f"{len(said)} of {len(said)}"
     assert [run["name"] for run in page["views"][0]["runs"]] == ["circle on the twin", "s on the twin"]
+
+
+@pytest.mark.system("browser")
+def test_its_page_is_drawn_in_a_browser(commissioned):
+    asked, out, _ = commissioned
+    assert commission_into(asked, out)
+    check_report(out / "report.html")
 
 
 def test_what_is_done_is_not_done_again(commissioned):

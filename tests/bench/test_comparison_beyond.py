@@ -27,7 +27,7 @@ from diffdrive_mpc.sim import make_plant
 
 
 def test_the_bench_compares_the_pairs_that_are_named_in_one_place() -> None:
-    settings = default_settings().model_copy(update={"trajectories": ("s",), "seeds": (0,), "horizons": ()})
+    settings = default_settings().model_copy(update={"trajectories": ("s",), "seeds": (0,), "beyond": True})
     plan = plan_cases(settings)
     assert [(case.controller, case.model) for case in plan.main] == list(COMPARED)
     assert {case.top_speed for case in plan.speed} == set(SPEEDS)
@@ -39,12 +39,9 @@ def test_the_bench_compares_the_pairs_that_are_named_in_one_place() -> None:
     assert not set(plan.beyond) & set(plan.all)
 
 
-@pytest.mark.parametrize("given", [{"trajectories": "s"}, {"plants": "model:ssm"}])
-def test_who_asks_for_something_else_gets_that_alone(given: dict[str, str]) -> None:
-    assert default_settings().beyond
-    assert read({"models": "ssm"}).beyond
-    assert not read(dict(given)).beyond  # type: ignore[arg-type]
-    assert not read({}, quick=True).beyond
+def test_who_asks_for_a_model_gets_that_alone() -> None:
+    assert not default_settings().beyond and not read({}, quick=True).beyond
+    assert read({"models": "ssm"}, sweeps=True).beyond
     assert read({"models": "ssm"}).values("controllers") == ("mpc",)
     assert read({"models": "ssm", "controllers": "mpc,kanayama"}).values("controllers") == ("mpc", "kanayama")
 
@@ -78,7 +75,7 @@ def test_a_late_plant_does_the_same_so_many_ticks_later() -> None:
 
 
 def test_a_plant_that_is_earlier_than_told_is_told_of_more_dead_time() -> None:
-    settings = default_settings().model_copy(update={"trajectories": ("s",), "seeds": (0,), "horizons": ()})
+    settings = default_settings().model_copy(update={"trajectories": ("s",), "seeds": (0,), "beyond": True})
     (case,) = (case for case in plan_cases(settings).dead_time if (case.model, case.late) == ("ssm", -2))
     told, shipped = controller_config("ssm", None, case.overrides), controller_config("ssm")
     assert told.extra_dead_time.omega == pytest.approx(shipped.extra_dead_time.omega + 2 * shipped.sample_time)

@@ -38,14 +38,25 @@ def asked(**given: Any) -> ComparisonSettings:
     return read_options(values, **given)
 
 
-def test_the_default_is_a_peer_and_three_models_four_trajectories_five_seeds_and_six_horizons() -> None:
+def test_the_default_is_a_peer_and_four_models_on_four_trajectories_with_five_seeds_and_no_sweep() -> None:
     chosen = asked()
     assert chosen == default_settings()
     assert chosen.controllers == ("pursuit+slip", "mpc")
     assert set(chosen.models) == {"kinematic", "mbm", "sm", "ssm"}
     assert set(chosen.trajectories) == {"circle", "square", "s", "cane"}
     assert len(chosen.seeds) == 5
-    assert chosen.horizons == (5, 10, 20, 30, 50)
+    assert chosen.horizons == () and not chosen.beyond
+    swept = asked(sweeps=True)
+    assert swept.horizons == (5, 10, 20, 30, 50) and swept.beyond
+    assert asked(sweeps=True, horizons="7").horizons == (7,)
+
+
+@pytest.mark.parametrize(
+    "given", [{"quick": True}, {"scaled": True}, {"settings": ["weights.across=1"]}, {"plants": "model:ssm"}]
+)
+def test_sweeps_stand_alone(given: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match="--sweeps: beside it give"):
+        asked(sweeps=True, **given)
 
 
 def test_a_horizon_case_that_is_a_main_case_runs_once() -> None:
@@ -129,8 +140,8 @@ def test_peers_alone_refuse_what_they_would_ignore(given: dict[str, Any]) -> Non
 
 
 def test_peers_alone_sweep_no_horizon() -> None:
-    assert asked(controllers="kanayama").horizons == ()
-    assert asked(controllers="mpc,kanayama", models="ssm").horizons == default_settings().horizons
+    assert asked(controllers="kanayama", sweeps=True).horizons == ()
+    assert asked(controllers="mpc,kanayama", models="ssm", sweeps=True).horizons
 
 
 def test_options_change_the_experiment() -> None:

@@ -14,7 +14,7 @@ from diffdrive_mpc.bench.studies.energy_front.study import Driven, fronts
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
     out = tmp_path_factory.mktemp("front")
-    result = CliRunner().invoke(app, ["energy-front", "--quick", "--jobs", "1", "--out", str(out)])
+    result = CliRunner().invoke(app, ["study", "energy-front", "--quick", "--jobs", "1", "--out", str(out)])
     assert result.exit_code == 0, result.output
     return out
 
@@ -28,6 +28,10 @@ def test_energy_falls_and_the_error_grows_with_the_weight(report):
         assert free["energy"] > 1.03 * little["energy"] > 1.03 * much["energy"]
         assert little["error"] < 1.2 * free["error"] < 0.6 * much["error"]
     assert (report / "figures" / "front.png").stat().st_size > 10_000
+
+
+@pytest.mark.system("browser")
+def test_its_page_is_drawn_in_a_browser(report):
     check_report(report / "report.html")
 
 

@@ -26,7 +26,7 @@ SOLVE_FAILED = 128
 
 @pytest.fixture(scope="module")
 def in_double(tmp_path_factory):
-    return export(tmp_path_factory.mktemp("export") / "double", "square", "double", TIGHT, "-O1")
+    return export(tmp_path_factory.mktemp("export") / "double", "square", "double", TIGHT, "-O0")
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def with_sanitizers(tmp_path_factory):
     """Stops at the first access out of bounds, undefined operation, or complaint; soft limits matter."""
     folder = tmp_path_factory.mktemp("export") / "sanitized"
     overrides = {"limits.wheel_speed": 0.58, "failure.resume": False}
-    return export(folder, "s", "double", overrides, "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+    return export(folder, "s", "double", overrides, "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
 def test_hard_limits_in_double_precision(in_double):
@@ -54,7 +54,7 @@ def test_soft_limits_in_double_precision(with_sanitizers):
 
 def test_single_precision(tmp_path):
     """Rounding only: both stop at the exact solution of the same program."""
-    program = export(tmp_path / "float", "square", "float", TIGHT, "-O1")
+    program = export(tmp_path / "float", "square", "float", TIGHT, "-O0")
     steps = drive_both(program, "square", TIGHT, 350, offset=(0.02, -0.03, 0.1))
     assert np.abs(differences(steps)).max() <= 2e-4
     assert all(ours.mode == theirs.mode for ours, theirs in steps)
@@ -63,7 +63,7 @@ def test_single_precision(tmp_path):
 
 def test_soft_limits_in_single_precision(tmp_path):
     limits = {"limits.wheel_speed": 0.55, "limits.predicted_omega": 0.49, "limits.corridor": 0.1}
-    program = export(tmp_path / "float", "s", "float", limits, "-O1")
+    program = export(tmp_path / "float", "s", "float", limits, "-O0")
     steps = drive_both(program, "s", limits, 300)
     assert np.abs(differences(steps)).max() <= 2e-4
     assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)
@@ -73,7 +73,7 @@ def test_soft_limits_in_single_precision(tmp_path):
 def test_what_the_active_set_does_not_prove_is_a_failed_solve(tmp_path):
     """There is no backend to ask: the ladder acts, and the robot drives on as soon as a solve succeeds."""
     limits = {"limits.wheel_speed": 0.58}
-    program = export(tmp_path / "few", "s", "double", {**limits, "solver.active_set_iterations": 1}, "-O1")
+    program = export(tmp_path / "few", "s", "double", {**limits, "solver.active_set_iterations": 1}, "-O0")
     steps = drive_both(program, "s", limits, 200)
     modes = [theirs.mode for _, theirs in steps]
     assert {Mode.TRACKING, Mode.REUSED_PLAN} <= set(modes)
@@ -85,7 +85,7 @@ def test_what_the_active_set_does_not_prove_is_a_failed_solve(tmp_path):
 def test_another_model_with_dead_time(tmp_path):
     """Eight states, a horizon of its own, and commands that are two and three samples on their way."""
     overrides = {"horizon": 12, "extra_dead_time.v": 0.05, "extra_dead_time.omega": 0.03}
-    program = export(tmp_path / "mbm", "s", "double", overrides, "-O1", model="mbm")
+    program = export(tmp_path / "mbm", "s", "double", overrides, "-O0", model="mbm")
     steps = drive_both(program, "s", overrides, 100, offset=(0.0, 0.04, 0.1), model="mbm")
     assert np.abs(differences(steps)).max() <= DOUBLE
     assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)
@@ -94,7 +94,7 @@ def test_another_model_with_dead_time(tmp_path):
 def test_curved_slip_and_a_least_turn_radius_come_along(tmp_path):
     overrides = {"estimator.veer_uncertainty": 0.02, "estimator.yaw_coupling": 0.05, "limits.least_turn_radius": 0.95}
     overrides["limits.least_commanded_radius"] = 1.2
-    program = export(tmp_path / "curved", "s", "double", overrides, "-O1", "-fsanitize=address,undefined")
+    program = export(tmp_path / "curved", "s", "double", overrides, "-O0", "-fsanitize=address,undefined")
     steps = drive_both(program, "s", overrides, 120, offset=(0.0, 0.04, 0.1))
     assert np.abs(differences(steps)).max() <= DOUBLE
     assert sum(theirs.soft_limits > 0 for _, theirs in steps) > 20
@@ -110,7 +110,7 @@ def test_energy_and_its_least_radius_come_along(tmp_path):
         "energy.least_radius": True,
         "horizon": 12,
     }
-    program = export(tmp_path / "energy", "circle", "double", overrides, "-O1")
+    program = export(tmp_path / "energy", "circle", "double", overrides, "-O0")
     steps = drive_both(program, "circle", overrides, 120, offset=(0.0, 0.03, 0.05))
     assert np.abs(differences(steps)).max() <= DOUBLE
     radius = load_turn_costs("fsu_bot-carpet").least_radius()
@@ -238,7 +238,7 @@ def test_functions_of_the_user(tmp_path):
     """A nonlinear model and two terms: the same C as Python's, in either precision."""
     model, terms = saturating_lag(), terms_of_the_user(load_trajectory("circle").sample([2.5]).pose[0, :2])
     for precision, difference in (("double", DOUBLE), ("float", 2e-4)):
-        program = export(tmp_path / precision, "circle", precision, {}, "-O1", model=model, terms=terms)
+        program = export(tmp_path / precision, "circle", precision, {}, "-O0", model=model, terms=terms)
         steps = drive_both(program, "circle", {}, 200, offset=(0.0, 0.03, 0.0), model=model, terms=terms)
         assert np.abs(differences(steps)).max() <= difference
         assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)
@@ -248,7 +248,7 @@ def test_functions_of_the_user(tmp_path):
 def test_the_network_comes_along(tmp_path):
     """Its weights as tables, its functions with the core; in either precision."""
     for precision, difference in (("double", DOUBLE), ("float", 2e-3)):
-        program = export(tmp_path / precision, "circle", precision, {}, "-O2", model="lstm")
+        program = export(tmp_path / precision, "circle", precision, {}, "-O0", model="lstm")
         steps = drive_both(program, "circle", {}, 60, model="lstm")
         assert np.abs(differences(steps)).max() <= difference
         assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)
@@ -257,7 +257,7 @@ def test_the_network_comes_along(tmp_path):
 @pytest.mark.parametrize("model", ["p2_experimental", "p2_physical"])
 def test_a_drive_comes_along(tmp_path, model):
     """Slope limits and, of the experimental one, its threshold: the same C as Python's."""
-    program = export(tmp_path / "c", "circle", "double", {}, "-O1", model=model)
+    program = export(tmp_path / "c", "circle", "double", {}, "-O0", model=model)
     steps = drive_both(program, "circle", {}, 60, model=model)
     assert np.abs(differences(steps)).max() <= DOUBLE
     assert all(ours.mode == theirs.mode == Mode.TRACKING for ours, theirs in steps)

@@ -65,7 +65,7 @@ def test_the_same_configuration_gives_the_same_files(tmp_path):
     ("choice", "said"),
     [
         ({"precision": "half"}, "--precision 'half': give double or float"),
-        ({"settings": ["limits.omega=0.3"]}, "slow the reference down or raise the limit"),
+        ({"settings": ["limits.omega=0.3"]}, "omega = 0.5 rad/s is beyond the limit of 0.3 rad/s"),
         ({"settings": ["solver.strategy=backend"]}, "an exported controller has no backend"),
         ({"settings": ["solver.active_set_iterations=0"]}, "an exported controller has no backend"),
         ({"model": "smm"}, "unknown model 'smm'"),

@@ -162,7 +162,7 @@ def agree(kind: str, data: Any, folder: Path) -> None:
     assert fits(data)
     disagree = []
     every = list(changes(data, data))
-    for said, changed in every[:: 1 + len(every) // 300]:
+    for said, changed in every[:: 1 + len(every) // 120]:
         refused = refused_by_reader(kind, changed, folder)
         if (refused == "structure") == fits(changed) and refused != "meaning":
             disagree.append((said, refused))

@@ -25,6 +25,7 @@ def test_pictures_are_there_and_small():
     assert set(sizes) == {path.name for path in (DOCS / FOLDER).iterdir()}
 
 
+@pytest.mark.system("rendering")
 @pytest.mark.parametrize("picture", PICTURES, ids=lambda picture: picture.name)
 def test_each_command_makes_its_picture(picture, tmp_path, monkeypatch):
     """The first tenths of a second of it, which takes less time."""

@@ -88,6 +88,7 @@ def at(page: Any, plot: str, right: float, down: float) -> dict[str, str]:
     return read
 
 
+@pytest.mark.system("browser")
 def test_pointing_at_one_view_marks_the_same_time_in_the_other(single: Path) -> None:
     with opened(single) as page:
         early, late = at(page, "#times", 0.3, 0.1), at(page, "#times", 0.7, 0.1)
@@ -110,6 +111,7 @@ def test_pointing_at_one_view_marks_the_same_time_in_the_other(single: Path) -> 
         check_page(page)
 
 
+@pytest.mark.system("browser")
 def test_toggles_hide_a_controller_and_its_seeds_in_all_views_at_once(compared: Path) -> None:
     drawn = "(id) => document.querySelector(id).data.length"
     shown_bars = "[...document.querySelectorAll('.charts .plot')].map((one) => one.data.map((trace) => trace.name))"
@@ -145,6 +147,7 @@ def test_the_same_run_gives_the_same_page_but_for_times(outcome: Outcome) -> Non
     assert text() == text()
 
 
+@pytest.mark.system("browser")
 def test_every_kind_of_view_is_drawn_and_names_from_files_are_text(tmp_path: Path, outcome: Outcome) -> None:
     name = HOSTILE
     labels = {"controller": name, "path": "p"}
@@ -172,6 +175,7 @@ def test_every_kind_of_view_is_drawn_and_names_from_files_are_text(tmp_path: Pat
         assert name in drawn
 
 
+@pytest.mark.system("browser")
 def test_a_report_of_tables_alone_needs_no_views(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     table = Table("Costs", ("what", "ms"), (("a", "1"),))
@@ -183,7 +187,7 @@ def test_a_report_of_tables_alone_needs_no_views(tmp_path: Path) -> None:
 
 
 def test_laps_are_toggles(tmp_path: Path) -> None:
-    content = check_report(called(tmp_path, "simulate", *QUICK, "--laps", "2"))
+    content = content_of(called(tmp_path, "simulate", *QUICK, "--laps", "2"))
     assert [toggle["name"] for toggle in content["toggles"]] == ["controller", "lap"]
     assert len(content["views"][0]["runs"]) == 4
 
@@ -247,12 +251,16 @@ def test_what_needs_attention_is_said_with_what_to_do(outcome: Outcome) -> None:
     assert all(one.what.startswith("SSM: ") and one.remedy for one in found)
 
 
-def test_a_screenshot_is_small_and_a_missing_browser_is_named(single: Path, tmp_path: Path) -> None:
+@pytest.mark.system("browser")
+def test_a_screenshot_is_small(single: Path, tmp_path: Path) -> None:
     picture = tmp_path / "a.png"
     screenshot(single, picture)
     assert 10_000 < picture.stat().st_size < 300_000
+
+
+def test_a_missing_browser_and_a_missing_report_are_named(tmp_path: Path) -> None:
     missing = pytest.raises(ConfigError, match="no browser: no-such-browser was not found; install chromium")
     with missing, opened_browser("no-such-browser"):
         pass
     with pytest.raises(ConfigError, match="no such report"):
-        screenshot(tmp_path / "none.html", picture)
+        screenshot(tmp_path / "none.html", tmp_path / "a.png")

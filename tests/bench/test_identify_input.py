@@ -9,10 +9,26 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.contents import CONTENTS
+from diffdrive_mpc.bench.studies.identification import study, trial_drives
 
 runner = CliRunner()
 COLUMNS = drive(seconds=12.0)
 EVIL = "!!python/object/apply:os.system ['touch {folder}/executed']\n"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def bare_results():
+    """No figures, and one trial drive: test_identify_command.py looks at all of them."""
+
+    def draw_nothing(report, folder, on_done):
+        (folder / "figures").mkdir()
+        (folder / "figures" / "none.png").touch()
+        return {}
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "draw_identification", draw_nothing)
+        patch.setattr(trial_drives, "PATHS", ("circle",))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -185,4 +201,5 @@ def test_without_out_the_results_go_to_a_folder_of_that_name(folder, tmp_path, m
         "report.html",
         "report.json",
         "report.md",
+        "surface.yaml",
     ]

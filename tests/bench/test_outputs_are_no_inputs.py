@@ -47,7 +47,7 @@ def _refused(*words: object) -> str:
 
 
 @pytest.mark.parametrize("name", [_as_it_is, _linked, _hard_linked, _round_about])
-@pytest.mark.parametrize("option", ["--log", "--animate"])
+@pytest.mark.parametrize("option", ["--log", pytest.param("--animate", marks=pytest.mark.system("film"))])
 def test_simulate_does_not_replace_the_trajectory_that_it_drives(
     tmp_path: Path, name: Callable[[Path, Path], Path], option: str
 ) -> None:

@@ -37,7 +37,7 @@ from diffdrive_mpc.sim import make_plant, simulate
 CONFIG, MODEL = load_config("sm"), load_model("sm")
 ROBOT = Delayed(CONFIG.sample_time, MODEL.lag - MODEL.dead_time, CONFIG.limits)
 CLASSICAL = [name for name in LAWS if not name.startswith("mppi")]
-PATHS = ("circle", "square", "s", "cane")
+PATHS = ("square", "s")
 PURSUIT = PursuitGains(lead=0.09, look_ahead_time=0.4, look_ahead_min=0.1, along=3.0, turn=3.0, least_radius=0.0)
 
 

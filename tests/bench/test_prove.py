@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from opened_report import check_report
+from opened_report import check_report, content_of
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.campaign.check import check_definitions
@@ -44,24 +44,40 @@ def call(*words: object, code: int = 0) -> str:
 
 @pytest.fixture
 def proof(tmp_path: Path) -> Path:
-    (tmp_path / "short.yaml").write_text(SHORT, encoding="utf-8")
-    path = tmp_path / "proof.yaml"
+    return write_proof(tmp_path)
+
+
+def write_proof(folder: Path) -> Path:
+    (folder / "short.yaml").write_text(SHORT, encoding="utf-8")
+    path = folder / "proof.yaml"
     path.write_text(PROOF, encoding="utf-8")
     return path
 
 
-def test_a_proof_leaves_report_table_figures_and_worst_runs(
-    proof: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "out"
-    words = ("prove", "sm", "--campaign", proof, "--out", out, "--jobs", "1", "--worst", "3")
+@pytest.fixture(scope="module")
+def proven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[object, ...]]:
+    """The folder of a proof, and the words of its command."""
+    folder = tmp_path_factory.mktemp("proven")
+    words = ("prove", "sm", "--campaign", write_proof(folder), "--out", folder / "out", "--jobs", "1", "--worst", "3")
     call(*words)
+    return folder / "out", words
+
+
+@pytest.mark.system("browser")
+def test_its_page_is_drawn_in_a_browser(proven: tuple[Path, tuple[object, ...]]) -> None:
+    check_report(proven[0] / "report.html")
+
+
+def test_a_proof_leaves_report_table_figures_and_worst_runs(
+    proven: tuple[Path, tuple[object, ...]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, words = proven
     report = (out / "prove.md").read_text(encoding="utf-8")
     for part in ("How often", "Position error", "Unsafe commands", "By scenario", "Boundaries", "Worst runs"):
         assert f"## {part}\n" in report
     assert "0 of 20 runs had an unsafe command: with 95 % confidence fewer than 13.9 %" in report
     assert {path.name for path in (out / "figures").iterdir()} == {"errors.png", "map-latency-and-noise.png"}
-    page = check_report(out / "report.html")
+    page = content_of(out / "report.html")
     assert {view["kind"] for view in page["views"]} == {"chart", "map"}
     assert page["toggles"][0]["values"] in (["none", "start_offset"], ["start_offset", "none"])
     table = read_table(out / "prove.parquet").to_pydict()
@@ -75,7 +91,7 @@ def test_a_proof_leaves_report_table_figures_and_worst_runs(
     errors = sorted((error for error in table["position_rmse_m"]), reverse=True)
     kept = [yaml.safe_load(path.read_text(encoding="utf-8"))["figures"]["position_rmse_m"] for path in files]
     assert kept == errors[:3]
-    said = call("simulate", "--from-run", files[0], "--log", tmp_path / "worst.csv")
+    said = call("simulate", "--from-run", files[0], "--trust-terms", out.parent, "--log", tmp_path / "worst.csv")
     assert "figures are those of the file, to the last bit" in " ".join(said.split())
     assert (tmp_path / "worst.csv").stat().st_size > 0
     # A repeated proof drives nothing, and says the same.
@@ -95,7 +111,7 @@ def test_a_run_with_other_figures_is_said(proof: Path, tmp_path: Path) -> None:
     told["figures"]["position_rmse_m"] *= 1.0 + 1e-12
     told["environment"]["numpy"] = "1.0"
     path.write_text(yaml.safe_dump(told), encoding="utf-8")
-    said = " ".join(call("simulate", "--from-run", path, code=1).split())
+    said = " ".join(call("simulate", "--from-run", path, "--trust-terms", tmp_path, code=1).split())
     assert "1 of " in said
     assert "figures are other ones: position_rmse_m is" in said
     assert "other than then: numpy (1.0, now" in said

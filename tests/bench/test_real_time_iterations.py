@@ -60,7 +60,7 @@ def converged(monkeypatch):
 
 def drive(trajectory, make, on_tick=None, **overrides):
     """Drive the trajectory on the model's plant with the default sensors; truth and commands of each tick."""
-    controller = make(load_config("ssm", {"horizon": 20, "solver.backend": "daqp"} | overrides))
+    controller = make(load_config("ssm", {"horizon": 12, "solver.backend": "daqp"} | overrides))
     plant, reference = make_plant("model:ssm", sensors="default", seed=1), load_trajectory(trajectory)
     plant.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, plant.time)
@@ -76,7 +76,7 @@ def drive(trajectory, make, on_tick=None, **overrides):
     return SimpleNamespace(command=command, cost=cost, controller=controller)
 
 
-@pytest.mark.parametrize("trajectory", ["square", "cane"])
+@pytest.mark.parametrize("trajectory", ["cane"])
 def test_a_drive_costs_what_it_costs_with_iterations_to_convergence(trajectory, converged):
     run, best = (drive(trajectory, make) for make in (Controller, converged))
     assert best.controller.iterations > 2 * len(best.command), "it must iterate"

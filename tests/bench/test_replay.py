@@ -11,9 +11,12 @@ from typer.testing import CliRunner
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.controllers import build
+from diffdrive_mpc.bench.html_report.page import Chart
 from diffdrive_mpc.bench.late_plant import LatePlant
+from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.replay.open_loop import replay
 from diffdrive_mpc.bench.replay.own_log import read_own_csv
+from diffdrive_mpc.bench.replay.study import Asked, ReplayStudy
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.sim import simulate
@@ -56,14 +59,14 @@ def logged(case, folder, change=None):
 @pytest.mark.parametrize("name", CASES)
 def test_a_log_of_a_run_replays_to_the_same_commands_from_the_file_alone(name, tmp_path):
     run, path, config = logged(CASES[name], tmp_path)
-    recording = read_own_csv(path)
+    recording = read_own_csv(path, config)
     again = replay(recording, config, recording.references, as_recorded=False)
     assert np.array_equal(recording.command, run.command)
     assert np.abs(again.command - run.command).max() < 1e-9
     assert again.modes == run.modes and again.solver_paths == run.solver_paths
     assert not recording.approximated
     # With the trajectory itself nothing is left but the same bits.
-    exact = replay(recording, config, (load_trajectory(CASES[name].trajectory),), as_recorded=False)
+    exact = replay(recording, config, (load_trajectory(CASES[name].trajectory, config),), as_recorded=False)
     assert np.array_equal(exact.command, run.command)
     assert exact.messages == run.messages
     assert np.array_equal(exact.estimate, run.estimates, equal_nan=True)
@@ -103,6 +106,27 @@ def test_the_command_writes_every_tick_and_says_that_it_is_the_same(tmp_path):
     assert found["commands"][0]["differing"] == 0
     assert found["commands"][0]["compared"] == np.count_nonzero((run.time >= 2.0) & (run.time <= 6.0))
     assert (out / "figures" / "commands.png").is_file() and "Sensors" in (out / "replay.md").read_text()
+
+
+def test_time_axes_begin_at_zero_whatever_the_clock_of_the_log_says(tmp_path):
+    _, path, _ = logged(Case(plant="model:ssm"), tmp_path)
+    with path.open(newline="") as file:
+        header, *rows = csv.reader(file)
+    for row in rows:
+        for i, name in enumerate(header):
+            if name == "t_s" or name.endswith("_t_s"):
+                row[i] = repr(float(row[i] or "nan") + 1.7e9)
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows([header, *rows])
+    study = ReplayStudy(Asked(log=path, model="ssm"), tmp_path)
+    with ProgressBar("replaying") as bar:
+        report = study.report(study.run(study.plan(), 1, bar), 0.0)
+    charts = [view for view in report.shown.views if isinstance(view, Chart)]
+    assert charts
+    for chart in charts:
+        assert chart.x.title == "time [s] since 1700000000.00 s on the log's clock"
+        times = [time for series in chart.series for time in series.x]
+        assert -0.1 < min(times) < 0.1 and max(times) < 60.0
 
 
 def test_two_configurations_and_two_releases_are_compared(tmp_path):

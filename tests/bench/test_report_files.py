@@ -190,7 +190,7 @@ def test_a_report_is_complete_and_valid(results: ComparisonResults, tmp_path: Pa
     assert [run["horizon"] for run in data["runs"]] == [30, None, 15]
     assert data["meta"]["machine"]["cores"] >= 1
     pictures = sorted(path.name for path in (tmp_path / "figures").iterdir())
-    expected = ["horizon.png", "kanayama-cane.png", "overview.png", "ssm-cane.png", "step-time.png"]
+    expected = ["horizon.png", "overview.png", "ssm-cane.png", "step-time.png"]
     assert pictures == expected
     assert len(done) == len(drawings(results)) == len(expected)
     text = (tmp_path / "bench.md").read_text()

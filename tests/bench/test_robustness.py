@@ -115,7 +115,7 @@ def test_a_small_study_runs_and_repeats(tmp_path: Path) -> None:
     for jobs in ("1", "2"):
         out = tmp_path / jobs
         words = ["--only", "mass_left,noise_2cm", "--trajectories", str(path), "--seeds", "7,", "--jobs", jobs]
-        result = runner.invoke(app, ["robustness", "--out", str(out), *words])
+        result = runner.invoke(app, ["study", "robustness", "--out", str(out), *words])
         assert result.exit_code == 0, result.output
         runs.append(json.loads((out / "robustness.json").read_text())["runs"])
         assert (out / "figures" / "ratios.png").stat().st_size > 0
@@ -134,7 +134,7 @@ def test_a_small_study_runs_and_repeats(tmp_path: Path) -> None:
     ],
 )
 def test_a_mistake_gives_one_line(words: list[str], line: str, tmp_path: Path) -> None:
-    result = runner.invoke(app, ["robustness", "--quick", "--out", str(tmp_path / "out"), *words])
+    result = runner.invoke(app, ["study", "robustness", "--quick", "--out", str(tmp_path / "out"), *words])
     assert result.exit_code == 2
     assert line in result.output
     assert not (tmp_path / "out").exists()

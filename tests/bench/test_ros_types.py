@@ -121,7 +121,7 @@ def test_a_shell_gets_them_by_a_command(ros_types):
     script = f'eval "$({" ".join(command)})" && {sys.executable} -c "import nav2_msgs.action as a; print(a.__file__)"'
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path and path != str(ros_types))
-    found = subprocess.run(["bash", "-c", script], env=environment, capture_output=True, text=True, check=True)
+    found = subprocess.run(["/bin/bash", "-c", script], env=environment, capture_output=True, text=True, check=True)
     assert found.stdout.startswith(str(ros_types))
 
 

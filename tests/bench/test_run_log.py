@@ -8,12 +8,12 @@ import yaml
 from typer.testing import CliRunner
 
 from diffdrive_mpc import identify
-from diffdrive_mpc.bench import run_log
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.run_log import repeating
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.mpc import ControllerConfig
+from diffdrive_mpc.sim import log_mcap
 
 WORDS = ["simulate", "--trajectory", "s", "--plant", "model:ssm", "--seed", "3", "--set", "horizon=12"]
 
@@ -72,7 +72,7 @@ def test_a_full_disk_is_one_line_and_leaves_the_old_file(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(run_log, "write_ticks", full)
+    monkeypatch.setattr(log_mcap, "write_ticks", full)
     log = tmp_path / "run.mcap"
     log.write_bytes(b"old")
     result = simulated("--log", str(log))

@@ -50,7 +50,7 @@ def pairs_of(*rows: tuple[float, float]) -> list[PairOutcome]:
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The quick study by the command line."""
     out = tmp_path_factory.mktemp("saving")
-    result = CliRunner().invoke(app, ["saving", "--quick", "--jobs", "1", "--out", str(out)])
+    result = CliRunner().invoke(app, ["study", "saving", "--quick", "--jobs", "1", "--out", str(out)])
     assert result.exit_code == 0, result.output
     return out
 
@@ -79,9 +79,13 @@ def test_a_plan_without_slip_goes_astray_open_loop_and_not_in_closed_loop(report
     assert abs(with_slip["closed"]["error"]) < abs(without["closed"]["error"])
 
 
-def test_report_and_figures_are_there_and_sound(report: Path) -> None:
+def test_report_and_figures_are_there(report: Path) -> None:
     names = {path.name for path in (report / "figures").iterdir()}
     assert names == {"saving.png", "prediction.png", "paths-default.png", "scenario-1.png"}
+
+
+@pytest.mark.system("browser")
+def test_its_page_is_drawn_in_a_browser(report: Path) -> None:
     check_report(report / "report.html")
 
 
@@ -214,7 +218,9 @@ def test_where_all_tyres_slide_a_payload_asks_for_torque_as_it_weighs() -> None:
 
 
 def test_unknown_floors_and_cones_in_the_way_are_refused(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["saving", "--quick", "--surfaces", "ideal", "--out", str(tmp_path / "x")])
+    result = CliRunner().invoke(
+        app, ["study", "saving", "--quick", "--surfaces", "ideal", "--out", str(tmp_path / "x")]
+    )
     assert result.exit_code == 2 and "fsu_bot-ideal" in result.output
     scenarios = (STUDY.scenarios[0].model_copy(update={"posts": ((0.2, 0.0, 0.1),)}),)
     from diffdrive_mpc.bench.studies.saving.study import SavingStudy

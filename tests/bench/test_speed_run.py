@@ -75,7 +75,7 @@ def test_groups_of_subjects_are_chosen_by_their_common_name():
     [(["--peers", "nobody"], "nobody"), (["--models", "nobody"], "nobody"), (["--horizons", "0"], "--horizons")],
 )
 def test_bad_input_ends_in_one_line(tmp_path, arguments, named):
-    result = CliRunner().invoke(app, ["speed", "--out", str(tmp_path / "out"), *arguments])
+    result = CliRunner().invoke(app, ["study", "speed", "--out", str(tmp_path / "out"), *arguments])
     assert result.exit_code == 2
     assert named in result.output
     assert "Traceback" not in result.output

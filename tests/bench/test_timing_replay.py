@@ -17,7 +17,7 @@ from diffdrive_mpc.bench.outcomes import run_cases
 from diffdrive_mpc.bench.peers import PeerStep
 from diffdrive_mpc.bench.peers.kanayama import KanayamaController
 from diffdrive_mpc.bench.timing import quiet_core, replay, time_outcomes
-from diffdrive_mpc.bench.turns import BLOCK, COLD
+from diffdrive_mpc.bench.turns import BLOCK, COLD, TurnTimes
 from diffdrive_mpc.models.interface import FloatArray, Measurement, TrackingController
 from diffdrive_mpc.sim import Run, simulate
 
@@ -84,6 +84,22 @@ def test_every_outcome_gets_the_times_of_its_own_replay(monkeypatch: pytest.Monk
         assert np.array_equal(outcome.run.step_time, expected, equal_nan=True)
         assert np.array_equal(outcome.run.solve_time, expected / 2, equal_nan=True)
         assert outcome.clean_share == 1.0
+
+
+@pytest.mark.parametrize("clean", [1, 0])
+def test_disturbed_ticks_are_left_out_of_all_controllers_or_of_none(
+    clean: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A peer's disturbed ticks must not stand beside times of others that have none."""
+    outcomes = [quick_outcome(controller="kanayama", model="none"), quick_outcome()]
+    times = []
+    for outcome, undisturbed in zip(outcomes, (clean, 5), strict=True):
+        ticks = len(outcome.run.time)
+        times.append(TurnTimes(np.ones((1, ticks, 2)), np.arange(ticks)[None] < undisturbed))
+    monkeypatch.setattr("diffdrive_mpc.bench.timing.take_turns", lambda *_, **__: ([times], 1e-5))
+    timed, _ = time_outcomes(outcomes, lambda: None)
+    kept = [int(np.isfinite(outcome.run.step_time).sum()) for outcome in timed]
+    assert kept == ([1, 5] if clean else [len(outcome.run.time) for outcome in outcomes])
 
 
 def test_a_difference_in_the_last_bit_is_found() -> None:

@@ -29,7 +29,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def asked(*words: object) -> tuple[int, str]:
-    result = CliRunner().invoke(app, ["torque", *map(str, words)])
+    result = CliRunner().invoke(app, ["study", "torque", *map(str, words)])
     return result.exit_code, " ".join(result.output.split())
 
 
@@ -73,11 +73,15 @@ def test_the_slip_law_is_that_of_the_floor(log: Path) -> None:
     assert ours == pytest.approx(theirs, abs=0.03)
 
 
-def test_energy_of_the_log_and_the_report(told: Path) -> None:
+def test_energy_and_figure_of_the_log(told: Path) -> None:
     content = json.loads((told / "torque.json").read_text())
     assert content["predicted_j"] == pytest.approx(content["measured_j"], rel=0.12)
-    check_report(told / "report.html")
     assert (told / "figures" / "learned.png").is_file()
+
+
+@pytest.mark.system("browser")
+def test_its_page_is_drawn_in_a_browser(told: Path) -> None:
+    check_report(told / "report.html")
 
 
 def test_what_does_not_go_together_is_refused_in_a_sentence(log: Path, tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ TRACK, LIMIT = 0.39, 4.6
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The quick study by the command line."""
     out = tmp_path_factory.mktemp("torque")
-    result = CliRunner().invoke(app, ["torque", "--quick", "--jobs", "1", "--out", str(out)])
+    result = CliRunner().invoke(app, ["study", "torque", "--quick", "--jobs", "1", "--out", str(out)])
     assert result.exit_code == 0, result.output
     return out
 
@@ -54,9 +54,13 @@ def test_a_payload_is_better_known_by_the_terrain_than_by_the_curves(report: Pat
     assert max(loaded["terrain_rmse"]) < 0.8 * max(loaded["as_learned_rmse"])
 
 
-def test_report_and_figures_are_there_and_sound(report: Path) -> None:
+def test_report_and_figures_are_there(report: Path) -> None:
     names = {path.name for path in (report / "figures").iterdir()}
     assert {"torque-grippy.png", "learned-grippy.png", "power.png", "learning.png", "energy.png"} <= names
+
+
+@pytest.mark.system("browser")
+def test_its_page_is_drawn_in_a_browser(report: Path) -> None:
     check_report(report / "report.html")
 
 
@@ -90,7 +94,9 @@ def test_unseen_drives_are_gentle_repeatable_and_no_tighter_than_allowed() -> No
 def test_a_floor_without_friction_and_a_robot_without_a_vehicle_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no friction"):
         plant_of("fsu_bot", "ideal")
-    result = CliRunner().invoke(app, ["torque", "--quick", "--surfaces", "ideal", "--out", str(tmp_path / "x")])
+    result = CliRunner().invoke(
+        app, ["study", "torque", "--quick", "--surfaces", "ideal", "--out", str(tmp_path / "x")]
+    )
     assert result.exit_code == 2
     assert "no friction" in result.output
     assert not (tmp_path / "x").exists()

@@ -148,25 +148,35 @@ def test_without_a_report_nothing_is_copied(tmp_path: Path):
         copy_report(TRACKING, tmp_path, tmp_path / "docs")
 
 
-def test_the_command_drives_a_small_study_and_writes_its_report(tmp_path: Path):
-    out = tmp_path / "out"
-    study = str(tiny_study(tmp_path))
-    arguments = ["tracking", "--out", str(out), "--study", study, "--only", "ablation,cross,bound", "--jobs", "1"]
-    result = runner.invoke(app, arguments)
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder of a small study, and what the command printed."""
+    folder = tmp_path_factory.mktemp("driven")
+    words = ["--study", str(tiny_study(folder)), "--only", "ablation,cross,bound", "--jobs", "1"]
+    result = runner.invoke(app, ["study", "tracking", "--out", str(folder / "out"), *words])
     assert result.exit_code == 0, result.stderr
+    return folder / "out", result.stdout
+
+
+@pytest.mark.system("browser")
+def test_its_page_is_drawn_in_a_browser(driven: tuple[Path, str]):
+    check_report(driven[0] / "report.html")
+
+
+def test_the_command_drives_a_small_study_and_writes_its_report(driven: tuple[Path, str]):
+    out, printed = driven
     assert sorted(path.name for path in out.iterdir() if path.name != CONTENTS) == [
         "figures",
         "report.html",
         "tracking.json",
         "tracking.md",
     ]
-    check_report(out / "report.html")
     runs = json.loads((out / "tracking.json").read_text())["runs"]
     assert len(runs) == 4 + 2 + 1
     assert all(run["completed"] for run in runs)
     error = {(run["controller"], run["plant"], bool(run["set"])): run["position_rmse_m"] for run in runs}
     assert error["clairvoyant", "mujoco", False] < error["mpc", "mujoco", False] < error["mpc", "mujoco", True]
-    assert "Cross table" in result.stdout
+    assert "Cross table" in printed
 
 
 @pytest.mark.parametrize(
@@ -178,7 +188,7 @@ def test_the_command_drives_a_small_study_and_writes_its_report(tmp_path: Path):
     ],
 )
 def test_bad_input_is_one_line_and_nothing_is_made(arguments: list[str], message: str, tmp_path: Path):
-    result = runner.invoke(app, ["tracking", "--out", str(tmp_path / "out"), *arguments])
+    result = runner.invoke(app, ["study", "tracking", "--out", str(tmp_path / "out"), *arguments])
     assert result.exit_code == 2
     assert result.stderr.startswith("error: ")
     assert message in result.stderr

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from opened_report import check_report
+from opened_report import check_report, content_of
 from tune_parts import small_plan, written
 from typer.testing import CliRunner
 
@@ -25,10 +25,23 @@ def call(*words: object, code: int = 0) -> str:
     return result.output
 
 
-def test_a_tuning_leaves_configuration_report_and_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan, out = written(tmp_path), tmp_path / "out"
-    words = ("tune", "ssm", "--plan", plan, "--out", out, "--jobs", "1")
-    said = " ".join(call(*words).split())
+@pytest.fixture(scope="module")
+def tuned_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[object, ...], str]:
+    """The folder of a tuning, the words of its command, and what that printed."""
+    folder = tmp_path_factory.mktemp("tuned")
+    words = ("tune", "ssm", "--plan", written(folder), "--out", folder / "out", "--jobs", "1")
+    return folder / "out", words, " ".join(call(*words).split())
+
+
+@pytest.mark.system("browser")
+def test_its_page_is_drawn_in_a_browser(tuned_once: tuple[Path, tuple[object, ...], str]) -> None:
+    check_report(tuned_once[0] / "report.html")
+
+
+def test_a_tuning_leaves_configuration_report_and_study(
+    tuned_once: tuple[Path, tuple[object, ...], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, words, said = tuned_once
     report = (out / "tune.md").read_text(encoding="utf-8")
     for part in ("Verdict", "Chosen point", "What each parameter buys", "Error against effort"):
         assert f"## {part}\n" in report
@@ -38,7 +51,7 @@ def test_a_tuning_leaves_configuration_report_and_study(tmp_path: Path, monkeypa
     assert sentence in said
     assert f"* {sentence[0].upper()}{sentence[1:]}.\n" in report
     assert len(found["points"]) == 11
-    page = check_report(out / "report.html")
+    page = content_of(out / "report.html")
     assert page["key_figures"][0]["value"] == ("yes" if found["meta"]["improved"] else "no")
     assert {"Error against effort", "How the search went"} <= {view["title"] for view in page["views"]}
     # The file drives, and differs from the defaults in what was tuned only, where the interval says that it is better.

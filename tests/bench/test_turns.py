@@ -77,6 +77,17 @@ def test_where_nothing_is_clean_the_times_stand_as_they_are() -> None:
     assert np.isfinite(times.kept[0, 1::2]).all()
 
 
+def test_a_slow_controller_is_watched_in_stretches_and_only_the_disturbed_one_is_measured_again() -> None:
+    slow = QUIET._replace(elapsed=1.2 * turns.STRETCH, own=1.2 * turns.STRETCH)
+    efforts = {0: [slow], 2: [slow, slow], 3: [PUT_ASIDE, slow]}
+    replay = Scripted("a", 4, said := [], efforts)
+    ((times,),), _ = take_turns([[replay]], block=2)
+    assert said == ["a0", "a2", "a3"] + ["a0", "a2", "a3"]
+    assert times.clean.all()
+    # The third tick is the first of a turn, so it is cold; the fourth is from the second pass.
+    assert times.times[0, :, 0].tolist() == pytest.approx([np.nan, 1, np.nan, 2], nan_ok=True)
+
+
 def test_so_many_undisturbed_repetitions_as_wanted_are_taken() -> None:
     replay = Scripted("a", 4, [], {0: [QUIET, PUT_ASIDE]})
     ((times,),), _ = take_turns([[replay]], block=2, repetitions=3)

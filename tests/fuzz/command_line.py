@@ -21,21 +21,13 @@ _LONG = {
     "commission",
     "doctor",
     "export",
-    "loop-speed",
     "node",
-    "peers",
     "prove",
-    "real-logs",
-    "reproduce",
-    "robot",
-    "robustness",
-    "speed",
-    "tracking",
+    "sim-robot",
+    "study",
     "tune",
     "twin",
     "monitor",
-    "monitor-study",
-    "worlds",
 }
 _LONG_MODELS = {"fit", "calibrate", "train"}
 _CODES = {0, 1, 2}

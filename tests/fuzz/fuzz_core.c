@@ -597,7 +597,12 @@ int main(int count, char **words)
     state = count > 1 ? strtoull(words[1], 0, 10) : 1;
     state = state * 0x9E3779B97F4A7C15u + 1;
     check_bounds();
-    for (size_t i = 0; i < sizeof subjects / sizeof subjects[0]; i++)
-        drive(subjects + i);
+    /* A second word makes the drives shorter by that factor. */
+    int share = count > 2 ? atoi(words[2]) : 1;
+    for (size_t i = 0; i < sizeof subjects / sizeof subjects[0]; i++) {
+        subject shorter = subjects[i];
+        shorter.ticks = 1 + (shorter.ticks - 1) / share;
+        drive(&shorter);
+    }
     return 0;
 }

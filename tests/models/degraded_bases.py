@@ -53,6 +53,14 @@ GRAVEL = WARTHOG.replace("{yaw_rate: gyro_z}", "{yaw_rate: {column: gyro_z, sign
 Columns = dict[str, np.ndarray]
 
 
+def poses_of(twist, dt):
+    """(n + 1, 3) poses from the origin on, arc by arc, of twists (n, 2) that hold for `dt` each."""
+    theta = np.concatenate([[0.0], np.cumsum(twist[:, 1] * dt)])
+    headings = np.column_stack([np.zeros((len(twist), 2)), theta[:-1]])
+    steps = integrate_pose(headings, twist[:, 0], twist[:, 1], dt)[:, :2]
+    return np.column_stack([np.vstack([np.zeros(2), np.cumsum(steps, axis=0)]), theta])
+
+
 def robot(
     seconds=120.0, dt=0.02, seed=0, gain=(1.0, 1.0), lag=0.1, dead_time=0.06, skid=0.6, clip=np.inf, drive=(1, 1)
 ):
@@ -65,12 +73,11 @@ def robot(
     late = round(dead_time / dt)
     taken = np.vstack([np.zeros((late, 2)), command])[:count] * gain
     taken[:, 1] = np.clip(taken[:, 1], -clip, clip)
-    first, wheels, pose, keep = np.zeros(2), np.zeros((count, 2)), np.zeros((count, 3)), np.exp(-2 * dt / lag)
+    first, wheels, keep = np.zeros(2), np.zeros((count, 2)), np.exp(-2 * dt / lag)
     for k in range(1, count):
         first = keep * first + (1 - keep) * taken[k - 1]
         wheels[k] = keep * wheels[k - 1] + (1 - keep) * first
-        v, omega = 0.5 * (wheels[k] + wheels[k - 1])
-        pose[k] = integrate_pose(pose[k - 1], v, skid * omega, dt)
+    pose = poses_of(0.5 * (wheels[1:] + wheels[:-1]) * [1.0, skid], dt)
     side = 0.5 * TRACK * wheels[:, 1]
     noise = rng.normal(0, 1.0, (count, 6))
     return {

@@ -1,6 +1,7 @@
 """Zero-order-hold sampling with dead time, held against an ODE solver and against invariants."""
 
 import itertools
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from diffdrive_mpc.models import ModelError, load_model
+from diffdrive_mpc.models.structures.files import TwoPoles, side_by_side
 
 SSM = load_model("ssm")
 dead_times = st.tuples(st.floats(0, 0.12), st.floats(0, 0.12))
@@ -45,14 +47,29 @@ def test_matches_an_ode_solver(dead_time):
     assert simulated == pytest.approx(ode_outputs(model, commands, 0.0202), abs=1e-8)
 
 
-def test_without_dead_time_it_is_plain_zero_order_hold():
-    discrete = SSM.discretise(0.05)
-    plain = control.sample_system(control.ss(SSM.A, SSM.B, SSM.C, 0 * SSM.C @ SSM.B), 0.05, "zoh")
-    assert pytest.approx(plain.A) == discrete.A
-    assert pytest.approx(plain.B) == discrete.B0
-    assert not discrete.B1.any()
+@pytest.mark.parametrize("name", ["mbm", "sm", "ssm", "kinematic"])
+@pytest.mark.parametrize("dead_time", [(0.0, 0.0), (0.007, 0.0999)])
+def test_it_is_the_zero_order_hold_of_control(name, dead_time):
+    model, dt = replace(load_model(name), dead_time=np.array(dead_time)), 0.0202
+    discrete = model.discretise(dt)
+
+    def held(time):
+        return control.sample_system(control.ss(model.A, model.B, model.C, 0 * model.C @ model.B), time, "zoh")
+
+    whole, rest = held(dt), np.array(dead_time) - discrete.delay * dt
+    acting = np.column_stack([held(dt - rest[j]).B[:, j] for j in (0, 1)])
+    assert pytest.approx(whole.A, rel=1e-13, abs=1e-15) == discrete.A
+    assert pytest.approx(acting, rel=1e-13, abs=1e-15) == discrete.B0
+    assert pytest.approx(whole.B, rel=1e-13, abs=1e-15) == discrete.B0 + discrete.B1
     assert not discrete.D.any()
-    assert discrete.delay.tolist() == [0, 0]
+    assert discrete.delay.tolist() == [0, 4 if any(dead_time) else 0]
+
+
+def test_channels_side_by_side_are_what_control_appends():
+    parts = [TwoPoles(gain=0.9, natural_frequency=7.0, damping=1.2), TwoPoles(gain=1.1, natural_frequency=9, damping=2)]
+    whole = control.append(*(control.ss(*part.matrices(), 0.0) for part in parts))
+    for ours, theirs in zip(side_by_side(parts), (whole.A, whole.B, whole.C), strict=True):
+        assert np.array_equal(ours, theirs)
 
 
 @given(dead_times, sample_times)

@@ -143,7 +143,7 @@ def test_slow_kinds_take_part_only_where_they_are_named(monkeypatch):
     """And where what they need is not installed, the sentence says so, and the others are compared."""
     monkeypatch.setattr("diffdrive_mpc.models.identification.model_comparison.KINDS", [KINDS[0], KINDS[-1]])
     monkeypatch.setitem(__import__("sys").modules, "jax", None)
-    data = data_of(driven(UNLIMITED, 4, 20.0), driven(UNLIMITED, 5, 20.0))
+    data = data_of(driven(UNLIMITED, 4, 10.0), driven(UNLIMITED, 5, 10.0))
     assert KINDS[-1].slow
     assert [one.kind for one in compare_models(data, parts=2).scores[1:]] == [KINDS[0].name]
     for asked in (["all"], ["sm", KINDS[-1].name]):

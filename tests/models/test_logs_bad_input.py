@@ -119,10 +119,29 @@ def test_an_unknown_mapping_names_the_nearest(tmp_path):
         ("{v: v, omega: omega_wheels}", "{}", "name the columns of v, omega or of left, right or of front_left"),
         ("time: t", "time: t\n  sample_time: 0.1", "give either 'time', the column of times, or 'sample_time'"),
         ("columns:", "colums:", "unknown key 'colums'; did you mean 'columns'?"),
+        ("columns:", "time: t\ncolumns:", "unknown key 'time'; did you mean 'columns.time' or 'times'?"),
+        ("yaw_rate: gyro", "yaw_rate: gyro, yaw: gyro", "did you mean 'columns.gyro.yaw_rate'?"),
+        ("  pose:", "  imu: {yaw_rate: gyro}\n  pose:", "did you mean 'columns.gyro'?"),
     ],
 )
 def test_a_mistake_in_a_mapping_is_one_line(tmp_path, old, new, line):
     assert line in line_of(tmp_path, mapping=MAPPING.replace(old, new))
+
+
+def test_three_mistakes_in_a_mapping_are_one_line_with_all_three(tmp_path):
+    mapping = MAPPING.replace("columns:", "time: t\ncolumns:").replace(
+        "yaw_rate: gyro", "yaw_rate: {column: gyro, unit: deg}"
+    )
+    line = line_of(tmp_path, mapping=mapping.replace("x: x,", "xx: x,"))
+    for mistake in ("unknown key 'columns.pose.xx'", "Input should be 'rad/s'", "did you mean 'columns.time'"):
+        assert mistake in line
+
+
+def test_three_missing_columns_are_one_line_with_all_three(tmp_path):
+    names = {"t": "time", "gyro": "gyr", "theta": "thta"}
+    line = line_of(tmp_path, {names.get(name, name): value for name, value in COLUMNS.items()})
+    assert "3 mistakes: (1) column 'gyro' is missing; did you mean 'gyr'?; (2) column 't' is missing; it has " in line
+    assert line.endswith("; (3) column 'theta' is missing; did you mean 'thta'?")
 
 
 def test_ticks_need_the_ticks_of_a_turn(tmp_path):

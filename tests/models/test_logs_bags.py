@@ -140,7 +140,12 @@ def only(topics, *names):
             None,
             "neither /odom nor /imu is there; give a mapping file that names the topics; the bag has /cmd",
         ),
-        (("/cmd_vel", "/odom"), TOPICS, "no topic '/imu'"),
+        (("/cmd_vel", "/odom"), TOPICS, "no topics '/imu', '/pose'; name them"),
+        (
+            ("/cmd_vel", "/imu"),
+            "topics: {command: /cmd, odometry: /imu, pose: /slam}",
+            r"2 mistakes: \(1\) no topics '/cmd', '/slam'; name them under .*; \(2\) topic '/imu' is of type ",
+        ),
         (
             ("/cmd_vel", "/imu"),
             "topics: {odometry: /imu}",

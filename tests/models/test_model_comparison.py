@@ -11,6 +11,13 @@ from diffdrive_mpc.models.base_effects import BaseEffects, TwistSlew
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.identification.model_comparison import NO_MODEL, Comparison, Scored, compare_models
+from diffdrive_mpc.models.structures import ssm
+
+
+@pytest.fixture(autouse=True)
+def no_fifth_order(monkeypatch):
+    """No model here has more than four states, and a fifth takes long: .ci/run compares up to order 5."""
+    monkeypatch.setattr(ssm, "LARGEST_ORDER", 4)
 
 
 def data_of(*records):
@@ -19,7 +26,7 @@ def data_of(*records):
 
 def test_two_decoupled_channels_are_an_sm_and_nothing_more():
     truth = two_channels((0.95, 14.0, 0.9), (0.6, 18.0, 1.0))
-    found = compare_models(data_of(*(noisy_drive(truth, seed, 2000) for seed in (1, 2))), ["sm", "ssm"], parts=2)
+    found = compare_models(data_of(*(noisy_drive(truth, seed, 700) for seed in (1, 2))), ["sm", "ssm"], parts=2)
     assert found.recommended.kind == "sm"
     assert [one.kind for one in found.scores] == [NO_MODEL, "sm", "ssm"]
     low, high = found.gain(found.scores[2], found.recommended)
@@ -29,19 +36,20 @@ def test_two_decoupled_channels_are_an_sm_and_nothing_more():
     assert found.sentence().startswith("sm: ssm is ")
 
 
-def test_channels_that_disturb_each_other_are_an_ssm():
-    """The published model, its cross terms ten times as large: to each command both speeds answer."""
+def test_channels_that_disturb_each_other_are_an_ssm(monkeypatch):
+    """The published model of order 2, its cross terms ten times as large: to each command both speeds answer."""
+    monkeypatch.setattr(ssm, "LARGEST_ORDER", 2)
     model = published_ssm()
     model.C[0, 1], model.C[1, 0] = 10 * model.C[0, 1], 10 * model.C[1, 0]
     found = compare_models(
-        data_of(*(noisy_drive(model, seed, 2000, noise=(0.003, 0.01)) for seed in (1, 2))), ["sm", "ssm"], parts=2
+        data_of(*(noisy_drive(model, seed, 700, noise=(0.003, 0.01)) for seed in (1, 2))), ["sm", "ssm"], parts=2
     )
     assert found.recommended.kind == "ssm"
 
 
 def test_a_base_that_limits_slopes_is_an_sm_with_effects():
     effects = BaseEffects(twist_slew=TwistSlew(v=0.8, omega=1.5))
-    records = [record_of(effects, seed, 90.0, noise=0.3) for seed in (1, 2)]
+    records = [record_of(effects, seed, 45.0, noise=0.3) for seed in (1, 2)]
     found = compare_models(data_of(*records), ["sm", "sm+effects"], parts=2)
     assert found.recommended.kind == "sm+effects"
     assert "sm is worse by" in found.sentence()
@@ -81,7 +89,8 @@ def test_what_cannot_be_compared_is_refused(arguments, said):
         compare_models(data, *arguments)
 
 
-def test_the_command_prints_table_and_recommendation(tmp_path):
+def test_the_command_prints_table_and_recommendation(tmp_path, monkeypatch):
+    monkeypatch.setattr(ssm, "LARGEST_ORDER", 2)
     runner, log = CliRunner(), str(tmp_path / "drive.csv")
     drive = ["simulate", "--plant", "model:sm", "--model", "sm", "--trajectory", "slalom", "--log", log]
     assert runner.invoke(app, drive).exit_code == 0

@@ -22,8 +22,10 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
 from diffdrive_mpc.mpc.config.config_file import load_config
+from diffdrive_mpc.mpc.ros import node as node_module
 from diffdrive_mpc.mpc.ros.conversions import nanoseconds, pose_message, time_message
 from diffdrive_mpc.mpc.ros.node import TrackingNode
+from diffdrive_mpc.mpc.ros.side_process import SideProcess
 from diffdrive_mpc.sim import make_plant
 
 CONFIG = load_config("ssm")
@@ -32,6 +34,35 @@ PERIOD = round(DT * 1e9)
 START = 10**9
 # Far more than anything here takes; only a fault reaches it.
 PATIENCE = 60.0
+
+
+class KeptProcess(SideProcess):
+    """The node's side process, which outlasts its node: that of the next test need not start Python again."""
+
+    _spare = None
+    _busy = False
+
+    def _begin(self):
+        spare, KeptProcess._spare = KeptProcess._spare, None
+        if spare is None or spare[0].poll() is not None:
+            return super()._begin()
+        self._process, self._link = spare
+        return self._link
+
+    def _ask(self, job):
+        self._busy = True
+        answer = super()._ask(job)
+        self._busy = False
+        return answer
+
+    def close(self):
+        with self._changed:
+            if self._link is not None and not self._busy and KeptProcess._spare is None:
+                KeptProcess._spare, self._process, self._link = (self._process, self._link), None, None
+        super().close()
+
+
+node_module.SideProcess = KeptProcess
 
 
 class FakeBase:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.solver.backend import ask
-from diffdrive_mpc.mpc.solver.backends import BACKENDS
+from diffdrive_mpc.mpc.solver.backends import BACKENDS, load_backend
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.sim import make_plant, simulate
 
@@ -78,7 +78,7 @@ def solver_settings(backend, **changes):
 
 def solve(program, backend, kinds=tuple(range(KINDS)), near=None, **changes):
     """From nothing, or from a solution that is near."""
-    chosen = BACKENDS[backend](STEPS, KINDS, solver_settings(backend, **changes), WEIGHTS)
+    chosen = load_backend(backend)(STEPS, KINDS, solver_settings(backend, **changes), WEIGHTS)
     return chosen.solve(program, kinds, *((program.guess, program.multipliers) if near is None else near))
 
 
@@ -133,7 +133,7 @@ def test_the_random_programs_have_limits_of_all_sorts():
 def test_adding_limits_as_they_are_broken_gives_the_solution_with_all_of_them(backend, seed, tightness):
     program = random_program(seed, tightness, softness=0.3)
     whole = solve(program, "daqp")
-    asked, report = ask(BACKENDS[backend](STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9)
+    asked, report = ask(load_backend(backend)(STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9)
     assume(report.status is SolverStatus.SOLVED)
     assert asked.plan == pytest.approx(whole.plan, abs=1e-5)
     assert report.path == backend
@@ -143,7 +143,7 @@ def test_adding_limits_as_they_are_broken_gives_the_solution_with_all_of_them(ba
 def test_numbers_that_are_none_are_reported(backend):
     program = random_program(0)
     program.g = np.full_like(program.g, np.nan)
-    _, report = ask(BACKENDS[backend](STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9)
+    _, report = ask(load_backend(backend)(STEPS, KINDS, solver_settings(backend), WEIGHTS), program, backend, 1e-9)
     assert not report.status.usable
 
 
@@ -207,7 +207,7 @@ def test_with_limits_active_it_finds_the_plan_of_the_active_set(backend):
     plant, reference = make_plant("model:ssm", "ideal", "perfect"), load_trajectory("circle")
     plant.reset(reference.sample([0.0]).pose[0])
     controller.start(reference, plant.time)
-    exact = BACKENDS[backend](15, KINDS, solver_settings(backend), controller.config.weights)
+    exact = load_backend(backend)(15, KINDS, solver_settings(backend), controller.config.weights)
     compared = 0
     for _ in range(120):
         step = controller.step(plant.time, plant.measure())

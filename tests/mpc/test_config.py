@@ -5,6 +5,8 @@ import pytest
 from pydantic import BaseModel
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.logs.mapping import LogMapping
+from diffdrive_mpc.models.suggestions import SYNONYMS, suggestion
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim import make_plant
@@ -36,6 +38,13 @@ def test_every_field_says_what_it_is_and_in_which_unit(key, field):
         ({"horizn": 20}, "unknown key 'horizn'; did you mean 'horizon'"),
         ({"weights.acros": 1.0}, "did you mean 'weights.across'"),
         ({"across": 1.0}, "did you mean 'weights.across'"),
+        ({"weights.lateral": 1.0}, "did you mean 'weights.across'\\?$"),
+        ({"longitudinal": 1.0}, "did you mean 'weights.along'\\?$"),
+        ({"weights.yaw": 1.0}, "did you mean 'weights.heading' or 'weights.omega'\\?$"),
+        ({"limits.yaw_slew": 1.0}, "did you mean 'limits.omega_slew'\\?$"),
+        ({"Q": 1.0}, "did you mean 'weights.along', 'weights.across' or 'weights.heading'\\?$"),
+        ({"weights.R": 1.0}, "'weights.v', 'weights.omega', 'weights.v_increment' or 'weights.omega_increment'\\?$"),
+        ({"dt": 0.05}, "did you mean 'sample_time'\\?$"),
         ({"weights.across": -1.0}, "weights.across: .*greater than or equal to 0.*-1.0"),
         ({"horizon": 0}, "horizon: .*greater than or equal to 1"),
         ({"horizon": 2.5}, "horizon: .*integer"),
@@ -51,6 +60,12 @@ def test_mistakes_are_one_line_with_place_and_remedy(overrides, message):
     with pytest.raises(ConfigError, match=message) as error:
         load_config("ssm", overrides)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("key", sorted(SYNONYMS))
+def test_every_word_of_the_field_leads_to_a_key(key):
+    hints = [suggestion(schema, [key]) for schema in (ControllerConfig, LogMapping)]
+    assert any(name in hint for name in SYNONYMS[key] for hint in hints), hints
 
 
 def test_unknown_source():

@@ -348,7 +348,7 @@ def compiled(generated, folder, precision):
     source, library = folder / f"{generated.stem}.c", folder / f"{generated.stem}-{precision}.so"
     source.write_text(generated.source)
     single = ["-DDDMPC_FLOAT"] if precision == "float" else []
-    subprocess.run(["cc", *STRICT, *single, "-O2", "-shared", "-fPIC", source, "-o", library, "-lm"], check=True)
+    subprocess.run(["gcc", *STRICT, *single, "-O2", "-shared", "-fPIC", source, "-o", library, "-lm"], check=True)
     ffi = cffi.FFI()
     lines = [line for line in generated.header.splitlines() if line.startswith("int ")]
     ffi.cdef(f"typedef {precision} real;" + "\n".join(lines))

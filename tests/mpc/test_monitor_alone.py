@@ -21,6 +21,8 @@ HELPERS = {
     "models.named_file",
     "models.plain_text",
     "models.read_files",
+    "models.suggestions",
+    "models.trust",
 }
 """What it has of `models`: readers of files, and what loads C. Nothing here moves a robot."""
 HEAVY = ("casadi", "mujoco", "osqp", "daqp", "scipy", "control", "matplotlib", "pandas")

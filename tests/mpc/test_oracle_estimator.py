@@ -225,7 +225,7 @@ def test_innovations_are_as_large_as_the_filter_expects():
     of freedom, over n k.
     """
     values, numbers = [], np.array([3 if sensor == "pose" else 1 for sensor in SENSORS])
-    for seed in range(20):
+    for seed in range(10):
         estimator, robot = StateEstimator(MODEL, Estimator()), NoisyRobot(MODEL, Estimator(), seed)
         for k in range(150):
             estimator.advance(robot.time)
@@ -242,7 +242,7 @@ def test_innovations_are_as_large_as_the_filter_expects():
 def test_errors_are_as_large_as_the_estimator_says():
     """Mean normalised squared pose error over seeds lies near its three degrees of freedom."""
     scores = []
-    for seed in range(20):
+    for seed in range(10):
         estimator, robot = StateEstimator(MODEL, Estimator()), IdealRobot(MODEL, np.zeros(3), noise=1.0, seed=seed)
         run(estimator, robot, 120)
         error = estimator.estimate.pose - robot.poses[-2]

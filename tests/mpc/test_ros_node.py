@@ -133,6 +133,14 @@ def test_what_cannot_be_configured_is_refused_with_a_reason():
         assert state(s) == State.PRIMARY_STATE_UNCONFIGURED
 
 
+def test_the_trajectory_of_a_fast_robot_is_within_its_own_limits(tmp_path):
+    path = tmp_path / "fast.yaml"
+    path.write_text("segments: [{v: 3.0, omega: 0.0, duration: 2.0}]\n")
+    with stack({"limits.v": 4.1}, autostart=False, trajectory=path) as s:
+        assert change(s, Transition.TRANSITION_CONFIGURE), s.node.failure
+        assert s.node._trajectory.sample([2.5]).twist[0, 0] > 1.5
+
+
 def test_a_fault_of_the_code_in_a_transition_ends_unconfigured(monkeypatch):
     with stack(autostart=False) as s:
         monkeypatch.setattr("diffdrive_mpc.mpc.ros.node.Controller", lambda _: 1 / 0)

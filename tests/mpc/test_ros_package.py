@@ -151,7 +151,7 @@ def test_the_monitor_alone_commands_the_base(monkeypatch):
     (node,) = [words for kind, _, words in listed if kind == "LifecycleNode"]
     assert node["remappings"] == [(CHECKED, UNCHECKED)]
     started = [words["cmd"] for kind, _, words in listed if kind == "ExecuteProcess"]
-    assert [words[1] for words in started] == ["robot", "monitor"]
+    assert [words[1] for words in started] == ["sim-robot", "monitor"]
     assert started[1][:3] == ["diffdrive-mpc", "monitor", "--rules"]
     assert "rules" in inspect.signature(monitor).parameters
     # Parameters that depend on an argument are put together when it is launched.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import TwistStamped
+from geometry_msgs.msg import Twist, TwistStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.context import Context
@@ -113,6 +113,46 @@ def test_a_teleop_that_appears_is_named_and_nothing_else():
         assert heard[-1].status[0].level == DiagnosticStatus.WARN
         s.base.node.destroy_publisher(teleop)
         s.base.until(lambda: not s.loop.warning, "the end of it")
+
+
+@pytest.mark.parametrize(("stamped", "other", "remedy"), [(True, Twist, "false"), (False, TwistStamped, "true")])
+def test_a_base_that_listens_to_the_other_type_of_command_is_named_with_the_remedy(stamped, other, remedy):
+    with stack(stamped=stamped) as s:
+        context = Context()
+        rclpy.init(context=context, args=[])
+        deaf = rclpy.create_node("deaf_base", context=context)
+        deaf.create_subscription(other, "cmd_vel", lambda _: None, 1)
+        s.base.until(lambda: "/deaf_base" in s.loop.warning, "the warning")
+        assert s.loop.warning.startswith(f"/deaf_base listens on /cmd_vel to {other.__name__} and cannot hear")
+        assert s.loop.warning.endswith(f"set the parameter stamped:={remedy}")
+        deaf.destroy_node()
+        rclpy.shutdown(context=context)
+        s.base.until(lambda: not s.loop.warning, "the end of it")
+
+
+def test_without_odometry_the_node_says_topic_type_and_who_publishes():
+    with stack(autostart=False) as s:
+        s.node.trigger_configure()
+        s.node.trigger_activate()
+        asked = "no odometry yet (/odom, nav_msgs/msg/Odometry, best effort: "
+        s.base.until(lambda: "/fake_base" in s.loop.missing(), "the base's publisher")
+        assert s.loop.missing() == f"{asked}/fake_base publishes nav_msgs/msg/Odometry, best effort)"
+        s.base.node.destroy_publisher(s.base.odom)
+        s.base.until(lambda: "nobody" in s.loop.missing(), "its end")
+        assert s.loop.missing().startswith(
+            f"{asked}nobody publishes there; is the base running, and the topic remapped"
+        )
+        s.base.node.create_publisher(TwistStamped, "odom", 1)
+        s.base.until(lambda: "another type" in s.loop.missing(), "the wrong publisher")
+        assert "/fake_base publishes geometry_msgs/msg/TwistStamped, reliable, which is" in s.loop.missing()
+
+
+def test_a_simulated_clock_with_other_steps_than_the_period_is_said():
+    with stack({"sample_time": 0.05}, drive=True) as s:
+        for _ in range(80):
+            s.base.silent(1)
+        s.base.until(lambda: s.loop.warning, "the warning")
+        assert "clock does not advance in steps of this node's sample_time, 50 ms" in s.loop.warning
 
 
 def test_with_exclusive_cmd_vel_a_teleop_is_refused_and_braked_for():

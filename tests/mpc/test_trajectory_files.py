@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 from trajectory_checks import assert_holds_its_ends, largest_integration_gap
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -214,3 +215,17 @@ def test_waypoints_beyond_the_horizon_are_a_mistake_of_units(tmp_path: Path) -> 
     path.write_text("waypoints: [[0, 0], [1.0e+200, 0]]\n")
     with pytest.raises(ConfigError, match="less than or equal to 1000000"):
         load_trajectory(path)
+
+
+def test_cubic_pieces_are_those_of_scipy() -> None:
+    random = np.random.default_rng(3)
+    times, (poses, rates) = np.append(0.0, np.cumsum(random.uniform(0.02, 0.7, 40))), random.normal(size=(2, 41, 3))
+    trajectory = SplineTrajectory.through("test", times, poses, rates)
+    expected = CubicHermiteSpline(times, poses, rates)
+    assert np.array_equal(trajectory.table.reshape(4, 4, -1)[:, :3], expected.c.transpose(0, 2, 1))
+    at = random.uniform(0.0, times[-1], 200)
+    sampled = trajectory.sample(at)
+    assert sampled.pose == pytest.approx(expected(at), abs=1e-12)
+    change = expected(at, 1)
+    forward = change[:, 0] * np.cos(sampled.pose[:, 2]) + change[:, 1] * np.sin(sampled.pose[:, 2])
+    assert sampled.twist == pytest.approx(np.column_stack([forward, change[:, 2]]), abs=1e-11)

@@ -61,7 +61,8 @@ def test_a_log_reads_back_bit_for_bit(run: Run, tmp_path: Path) -> None:
 
 def test_a_log_of_our_controller_holds_what_it_believed_and_how_it_solved(tmp_path: Path) -> None:
     reference = ConstantTwist(0.3, 0.7, 1.0)
-    run = simulate(Controller(load_config("ssm")), SparsePlant(0.01, seed=1), reference)
+    controller = Controller(load_config("ssm", {"sample_time": SparsePlant.sample_time}))
+    run = simulate(controller, SparsePlant(0.01, seed=1), reference)
     write_log(run, tmp_path / "run.csv")
     log = read_columns(tmp_path / "run.csv")
     pose = np.column_stack([log["estimate_x_m"], log["estimate_y_m"], log["estimate_theta_rad"]])

@@ -87,6 +87,38 @@ def test_a_recording_is_the_log_of_the_drive(tmp_path, stamped, storage):
     assert poses[0].pose.covariance[0] == sensed[0].covariance[0][0]
 
 
+class EveryOther(Driver):
+    """A controller with twice the period of the robot."""
+
+    def answer(self, message):
+        if round((message.clock.sec + 1e-9 * message.clock.nanosec) / self.sample) % 2 == 0:
+            super().answer(message)
+
+
+def test_a_controller_with_another_period_is_named_with_both(capfd):
+    with EveryOther(commands(), DT):
+        run_robot(
+            make_plant("model:ssm"),
+            (0.0, 0.0, 0.0),
+            settings(answer_timeout=0.05),
+            load_sensor_set("default"),
+            lock_step=True,
+            duration=12 * DT,
+        )
+    (line,) = [line for line in capfd.readouterr().err.splitlines() if "lock step: commands come" in line]
+    assert "about every 40.4 ms, the robot's sample time is 20.2 ms" in line
+    assert "--config FILE" in line
+
+
+def test_commands_of_the_other_type_are_named_with_the_remedy(capfd):
+    with Driver(commands(), DT, stamped=False):
+        base = settings(stamped=True, answer_timeout=0.05)
+        run_robot(make_plant("model:ssm"), (0.0, 0.0, 0.0), base, load_sensor_set("default"), duration=1.0)
+    (line,) = [line for line in capfd.readouterr().err.splitlines() if "listens to" in line]
+    assert "driver publishes Twist on /cmd_vel, this robot listens to TwistStamped" in line
+    assert "--unstamped, or set the node's parameter stamped:=true" in line
+
+
 def test_a_silent_driver_lets_the_robot_stop(tmp_path):
     """It drives on for the command timeout, no longer, and comes to rest."""
     rows = np.tile([0.5, 0.0], (30, 1))

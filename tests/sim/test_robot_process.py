@@ -1,4 +1,4 @@
-"""`diffdrive-mpc robot` as a process: how it starts, in real time, and how it ends."""
+"""`diffdrive-mpc sim-robot` as a process: how it starts, in real time, and how it ends."""
 
 import os
 import signal
@@ -27,7 +27,7 @@ def ros(monkeypatch, tmp_path):
 @contextmanager
 def started(*words, says):
     """The process, once it has said these words; it does not outlive the context, nor the bound."""
-    robot = subprocess.Popen([COMMAND, "robot", "--plant", "model:ssm", *words], stderr=subprocess.PIPE, text=True)
+    robot = subprocess.Popen([COMMAND, "sim-robot", "--plant", "model:ssm", *words], stderr=subprocess.PIPE, text=True)
     watchdog = threading.Timer(BOUND, robot.kill)
     watchdog.start()
     try:
@@ -40,8 +40,10 @@ def started(*words, says):
         robot.stderr.close()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize(("mode", "says"), [("--real-time", "ready, in real time"), ("--lock-step", "waiting for")])
+@pytest.mark.parametrize(
+    ("number", "mode", "says"),
+    [(signal.SIGINT, "--real-time", "ready, in real time"), (signal.SIGTERM, "--lock-step", "waiting for")],
+)
 def test_a_signal_ends_it_cleanly(number, mode, says, tmp_path):
     """Also in lock step with nobody there, where it waits."""
     with started(mode, "--record", str(tmp_path / "bag"), says=says) as robot:
@@ -60,7 +62,11 @@ def test_in_real_time_stamps_stand_on_the_samples(tmp_path):
     words = ["--duration", "0.5", "--base", str(base), "--trajectory", "square", "--record", str(tmp_path / "bag")]
     before = time.time_ns()
     result = subprocess.run(
-        [COMMAND, "robot", "--plant", "model:ssm", *words], capture_output=True, text=True, timeout=BOUND, check=False
+        [COMMAND, "sim-robot", "--plant", "model:ssm", *words],
+        capture_output=True,
+        text=True,
+        timeout=BOUND,
+        check=False,
     )
     assert result.returncode == 0, result.stderr
     stamps, _ = recorded(tmp_path / "bag", "/odom")
@@ -82,14 +88,22 @@ def test_in_real_time_stamps_stand_on_the_samples(tmp_path):
 )
 def test_bad_input_ends_in_one_line(words, line, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    result = CliRunner().invoke(app, ["robot", *words])
+    result = CliRunner().invoke(app, ["sim-robot", *words])
     assert result.exit_code == 2
     assert line in result.stderr and result.stderr.count("\n") == 1
 
 
+def test_it_ticks_at_the_period_of_the_node_s_configuration(tmp_path):
+    (tmp_path / "slow.yaml").write_text("model: ssm\nsample_time: 0.05\n")
+    words = ["--plant", "model:ssm", "--config", str(tmp_path / "slow.yaml"), "--record", str(tmp_path / "bag")]
+    result = CliRunner().invoke(app, ["sim-robot", *words, "--duration", "0.4"])
+    assert result.exit_code == 0, result.stderr
+    assert np.array_equal(np.diff(recorded(tmp_path / "bag", "/odom")[0]), np.full(7, 50_000_000))
+
+
 def test_without_ros_it_says_what_to_install():
     code = (
-        "import sys; sys.modules['rclpy'] = None; sys.argv = ['x', 'robot']; "
+        "import sys; sys.modules['rclpy'] = None; sys.argv = ['x', 'sim-robot']; "
         "from diffdrive_mpc.bench.cli import main; main()"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=BOUND, check=False)
@@ -103,7 +117,7 @@ def test_without_ros_it_says_what_to_install():
 def test_remapped_topics_and_namespaces_hold_in_the_bag(tmp_path):
     words = ["--duration", "0.1", "--record", str(tmp_path / "bag"), "--ros-args", "-r", "odom:=wheels/odom"]
     result = subprocess.run(
-        [COMMAND, "robot", "--plant", "model:ssm", *words, "-r", "__ns:=/one"],
+        [COMMAND, "sim-robot", "--plant", "model:ssm", *words, "-r", "__ns:=/one"],
         capture_output=True,
         text=True,
         timeout=BOUND,

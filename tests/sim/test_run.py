@@ -7,6 +7,7 @@ import pickle
 import sys
 from dataclasses import dataclass, fields
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -134,6 +135,15 @@ def test_without_pandas_one_line_says_how_to_get_it(run: Run, monkeypatch: pytes
     with pytest.raises(MissingPackageError, match=r"^run\.to_dataframe\(\) needs pandas: pip install pandas$") as found:
         run.to_dataframe()
     assert isinstance(found.value, DiffdriveMpcError) and isinstance(found.value, ImportError)
+
+
+def test_a_run_is_drawn_with_its_path_errors_and_commands(run: Run) -> None:
+    figure = run.plot()
+    labels = {axes.get_ylabel() for axes in figure.axes}
+    assert labels == {"y [m]", "error [mm]", "error [rad]", "v [m/s]", "omega [rad/s]"}
+    path = next(axes for axes in figure.axes if axes.get_xlabel() == "x [m]")
+    np.testing.assert_array_equal(path.lines[1].get_xydata(), run.true_pose[:, :2])
+    plt.close(figure)
 
 
 def test_a_run_prints_as_a_table() -> None:

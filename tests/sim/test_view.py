@@ -59,6 +59,7 @@ def homography(floor, pixels):
     return np.linalg.svd(np.array(rows))[2][-1].reshape(3, 3)
 
 
+@pytest.mark.system("rendering")
 def test_the_robot_is_where_a_camera_sees_that_place():
     """Places in a plane and their pictures are one projection: eight numbers explain eighteen."""
     poses = np.column_stack([PLACES, np.zeros(len(PLACES))])
@@ -70,6 +71,7 @@ def test_the_robot_is_where_a_camera_sees_that_place():
     assert up[1] < seen[:, 1].mean() - 10
 
 
+@pytest.mark.system("rendering")
 def test_the_chasing_camera_keeps_the_robot_in_the_picture_and_its_front_ahead():
     turns = np.linspace(0.0, 12.0, 9)
     poses = np.column_stack([3.0 * np.cos(turns), 3.0 * np.sin(turns), turns + np.pi / 2])
@@ -79,6 +81,7 @@ def test_the_chasing_camera_keeps_the_robot_in_the_picture_and_its_front_ahead()
         assert row < 0.75 * SIZE[1]
 
 
+@pytest.mark.system("rendering")
 def test_plan_wheels_and_floor_show():
     still = np.zeros((3, 3))
     plans = np.full((3, 2, 2), np.nan)
@@ -95,6 +98,7 @@ def test_plan_wheels_and_floor_show():
     assert (icy != plain).any(axis=2).mean() > 0.5
 
 
+@pytest.mark.system("rendering")
 def test_where_egl_fails_osmesa_paints_the_same():
     without_egl = {**DARK, "__EGL_VENDOR_LIBRARY_DIRS": "/nowhere", "LIBGL_DRIVERS_PATH": "/nowhere"}
     with (
@@ -114,6 +118,7 @@ def test_what_the_user_set_is_not_overruled_and_the_line_names_the_remedy():
         pass
 
 
+@pytest.mark.system("rendering")
 def test_two_paintings_agree_in_every_bit():
     poses = [(0.2, 0.1, 0.3), (0.3, 0.2, 0.5)]
     for one, other in zip(pictures(shots(poses)), pictures(shots(poses)), strict=True):
@@ -192,6 +197,7 @@ CLOSED_ON_THE_WAY = """
 """
 
 
+@pytest.mark.system("window")
 def test_a_window_that_is_closed_stops_the_view_and_nothing_else():
     code = textwrap.dedent(CLOSED_ON_THE_WAY)
     screen = ["xvfb-run", "-a", "-s", "-screen 0 640x480x24"]

@@ -3,11 +3,13 @@
 const FONT = { family: "system-ui, -apple-system, Segoe UI, Roboto, DejaVu Sans, sans-serif", size: 12, color: "#1b2733" };
 const CONFIG = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"], scrollZoom: false };
 const GRID = { gridcolor: "#e6ebef", zerolinecolor: "#c5ced6", linecolor: "#c5ced6", automargin: true };
+// Upright in the right margin, where neither legend nor curves are.
+const TOOLBAR = { orientation: "v", bgcolor: "rgba(255,255,255,0)" };
 const plots = [];
 const touch = window.matchMedia("(pointer: coarse)").matches;
 
 function layout(more) {
-  return { font: FONT, paper_bgcolor: "#fff", plot_bgcolor: "#fff", margin: { l: 52, r: 12, t: 12, b: 44 }, hovermode: false, dragmode: touch ? false : "zoom", ...more };
+  return { font: FONT, paper_bgcolor: "#fff", plot_bgcolor: "#fff", margin: { l: 52, r: 40, t: 12, b: 44 }, modebar: TOOLBAR, hovermode: false, dragmode: touch ? false : "zoom", ...more };
 }
 
 function draw(place, traces, made) {
@@ -60,7 +62,7 @@ function drawChart(chart, place) {
   const annotations = chart.marks.map((mark) => ({ text: escaped(mark.text), showarrow: false, font: { size: 11, color: "#5a6875" }, ...label(mark, chart) }));
   return draw(place, traces, layout({
     height: chart.height, xaxis: axis(chart.x, traces.flatMap((one) => one.x)), yaxis: { ...axis(chart.y, traces.flatMap((one) => one.y)), ...(chart.series.some((one) => one.kind === "rows") ? { autorange: "reversed" } : {}) }, shapes, annotations, hovermode: "closest", barmode: "group",
-    showlegend: chart.series.length > 1, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0, font: { size: 11 } }, margin: { l: 56, r: 12, t: 30, b: 48 },
+    showlegend: chart.series.length > 1, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0, font: { size: 11 } }, margin: { l: 56, r: 40, t: 30, b: 48 },
   }));
 }
 
@@ -73,7 +75,7 @@ function drawMap(map, place) {
     colorscale: "Cividis", reversescale: false, colorbar: { title: { text: escaped(map.unit), side: "right" }, thickness: 12, tickvals: ticks.tickvals.map(Math.log10), ticktext: ticks.ticktext },
     hovertemplate: `${escaped(map.x.title)}: %{x}<br>${escaped(map.y.title)}: %{y}<br>%{customdata} ${escaped(map.unit)}<extra></extra>`, hoverongaps: false,
   };
-  return draw(place, [trace], layout({ height: 340, xaxis: axis(map.x, map.x.values), yaxis: axis(map.y, map.y.values), hovermode: "closest" }));
+  return draw(place, [trace], layout({ height: 360, margin: { l: 52, r: 12, t: 34, b: 44 }, modebar: { ...TOOLBAR, orientation: "h" }, xaxis: axis(map.x, map.x.values), yaxis: axis(map.y, map.y.values), hovermode: "closest" }));
 }
 
 const DRAWN = { chart: drawChart, map: drawMap };

@@ -2,7 +2,7 @@
 // Linked views of closed-loop runs: the path in the plane beside plots over time, one cursor in both, and a readout.
 const GREY = "#7f7f7f";
 const MOST_NAMED = 12;
-const SVG_MARGIN = { l: 52, r: 14, t: 8, b: 40 };
+const SVG_MARGIN = { l: 52, r: 40, t: 8, b: 40 };
 
 // How strongly a way or mode is drawn: thick where the controller had more trouble, so that colour is not needed.
 const STRIP = {

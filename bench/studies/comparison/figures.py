@@ -36,11 +36,16 @@ from diffdrive_mpc.bench.outcomes import (
     time_percentile,
     who_drives,
 )
-from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
+from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults, predictive
 from diffdrive_mpc.bench.study import Draw
 from diffdrive_mpc.bench.world_drawing import draw_world
+from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
+
+_VISIBLE = 0.12
+"""Largest error of a driven path in a figure, in units of the path's extent: so far it is magnified."""
+_MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500)
 
 
 def drawings(results: ComparisonResults) -> dict[str, Draw]:
@@ -53,7 +58,7 @@ def drawings(results: ComparisonResults) -> dict[str, Draw]:
     figures["step-time.png"] = partial(draw_step_times, results.main)
     if results.horizon:
         figures["horizon.png"] = partial(draw_horizons, results.horizon)
-    for name, runs in by_driver(results.main).items():
+    for name, runs in predictive(by_driver(results.main)).items():
         for outcome in runs:
             if outcome.case.seed == results.settings.values("seeds")[0]:
                 title = f"{name}, {outcome.case.labels['trajectory']}"
@@ -64,9 +69,10 @@ def drawings(results: ComparisonResults) -> dict[str, Draw]:
 
 
 def draw_overview(outcomes: Sequence[Outcome], path: Path) -> None:
-    """Draw reference against driven path of the controller with the least position RMSE, and compare all of them."""
+    """Draw the path of the predictive controller with the least position RMSE, and compare all controllers."""
     compared = by_driver(outcomes)
-    best = min(compared, key=lambda name: np.nan_to_num(mean(compared[name], "position_rmse_m"), nan=np.inf))
+    ours = predictive(compared)
+    best = min(ours, key=lambda name: np.nan_to_num(mean(ours[name], "position_rmse_m"), nan=np.inf))
     driven = by("trajectory", compared[best])
     with new_figure(path, 10.0, 6.0) as figure:
         halves = figure.add_gridspec(2, 1, height_ratios=(1.0, 1.05))
@@ -74,19 +80,33 @@ def draw_overview(outcomes: Sequence[Outcome], path: Path) -> None:
         upper.suptitle(f"Driven with {best}, first seed")
         paths = upper.subplots(1, len(driven), squeeze=False)[0]
         for axes, (trajectory, runs) in zip(paths, driven.items(), strict=True):
-            _path(axes, runs[0])
-            axes.set_title(f"{trajectory}, RMSE {1e3 * mean(runs, 'position_rmse_m'):.1f} mm")
+            factor = _path(axes, runs[0])
+            drawn = f"\nerror drawn × {factor:g}" if factor > 1 else ""
+            axes.set_title(f"{trajectory}, RMSE {1e3 * mean(runs, 'position_rmse_m'):.1f} mm{drawn}")
         paths[0].legend(loc="center")
         errors, times = lower.subplots(1, 2)
         _bars(errors, compared)
         tail_of_step_times(times, outcomes)
 
 
-def _path(axes: Axes, outcome: Outcome) -> None:
+def _path(axes: Axes, outcome: Outcome) -> float:
+    """Reference and driven path, with its error magnified where they could not be told apart; gives the factor."""
     run = outcome.run
+    driven, factor = magnified(run)
     axes.plot(*run.reference_pose[:, :2].T, color=REFERENCE_COLOUR, linewidth=3.0, label="reference")
-    axes.plot(*run.true_pose[:, :2].T, color=colour(1), linewidth=1.1, label="driven")
+    axes.plot(*driven.T, color=colour(1), linewidth=1.1, label="driven")
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    return factor
+
+
+def magnified(run: Run) -> tuple[FloatArray, float]:
+    """(n, 2) the driven path with its position error magnified until it is seen [m], and the factor: 1, 2, 5, ..."""
+    reference = run.reference_pose[:, :2]
+    error = run.true_pose[:, :2] - reference
+    largest = float(np.linalg.norm(error[run.counted], axis=1).max())
+    wanted = _VISIBLE * float(np.ptp(reference, axis=0).max()) / max(largest, 1e-9)
+    factor = max([1.0, *(steps for steps in _MAGNIFICATIONS if steps <= wanted)])
+    return np.asarray(reference + factor * error), factor
 
 
 def _bars(axes: Axes, compared: dict[str, list[Outcome]]) -> None:
@@ -189,13 +209,15 @@ def draw_step_times(outcomes: Sequence[Outcome], path: Path) -> None:
 def tail_of_step_times(axes: Axes, outcomes: Sequence[Outcome]) -> None:
     """Complementary distribution of the step time on `axes`, with the sample time as a limit."""
     for i, (name, own) in enumerate(by_driver(outcomes).items()):
-        draw_tail(axes, step_times(own), name, colour(i), line_style(i))
+        times = step_times(own)
+        if times.size:  # on a busy machine a short run may have no undisturbed tick
+            draw_tail(axes, times, name, colour(i), line_style(i))
     sample = 1e3 * outcomes[0].run.sample_time
     axes.axvline(sample, color="black", linewidth=0.8, linestyle=":")
     axes.axhline(0.01, color="black", linewidth=0.5, alpha=0.5)
     axes.annotate("sample time", (sample, 1.0), (-3, -2), textcoords="offset points", rotation=90, ha="right", va="top")
     axes.set_xlabel("step time [ms]")
-    axes.legend(loc="lower left")
+    axes.legend(loc="lower left", frameon=True, framealpha=0.8, edgecolor="none")
 
 
 def draw_case(run: Run, title: str, path: Path) -> None:
@@ -225,6 +247,9 @@ def draw_path(figure: Figure, axes: Axes, run: Run) -> None:
     driven = LineCollection(list(segments), cmap=ERROR_MAP, linewidths=3.4)
     driven.set_array(0.5 * (error[:-1] + error[1:]))
     axes.add_collection(driven)
+    beside, factor = magnified(run)
+    if factor > 1:
+        axes.plot(*beside.T, color="black", linewidth=0.9, label=f"driven, error × {factor:g}", zorder=2)
     worst = int(np.argmax(np.where(run.counted, error, -np.inf)))
     label = f"largest error, {error[worst]:.1f} mm"
     axes.plot(*position[worst], "X", color="#D55E00", markersize=10, markeredgecolor="white", label=label, zorder=5)
@@ -233,7 +258,7 @@ def draw_path(figure: Figure, axes: Axes, run: Run) -> None:
         draw_world(axes, run.world)
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.margins(0.08)
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2 if factor > 1 else 3)
     figure.colorbar(driven, ax=axes, label="driven path: position error [mm]", shrink=0.7, pad=0.02)
 
 

@@ -35,7 +35,7 @@ from diffdrive_mpc.bench.outcomes import (
     time_percentile,
     who_drives,
 )
-from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
+from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults, predictive
 from diffdrive_mpc.bench.studies.comparison.single_page import case_config, configuration
 from diffdrive_mpc.bench.table import number
 
@@ -97,32 +97,38 @@ def _sentences(drivers: Mapping[str, Sequence[Outcome]]) -> list[str]:
 
 
 def _key_figures(results: ComparisonResults, drivers: Mapping[str, Sequence[Outcome]]) -> list[KeyFigure]:
-    every = results.main
-    done, fallbacks = count(every, "completed"), count(every, "fallbacks")
+    """Those of the predictive controllers, with the other end of the comparison beside the error."""
+    ours = predictive(drivers)
+    every = [run for runs in ours.values() for run in runs]
+    done, fallbacks = count(results.main, "completed"), count(every, "fallbacks")
     errors = {name: mean(runs, "position_rmse_m") for name, runs in drivers.items()}
-    best = min(errors, key=lambda name: np.nan_to_num(errors[name], nan=np.inf))
+    best = min(ours, key=lambda name: np.nan_to_num(errors[name], nan=np.inf))
     worst = max(errors, key=lambda name: np.nan_to_num(errors[name], nan=np.inf))
     times = step_times(every)
     against = f"{worst}: {number(1e3 * errors[worst], 1)} mm" if worst != best else "mean over paths and seeds"
+    whose = ", ".join(ours)
     return [
-        KeyFigure("completed", f"{done} of {len(every)}", "runs", "good" if done == len(every) else "bad"),
+        KeyFigure(
+            "completed", f"{done} of {len(results.main)}", "runs", "good" if done == len(results.main) else "bad"
+        ),
         KeyFigure("least position error, RMSE", f"{number(1e3 * errors[best], 1)} mm", f"{best}; {against}"),
         KeyFigure(
             "step time, median",
             f"{number(1e3 * time_percentile(times, 50), 2)} ms",
-            f"p99 {number(1e3 * time_percentile(times, 99), 2)} ms, all controllers",
+            f"p99 {number(1e3 * time_percentile(times, 99), 2)} ms; {whose}",
         ),
-        KeyFigure("late steps", str(count(every, "deadline_misses")), f"of {times.size} that were timed"),
+        KeyFigure("late steps", str(count(every, "deadline_misses")), f"of {times.size} that were timed; {whose}"),
         KeyFigure("fallbacks", str(fallbacks), "ticks without a fresh plan", "good" if not fallbacks else "bad"),
     ]
 
 
 def _runs(drivers: Mapping[str, Sequence[Outcome]]) -> Runs:
-    """Every run, styled by its controller; the more there are, the thinner."""
+    """Every run, styled by its controller, the predictive ones first; the more there are, the thinner."""
     number_of_runs = sum(map(len, drivers.values()))
     points = min(_TICKS_OF_A_RUN, _TICKS // number_of_runs)
     series = []
-    for i, (name, runs) in enumerate(drivers.items()):
+    styles, ours = list(drivers), predictive(drivers)
+    for name, runs in (ours | dict(drivers)).items():
         for outcome in runs:
             path, seed = outcome.case.labels["trajectory"], outcome.case.labels["seed"]
             labels = {"controller": name, "path": path, "seed": seed}
@@ -133,7 +139,7 @@ def _runs(drivers: Mapping[str, Sequence[Outcome]]) -> Runs:
                     f"{name}, {path}, seed {seed}",
                     points=points,
                     labels=labels,
-                    style=i,
+                    style=styles.index(name),
                     config=config,
                     every_layer=number_of_runs == 1,
                 )

@@ -67,7 +67,7 @@ _WithDimensions = create_model("ComparisonSettings", __base__=ComparisonSettings
 
 def default_settings() -> ComparisonSettings:
     """What `bench` runs without options."""
-    return _WithDimensions(horizons=HORIZONS, beyond=True)
+    return _WithDimensions()
 
 
 def read_options(
@@ -78,6 +78,7 @@ def read_options(
     settings: Sequence[str] = (),
     quick: bool = False,
     scaled: bool = False,
+    sweeps: bool = False,
 ) -> ComparisonSettings:
     """What the options of the command ask for.
 
@@ -85,7 +86,7 @@ def read_options(
     ----------
     values
         By the plural of a dimension's name, the text of its option; None where it was not given.
-    horizons, config, settings, quick, scaled
+    horizons, config, settings, quick, scaled, sweeps
         As typed.
 
     Raises ConfigError or ValueError if an option cannot be used.
@@ -95,7 +96,10 @@ def read_options(
     asked: dict[str, object] = {one.several: one.read(text, one.list_option) for one, text in given.items()}
     if "controllers" not in asked and (config is not None or settings or "models" in asked):
         asked["controllers"] = ("mpc",)  # who asks for a model or a configuration asks about that
-    asked["beyond"] = not (quick or config or settings or scaled or set(asked) - {"controllers", "models", "seeds"})
+    if sweeps and (quick or config or settings or scaled or set(asked) - {"controllers", "models", "seeds"}):
+        raise ConfigError(
+            "--sweeps: beside it give --controllers, --models, --seeds and --horizons alone, or leave it out"
+        )
     chosen = default.model_copy(update={"settings": tuple(sweep_settings(settings)), "scaled": scaled, **asked})
     if not chosen.ours:
         if any((values.get("models") is not None, config is not None, settings, horizons is not None)):
@@ -104,10 +108,11 @@ def read_options(
         asked["horizons"] = ()
     elif horizons is not None:
         asked["horizons"] = _horizons(horizons, settings)
-    elif quick or settings or "scenarios" in asked:
-        asked["horizons"] = ()
+    elif sweeps:
+        asked["horizons"] = HORIZONS
     if config is not None:
         asked = {"config": str(config), "models": (chosen_model(None, config),)} | asked
+    asked["beyond"] = sweeps
     if quick:
         asked.setdefault("seeds", default.values("seeds")[:1])
     return chosen.model_copy(update=asked)

@@ -12,7 +12,6 @@ from diffdrive_mpc.bench.outcomes import Outcome, group, mean, model_name
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.runner import OnDone, run_tasks
 from diffdrive_mpc.bench.table import Table, number
-from diffdrive_mpc.models.identification.poses import pose_drift
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
 from diffdrive_mpc.models.velocity_model import VelocityModel
@@ -50,6 +49,8 @@ class Property:
     @classmethod
     def of(cls, case: Case) -> Property | None:
         """Drive the plant of `case` open loop; None for a model that is a function, which cannot be run freely."""
+        from diffdrive_mpc.models.identification.poses import pose_drift  # noqa: PLC0415 - loads slowly
+
         config = controller_config(case.model, case.config, case.overrides)
         model = Controller(config).model
         if not isinstance(model, VelocityModel):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from diffdrive_mpc.bench.case import DIMENSIONS, NO_SCENARIO, Case, label
 from diffdrive_mpc.bench.controllers import controller_config
-from diffdrive_mpc.bench.outcomes import STATISTICS, Outcome, Score, drawn_distances, metrics_row, plain
+from diffdrive_mpc.bench.outcomes import STATISTICS, Outcome, S, Score, drawn_distances, metrics_row, plain
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.studies.comparison.plan import ComparisonSettings
 from diffdrive_mpc.bench.studies.comparison.properties import Property, property_rows
@@ -115,6 +115,12 @@ def score_row(score: Score, silent: Container[str]) -> dict[str, object]:
     values = case.as_row(silent) | {"top_speed_m_s": case.top_speed, "late_s": case.late * sample_time}
     row: dict[str, object] = plain(values | metrics_row(score, timed=False))
     return row
+
+
+def predictive(compared: Mapping[str, Sequence[S]]) -> dict[str, list[S]]:
+    """The groups of predictive controllers, which figures show; all groups where there are peers alone."""
+    ours = {name: list(runs) for name, runs in compared.items() if runs[0].case.controller not in PEERS}
+    return ours or {name: list(runs) for name, runs in compared.items()}
 
 
 def incomplete(results: ComparisonResults) -> str | None:

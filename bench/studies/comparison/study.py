@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
-from diffdrive_mpc.bench.case import DIMENSIONS
+from diffdrive_mpc.bench.case import DIMENSIONS, Case
 from diffdrive_mpc.bench.outcomes import STATISTICS, Score, run_cases
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.studies.comparison.page import shown
@@ -17,7 +18,7 @@ from diffdrive_mpc.bench.studies.comparison.results import (
     describe,
     labelled,
 )
-from diffdrive_mpc.bench.studies.comparison.tables import report_tables
+from diffdrive_mpc.bench.studies.comparison.tables import report_tables, scenario_table, screen_table
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.timing import TimingPass, time_outcomes
 
@@ -34,6 +35,10 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
     def plan(self) -> CasePlan:
         """The cases; raises ConfigError or ValueError if one of them cannot be run."""
         return plan_cases(self.settings)
+
+    def cases(self, plan: CasePlan) -> Iterable[Case]:
+        """All of them, where a configuration was given; else plants are compared on purpose."""
+        return [case for case in plan.all if case.config is not None]
 
     def run(self, plan: CasePlan, jobs: int, bar: ProgressBar) -> ComparisonResults:
         """Run every case, and time the controllers' steps; raises NotReproducibleError where a replay differs."""
@@ -82,6 +87,10 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
             figures=drawings(results),
             figures_first=3 if results.speed else 1,
             shown=shown(results),
+            screen=[
+                *([scenario_table(results.main)] if "scenario" not in results.silent else []),
+                screen_table(results.main),
+            ],
         )
 
 

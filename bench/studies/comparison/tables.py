@@ -35,13 +35,14 @@ from diffdrive_mpc.bench.outcomes import (
     with_mean,
 )
 from diffdrive_mpc.bench.studies.comparison.order import order_table
-from diffdrive_mpc.bench.studies.comparison.properties import property_table
 from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.worlds.passage import Passage
 
 Group = Sequence[Outcome]
+_PATHS_ON_SCREEN = 4
+"""Columns of single paths for which 80 letters have room."""
 
 
 def _time(of: Callable[[Group], FloatArray], percent: float, digits: int) -> Cell:
@@ -90,7 +91,11 @@ def report_tables(results: ComparisonResults) -> list[Table]:
     tables += [horizon_table(results.horizon)] if results.horizon else []
     if len(by_driver(results.main)) > 1:
         tables.append(order_table(results.main, results.other_seeds))
-    return tables + ([property_table(results.properties, results.main)] if results.properties else [])
+    if results.properties:
+        from diffdrive_mpc.bench.studies.comparison.properties import property_table  # noqa: PLC0415 - loads slowly
+
+        tables.append(property_table(results.properties, results.main))
+    return tables
 
 
 def summary_table(outcomes: Group) -> Table:
@@ -101,6 +106,28 @@ def summary_table(outcomes: Group) -> Table:
         "or a peer's law; step: all from measurement to command."
     ) + _disturbed_note(outcomes)
     return Table.of("Summary", ("controller",), columns, _by_driver(outcomes), note)
+
+
+def screen_table(outcomes: Group) -> Table:
+    """What the terminal shows of a comparison: a row for each controller, in 80 columns."""
+    paths = list(by("trajectory", outcomes))
+
+    def position(path: str) -> Cell:
+        return lambda group: number(1e3 * mean(by("trajectory", group).get(path, ()), "position_rmse_m"), 1)
+
+    columns: dict[str, Cell] = {path: position(path) for path in paths} if 1 < len(paths) <= _PATHS_ON_SCREEN else {}
+    columns |= {
+        "mean": mean_of("position_rmse_m", lambda value: number(1e3 * value, 1)),
+        "lateral": mean_of("lateral_rmse_m", lambda value: number(1e3 * value, 1)),
+        "p50 [ms]": _time(step_times, 50, 2),
+        "p99 [ms]": _time(step_times, 99, 2),
+        "completed": completed,
+    }
+    note = (
+        "Position RMSE [mm] by path and as mean over paths and seeds, lateral RMSE to the path; median and 99th "
+        "percentile of the whole step."
+    ) + _disturbed_note(outcomes)
+    return Table.of("Tracking error and step time", ("controller",), columns, _by_driver(outcomes), note)
 
 
 def side_by_side_table(outcomes: Group) -> Table:
@@ -225,7 +252,9 @@ def _disturbed_note(outcomes: Group) -> str:
     share = disturbed_share(outcomes)
     if not share:
         return ""
-    return f" *: something else ran; {100 * share:.1f} % of the ticks could not be timed undisturbed, and are left out."
+    left_out = all(np.isfinite(one.run.step_time).mean() <= one.clean_share for one in outcomes)
+    rest = "and are left out" if left_out else "of one controller none could, so all are kept"
+    return f" *: something else ran; {100 * share:.1f} % of the ticks could not be timed undisturbed, {rest}."
 
 
 def _where(outcome: Outcome) -> str:

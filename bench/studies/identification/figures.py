@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
+from diffdrive_mpc.bench.html_report.numbers import from_zero
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.identification.report import IdentificationReport
 from diffdrive_mpc.models.interface import FloatArray
@@ -81,7 +82,7 @@ def draw_simulation(report: IdentificationReport, path: Path) -> None:
     (experiment,) = twist_experiments([record], data.yaw)
     first = busiest(record.command, round(figure_settings().window / record.dt))
     rows = slice(first, first + round(figure_settings().window / record.dt))
-    time = record.time[rows]
+    time, when = from_zero(record.time[rows])
     with new_figure(path, 7.4, 6.6) as figure:
         panels = figure.subplots(4, 1, sharex=True, height_ratios=(2.2, 1.0, 2.2, 1.0))
         for i, channel in enumerate(CHANNELS):
@@ -98,7 +99,7 @@ def draw_simulation(report: IdentificationReport, path: Path) -> None:
             lower.axhline(0.0, color="black", linewidth=0.6)
             lower.set_ylabel("residual")
         panels[0].legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-        panels[-1].set_xlabel("time on the log's clock [s]")
+        panels[-1].set_xlabel(when)
         fit = fitted.validation.fit_percent
         figure.suptitle(f"{report.name}: validation FIT v {fit[0]:.1f} %, omega {fit[1]:.1f} % (of all stretches)")
         figure.align_ylabels(panels)
@@ -162,35 +163,53 @@ def step_responses(report: IdentificationReport) -> tuple[FloatArray, list[Float
     return np.asarray(time), [discrete.simulate(np.tile(np.eye(2)[j], (len(time), 1))) for j in range(2)]
 
 
+_FAR_APART = 8.0
+"""Ratio of the fastest pole to the slowest from which a linear axis would press the slow ones together."""
+
+
 def draw_poles(report: IdentificationReport, path: Path) -> None:
-    """Draw the poles, with 95 % intervals where the estimate states them."""
+    """Draw the poles with their values, and 95 % intervals where the estimate states them; real ones row by row."""
     identified = report.fitted.identified
-    poles = identified.model.poles
+    poles = np.sort_complex(identified.model.poles)
+    all_real = not poles.imag.any()
+
+    def level(pole: complex) -> float:
+        # On one line real poles and their intervals would hide each other.
+        return -float(np.argmin(np.abs(poles.real - pole.real))) if all_real else pole.imag
+
     with new_figure(path, 5.6, 4.2) as figure:
         axes = figure.add_subplot()
-        axes.axhline(0.0, color="black", linewidth=0.6)
         for real, imag, real_deviation, imag_deviation in _uncertain_poles(identified):
             for sign in (1.0, -1.0) if imag else (1.0,):
                 axes.errorbar(
                     real,
-                    sign * imag,
+                    level(complex(real, sign * imag)),
                     xerr=_INTERVAL * real_deviation,
                     yerr=_INTERVAL * imag_deviation if imag else None,
                     color=colour(1),
                     capsize=2.5,
                     linewidth=1.0,
                 )
-        axes.plot(poles.real, poles.imag, "x", color=colour(0), markersize=8, markeredgewidth=1.8)
-        # An interval may reach to infinity; the poles set the scale.
-        reach = 1.4 * float(np.abs(poles).max())
-        height = max(reach / 3, 1.3 * float(np.abs(poles.imag).max()))
-        axes.set(
-            xlim=(-reach, 0.05 * reach),
-            ylim=(-height, height),
-            xlabel="real part [rad/s]",
-            ylabel="imaginary part [rad/s]",
-            title=f"{report.name}: poles, bars are 95 % intervals",
-        )
+        for pole in poles:
+            axes.plot(pole.real, level(pole), "x", color=colour(0), markersize=8, markeredgewidth=1.8)
+            value = f"{pole.real:.3g}{pole.imag:+.3g}j" if pole.imag else f"{pole.real:.3g}"
+            axes.annotate(value, (pole.real, level(pole)), (0, 7), textcoords="offset points", ha="center")
+        # An interval may reach to infinity; the poles set the scale, which is logarithmic where they lie far apart.
+        most = float(np.abs(poles).max())
+        least = float(np.abs(poles.real[poles.real != 0.0]).min(initial=most))
+        if most > _FAR_APART * least:
+            axes.set_xscale("symlog", linthresh=0.5 * least)
+            axes.set_xlim(-3.0 * most, 0.0)
+        else:
+            axes.set_xlim(-1.4 * most, 0.05 * most)
+        if all_real:
+            axes.set_yticks([])
+            axes.set(ylim=(-len(poles), 1.0), ylabel="real poles, the fastest above")
+        else:
+            axes.axhline(0.0, color="black", linewidth=0.6)
+            height = max(most / 3, 1.4 * float(np.abs(poles.imag).max()))
+            axes.set(ylim=(-height, height), ylabel="imaginary part [rad/s]")
+        axes.set(xlabel="real part [rad/s]", title=f"{report.name}: poles, bars are 95 % intervals")
 
 
 def _uncertain_poles(identified: IdentifiedModel) -> list[tuple[float, float, float, float]]:

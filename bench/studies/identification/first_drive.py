@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from diffdrive_mpc.bench.studies.identification.trial_drives import TrialDrive, trial_doubts
+from diffdrive_mpc.models.identification.node_parameters import node_arguments
+from diffdrive_mpc.models.logs.record import Topics
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.velocity_model import VelocityModel
@@ -63,18 +65,19 @@ def first_circle(config: ControllerConfig, model: VelocityModel | NonlinearModel
     return FirstCircle(radius, radius * omega, omega)
 
 
-def recipe(circle: FirstCircle, config: ControllerConfig, drives: Sequence[TrialDrive]) -> str:
-    """How to drive the robot for the first time, as the end of the report."""
+def recipe(circle: FirstCircle, config: ControllerConfig, drives: Sequence[TrialDrive], topics: Topics) -> str:
+    """How to drive the robot for the first time, as the end of the report; `topics` are those of a bag."""
     room = _ROOM * 2.0 * circle.radius
+    arguments = f" {node_arguments(topics)}" if topics else ""
     steps = [
         "Read the warnings that matter for driving, and mend what can be mended.",
-        f"Drive it here first: `diffdrive-mpc simulate --config config.yaml --plant model:model.yaml --trajectory "
-        f"{FIRST_CIRCLE}`. It is a circle of {circle.radius:.2g} m in radius at {circle.v:.2g} m/s, one turn in "
-        f"{circle.duration:.0f} s.",
+        "Drive it here first, in the folder of this report: `diffdrive-mpc simulate --config config.yaml "
+        f"--plant model:model.yaml --surface surface.yaml --trajectory {FIRST_CIRCLE}`. It is a circle of "
+        f"{circle.radius:.2g} m in radius at {circle.v:.2g} m/s, one turn in {circle.duration:.0f} s.",
         "Wheels off the ground: start the node, look that no topic is refused, call start. Both sides must turn as "
         "told, and the base must stop by itself when the node is killed (docs/robot.md, step 4).",
         f"On the floor, {room:.2g} m free all round, a hand on the emergency stop: `diffdrive-mpc node --config "
-        f"config.yaml --trajectory {FIRST_CIRCLE}` with the topics of the robot (docs/robot.md, step 5).",
+        f"config.yaml --trajectory {FIRST_CIRCLE}{arguments}` with the topics of the robot (docs/robot.md, step 5).",
         "Look at the mode, which stays TRACKING, at the lateral error, a few centimetres and not growing, and at "
         "the message, which is empty or says what is wrong (docs/failure.md).",
         f"Stop it if it weaves more and more, turns the wrong way, or is further than {config.reentry.band:.2g} m "

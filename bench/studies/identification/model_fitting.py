@@ -28,8 +28,8 @@ from diffdrive_mpc.models.output_error.experiment import Experiment
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
 from diffdrive_mpc.models.robot import Positive, load_robot
-from diffdrive_mpc.models.structures.mbm import Motors
-from diffdrive_mpc.models.structures.two_poles import IdentifiedChannel, TwoPoles, identify_channel
+from diffdrive_mpc.models.structures.files import Motors, TwoPoles
+from diffdrive_mpc.models.structures.two_poles import IdentifiedChannel, identify_channel
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, random_commands, step_commands

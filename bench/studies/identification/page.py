@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.bench.html_report.document import picture
-from diffdrive_mpc.bench.html_report.numbers import rounded
+from diffdrive_mpc.bench.html_report.numbers import from_zero, rounded
 from diffdrive_mpc.bench.html_report.origin import origin
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
@@ -186,7 +186,8 @@ def _simulation(report: IdentificationReport, i: int) -> Chart:
     (experiment,) = twist_experiments([record], data.yaw)
     measured = np.where(experiment.counts[:, i], experiment.outputs[:, i], np.nan)
     every = slice(None, None, max(1, -(-len(record.time) // _POINTS)))
-    time = [round(float(one), 3) for one in record.time[every]]
+    since_begin, when = from_zero(record.time)
+    time = [round(float(one), 3) for one in since_begin[every]]
     lines = {"command": record.command[:, i], "measured": measured, "simulated": simulated[:, i]}
     series = [
         Series(name, time, [rounded(one) for one in values[every]], style, "points" if name == "measured" else "line")
@@ -195,9 +196,7 @@ def _simulation(report: IdentificationReport, i: int) -> Chart:
     fit = number(float(fitted.validation.fit_percent[i]), 1)
     note = f"Longest stretch held out; simulated from the commands alone. FIT of all of them: {fit} %."
     title = f"{channel}: measured and simulated"
-    return Chart(
-        title, Axis("time on the log's clock [s]"), Axis(f"{channel} [{UNITS[channel]}]"), series, note, broad=True
-    )
+    return Chart(title, Axis(when), Axis(f"{channel} [{UNITS[channel]}]"), series, note, broad=True)
 
 
 def _steps(report: IdentificationReport, j: int) -> Chart:

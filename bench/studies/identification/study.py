@@ -21,10 +21,11 @@ from diffdrive_mpc.bench.studies.identification.trial_drives import (
     trial_drives,
     trial_table,
 )
-from diffdrive_mpc.bench.table import rich_table
+from diffdrive_mpc.bench.table import number, rich_table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification import Identification, identify
-from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE, FILES
+from diffdrive_mpc.models.identification.configuration import CONFIG_FILE
+from diffdrive_mpc.models.identification.from_logs import FILES
 from diffdrive_mpc.models.identification.log_data import OptionError
 from diffdrive_mpc.models.logs import Finding, Log
 from diffdrive_mpc.models.logs.diagnosis import summary
@@ -96,7 +97,7 @@ def _write(found: Identification, folder: Path, bar: ProgressBar, force: bool) -
     with (folder / "report.md").open("a", encoding="utf-8") as report:
         report.write(f"\n{trial_table(drives).markdown()}\n")
         report.write("".join(f"* {doubt}\n" for doubt in trial_doubts(drives)))
-        report.write(f"\n{recipe(circle, config, drives)}")
+        report.write(f"\n{recipe(circle, config, drives, found.report.data.topics)}")
     return _Outcome(found, drives)
 
 
@@ -106,6 +107,12 @@ def _print_verdict(outcome: _Outcome, out: Path, force: bool) -> None:
         output_console().print(rich_table(trial_table(outcome.drives)))
         for doubt in trial_doubts(outcome.drives):
             _print_line(f"warning: {doubt}")
+        _print_line(outcome.found.report.next_step(out))
+        first = outcome.drives[0]
+        _print_line(
+            f"(position RMSE {number(first.metrics.position_rmse_m, 4)} m, as '{first.path}' on {first.plant} above; "
+            f"then the robot, as the end of {out / 'report.md'} says)"
+        )
     elif force:
         _print_line(f"warning: {outcome.against}")
     else:
@@ -134,7 +141,7 @@ def _print(found: Identification, out: Path) -> None:
     chosen = report.fitted.orders
     if chosen:
         _print_line(f"order {chosen.order}: {chosen.reason}")
-    for line in report.in_short():
+    for line in report.in_short()[:-1]:
         _print_line(line)
     for setting in found.configuration.bounds:
         _print_line(f"limit {setting.name}: {setting.value} {setting.reason}")

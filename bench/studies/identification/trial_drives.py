@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diffdrive_mpc.models.base_effects import BaseEffects
+from diffdrive_mpc.models.checked_yaml import check
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.fitting import fit
-from diffdrive_mpc.models.identification.log_data import LogData
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
@@ -22,7 +22,7 @@ from diffdrive_mpc.mpc import Controller, ControllerConfig
 from diffdrive_mpc.mpc.trajectories.scaled import scaled_to_robot
 from diffdrive_mpc.sim import Metrics, Run, simulate
 from diffdrive_mpc.sim.plants.model_plant import ModelPlant
-from diffdrive_mpc.sim.plants.surface import Slip
+from diffdrive_mpc.sim.plants.surface import Surface
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 PATHS = ("circle", "square", "s", "cane")
@@ -83,7 +83,7 @@ def trial_drives(
     other = _of_held_out(found)
     if other is not None:
         plants.append((HELD_OUT, *other))
-    slip, usual = _slip(found.report.data), load_robot()
+    slip, usual = check(Surface, found.surface, "surface").slip, load_robot()
     limits = usual.limits.model_copy(update={"v": config.limits.v, "omega": config.limits.omega})
     robot = usual.model_copy(update={"sample_time": config.sample_time, "limits": limits})
     drives = []
@@ -117,21 +117,6 @@ def _of_held_out(found: Identification) -> tuple[VelocityModel | NonlinearModel,
         return other.model, _effects_of(other)
     except ValueError:
         return None
-
-
-def _slip(data: LogData) -> Slip:
-    """The yaw rate of the body over that of the encoders: where there is a gyro, the model has the body's."""
-    both = [
-        (record.yaw_rate[used], record.twist[used, 1])
-        for record in data.train
-        if record.yaw_rate is not None and record.twist is not None
-        for used in [np.isfinite(record.yaw_rate) & np.isfinite(record.twist[:, 1])]
-    ]
-    ratio = 1.0
-    if both:
-        body, wheels = (np.concatenate(one) for one in zip(*both, strict=True))
-        ratio = float(body @ wheels / (wheels @ wheels))
-    return Slip(yaw_gain=1.0, wheel_yaw_gain=ratio, longitudinal_gain=1.0, side_slip=0.0)
 
 
 def trial_table(drives: Sequence[TrialDrive]) -> Table:

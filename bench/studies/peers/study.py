@@ -196,9 +196,9 @@ def _proof(one: Tuned) -> Table:
 def gains_text(results: Sequence[Tuned], settings: PeersSettings) -> str:
     """The file of gains for `bench/peers`."""
     head = (
-        "# Gains of the peers; units stand at the fields of each law. Written by `diffdrive-mpc peers`: a search of\n"
-        f"# {settings.evaluations} settings for each, see bench/studies/peers/settings.yaml. Beside each: its mean\n"
-        "# position RMSE on the tuning runs.\n"
+        "# Gains of the peers; units stand at the fields of each law. Written by `diffdrive-mpc study peers`: a\n"
+        f"# search of {settings.evaluations} settings for each, see bench/studies/peers/settings.yaml. Beside each:\n"
+        "# its mean position RMSE on the tuning runs.\n"
     )
     lines: list[str] = []
     for one in sorted(results, key=lambda it: list(LAWS).index(it.peer)):

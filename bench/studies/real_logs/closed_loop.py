@@ -10,9 +10,8 @@ import numpy as np
 
 from diffdrive_mpc.bench.studies.real_logs.protocol import Proof
 from diffdrive_mpc.bench.table import Table
-from diffdrive_mpc.models.identification.configuration import MODEL_FILE
-from diffdrive_mpc.models.identification.from_logs import CONFIG_FILE
-from diffdrive_mpc.models.identification.from_logs import FILES as IDENTIFIED
+from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE
+from diffdrive_mpc.models.identification.log_surface import SURFACE_FILE as SURFACE
 from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.robot import TwistBounds
 from diffdrive_mpc.mpc import Controller, load_config
@@ -21,8 +20,6 @@ from diffdrive_mpc.mpc.config.schema import Limits
 from diffdrive_mpc.mpc.trajectories.scaled import scaled_to_robot
 from diffdrive_mpc.sim import make_plant, simulate
 
-SURFACE = "surface.yaml"
-FILES = (*IDENTIFIED, SURFACE)
 TRAJECTORIES = ("circle", "square", "s", "cane")
 
 

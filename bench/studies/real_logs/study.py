@@ -7,7 +7,6 @@ from pathlib import Path
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.studies.real_logs.closed_loop import (
-    FILES,
     TRAJECTORIES,
     drive,
     tracking_table,
@@ -15,6 +14,7 @@ from diffdrive_mpc.bench.studies.real_logs.closed_loop import (
 )
 from diffdrive_mpc.bench.studies.real_logs.protocol import Proof, load_protocol, prove
 from diffdrive_mpc.bench.studies.real_logs.tables import effect_table, parameter_table, score_table
+from diffdrive_mpc.models.identification.from_logs import FILES
 
 REPORT = "proof.md"
 

@@ -1,7 +1,7 @@
 """P4's torques and powers of steady turns, by its shear law on vinyl and on the simulated robot's smoothest floor.
 
 P4: Ordonez et al., 2017, section 2.3, Figures 6 and 7. Its measured torques are in a figure only; beside the model
-with its printed parameters stands the simulated robot of `diffdrive-mpc torque`.
+with its printed parameters stands the simulated robot of `diffdrive-mpc study torque`.
 """
 
 from __future__ import annotations

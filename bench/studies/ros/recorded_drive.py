@@ -29,7 +29,7 @@ def read_drive(bag: Path, reference: Reference, sample_time: float) -> Run:
     Parameters
     ----------
     bag
-        Folder that `diffdrive-mpc robot --record` has written.
+        Folder that `diffdrive-mpc sim-robot --record` has written.
     reference
         What was tracked, in the frame map.
     sample_time

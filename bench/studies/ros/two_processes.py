@@ -51,7 +51,7 @@ def drive_over_dds(case: Case, duration: float, bag: Path, *, lock_step: bool, t
     Raises DriveFailedError if a process fails or takes too long.
     """
     robot = [
-        *("robot", "--plant", case.plant, "--surface", case.surface, "--sensors", case.sensors),
+        *("sim-robot", "--plant", case.plant, "--surface", case.surface, "--sensors", case.sensors),
         *("--scenario", case.scenario, "--seed", str(case.seed), "--trajectory", case.trajectory),
         *("--answer-timeout", str(_PATIENCE)),
         *("--lock-step" if lock_step else "--real-time", "--duration", str(duration + _MARGIN), "--record", str(bag)),

@@ -109,7 +109,8 @@ def learn_log(log: str | Path, mapping: str | Path | None, vehicle: str | Path, 
     slip, slip_from = _slip(records, curves)
     rows = np.zeros((3, 3)) if slip is None else slip.coefficients
     words = (
-        f"from the log {read.name} by 'diffdrive-mpc torque --log': {len(radii)} samples of steady turns; {slip_from}"
+        f"from the log {read.name} by 'diffdrive-mpc study torque --log': "
+        f"{len(radii)} samples of steady turns; {slip_from}"
     )
     bounds = load_torque_settings().curves.radii
     costs = TurnCosts.from_curves(

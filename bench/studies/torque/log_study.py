@@ -1,4 +1,4 @@
-"""What a turn costs a robot, from a log of it: `diffdrive-mpc torque --log`."""
+"""What a turn costs a robot, from a log of it: `diffdrive-mpc study torque --log`."""
 
 from __future__ import annotations
 

@@ -189,8 +189,9 @@ def turn_costs_of(
     slip = identify_slip(drive.command, drive.true_twist, sample_time, settings.settling, kept)
     words = (
         f"simulated robot '{study.robot}' on surface '{surface}', diagnostic drive of {len(v) * sample_time:.0f} s by "
-        f"'diffdrive-mpc torque': learned torques; slip law from the true twist of {slip.rows} samples no sharper than "
-        "the least radius. Below that radius the torque is at its limit, and the robot slips more than the law says"
+        f"'diffdrive-mpc study torque': learned torques; slip law from the true twist of {slip.rows} samples no "
+        "sharper than the least radius. Below that radius the torque is at its limit, and the robot slips more than "
+        "the law says"
     )
     radii = (float(same.min()), float(min(same.max(), settings.radii[1])))
     name = f"{study.robot}-{surface}"

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
+from diffdrive_mpc.bench.html_report.numbers import from_zero
 from diffdrive_mpc.bench.studies.identification.figures import busiest, figure_settings
 from diffdrive_mpc.sim.twin.from_log import FittedTwin
 
@@ -20,7 +21,7 @@ def draw_held_out(twin: FittedTwin, path: Path) -> None:
     window = round(figure_settings().window / run.dt)
     first = busiest(run.inputs, window)
     rows = slice(first, first + window)
-    time = record.time[rows]
+    time, when = from_zero(record.time[rows])
     with new_figure(path, 7.4, 5.2) as figure:
         panels = figure.subplots(2, 1, sharex=True)
         for panel, (i, (channel, unit)) in zip(panels, enumerate(_UNITS.items()), strict=True):
@@ -33,5 +34,5 @@ def draw_held_out(twin: FittedTwin, path: Path) -> None:
                 panel.plot(time, values, line_style(k), color=colour(k + 1), label=f"{name}: FIT {fit:.1f} %")
             panel.set_ylabel(f"{channel} [{unit}]")
             panel.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-        panels[-1].set_xlabel("time on the log's clock [s]")
+        panels[-1].set_xlabel(when)
         figure.align_ylabels(panels)

@@ -1,0 +1,104 @@
+"""`diffdrive_mpc.simulate`: the closed loop of `sim`, with names and files where objects are expected."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from diffdrive_mpc.models.errors import wrong_type
+from diffdrive_mpc.models.interface import Reference, TrackingController
+from diffdrive_mpc.models.robot import TwistBounds, load_robot
+from diffdrive_mpc.mpc import Controller, ControllerConfig, load_trajectory
+from diffdrive_mpc.mpc.trajectories.speed_check import starts_beyond_slew
+from diffdrive_mpc.sim import loop
+from diffdrive_mpc.sim.plants.make import make_plant
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+    from diffdrive_mpc.models.velocity_model import VelocityModel
+    from diffdrive_mpc.sim.plants.plant import Plant
+    from diffdrive_mpc.sim.run import Run
+
+_ORDER = "the order is simulate(controller, plant, reference)"
+
+
+def simulate(
+    controller: TrackingController | ControllerConfig | str | Path | Mapping[str, object],
+    plant: Plant | VelocityModel | NonlinearModel | str | Path,
+    reference: Reference | str | Path,
+    *,
+    extra_time: float = 0.0,
+    keep_plans: bool = False,
+    on_tick: Callable[[int, int], None] | None = None,
+) -> Run:
+    """Drive `plant` along `reference` from rest, as in `simulate("ssm", "mujoco", "circle")`.
+
+    Parameters
+    ----------
+    controller
+        Anything with `start` and `step`; or a configuration, or what `load_config` makes one of, such as "ssm".
+    plant
+        The robot stand-in, which is reset first; or what `make_plant` makes one of, such as "mujoco" or a velocity
+        model. It is made with the sample time and the limits of the controller's configuration.
+    reference
+        The timed trajectory; or what `load_trajectory` makes one of, such as "circle", with the limits of the
+        controller's configuration.
+    extra_time, keep_plans, on_tick
+        As `sim.loop.simulate` takes them: time to go on after the end [s], whether the run keeps the plans, and what is
+        called after each tick with the number of ticks done and their total.
+
+    Returns
+    -------
+    Run
+        See `sim.loop.simulate`. A warning says where the reference starts faster than the robot can from rest.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is of another type, or they stand in another order.
+    ConfigError, ModelError, ValueError
+        If a name is unknown, a file has a mistake, or the arguments do not fit each other.
+    """
+    if isinstance(controller, (ControllerConfig, str, Path, Mapping)):
+        controller = Controller(controller)
+    _check(controller, ("start", "step"), "controller", "a Controller")
+    config = getattr(controller, "config", None)
+    config = config if isinstance(config, ControllerConfig) else None
+    if not _has(plant, ("measure", "advance")):
+        if not isinstance(plant, (str, Path)) and not hasattr(plant, "with_extra_dead_time"):
+            _check(plant, ("measure", "advance"), "plant", "a plant or its name")
+        plant = make_plant(plant, **(plant_settings(config) if config else {}))  # type: ignore[arg-type]
+    if isinstance(reference, (str, Path)):
+        reference = load_trajectory(reference, config)
+    _check(reference, ("sample", "duration"), "reference", "a trajectory or its name")
+    if config and (message := starts_beyond_slew(reference, config.limits, config.sample_time)):
+        warnings.warn(message, stacklevel=2)
+    # The arguments are what they should be: checked above.
+    return loop.simulate(
+        controller,
+        plant,  # type: ignore[arg-type]
+        reference,
+        extra_time=extra_time,
+        keep_plans=keep_plans,
+        on_tick=on_tick,
+    )
+
+
+def plant_settings(config: ControllerConfig) -> dict[str, Any]:
+    """Sample time and limits of the plant of a controller, as `make_plant` takes them."""
+    carried = load_robot().limits
+    # What the link of the papers' robot carries is no limit of another robot's model.
+    bounds = {name: max(getattr(config.limits, name), getattr(carried, name)) for name in ("v", "omega")}
+    return {"sample_time": config.sample_time, "limits": TwistBounds(**bounds)}
+
+
+def _has(value: object, names: tuple[str, ...]) -> bool:
+    return not isinstance(value, type) and all(hasattr(value, name) for name in names)
+
+
+def _check(value: object, names: tuple[str, ...], argument: str, expected: str) -> None:
+    """Raise ArgumentError where `value` has no attributes of these names."""
+    if not _has(value, names):
+        raise wrong_type(argument, expected, value, _ORDER)

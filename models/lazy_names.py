@@ -1,0 +1,21 @@
+"""Public names of a package that are imported when they are first used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any
+
+
+def on_first_use(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
+    """The `__getattr__` of `package` that imports a name of `homes` from the module beside it, as `__init__` would.
+
+    Whoever needs one module of the package then does not load the others.
+    """
+
+    def look_up(name: str) -> Any:  # noqa: ANN401 - the type checker sees imports of its own
+        if name not in homes:
+            raise AttributeError(f"module '{package}' has no attribute '{name}'")
+        return getattr(import_module(f"{package}.{homes[name]}"), name)
+
+    return look_up

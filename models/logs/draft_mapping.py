@@ -1,0 +1,358 @@
+"""A first mapping of an unknown log: guesses from names and values, each with its reason, to be corrected by hand."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import yaml
+
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.bag_topics import BATTERIES, COMMANDS, IMU, ODOMETRY, POSES, opened
+from diffdrive_mpc.models.logs.bags import is_bag
+from diffdrive_mpc.models.logs.check_settings import check_settings
+from diffdrive_mpc.models.logs.csv_table import CsvTable, read_header, read_table
+from diffdrive_mpc.models.logs.diagnosis.readings import in_degrees
+from diffdrive_mpc.models.logs.mapping import (
+    FACTORS,
+    FOUR_WHEELS,
+    SIDES,
+    AngleUnit,
+    LengthUnit,
+    RateUnit,
+    SpeedUnit,
+    TimeUnit,
+    WheelUnit,
+)
+from diffdrive_mpc.models.plain_text import plain_line
+
+
+class _Table(StrictModel):
+    """What words mean, and where values stop being likely; see `draft_words.yaml`."""
+
+    sources: dict[str, str]
+    quantities: dict[str, str]
+    rates: str
+    ignored: str
+    units: dict[str, str]
+    largest: dict[str, tuple[float, str]]
+    epochs: dict[str, float]
+    largest_lag: int
+    least_likeness: float
+    topics: dict[str, dict[str, str]]
+    localised: str
+    goals: str
+
+
+@cache
+def _table() -> _Table:
+    return load_checked(_Table, Path(__file__).with_name("draft_words.yaml"))
+
+
+def _shared(words: set[str], known: str) -> set[str]:
+    return words & set(known.split())
+
+
+_TWIST = ("v", "omega")
+_WHEELS = (*SIDES, *FOUR_WHEELS)
+_FITTING: dict[str, tuple[str, ...]] = {
+    "time": get_args(TimeUnit),
+    "v": get_args(SpeedUnit),
+    "omega": get_args(RateUnit),
+    "theta": get_args(AngleUnit),
+    "x": get_args(LengthUnit),
+    "y": get_args(LengthUnit),
+    **dict.fromkeys(_WHEELS, get_args(WheelUnit)),
+}
+
+
+@dataclass
+class _Column:
+    """A column, and what its name says: quantity, source ("" where it names none), unit ("" where it names none)."""
+
+    name: str
+    quantity: str
+    source: str
+    unit: str
+    values: FloatArray
+    reasons: list[str]
+
+    def entry(self) -> str:
+        """The column as it stands in the mapping, with the reasons as a comment."""
+        fields = {"column": self.name, "unit": self.unit}
+        return f"{_flow(fields)}    # {plain_line('; '.join(self.reasons))}"
+
+
+_Used = dict[str, dict[str, _Column]]
+
+
+def draft_mapping(log: Path) -> str:
+    """Guess the text of a mapping file for a CSV log or a bag.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the log is missing or cannot be read.
+    """
+    if not log.exists():
+        raise ConfigError(f"{log}: there is no such file or folder")
+    lines = _draft_of_bag(log) if is_bag(log) else _draft_of_table(log)
+    source = _flow({"source": f"{log.name}, drafted from names and values"})[1:-1]
+    return "\n".join(["# Guesses, each with its reason: correct them, then delete this line.", source, *lines, ""])
+
+
+def _flow(value: object) -> str:
+    return yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=1_000_000).strip()
+
+
+def _draft_of_table(log: Path) -> list[str]:
+    table = read_table(log, read_header(log))
+    columns = [column for name in table.header if (column := _column(table, name)) is not None]
+    times = {column.source: column for column in reversed(columns) if column.quantity == "time" and _runs(column)}
+    used = _roles([column for column in columns if column.quantity != "time"])
+    time = times.pop("", None) or (times.pop(next(iter(times))) if times else None)
+    lines = [*_wheels(used), "columns:"]
+    if time is None:
+        lines.append(
+            "  sample_time:    # fill in the time between rows [s]: no column that only rises is named as a time"
+        )
+    else:
+        lines.append(f"  time: {time.entry()}")
+    for role, fields in used.items():
+        if not fields:
+            lines.append(f"  # {role}: no whole group of columns{', but it is needed' if role == 'command' else ''}")
+            continue
+        lines += [f"  {role}:", *(f"    {field}: {column.entry()}" for field, column in fields.items())]
+        if role in times:
+            lines.append(f"    time: {times[role].entry()}")
+    text = "\n".join(lines)
+    return [*lines, *_not_used(name for name in table.header if f"column: {_flow([name])[1:-1]}," not in text)]
+
+
+def _wheels(used: _Used) -> list[str]:
+    """The lengths to be filled in, where the mapping needs them."""
+    units = {column.unit for fields in used.values() for column in fields.values() if column.quantity in _WHEELS}
+    sides_alone = bool(units) and not ("v" in used["command"] and used["encoders"].keys() >= {"v"})
+    if not (sides_alone or units & {"ticks", "ticks/s", "m/s"}):
+        return []
+    ticks = ", ticks_per_turn: " if units & {"ticks", "ticks/s"} else ""
+    return [f"wheels: {{radius: , track: {ticks}}}    # fill in, radius and track in m: speeds of wheels need them"]
+
+
+def _not_used(names: Iterable[str]) -> list[str]:
+    return [f"# Not used: {plain_line(', '.join(names)) or 'none'}"]
+
+
+def _column(table: CsvTable, name: str) -> _Column | None:
+    """What the name of a column says; None where it names nothing that a mapping takes, or a cell is no number."""
+    text = re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower().rstrip(" ])")
+    known, unit, reasons = _table(), "", []
+    for candidate, pattern in known.units.items():
+        if match := re.search(rf"(?<![^\W_])({pattern})(?![^\W_])", text):
+            unit, text = candidate, text[: match.start()] + " " + text[match.end() :]
+            reasons = [f"'{match[0]}' in its name"]
+            break
+    words = set(re.findall("[a-z]+", text))
+    if words & {"front", "rear", "back"} and (side := words & {"left", "right"}):
+        words = {*words, ("front" if "front" in words else "rear") + side.pop()}
+    if _shared(words, known.ignored):
+        return None
+    quantity = next((key for key, meaning in known.quantities.items() if _shared(words, meaning)), "")
+    if _shared(words, known.quantities["theta"]) and _shared(words, known.rates):
+        quantity = "omega"
+    sideways = {"v": {"y", "z"}, "omega": {"x", "y"}}.get(quantity, set())
+    if not quantity or words & sideways:
+        return None
+    source, word = next(
+        ((key, min(shared)) for key, meaning in known.sources.items() if (shared := _shared(words, meaning))), ("", "")
+    )
+    if not source and unit in ("ticks", "ticks/s"):
+        source = "encoders"
+    try:
+        values = table.numbers(name)[0]
+    except ConfigError:
+        return None
+    if np.isfinite(values).sum() < 2:
+        return None
+    column = _Column(name, quantity, source, unit if unit in _FITTING[quantity] else "", values, reasons)
+    if word:
+        column.reasons.insert(0, f"'{word}' in its name")
+    _guess_unit(column)
+    return column
+
+
+def _guess_unit(column: _Column) -> None:
+    """Fill in the unit that the values speak for, where the name has none, and say why."""
+    values = column.values[np.isfinite(column.values)]
+    largest = float(np.percentile(np.abs(values), 99))
+    if column.quantity == "time":
+        steps, (low, high) = np.diff(values), check_settings().sample_times
+        step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+        epochs = [unit for unit, least in reversed(_table().epochs.items()) if values[0] >= least][:1]
+        candidates = [*epochs, *([column.unit] if column.unit else []), *_table().epochs]
+        column.unit = next((unit for unit in candidates if low <= step * FACTORS[unit] <= high), column.unit or "s")
+        since = ", since 1970" if epochs == [column.unit] else ""
+        column.reasons.append(f"steps by {step:.6g}, {step * FACTORS[column.unit]:.3g} s in this unit{since}")
+    elif not column.unit:
+        unit, (limit, other) = (
+            _FITTING[column.quantity][0],
+            _table().largest.get("wheel" if column.quantity in _WHEELS else column.quantity, (np.inf, "")),
+        )
+        if column.quantity == "theta":
+            unit = "deg" if largest > 2 * np.pi and in_degrees(values) else unit
+        elif column.quantity in _WHEELS and _counts(values):
+            unit = "ticks"
+        elif (np.ptp(values) if column.quantity in ("x", "y") else largest) > limit:
+            unit = other
+        column.unit = unit
+        column.reasons.append(f"no unit in its name, but values up to {largest:.3g}")
+
+
+def _counts(values: FloatArray) -> bool:
+    """Whether values (n,) are whole numbers that run on, as counts of an encoder do."""
+    typical = float(np.mean(np.abs(np.diff(values))))
+    return bool((values == np.round(values)).all()) and float(np.ptp(values)) > 20 * max(typical, 1.0)
+
+
+def _runs(column: _Column) -> bool:
+    """Whether the values never fall and mostly rise, as times do."""
+    steps = np.diff(column.values[np.isfinite(column.values)])
+    return bool((steps >= 0).all() and np.mean(steps > 0) > 0.05)
+
+
+def _roles(columns: list[_Column]) -> _Used:
+    """Columns by role and field; groups that are not whole are left out."""
+    commanded = {column.quantity for column in columns if column.source == "command"}
+    there = {column.quantity for column in columns if column.source in ("", "command", "encoders")}
+    is_twist = commanded.issuperset(_TWIST) or (there.issuperset(_TWIST) and not commanded.issuperset(SIDES))
+    used: _Used = {"command": {}, "encoders": {}, "gyro": {}, "pose": {}}
+    for quantity in (*_TWIST, *_WHEELS):
+        alike = [
+            column for column in columns if column.quantity == quantity and column.source in ("", "command", "encoders")
+        ]
+        command, measured = _command_and_measured(alike, quantity in (_TWIST if is_twist else SIDES))
+        used["command"] |= {quantity: command} if command else {}
+        used["encoders"] |= {quantity: measured} if measured else {}
+    used["gyro"] = _named(columns, ("gyro",), {"yaw_rate": "omega"})
+    used["pose"] = _named(columns, ("pose", ""), {"x": "x", "y": "y", "theta": "theta"})
+    if not used["gyro"] and "omega" in used["encoders"] and "v" not in used["encoders"]:
+        used["gyro"] = {"yaw_rate": used["encoders"]["omega"]}
+        used["gyro"]["yaw_rate"].reasons.append("a yaw rate without a forward speed beside it, so hardly of the wheels")
+    used["command"] = _whole(used["command"], [_TWIST if is_twist else SIDES])
+    used["encoders"] = _whole(used["encoders"], [_TWIST, SIDES, FOUR_WHEELS])
+    for role in ("encoders", "gyro"):
+        for column in used[role].values():
+            _compare(used["command"].get(column.quantity), column)
+    return used
+
+
+def _named(columns: list[_Column], sources: tuple[str, ...], fields: dict[str, str]) -> dict[str, _Column]:
+    """For each field a column of its quantity, of the first source that has one; nothing where a field has none."""
+    group = {}
+    for field, quantity in fields.items():
+        alike = [column for column in columns if column.quantity == quantity and column.source in sources]
+        if alike:
+            group[field] = min(alike, key=lambda column: sources.index(column.source))
+    return group if len(group) == len(fields) else {}
+
+
+def _whole(group: dict[str, _Column], kinds: Sequence[tuple[str, ...]]) -> dict[str, _Column]:
+    """The fields that stand together with all others of their kind."""
+    return {field: group[field] for kind in kinds if set(kind) <= set(group) for field in kind}
+
+
+def _command_and_measured(alike: list[_Column], may_command: bool) -> tuple[_Column | None, _Column | None]:
+    """Of columns of one quantity the command and what was measured; by what follows what where names do not say."""
+    command = next((column for column in alike if column.source == "command" and may_command), None)
+    measured = next((column for column in alike if column.source == "encoders"), None)
+    plain = [column for column in alike if not column.source]
+    if command is None and may_command and plain:
+        if len(plain) > 1 and measured is None and _behind(plain[0].values, plain[1].values)[0] < 0:
+            plain[:2] = plain[1::-1]
+        command = plain.pop(0)
+        command.reasons.append("nothing else is named as its command")
+    if measured is None and plain:
+        measured = plain[0]
+        measured.reasons.append("nothing in its name says where it comes from")
+    return command, measured
+
+
+def _compare(command: _Column | None, measured: _Column) -> None:
+    """Add to the reasons how the measured column follows its command."""
+    if command is None:
+        return
+    rows, likeness = _behind(command.values, measured.values)
+    if abs(likeness) < _table().least_likeness:
+        measured.reasons.append(f"CHECK: hardly follows '{command.name}'")
+    elif rows < 0:
+        measured.reasons.append(f"CHECK: moves {-rows} rows before '{command.name}'; are the two swapped?")
+    else:
+        measured.reasons.append(f"follows '{command.name}' by {rows} rows")
+
+
+def _behind(first: FloatArray, second: FloatArray) -> tuple[int, float]:
+    """Rows by which changes of `second` (n,) follow those of `first` (n,), and their correlation at that lag [-]."""
+    u, y = (np.diff(_filled(values)) for values in (first, second))
+    most = min(_table().largest_lag, len(u) // 4)
+    lags = range(-most, most + 1)
+    size = max(float(np.linalg.norm(u) * np.linalg.norm(y)), 1e-300)
+    products = [float(u[max(-lag, 0) : len(u) - max(lag, 0)] @ y[max(lag, 0) : len(y) + min(lag, 0)]) for lag in lags]
+    best = int(np.argmax(np.abs(products)))
+    return lags[best], products[best] / size
+
+
+def _filled(values: FloatArray) -> FloatArray:
+    """Values (n,) with what is missing interpolated."""
+    rows = np.flatnonzero(np.isfinite(values))
+    return np.interp(np.arange(len(values)), rows, values[rows])
+
+
+_TYPES = {"command": COMMANDS, "odometry": ODOMETRY, "imu": IMU, "pose": POSES, "battery": BATTERIES}
+
+
+def _draft_of_bag(log: Path) -> list[str]:
+    counts: Counter[tuple[str, str]] = Counter()
+    with opened(log) as reader:
+        for connection in reader.connections:
+            counts[connection.topic, connection.msgtype] += connection.msgcount
+    lines, taken = ["topics:"], set()
+    for role, types in _TYPES.items():
+        ranked = sorted(
+            (
+                (points, count, topic, kind)
+                for (topic, kind), count in counts.items()
+                if count and kind in types and topic not in taken and (points := _points(role, topic, kind)) is not None
+            ),
+            reverse=True,
+        )
+        if not ranked:
+            needed = ", but it is needed: name its topic" if role == "command" else ""
+            lines.append(f"  # {role}: no topic of type {' or '.join(types)}{needed}")
+            continue
+        points, count, topic, kind = ranked[0]
+        taken.add(topic)
+        others = f"; it could also be {', '.join(row[2] for row in ranked[1:])}" if ranked[1:] else ""
+        why = ", and its name fits" if points > 0 else ""
+        lines.append(f"  {role}: {_flow({'topic': topic})}    # {plain_line(f'{kind}, {count} messages{why}{others}')}")
+    return [*lines, *_not_used(sorted(topic for topic, _ in counts if topic not in taken))]
+
+
+def _points(role: str, topic: str, kind: str) -> int | None:
+    """How well the name of a topic of a fitting type speaks for the role; None where it rules the role out.
+
+    An odometry is a localisation's pose only where its name says so, and a goal is no measured pose.
+    """
+    words = set(re.findall("[a-z]+", topic.lower()))
+    localised = bool(_shared(words, _table().localised))
+    is_goal = role == "pose" and bool(_shared(words, _table().goals))
+    if is_goal or (kind in ODOMETRY and localised != (role == "pose")):
+        return None
+    spoken = _table().topics.get(role, {"for": "", "against": ""})
+    return len(_shared(words, spoken["for"])) - 2 * len(_shared(words, spoken["against"]))

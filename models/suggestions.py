@@ -1,0 +1,116 @@
+"""What a user may have meant by a key that a schema does not know."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Any, get_args
+
+from pydantic import BaseModel
+
+SYNONYMS: dict[str, tuple[str, ...]] = {
+    "q": ("weights.along", "weights.across", "weights.heading"),
+    "r": ("weights.v", "weights.omega", "weights.v_increment", "weights.omega_increment"),
+    "qf": ("weights.terminal",),
+    "lateral": ("across",),
+    "cross_track": ("across",),
+    "cte": ("weights.across",),
+    "longitudinal": ("along",),
+    "yaw": ("heading", "omega", "theta", "yaw_rate"),
+    "theta": ("heading",),
+    "linear": ("v",),
+    "speed": ("v",),
+    "angular": ("omega",),
+    "w": ("omega",),
+    "max_v": ("limits.v",),
+    "v_max": ("limits.v",),
+    "max_omega": ("limits.omega",),
+    "omega_max": ("limits.omega",),
+    "n": ("horizon",),
+    "prediction_horizon": ("horizon",),
+    "dt": ("sample_time",),
+    "ts": ("sample_time",),
+    "period": ("sample_time",),
+    "delay": ("extra_dead_time", "delay"),
+    "wheelbase": ("track",),
+    "wheel_separation": ("track",),
+    "wheel_radius": ("radius",),
+    "cmd": ("command",),
+    "cmd_vel": ("command",),
+    "odom": ("odometry", "encoders"),
+    "odometry": ("encoders",),
+    "encoders": ("odometry",),
+    "imu": ("gyro",),
+    "gyro": ("imu",),
+    "stamp": ("time",),
+    "timestamp": ("time",),
+}
+"""Keys, or endings of their paths, by what else the field calls them."""
+
+_MOST = 4
+"""Suggestions at once."""
+
+
+def suggestion(schema: type[BaseModel], location: list[Any]) -> str:
+    """The end of a message about an unknown key at `location`: which keys it may stand for, or which are known there.
+
+    A key of that very name elsewhere and keys that the field calls so come before names that are merely spelt alike,
+    unless one beside it is spelt almost the same; keys beside the unknown one come before others.
+    """
+    *parents, key = [str(part) for part in location]
+    level: type[BaseModel] | None = schema
+    for parent in parents:
+        level = _child(level, parent) if level else None
+    known = list(level.model_fields) if level else []
+    paths = _paths(schema)
+    alike = difflib.get_close_matches(key, known, n=1, cutoff=0.85)
+    candidates = _named(paths, parents, [key] if alike else [key, *_synonyms(key)])
+    near = alike or ([] if candidates else difflib.get_close_matches(key, known, n=1, cutoff=0.5))
+    candidates += [path for name in near if (path := ".".join([*parents, name])) not in candidates]
+    if not candidates:
+        elsewhere = {path.rsplit(".", 1)[-1]: path for path in paths}
+        candidates = [elsewhere[name] for name in difflib.get_close_matches(key, elsewhere, n=1, cutoff=0.7)]
+    if candidates:
+        *first, last = [f"'{path}'" for path in candidates[:_MOST]]
+        return f"; did you mean {', '.join(first)}{' or ' if first else ''}{last}?"
+    return f"; known keys: {', '.join(known)}" if known else ""
+
+
+def _synonyms(key: str) -> list[str]:
+    """Other words for the key, or for one word of it, as of `yaw` in `yaw_slew`."""
+    if key.lower() in SYNONYMS:
+        return list(SYNONYMS[key.lower()])
+    words = key.lower().split("_")
+    return [
+        "_".join([*words[:i], other, *words[i + 1 :]])
+        for i, word in enumerate(words)
+        for other in SYNONYMS.get(word, ())
+        if "." not in other
+    ]
+
+
+def _named(paths: list[str], parents: list[str], names: list[str]) -> list[str]:
+    """Of the paths that end in one of the names those beside the unknown key, or else those of the highest level."""
+    ending = [path for path in paths if any(f".{path}".endswith(f".{name}") for name in names)]
+    place = ".".join(parent for parent in parents if not parent.isdigit())
+    beside = [path for path in ending if path.rpartition(".")[0] == place]
+    return beside or [path for path in ending if path.count(".") == min(other.count(".") for other in ending)]
+
+
+def _child(level: type[BaseModel], name: str) -> type[BaseModel] | None:
+    field = level.model_fields.get(name)
+    if field is None:
+        return None
+    for candidate in (field.annotation, *get_args(field.annotation)):
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+            return candidate
+    return None
+
+
+def _paths(schema: type[BaseModel], prefix: str = "") -> list[str]:
+    paths: list[str] = []
+    for name in schema.model_fields:
+        paths.append(prefix + name)
+        child = _child(schema, name)
+        if child:
+            paths.extend(_paths(child, f"{prefix}{name}."))
+    return paths

@@ -1,0 +1,65 @@
+"""Files that a log, a bag or a run file names: they are opened, or run, only in folders that the user trusts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+from typing import NamedTuple
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+
+
+class UntrustedFileError(ConfigError):
+    """Data from elsewhere names a file in a folder that is not trusted. The message is one line: place and remedy."""
+
+
+class _Trust(NamedTuple):
+    source: str
+    folders: tuple[Path, ...]
+
+
+_TRUST: ContextVar[_Trust | None] = ContextVar("trust", default=None)
+
+
+@contextmanager
+def only_trusted(source: str | Path, folders: Sequence[Path] = ()) -> Iterator[None]:
+    """Refuse, while this context is open, every named file that neither ships nor lies in one of `folders`.
+
+    Parameters
+    ----------
+    source
+        Where the names come from, for the message.
+    folders
+        Folders whose files may be opened and run, those below them included.
+    """
+    token = _TRUST.set(_Trust(str(source), tuple(folder.resolve() for folder in folders)))
+    try:
+        yield
+    finally:
+        _TRUST.reset(token)
+
+
+@contextmanager
+def also_trusted(folder: Path) -> Iterator[None]:
+    """Trust `folder`, too, where only some are: one that this program writes itself."""
+    trust = _TRUST.get()
+    if trust is None:
+        yield
+        return
+    with only_trusted(trust.source, (*trust.folders, folder)):
+        yield
+
+
+def check_trusted(path: str | Path) -> None:
+    """Raise UntrustedFileError if the file at `path` may not be opened; links count as the file they lead to."""
+    trust = _TRUST.get()
+    if trust is None:
+        return
+    place = Path(path).resolve()
+    if not any(place.is_relative_to(folder) for folder in trust.folders):
+        raise UntrustedFileError(
+            f"{trust.source} names '{path}', which does not ship: files that it names are neither opened nor run; if "
+            f"you trust all files in its folder, give --trust-terms {place.parent}"
+        )

@@ -1,0 +1,216 @@
+"""A robot that is not that of the papers: its configuration rules wherever it is given."""
+
+import re
+import shlex
+from dataclasses import replace
+
+import pytest
+import yaml
+from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_mapping
+from typer.testing import CliRunner
+
+from diffdrive_mpc import identify
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.controllers import load_reference, other_robots, run_case
+from diffdrive_mpc.bench.table import number
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.identification.horizon import round_period
+from diffdrive_mpc.models.load import model_path
+from diffdrive_mpc.models.logs.mapping import load_mapping
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from diffdrive_mpc.sim import make_plant, simulate
+from diffdrive_mpc.sim.plants.surface import load_surface
+
+FAST = (
+    "model: sm\nlimits: {v: 4.1, omega: 2.0, v_slew: 2.0, omega_slew: 6.0, predicted_v: 4.5, wheel_speed: 5.0}\n"
+    "estimator: {max_wheel_speed: 8.0}\n"
+)
+PATHS = {
+    "straight.yaml": "segments: [{v: 3.0, omega: 0.0, duration: 3.0}]\n",
+    "bend.yaml": "waypoints: [[0, 0], [6, 0], [12, 2]]\nspeed: 3.0\n",
+}
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, text in {"fast.yaml": FAST, **PATHS}.items():
+        (tmp_path / name).write_text(text)
+    return tmp_path
+
+
+def run(*words, code=0):
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert result.exit_code == code, result.output
+    return " ".join((result.stdout if code == 0 else result.stderr).split())
+
+
+@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize("controller", ["mpc", "kanayama"])
+def test_the_limits_of_a_trajectory_are_those_of_the_configuration(files, path, controller):
+    case = Case(controller=controller, model="sm", trajectory=path, config="fast.yaml")
+    reference = load_reference(case)
+    assert reference.duration < 8.0
+    assert max(reference.sample([0.5 * reference.duration]).twist[0]) == pytest.approx(3.0, rel=0.01)
+    slow = Case(controller=controller, model="sm", trajectory=path, config="fast.yaml", overrides=(("limits.v", 2.0),))
+    with pytest.raises(ConfigError, match="3 m/s is beyond the limit of 2 m/s"):
+        load_reference(slow)
+
+
+def test_a_fast_path_is_driven_by_the_commands_with_its_configuration(files):
+    words = ["--config", "fast.yaml", "--trajectory", "straight.yaml"]
+    assert "completed: SM along" in run("simulate", *words, "--plant", "model:sm")
+    bench = ["bench", "--config", "fast.yaml", "--models", "sm", "--plant", "model:sm", "--seeds", "1"]
+    run(*bench, "--trajectories", "straight.yaml", "--horizons", "none", "--jobs", "1", "--out", "out")
+    message = run("simulate", "--trajectory", "straight.yaml", code=2)
+    assert "beyond the limit of 1.5 m/s; lower it, or give the configuration of the robot (--config)" in message
+
+
+def test_python_hands_over_the_configuration_and_is_told_whose_limits_counted(files):
+    config = load_config("fast.yaml")
+    assert load_trajectory("straight.yaml", config).duration < 7.0
+    with pytest.raises(ConfigError, match=r"papers' robot; for another robot: load_trajectory\(path, config\)"):
+        load_trajectory("straight.yaml")
+
+
+def test_a_reference_accelerates_no_faster_than_the_commands_may():
+    config = load_config("sm", {"limits.v_slew": 0.4})
+    assert load_trajectory("circle", config).duration > load_trajectory("circle").duration + 0.5
+    assert load_trajectory("circle", load_config("sm")).duration == load_trajectory("circle").duration
+
+
+def test_a_controller_and_a_plant_of_other_sample_times_are_refused_with_both_values():
+    controller, circle = Controller(load_config("sm", {"sample_time": 0.05})), load_trajectory("circle")
+    with pytest.raises(ValueError, match=r"sample_time is 0.05 s, .* 0.0202 s: .*make_plant\(..., sample_time=0.05\)"):
+        simulate(controller, make_plant("model:sm"), circle)
+    assert simulate(controller, make_plant("model:sm", sample_time=0.05), circle).metrics.position_rmse_m < 0.02
+
+
+@pytest.mark.parametrize(
+    ("measured", "written"), [(0.0500001, 0.05), (0.02019994, 0.0202), (1 / 30, 0.033333), (0.0166667, 0.016667)]
+)
+def test_the_sample_time_of_a_log_is_written_without_its_jitter(measured, written):
+    assert round_period(measured) == written
+
+
+OWN = MAPPING + "wheels: {track: 0.6, ticks_per_turn: 4096}\n"
+
+
+@pytest.fixture(scope="module")
+def identified(tmp_path_factory):
+    """A log at 20 Hz whose stamps jitter, of a robot whose wheels count 1.6 times its yaw rate: folder and screen."""
+    folder = tmp_path_factory.mktemp("own")
+    columns = drive(seconds=40.0, dt=0.05)
+    columns["t"] = 1.000002 * columns["t"]
+    log, mapping = write_csv(folder / "drive.csv", columns), write_mapping(folder / "map.yaml", OWN)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        result = CliRunner().invoke(app, ["identify", log.name, "--mapping", mapping.name, "--out", "my robot"])
+    assert result.exit_code == 0, result.output
+    return folder, result.stdout
+
+
+def test_identify_writes_sample_time_track_and_surface_of_the_log(identified):
+    folder, screen = identified
+    config = load_config(folder / "my robot" / "config.yaml")
+    assert config.sample_time == 0.05
+    assert config.wheels.encoder_track == 0.6
+    assert config.wheels.track == pytest.approx(1.6 * 0.6, rel=0.05)
+    assert config.limits.wheel_speed > config.limits.v
+    assert load_surface(folder / "my robot" / "surface.yaml").slip.wheel_yaw_gain == pytest.approx(1 / 1.6, rel=0.02)
+    assert "map.yaml: wheels.ticks_per_turn is not used: no column has the unit ticks" in screen
+
+
+def test_the_printed_next_command_gives_the_figure_of_the_table_where_it_is_pasted(identified, monkeypatch):
+    folder, screen = identified
+    monkeypatch.chdir(folder)
+    (line,) = [line for line in screen.splitlines() if line.startswith("Next: ")]
+    (figure,) = re.findall(r"\(position RMSE (\S+) m, as 'circle' on the model itself", screen)
+    assert figure in screen[: screen.index("Next: ")]
+    _, *words = shlex.split(line[line.index("diffdrive-mpc") :])
+    run(*words)
+    option = dict(zip(words[1:-1:2], words[2::2], strict=True))
+    case = Case(
+        model=str(folder / "my robot" / "model.yaml"),
+        config=option["--config"],
+        plant=option["--plant"],
+        surface=option["--surface"],
+        scaled=True,
+    )
+    assert words[-1] == "--scale-to-robot"
+    assert number(run_case(case).metrics.position_rmse_m, 4) == figure
+
+
+def test_a_bag_s_topics_and_types_go_into_the_node_s_parameters(tmp_path):
+    topics = {name.replace("/", "/base/"): rows for name, rows in bag_topics(drive()).items()}
+    bag = write_bag(tmp_path / "bag", topics)
+    names = "command: /base/cmd_vel, odometry: /base/odom, imu: /base/imu, pose: /base/pose"
+    mapping = write_mapping(tmp_path / "map.yaml", f"topics: {{{names}}}\n")
+    identify(bag, mapping=mapping).write(tmp_path / "out")
+    text = (tmp_path / "out" / "node.yaml").read_text()
+    assert "-r cmd_vel:=/base/cmd_vel -r odom:=/base/odom -r imu:=/base/imu\n" in text
+    assert "# /base/pose carries geometry_msgs/msg/PoseStamped, which the node cannot read as pose" in text
+    parameters = yaml.safe_load(text)["/**"]["ros__parameters"]
+    assert parameters == {"stamped": False, "use_imu": True, "pose_source": "odometry"}
+    assert NodeSettings(**parameters)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (MAPPING + "wheels: {radius: 0.1, track: 0.5}\n", "wheels.radius is not used"),
+        ("topics: {command: {topic: /cmd_vel, sign: -1}}\n", "topics.command.sign is not used"),
+        ("topics: {odometry: {topic: /odom, on_change: true}}\n", "topics.odometry.on_change is not used"),
+    ],
+)
+def test_a_stated_value_of_a_mapping_that_is_not_used_is_said(tmp_path, text, words):
+    (line,) = load_mapping(write_mapping(tmp_path / "map.yaml", text)).unused()
+    assert line.startswith(words)
+
+
+@pytest.mark.parametrize("structure", ["sm", "ssm"])
+def test_dead_time_and_lag_are_shown_by_their_sum_first(tmp_path, structure):
+    """The robot's lag is 0.1 s, without dead time: the sum is well known, its parts need not be."""
+    log, mapping = write_csv(tmp_path / "drive.csv", drive()), write_mapping(tmp_path / "map.yaml")
+    report = identify(log, mapping=mapping, structure=structure, order=2 if structure == "ssm" else "auto").report
+    delays = report.fitted.identified.delays
+    for i, channel in enumerate(("v", "omega")):
+        whole, dead_time, lag = delays.values[3 * i : 3 * i + 3]
+        assert whole == pytest.approx(0.1, abs=0.01)
+        assert dead_time + lag == pytest.approx(whole)
+        assert delays.standard_deviation[3 * i] < 0.1 * delays.standard_deviation[3 * i + 2] + 0.002
+        row = next(line for line in report.markdown().splitlines() if line.startswith(f"| {channel} | {whole:.3g} +- "))
+        assert f" | {dead_time:.3g} +- " in row
+    assert "dead_time" not in report.markdown()
+
+
+def test_a_plant_that_is_another_robot_than_the_configuration_s_is_said(files):
+    wide = load_config("sm", {"wheels.encoder_track": 0.6}).model_dump(mode="json")
+    (files / "wide.yaml").write_text(yaml.safe_dump(wide))
+    wide_robot, fast_robot = Case(model="sm", config="wide.yaml"), Case(model="sm", config="fast.yaml")
+    (sentence,) = other_robots([wide_robot, wide_robot])
+    assert "'mujoco' is another robot" in sentence
+    assert "its track is 0.33 m, the configuration's 0.6 m" in sentence
+    (sentence,) = other_robots([fast_robot])
+    assert "it clips v at 1.5 m/s, limits.v is 4.1 m/s" in sentence
+    assert other_robots([Case(model="sm"), replace(fast_robot, plant="model:sm"), Case(controller="kanayama")]) == []
+
+
+def test_simulate_and_bench_say_so(files):
+    words = ["--config", "fast.yaml", "--trajectory", "circle"]
+    assert "note: the plant 'mujoco' is another robot" in run("simulate", *words)
+    bench = ["bench", "--config", "fast.yaml", "--seeds", "1", "--trajectories", "circle", "--jobs", "1"]
+    assert "note: the plant 'mujoco' is another robot" in run(*bench, "--horizons", "none", "--out", "out")
+
+
+def test_config_check_names_what_is_left_to_the_papers_robot(files):
+    (files / "mine.yaml").write_text(model_path("sm").read_text())
+    (files / "config.yaml").write_text("model: mine.yaml\nsample_time: 0.05\nlimits: {v: 4.1}\n")
+    printed = run("config", "check", "config.yaml")
+    assert (
+        "limits.omega 2 rad/s, limits.wheel_speed 2.205 m/s, wheels.track 0.4 m, wheels.encoder_track 0.33" in printed
+    )
+    assert "limits.v" not in printed and "sample_time" not in printed
+    assert "papers" not in run("config", "check", "fast.yaml")

@@ -1,0 +1,194 @@
+"""A log, a bag or a run file from a stranger: no file that it names is opened, and no code of it runs."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.controllers import build
+from diffdrive_mpc.bench.replay.bag_records import LoggedConfigs, recorded_drive
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import Measurement
+from diffdrive_mpc.models.load import PARAMETERS as MODELS
+from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
+from diffdrive_mpc.models.trust import UntrustedFileError
+from diffdrive_mpc.mpc import Controller, load_config
+from diffdrive_mpc.sim import simulate
+from diffdrive_mpc.sim.log_mcap import write_log
+
+SHORT = "name: short\nsegments:\n- {v: 0.4, omega: 0.5, duration: 0.6}\n"
+TERM = """
+import pathlib
+import casadi as ca
+pathlib.Path(__file__).with_name("marker").touch()
+twist = ca.SX.sym("twist", 2)
+slow = ca.Function("slow", [twist], [twist[0]], ["twist"], ["v"])
+"""
+NETWORK = (MODELS / "lstm.yaml").read_text(encoding="utf-8")
+
+opened: list[Path] = []
+
+
+def _note(event, arguments):
+    if event == "open" and isinstance(arguments[0], (str, Path)):
+        opened.append(Path(arguments[0]))
+
+
+sys.addaudithook(_note)
+
+
+@pytest.fixture
+def stranger(tmp_path):
+    """A folder of files that nobody has looked at."""
+    folder = tmp_path / "stranger"
+    folder.mkdir()
+    (folder / "term.py").write_text(TERM)
+    (folder / "model.yaml").write_bytes((MODELS / "ssm.yaml").read_bytes())
+    (folder / "costs.yaml").write_text("vehicle: fsu_bot\n")
+    (folder / "short.yaml").write_text(SHORT)
+    terms = [{"file": str(folder / "term.py"), "function": "slow"}]
+    (folder / "config.yaml").write_text(yaml.safe_dump({"model": "ssm", "terms": terms}))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    path = tmp_path_factory.mktemp("path") / "short.yaml"
+    path.write_text(SHORT)
+    return simulate(*build(Case(plant="model:ssm", trajectory=str(path))))
+
+
+def configuration(folder, changes):
+    """Values of a logged configuration; '@' stands for the stranger's folder."""
+    return load_config("ssm").model_dump(mode="json") | json.loads(json.dumps(changes).replace("@", str(folder)))
+
+
+def call(*words):
+    """Exit code, what was printed, and the files that were opened."""
+    opened.clear()
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    return result.exit_code, " ".join(result.output.split()), list(opened)
+
+
+def mcap(run, path, config, model=""):
+    metadata = {
+        "case": {"plant": "mujoco"},
+        "configuration": {"yaml": yaml.safe_dump(config)},
+        "model": {"yaml": model},
+    }
+    write_log(run, path, metadata)
+    return path
+
+
+NAMED = {
+    "a term": ({"terms": [{"file": "@/term.py", "function": "slow"}]}, ""),
+    "a model": ({"model": "@/model.yaml"}, ""),
+    "turn costs": ({"energy": {"weight": 0.1, "turn_costs": "@/costs.yaml"}}, ""),
+}
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_nothing_that_a_log_names_is_opened_or_run(name, run, stranger, tmp_path):
+    changes, model = NAMED[name]
+    config = configuration(stranger, changes)
+    log = mcap(run, tmp_path / "odd.mcap", config, model)
+    code, printed, files = call("replay", log, "--out", tmp_path / "out")
+    assert code == 2 and f"--trust-terms {stranger}" in printed
+    # With a configuration of the user's own the log's is not needed.
+    code, printed, more = call("replay", log, "--model", "ssm", "--out", tmp_path / "own")
+    assert code == 0, printed
+    assert not [path for path in files + more if stranger in path.parents]
+    assert not (stranger / "marker").exists()
+    # Ticks of the node, in a bag or its MCAP, are read in one place.
+    tick = TickRecord(1, 0.0, 1, Measurement(), None, np.zeros(2), "TRACKING", "", "none", 0.0)
+    drive = DriveRecord(1, True, True, 0.0, None, config, model)
+    with pytest.raises(UntrustedFileError, match="odd.bag names"):
+        recorded_drive(
+            Path("odd.bag"), "bag", [tick.line()], [drive.line()], LoggedConfigs(Path("odd.bag"), tmp_path / "scratch")
+        )
+
+
+def test_a_trusted_folder_may_be_named(run, stranger, tmp_path):
+    log = mcap(run, tmp_path / "mine.mcap", configuration(stranger, NAMED["a term"][0]))
+    code, printed, _ = call("replay", log, "--trust-terms", stranger, "--out", tmp_path / "out")
+    assert code == 0, printed
+    assert (stranger / "marker").exists()
+    # A link out of it leads to another folder.
+    (stranger / "inside").mkdir()
+    (stranger / "inside" / "term.py").symlink_to(stranger / "term.py")
+    linked = configuration(stranger, {"terms": [{"file": "@/inside/term.py", "function": "slow"}]})
+    log = mcap(run, tmp_path / "linked.mcap", linked)
+    code, printed, _ = call("replay", log, "--trust-terms", stranger / "inside", "--out", tmp_path / "linked")
+    assert code == 2 and "neither opened nor run" in printed
+
+
+def test_the_text_of_a_model_in_a_log_leads_to_no_other_file(run, stranger, tmp_path):
+    text = NETWORK.replace("weights: lstm.npz", f"weights: {stranger}/weights.npz")
+    assert text != NETWORK
+    (stranger / "weights.npz").write_bytes((MODELS / "lstm.npz").read_bytes())
+    log = mcap(run, tmp_path / "odd.mcap", configuration(stranger, {"model": "own"}), text)
+    code, printed, files = call("replay", log, "--out", tmp_path / "out")
+    assert code == 2 and "without its folder" in printed
+    assert not [path for path in files if stranger in path.parents]
+
+
+def test_the_robot_that_a_log_names_is_not_looked_for(run, stranger, tmp_path):
+    log = tmp_path / "odd.mcap"
+    write_log(run, log, {"case": {"plant": f"mujoco:{stranger}/short.yaml"}})
+    code, printed, files = call("animate", log, "--out", tmp_path / "film.png")
+    assert code == 0 and "its size is not known" in printed, printed
+    assert not [path for path in files if stranger in path.parents]
+
+
+FACTORS = {
+    "trajectory": {"trajectory": "@/short.yaml"},
+    "configuration": {"config": "@/config.yaml"},
+    "model": {"model": "@/model.yaml"},
+    "plant's model": {"plant": "model:@/model.yaml+0.02"},
+    "robot": {"plant": "mujoco:@/short.yaml"},
+    "surface": {"surface": "@/short.yaml"},
+    "sensors": {"sensors": "@/short.yaml"},
+    "scenario": {"scenario": "@/short.yaml"},
+    "world": {"world": "@/short.yaml", "plant": "mujoco"},
+    "value of the configuration": {"config.model": "@/model.yaml"},
+    "turn costs": {"config.energy.turn_costs": "@/costs.yaml", "config.energy.weight": 0.1},
+}
+
+
+@pytest.mark.parametrize("name", FACTORS)
+def test_nothing_that_a_run_file_names_is_opened_or_run(name, stranger, tmp_path):
+    factors = {"plant": "model:ssm"} | json.loads(json.dumps(FACTORS[name]).replace("@", str(stranger)))
+    path = tmp_path / "run.yaml"
+    path.write_text(yaml.safe_dump({"run": "0", "factors": factors, "figures": {}, "environment": {}}))
+    code, printed, files = call("simulate", "--from-run", path)
+    assert code == 2 and f"--trust-terms {stranger}" in printed, printed
+    assert not [path for path in files if stranger in path.parents]
+    assert not (stranger / "marker").exists()
+
+
+def test_a_run_file_may_name_files_of_a_trusted_folder(stranger, tmp_path):
+    factors = {
+        "plant": "model:ssm",
+        "trajectory": str(stranger / "short.yaml"),
+        "config": str(stranger / "config.yaml"),
+    }
+    path = tmp_path / "run.yaml"
+    path.write_text(yaml.safe_dump({"run": "0", "factors": factors, "figures": {}, "environment": {}}))
+    code, printed, _ = call("simulate", "--from-run", path, "--trust-terms", stranger)
+    assert code == 0, printed
+    assert (stranger / "marker").exists()
+
+
+@pytest.mark.parametrize("error", ["SystemExit", "SystemExit(0)", "GeneratorExit", "type('Own', (BaseException,), {})"])
+def test_a_term_that_ends_the_program_is_a_mistake_in_one_line(error, stranger):
+    (stranger / "term.py").write_text(f"raise {error}\n")
+    code, printed, _ = call("config", "check", stranger / "config.yaml")
+    assert code == 2 and f"{stranger}/term.py: running it ends with" in printed, printed
+    with pytest.raises(ConfigError, match="running it ends with"):
+        Controller(load_config(stranger / "config.yaml"))

@@ -1,0 +1,112 @@
+"""A mapping that is drafted from a log reads that log as the right one does."""
+
+import numpy as np
+import pytest
+from log_parts import bag_topics, drive, write_bag, write_csv, write_mapping
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.logs.draft_mapping import draft_mapping
+from diffdrive_mpc.models.logs.mapping import load_mapping
+
+COLUMNS = drive(seconds=8.0)
+DEGREE = 180.0 / np.pi
+FIELDS = ("command", "twist", "yaw_rate", "pose")
+# Name in the log by the name in COLUMNS, and the factor from SI units.
+NAMES = {
+    "words and no units": {
+        "t": ("time", 1.0),
+        "v_ref": ("velCmd", 1.0),
+        "omega_ref": ("yaw_rate_cmd", 1.0),
+        "v": ("velMeasured", 1.0),
+        "omega_wheels": ("yaw_rate_measured", 1.0),
+        "gyro": ("imu.angular_velocity.z", 1.0),
+        "x": ("mocap/x", 1.0),
+        "y": ("mocap/y", 1.0),
+        "theta": ("mocap/yaw", 1.0),
+    },
+    "units in the names": {
+        "t": ("stamp_us", 1e6),
+        "v_ref": ("v_target_km_h", 3.6),
+        "omega_ref": ("w_target[deg/s]", DEGREE),
+        "v": ("v_enc_mm_s", 1e3),
+        "omega_wheels": ("w_enc_rpm", DEGREE / 6.0),
+        "gyro": ("gyro_z_dps", DEGREE),
+        "x": ("x (cm)", 1e2),
+        "y": ("y (cm)", 1e2),
+        "theta": ("heading_deg", DEGREE),
+    },
+    "units by the values, command by what follows it": {
+        "t": ("t", 1e3),
+        "omega_wheels": ("w", DEGREE),
+        "v": ("speed", 1e3),
+        "v_ref": ("speed_2", 1e3),
+        "omega_ref": ("w_2", DEGREE),
+        "gyro": ("gz", DEGREE),
+        "x": ("px", 1e3),
+        "y": ("py", 1e3),
+        "theta": ("psi", DEGREE),
+    },
+}
+
+
+def draft_of(log, tmp_path):
+    return write_mapping(tmp_path / "draft.yaml", draft_mapping(log))
+
+
+@pytest.mark.parametrize("names", NAMES.values(), ids=NAMES)
+def test_columns_and_units_are_guessed(tmp_path, names):
+    log = write_csv(tmp_path / "log.csv", {name: COLUMNS[key] * factor for key, (name, factor) in names.items()})
+    (guessed,) = read_log(log, draft_of(log, tmp_path)).records
+    (right,) = read_log(write_csv(tmp_path / "right.csv", COLUMNS), write_mapping(tmp_path / "map.yaml")).records
+    for field in FIELDS:
+        np.testing.assert_allclose(getattr(guessed, field), getattr(right, field), atol=1e-9, err_msg=field)
+
+
+def test_every_guess_has_its_reason_and_the_rest_is_named(tmp_path):
+    draft = draft_mapping(write_csv(tmp_path / "log.csv", COLUMNS | {"status": COLUMNS["t"], "odd": COLUMNS["v"]}))
+    guesses = [line for line in draft.splitlines() if "{column:" in line]
+    assert len(guesses) == 9
+    assert all(len(line.split("    # ")[1]) > 10 for line in guesses)
+    assert "v: {column: v, unit: m/s}    # no unit in its name, but values up to " in draft
+    assert "follows 'v_ref' by 1 rows" in draft
+    assert draft.endswith("# Not used: status, odd\n")
+
+
+@pytest.mark.parametrize(("stamp", "unit"), [(1.7e9, "s"), (1.7e12, "ms"), (1.7e15, "us"), (1.7e18, "ns")])
+def test_the_unit_of_times_since_1970_is_known(tmp_path, stamp, unit):
+    log = write_csv(tmp_path / "log.csv", COLUMNS | {"t": stamp + COLUMNS["t"] * stamp / 1.7e9})
+    assert load_mapping(draft_of(log, tmp_path)).columns.time.unit == unit
+
+
+def test_wheels_of_a_log_without_times_leave_what_cannot_be_guessed_to_be_filled_in(tmp_path):
+    counts = np.round(1e4 * COLUMNS["t"])
+    columns = {"cmd_left": COLUMNS["v_ref"], "cmd_right": COLUMNS["v"], "enc_left": counts, "enc_right": counts}
+    log = write_csv(tmp_path / "log.csv", columns)
+    with pytest.raises(ConfigError, match=r"wheels\.track") as caught:
+        load_mapping(draft_of(log, tmp_path))
+    assert "'sample_time' [s] for a log without one" in str(caught.value)
+    filled = draft_mapping(log).replace("sample_time:", "sample_time: 0.02")
+    filled = filled.replace("radius: , track: , ticks_per_turn: ", "radius: 0.1, track: 0.4, ticks_per_turn: 4096")
+    mapping = load_mapping(write_mapping(tmp_path / "filled.yaml", filled))
+    assert mapping.columns.encoders.left.unit == "ticks"
+    assert mapping.columns.command.right.column == "cmd_right"
+
+
+def test_topics_are_guessed_by_type_and_name(tmp_path):
+    topics = bag_topics(COLUMNS)
+    topics |= {"/joy/cmd_vel": topics["/cmd_vel"], "/odometry/filtered": topics["/odom"], "/goal_pose": topics["/pose"]}
+    bag = write_bag(tmp_path / "bag", topics)
+    mapping = load_mapping(draft_of(bag, tmp_path)).topics
+    assert [part.topic for part in (mapping.command, mapping.odometry, mapping.imu, mapping.pose)] == [
+        *("/cmd_vel", "/odom", "/imu", "/pose")
+    ]
+    assert "it could also be /joy/cmd_vel" in draft_mapping(bag)
+    assert len(read_log(bag, tmp_path / "draft.yaml").records) == 1
+
+
+def test_a_log_without_a_command_says_so(tmp_path):
+    log = write_csv(tmp_path / "log.csv", {"t": COLUMNS["t"], "gyro": COLUMNS["gyro"]})
+    assert "# command: no whole group of columns, but it is needed" in draft_mapping(log)
+    with pytest.raises(ConfigError, match=r"key 'columns\.command' is missing"):
+        load_mapping(draft_of(log, tmp_path))

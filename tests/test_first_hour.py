@@ -1,0 +1,124 @@
+"""The first hour of a new user: an own robot, an own log, and no wrong turn up to the drive over DDS.
+
+The robot is none of this project: 3 m/s, logged at 20 Hz in columns with other names, and on its floor the body turns
+0.7 of what the wheels say. It is simulated here in a few lines, by none of the plants of `sim`.
+"""
+
+import re
+import shlex
+import time
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from diffdrive_mpc import load_config, load_trajectory
+from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.studies.ros.recorded_drive import read_drive
+from diffdrive_mpc.bench.studies.ros.two_processes import own_domain, running
+
+PERIOD, TRUTH_STEP = 0.05, 0.005
+DEAD_TIME, LAG_V, LAG_OMEGA, YAW_GAIN = 0.12, 0.22, 0.18, 0.7
+TOP_SPEED = 3.0
+BOUND = 120.0
+HEADER = "stamp_ms,speed_cmd,turn_cmd,wheel_speed,wheel_turn,gyro_z,east,north,yaw_deg"
+
+
+def write_log(path, duration=150.0):
+    """The log of a drive with steps of the command, by first-order lags behind a dead time."""
+    random = np.random.default_rng(11)
+    rows = round(duration / PERIOD)
+    commands, row = np.zeros((rows, 2)), 20
+    while row < rows:
+        length = random.integers(15, 50)
+        commands[row : row + length] = random.uniform(-0.5, TOP_SPEED), random.uniform(-1.5, 1.5)
+        row += length
+    steps = round(PERIOD / TRUTH_STEP)
+    late = round(DEAD_TIME / TRUTH_STEP)
+    applied = np.vstack([np.zeros((late, 2)), np.repeat(commands, steps, axis=0)])
+    v = omega = x = y = theta = 0.0
+    lines = [HEADER]
+    for step in range(rows * steps):
+        if step % steps == 0:
+            noise = random.normal(0.0, [0.01, 0.02, 0.01, 0.005, 0.005, 0.2])
+            readings = np.array([v, omega / YAW_GAIN, omega, x, y, np.degrees(theta)]) + noise
+            stamp = 5.0e6 + 1e3 * step * TRUTH_STEP
+            lines.append(",".join(f"{value:.6g}" for value in (*commands[step // steps], *readings)))
+            lines[-1] = f"{stamp:.1f},{lines[-1]}"
+        v += TRUTH_STEP * (applied[step, 0] - v) / LAG_V
+        omega += TRUTH_STEP * (YAW_GAIN * applied[step, 1] - omega) / LAG_OMEGA
+        theta += TRUTH_STEP * omega
+        x += TRUTH_STEP * v * np.cos(theta)
+        y += TRUTH_STEP * v * np.sin(theta)
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def typed(line):
+    """What a command prints; it has to end well."""
+    result = CliRunner().invoke(app, shlex.split(line)[1:], prog_name="diffdrive-mpc")
+    assert result.exit_code == 0, f"{line}: {result.output}"
+    return result.output
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    """The user's folder after a drafted mapping, which needs no correction here, and `identify`; what that printed."""
+    folder = tmp_path_factory.mktemp("user")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        write_log(folder / "drive.csv")
+        typed("diffdrive-mpc identify --draft-mapping drive.csv")
+        yield folder, typed("diffdrive-mpc identify drive.csv --mapping mapping.yaml --out mine")
+
+
+def position_rmse(output):
+    """In m, as `identify` and `simulate` say it."""
+    value, unit = re.search(r"position RMSE (\d+\.\d+) (mm|m)\b", output).groups()
+    return float(value) * {"mm": 1e-3, "m": 1.0}[unit]
+
+
+def test_what_was_identified_is_the_robot(session):
+    config = load_config(session[0] / "mine" / "config.yaml")
+    assert config.sample_time == PERIOD
+    assert config.limits.v == pytest.approx(TOP_SPEED, rel=0.01)
+    found = re.search(r"omega becomes (\S+) times its command, (\S+) s later", session[1])
+    assert float(found[1]) == pytest.approx(YAW_GAIN, rel=0.01)
+    assert float(found[2]) == pytest.approx(DEAD_TIME + LAG_OMEGA, abs=0.01)
+
+
+def test_the_next_command_gives_the_figure_of_the_table_above_it(session):
+    output = session[1]
+    (line,) = re.findall(r"^Next: (diffdrive-mpc .*)$", output, re.MULTILINE)
+    promised = position_rmse(output)
+    assert position_rmse(typed(line)) == pytest.approx(promised, abs=0.0001)
+
+
+def test_a_path_at_the_speed_of_the_robot_is_driven(session):
+    (session[0] / "fast.yaml").write_text("segments:\n- {v: 2.8, omega: 0.3, duration: 6.0}\n", encoding="utf-8")
+    own = "--config mine/config.yaml --plant model:mine/model.yaml --surface mine/surface.yaml"
+    assert position_rmse(typed(f"diffdrive-mpc simulate {own} --trajectory fast.yaml")) < 0.05
+
+
+def test_node_and_simulated_robot_drive_it_as_one_process_does(session, tmp_path):
+    own = ["--config", "mine/config.yaml", "--trajectory", "mine/first_circle.yaml"]
+    plant = ["--plant", "model:mine/model.yaml", "--surface", "mine/surface.yaml"]
+    environment = own_domain(tmp_path)
+    config = load_config("mine/config.yaml")
+    reference = load_trajectory("mine/first_circle.yaml", config)
+    duration = ["--duration", str(reference.duration + 2.0), "--record", str(tmp_path / "bag")]
+    node = ["node", *own, "--drive", "--ros-args", "-p", "use_sim_time:=true", "-p", "use_pose_topic:=true"]
+    # The path stays where it is in the map; by default it begins where the first pose is measured.
+    node += ["-p", "start_at_robot:=false"]
+    with (
+        running("node", node, environment, tmp_path) as controller,
+        running("robot", ["sim-robot", *own, *plant, "--lock-step", *duration], environment, tmp_path) as robot,
+    ):
+        end = time.monotonic() + BOUND
+        while robot.popen.poll() is None:
+            assert controller.popen.poll() is None and time.monotonic() < end, controller.output + robot.output
+            time.sleep(0.05)
+        assert robot.popen.returncode == 0, robot.output
+    over_dds = read_drive(tmp_path / "bag", reference, config.sample_time).metrics
+    alone = position_rmse(typed(" ".join(["diffdrive-mpc", "simulate", *own, *plant])))
+    assert over_dds.completed
+    assert over_dds.position_rmse_m == pytest.approx(alone, rel=0.05)

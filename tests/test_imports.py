@@ -1,0 +1,59 @@
+"""What is loaded, and when: a command or a robot loads what it needs, and a step loads nothing."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from steps_without_imports import CASES
+
+STEPS = Path(__file__).with_name("steps_without_imports.py")
+# Modules of SciPy beside its linear algebra, which discretises models.
+SCIPY = {f"scipy.{name}" for name in ("fft", "integrate", "interpolate", "ndimage", "optimize", "signal", "stats")}
+REPORTS = {"control", "jinja2", "joblib", "matplotlib", "mcap", "osqp", "pandas", "plotly", "polars", "rosbags"}
+NUMBERS = {"casadi", "cffi", "daqp", "mujoco", "numpy", "pydantic", "scipy", "yaml"}
+MODEL = "from diffdrive_mpc import load_model\nfor name in ('mbm', 'sm', 'ssm'): load_model(name).discretise(0.02)"
+CONTROLLER = """
+from diffdrive_mpc import Controller, Measurement, load_config, load_trajectory
+controller = Controller(load_config("ssm"))
+controller.start(load_trajectory("circle"), 0.0)
+assert controller.step(0.0, Measurement()).mode.name == "STOPPED"
+"""
+COMMAND = (
+    "import sys; sys.argv[1:] = {}\nfrom diffdrive_mpc.bench.cli import main\ntry: main()\nexcept SystemExit: pass"
+)
+LOADED = {
+    "a model": (MODEL, REPORTS | SCIPY | {"mujoco", "rich", "typer"}),
+    "a controller": (CONTROLLER, REPORTS | SCIPY | {"mujoco", "rich", "typer"}),
+    "--help": (COMMAND.format(["--help"]), REPORTS | NUMBERS | {"rich"}),
+    "simulate": (COMMAND.format(["simulate", "--trajectory", "circle"]), REPORTS | SCIPY),
+}
+
+
+def run(*words):
+    return subprocess.run([sys.executable, *words], capture_output=True, text=True, check=True).stdout
+
+
+@pytest.mark.parametrize("what", LOADED)
+def test_what_is_not_needed_is_not_loaded(what):
+    code, unwanted = LOADED[what]
+    loaded = run("-c", f"{code}\nimport sys; print(*sys.modules)").splitlines()[-1].split()
+    assert "diffdrive_mpc" in loaded
+    assert not unwanted & set(loaded)
+
+
+def test_a_robot_needs_neither_mujoco_nor_matplotlib():
+    blocked = f"import sys; sys.modules.update(dict.fromkeys({sorted(REPORTS | {'mujoco', 'rclpy', 'rich'})}))\n"
+    drive = "from diffdrive_mpc import make_plant, simulate, load_trajectory, Controller, load_config\n"
+    drive += "run = simulate(Controller(load_config('ssm')), make_plant('model:ssm'), load_trajectory('circle'))\n"
+    assert run("-c", f"{blocked}{drive}print(run.metrics.completed)") == "True\n"
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_step_imports_nothing(name):
+    driven = json.loads(run(str(STEPS), name))
+    assert driven["imported"] == []
+    for part in ("rejoining", "no pose was accepted", "a test"):
+        assert any(part in message for message in driven["messages"])

@@ -1,0 +1,30 @@
+"""The system suite says what it needs, and a run without it says how many tests it holds."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+
+def run_pytest(*words, **environment):
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *words]
+    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_without_its_programs_it_fails_with_one_line_that_names_the_packages(tmp_path):
+    done = run_pytest("-m", "system", PATH=str(tmp_path), HOME=str(tmp_path))
+    assert done.returncode != 0
+    (line,) = done.stderr.strip().splitlines()
+    assert line.startswith("ERROR: the system suite cannot run: not installed: chromium, ffmpeg, ")
+    assert " on Debian or Ubuntu: sudo apt-get install chromium ffmpeg " in line
+
+
+def test_a_run_without_it_ends_with_its_size(tmp_path):
+    """In the process of pytest, and with a worker of xdist."""
+    for workers in ("0", "1"):
+        words = ("-n", workers, "-m", "not system", "tests/sim/test_view.py", "-k", "thinned")
+        done = run_pytest(*words, PATH=str(tmp_path), HOME=str(tmp_path))
+        assert done.returncode == 0, done.stdout
+        last = done.stdout.rstrip().splitlines()[-1]
+        assert last.startswith("6 more tests need Debian packages (") and last.endswith("): make test-system")
