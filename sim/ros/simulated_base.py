@@ -36,7 +36,7 @@ class SimulatedBase:
     """Publishes what the plant's sensors deliver, and drives it with the commands that arrive.
 
     Sensors are published best effort, commands are taken reliably, the newest only. Who holds the object says when a
-    sample passes: `sim.ros.pace` or `sim.ros.pace`.
+    sample passes: `sim.ros.pace`.
 
     Parameters
     ----------

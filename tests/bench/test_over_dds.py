@@ -19,6 +19,7 @@ from diffdrive_mpc.bench.studies.ros.two_processes import DriveFailedError, driv
 from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
 from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import simulate
+from diffdrive_mpc.sim.ros.base_settings import SHIPPED
 
 BOUND = 120.0
 MAGIC = b"\x89MCAP0\r\n"
@@ -29,8 +30,13 @@ def case(trajectory):
 
 
 @pytest.fixture(scope="module")
-def comparison():
-    return compare(case("s"), timeout=BOUND)
+def comparison(tmp_path_factory):
+    """The clock is repeated all the time, as on a machine where every answer is late."""
+    base = tmp_path_factory.mktemp("base") / "base.yaml"
+    shipped = SHIPPED.read_text(encoding="utf-8")
+    base.write_text(shipped.replace("clock_repeat: 0.05 ", "clock_repeat: 0.0005 "), encoding="utf-8")
+    assert base.read_text(encoding="utf-8") != shipped
+    return compare(case("s"), timeout=BOUND, settings=base)
 
 
 def test_errors_are_within_20_percent_of_those_in_one_process(comparison):

@@ -54,7 +54,7 @@ class Comparison:
         return float(getattr(self.over_dds.metrics, statistic) / getattr(self.in_process.metrics, statistic))
 
 
-def compare(case: Case, *, lock_step: bool = True, timeout: float = 300.0) -> Comparison:
+def compare(case: Case, *, lock_step: bool = True, timeout: float = 300.0, settings: Path | None = None) -> Comparison:
     """Drive `case` over DDS and in one process.
 
     Parameters
@@ -65,6 +65,8 @@ def compare(case: Case, *, lock_step: bool = True, timeout: float = 300.0) -> Co
         Whether clock and commands take turns over DDS; otherwise in real time.
     timeout
         Longest time that the drive over DDS may take [s].
+    settings
+        Of the simulated base, in place of the shipped ones.
 
     Raises DriveFailedError if a process fails or takes too long; ConfigError if a name or a file cannot be used, or the
     drive is not complete.
@@ -72,7 +74,7 @@ def compare(case: Case, *, lock_step: bool = True, timeout: float = 300.0) -> Co
     controller, plant, reference = build(case)
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "drive"
-        drive_over_dds(case, reference.duration, bag, lock_step=lock_step, timeout=timeout)
+        drive_over_dds(case, reference.duration, bag, lock_step=lock_step, timeout=timeout, settings=settings)
         over_dds = read_drive(bag, reference, plant.sample_time)
         timing = loop_timing(bag, plant.sample_time)
     return Comparison(case, over_dds, simulate(controller, plant, reference), timing)

@@ -32,7 +32,9 @@ class DriveFailedError(DiffdriveMpcError, RuntimeError):
     """One of the two processes failed or took too long; says which, with its last words."""
 
 
-def drive_over_dds(case: Case, duration: float, bag: Path, *, lock_step: bool, timeout: float) -> None:
+def drive_over_dds(
+    case: Case, duration: float, bag: Path, *, lock_step: bool, timeout: float, settings: Path | None = None
+) -> None:
     """Let the node drive `case` and record it.
 
     Parameters
@@ -47,6 +49,8 @@ def drive_over_dds(case: Case, duration: float, bag: Path, *, lock_step: bool, t
         Whether clock and commands take turns; otherwise in real time.
     timeout
         Longest time that it may take [s].
+    settings
+        Of the simulated base, in place of the shipped ones.
 
     Raises DriveFailedError if a process fails or takes too long.
     """
@@ -55,6 +59,7 @@ def drive_over_dds(case: Case, duration: float, bag: Path, *, lock_step: bool, t
         *("--scenario", case.scenario, "--seed", str(case.seed), "--trajectory", case.trajectory),
         *("--answer-timeout", str(_PATIENCE)),
         *("--lock-step" if lock_step else "--real-time", "--duration", str(duration + _MARGIN), "--record", str(bag)),
+        *(("--base", str(settings)) if settings else ()),
     ]
     node = ["node", "--config", case.config or case.model, "--trajectory", case.trajectory, "--drive"]
     for key, value in case.overrides:
