@@ -38,6 +38,8 @@ CORE := $(VENV)/.core
 # What everything else needs: tests, studies, documents, ROS.
 READY := $(VENV)/.ready
 PIP_INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
+# The lists are whole. An older pip that resolves them again trips over extras of a package with a newer release.
+LOCKED := --no-deps --require-hashes -r
 
 # One thread per process: the matrices are small, and runs are spread over the cores as processes.
 export OMP_NUM_THREADS = 1
@@ -51,12 +53,12 @@ help: ## this list
 $(CORE): requirements-bench.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, this is %d.%d; try: make PYTHON=python3.12 ..." % sys.version_info[:2] if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
-	$(PIP_INSTALL) --require-hashes -r requirements-bench.txt
+	$(PIP_INSTALL) $(LOCKED) requirements-bench.txt
 	$(PIP_INSTALL) --no-deps --no-build-isolation --editable .
 	@touch $(CORE)
 
 $(READY): $(CORE) requirements.txt
-	$(PIP_INSTALL) --require-hashes -r requirements.txt
+	$(PIP_INSTALL) $(LOCKED) requirements.txt
 	@touch $(READY)
 
 bench: $(CORE) ## every model along every trajectory with five seeds: tables and figures in out/bench
