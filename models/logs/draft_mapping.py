@@ -241,7 +241,8 @@ def _steady(table: CsvTable) -> _Column | None:
         except ConfigError:
             continue
         steps = np.diff(values)
-        if len(steps) and bool((steps > 0).all()) and np.ptp(steps) < _STEADY * float(np.median(steps)):
+        # Steps of exactly 1 are those of a row counter.
+        if bool((steps > 0).all()) and bool((steps != 1).any()) and np.ptp(steps) < _STEADY * float(np.median(steps)):
             unit = column.unit if column and column.quantity == "time" else ""
             time = _Column(name, "time", "", unit, values, ["not named as a time, but it rises by steps of one size"])
             _guess_unit(time)
