@@ -7,13 +7,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from diffdrive_mpc.models.errors import wrong_type
+from diffdrive_mpc.models.errors import ArgumentError, wrong_type
 from diffdrive_mpc.models.interface import Reference, TrackingController
 from diffdrive_mpc.models.robot import TwistBounds, load_robot
 from diffdrive_mpc.mpc import Controller, ControllerConfig, load_trajectory
+from diffdrive_mpc.mpc.trajectories.load import BUILT_IN
 from diffdrive_mpc.mpc.trajectories.speed_check import starts_beyond_slew
 from diffdrive_mpc.sim import loop
-from diffdrive_mpc.sim.plants.make import make_plant
+from diffdrive_mpc.sim.plants.make import PHYSICS, make_plant
 
 if TYPE_CHECKING:
     from diffdrive_mpc.models.nonlinear_model import NonlinearModel
@@ -61,6 +62,7 @@ def simulate(
     ConfigError, ModelError, ValueError
         If a name is unknown, a file has a mistake, or the arguments do not fit each other.
     """
+    _check_names({"controller": controller, "plant": plant, "trajectory": reference})
     if isinstance(controller, (ControllerConfig, str, Path, Mapping)):
         controller = Controller(controller)
     _check(controller, ("start", "step"), "controller", "a Controller")
@@ -92,6 +94,14 @@ def plant_settings(config: ControllerConfig) -> dict[str, Any]:
     # What the link of the papers' robot carries is no limit of another robot's model.
     bounds = {name: max(getattr(config.limits, name), getattr(carried, name)) for name in ("v", "omega")}
     return {"sample_time": config.sample_time, "limits": TwistBounds(**bounds)}
+
+
+def _check_names(places: Mapping[str, object]) -> None:
+    """Raise ArgumentError where the shipped name of another argument stands; `places` are the arguments by kind."""
+    for kind, names in {"plant": (PHYSICS,), "trajectory": BUILT_IN}.items():
+        for place, value in places.items():
+            if isinstance(value, str) and value in names and place != kind:
+                raise ArgumentError(f"simulate: '{value}' is the name of a {kind}, given as the {place}; {_ORDER}")
 
 
 def _has(value: object, names: tuple[str, ...]) -> bool:

@@ -9,6 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from diffdrive_mpc.bench.case import DIMENSIONS, MOST_SEEDS, Case, check_count
 from diffdrive_mpc.bench.controllers import build_plant, case_config, check_cases, load_reference, make_controller
 from diffdrive_mpc.bench.outcomes import Outcome, metrics_row
@@ -135,10 +137,10 @@ def _seeds(seeds: Any) -> list[int]:  # noqa: ANN401
     """Seeds, or the first so many."""
     if isinstance(seeds, int) and not 1 <= seeds <= MOST_SEEDS:
         raise ConfigError(f"sweep: seeds = {seeds}; give 1 to {MOST_SEEDS}, or a list such as [3, 4]")
-    listed = list(range(seeds)) if isinstance(seeds, int) else [int(seed) for seed in _listed(seeds)]
-    if any(seed < 0 for seed in listed):
-        raise ConfigError(f"sweep: seeds {listed}; give whole numbers from 0 on")
-    return listed
+    listed = list(range(seeds)) if isinstance(seeds, int) else _listed(seeds)
+    if not all(isinstance(seed, (int, np.integer)) and seed >= 0 for seed in listed):
+        raise ConfigError(f"sweep: seeds {seeds!r}; give whole numbers from 0 on, or how many")
+    return [int(seed) for seed in listed]
 
 
 def _named(name: str, value: object) -> str:

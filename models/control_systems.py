@@ -44,7 +44,10 @@ def from_control(system: Any, dead_time: ArrayLike, name: str | None) -> Velocit
     delay = np.zeros(2)
     if spaces[0].dt:
         A, B, C, delay = _continuous(where, _StateSpace(A, B, C, spaces[0].dt))
-    late = np.asarray(dead_time, dtype=float)
+    try:
+        late = np.asarray(dead_time, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise wrong_type("dead_time", "seconds", dead_time, "give 0.1, or (0.06, 0.04) for v and omega") from error
     if late.shape not in ((), (2,)):
         raise ModelError(f"{where}: dead_time has shape {late.shape}; give seconds for v and for omega")
     source = {"origin": "python-control", "source": where}

@@ -27,6 +27,16 @@ def wrong_type(argument: str, expected: str, value: object, remedy: str) -> Argu
     return ArgumentError(f"{argument}: expected {expected}, got {described(value)}; {remedy}")
 
 
+def checked_number(argument: str, value: object, remedy: str) -> float:
+    """Return `value` as a float; raise ArgumentError if it is a text or no number at all."""
+    try:
+        if not isinstance(value, (str, bytes)):
+            return float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        pass
+    raise wrong_type(argument, "a number", value, remedy)
+
+
 def described(value: object) -> str:
     """Name the type of a value in a few words, with its shape or, where it is short, the value."""
     if value is None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.trust import check_trusted
 
 
@@ -32,17 +33,21 @@ def named_file(
     ------
     models.checked_yaml.ConfigError
         If there is neither; the message lists the shipped names and suggests the nearest.
+    models.errors.ArgumentError
+        If `name` is neither a text nor a path.
     models.trust.UntrustedFileError
         If it is a file that may not be opened, see `models.trust.only_trusted`.
     """
     known = shipped_names(folder) if shipped is None else shipped
+    if not isinstance(name, (str, Path)):
+        raise wrong_type(kind, "a name or the path of a file", name, f"give one of {', '.join(known)}, or a path")
     text = str(name)
     if text in known:
         return folder / f"{text}.yaml"
     check_trusted(name)
     if Path(name).is_file():
         return Path(name)
-    near = difflib.get_close_matches(text, known, n=1, cutoff=0.5)
+    near = difflib.get_close_matches(text.lower(), known, n=1, cutoff=0.5)
     hint = f"; did you mean '{near[0]}'?" if near else ""
     raise ConfigError(
         f"unknown {kind} '{text}': give one of {', '.join(known)}{others} or the path of a {kind} file{hint}"

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.discrete_model import DiscreteModel, zero_order_hold
-from diffdrive_mpc.models.errors import DiffdriveMpcError
+from diffdrive_mpc.models.errors import DiffdriveMpcError, checked_number
 from diffdrive_mpc.models.interface import FloatArray
 
 CHANNELS = ("v", "omega")
@@ -162,7 +162,10 @@ class VelocityModel:
         ------
         ModelError
             If `dt` is not positive and finite.
+        ArgumentError
+            If `dt` is no number.
         """
+        dt = checked_number("sample time dt", dt, "give seconds, such as 0.02")
         if not (np.isfinite(dt) and dt > 0):
             raise ModelError(f"model '{self.name}': sample time {dt} s; it must be positive and finite")
         return zero_order_hold(self.A, self.B, self.C, self.dead_time, dt)

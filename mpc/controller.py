@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.discrete_model import DiscreteModel
-from diffdrive_mpc.models.errors import wrong_type
+from diffdrive_mpc.models.errors import checked_number, wrong_type
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from diffdrive_mpc.mpc.rehearsal import Rehearsal
 
 _CHANGEABLE = ("weights", "limits")
+_EXAMPLES = {"weights": "across", "limits": "v"}
 # Of ddmpc_pending.
 _NEEDS_TARGET, _NEEDS_BACKEND = 1, 2
 
@@ -339,6 +340,7 @@ class Controller:
                 reference,
                 "make it with load_trajectory('circle') or Trajectory.from_arrays(t, x, y)",
             )
+        t0 = checked_number("start time t0", t0, "give seconds on the clock of step, such as 0.0")
         if not math.isfinite(t0):
             raise ValueError(f"t0 = {t0}: the start time must be finite")
         check_speeds(reference, self._config.limits, self._config.sample_time, self.model.dc_gain)
@@ -434,6 +436,8 @@ class Controller:
         ------
         ConfigError
             If a key is unknown or a value out of range; then nothing changes.
+        ArgumentError
+            If `weights` or `limits` is no mapping.
         """
         config = self.updated(weights, limits)
         self._prepare_limits(config)
@@ -446,9 +450,12 @@ class Controller:
 
         Raises
         ------
-        ConfigError
+        ConfigError, ArgumentError
             If `update` would.
         """
+        for group, values in zip(_CHANGEABLE, (weights, limits), strict=True):
+            if not isinstance(values, (Mapping, type(None))):
+                raise wrong_type(group, "values by key", values, f"write update({group}={{'{_EXAMPLES[group]}': 1.0}})")
         changes = {
             f"{group}.{key}": value
             for group, values in zip(_CHANGEABLE, (weights, limits), strict=True)

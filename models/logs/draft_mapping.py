@@ -61,6 +61,8 @@ def _shared(words: set[str], known: str) -> set[str]:
 
 
 _TWIST = ("v", "omega")
+_STEADY = 0.5
+"""Steps of a column of times differ by at most this share of the usual one."""
 _WHEELS = (*SIDES, *FOUR_WHEELS)
 _FITTING: dict[str, tuple[str, ...]] = {
     "time": get_args(TimeUnit),
@@ -117,7 +119,7 @@ def _draft_of_table(log: Path) -> list[str]:
     columns = [column for name in table.header if (column := _column(table, name)) is not None]
     times = {column.source: column for column in reversed(columns) if column.quantity == "time" and _runs(column)}
     used = _roles([column for column in columns if column.quantity != "time"])
-    time = times.pop("", None) or (times.pop(next(iter(times))) if times else None)
+    time = times.pop("", None) or (times.pop(next(iter(times))) if times else _steady(table))
     lines = [*_wheels(used), "columns:"]
     if time is None:
         lines.append(
@@ -225,6 +227,27 @@ def _runs(column: _Column) -> bool:
     """Whether the values never fall and mostly rise, as times do."""
     steps = np.diff(column.values[np.isfinite(column.values)])
     return bool((steps >= 0).all() and np.mean(steps > 0) > 0.05)
+
+
+def _steady(table: CsvTable) -> _Column | None:
+    """The first column that rises by steps of one size, as times do whatever they are called; None without one."""
+    taken = {"command", "encoders", "gyro", "pose"}
+    for name in table.header:
+        column = _column(table, name)
+        if column and (column.quantity in _WHEELS or column.source in taken):
+            continue
+        try:
+            values = table.numbers(name)[0]
+        except ConfigError:
+            continue
+        steps = np.diff(values)
+        # Steps of exactly 1 are those of a row counter.
+        if bool((steps > 0).all()) and bool((steps != 1).any()) and np.ptp(steps) < _STEADY * float(np.median(steps)):
+            unit = column.unit if column and column.quantity == "time" else ""
+            time = _Column(name, "time", "", unit, values, ["not named as a time, but it rises by steps of one size"])
+            _guess_unit(time)
+            return time
+    return None
 
 
 def _roles(columns: list[_Column]) -> _Used:

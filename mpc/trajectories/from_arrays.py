@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.errors import described, wrong_type
+from diffdrive_mpc.models.errors import checked_number, described, wrong_type
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.settings import load_settings
@@ -55,7 +57,7 @@ def trajectory_from_arrays(name: str, columns: Mapping[str, ArrayLike | None]) -
 
 def trajectory_from_waypoints(
     points: ArrayLike,
-    limits: TrajectoryLimits | ControllerConfig | None,
+    limits: TrajectoryLimits | ControllerConfig | str | Path | None,
     *,
     name: str,
     speed: float | None,
@@ -71,8 +73,12 @@ def trajectory_from_waypoints(
         )
     if timing not in TIMINGS:
         raise ConfigError(f"{where}: timing {timing!r}; give {', '.join(TIMINGS[:-1])} or {TIMINGS[-1]}")
+    if speed is not None:
+        speed = checked_number("speed", speed, "give m/s, such as 0.5")
     if speed is not None and not (np.isfinite(speed) and speed > 0):
         raise ConfigError(f"{where}: speed = {speed} m/s; give a positive number")
+    if isinstance(limits, (str, Path)):
+        limits = load_config(limits)
     if isinstance(limits, ControllerConfig):
         limits = TrajectoryLimits.of_controller(limits.limits)
     elif limits is None:

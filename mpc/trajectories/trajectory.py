@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from diffdrive_mpc.mpc.config.schema import ControllerConfig
     from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
     from diffdrive_mpc.mpc.trajectories.timing import Timing
@@ -76,7 +78,7 @@ class Trajectory(ABC):
         points: ArrayLike,
         *,
         speed: float | None = None,
-        limits: TrajectoryLimits | ControllerConfig | None = None,
+        limits: TrajectoryLimits | ControllerConfig | str | Path | None = None,
         timing: Timing = "stop",
         name: str = "waypoints",
     ) -> Trajectory:
@@ -89,8 +91,8 @@ class Trajectory(ABC):
         speed
             Cruise speed [m/s]; by default the limit.
         limits
-            Speeds and accelerations to respect, or the configuration whose limits they are. By default those of the
-            robot of the papers (1.5 m/s), or `speed` where that is more.
+            Speeds and accelerations to respect, or the configuration whose limits they are, or its name or path. By
+            default those of the robot of the papers (1.5 m/s), or `speed` where that is more.
         timing
             "stop", "commanded" or "smooth", see `timing.Timing`.
         name
@@ -100,6 +102,8 @@ class Trajectory(ABC):
         ------
         ConfigError
             If there are fewer than two points, two that follow each other coincide, or the path turns too tightly.
+        ArgumentError
+            If `speed` or `limits` has another type.
         """
         from diffdrive_mpc.mpc.trajectories.from_arrays import trajectory_from_waypoints  # noqa: PLC0415
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -81,7 +82,7 @@ def make_plant(
     models.velocity_model.ModelError
         If a model cannot be a robot's, its dead time included.
     models.errors.ArgumentError
-        If `name` is something else.
+        If an argument has another type.
     """
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise ConfigError(f"seed {seed!r}: give an integer that is not negative")
@@ -153,8 +154,17 @@ def make_plant(
     raise ConfigError(
         f"unknown plant '{name}': give 'mujoco', 'mujoco:NAME' (another robot, such as 'heavy', or the path of a robot "
         "file) or 'model:NAME' (mbm, sm, ssm, a robot such as 'husky', or the path of a model file), with more "
-        "dead time 'model:NAME+SECONDS'"
+        f"dead time 'model:NAME+SECONDS'{_near_plant(name)}"
     )
+
+
+def _near_plant(name: str) -> str:
+    """The end of the message about an unknown plant: the nearest name, where one is near."""
+    from diffdrive_mpc.models.load import MODEL_NAMES  # noqa: PLC0415 - see make_plant
+
+    by_words = {PHYSICS: PHYSICS} | {model: _MODEL_PREFIX + model for model in MODEL_NAMES}
+    near = difflib.get_close_matches(name.lower(), by_words, n=1)
+    return f"; did you mean '{by_words[near[0]]}'?" if near else ""
 
 
 def plant_outline(name: str) -> tuple[float, float]:

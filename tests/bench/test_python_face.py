@@ -107,6 +107,15 @@ MISTAKES = {
     "class": (lambda c: simulate(Controller, PLANT, STRAIGHT), "got the class Controller itself"),
     "array in simulate": (lambda c: simulate(c, PLANT, np.zeros((4, 2))), "got numpy.ndarray of shape (4, 2)"),
     "plant of a number": (lambda c: make_plant(3), "make_plant('mujoco')"),
+    "surface of a number": (lambda c: make_plant("mujoco", surface=3), "got int 3; give one of "),
+    "sensors as list": (lambda c: make_plant("mujoco", sensors=["gyro"]), "got list ['gyro']"),
+    "time as text": (lambda c: c.start(STRAIGHT, "now"), "give seconds on the clock of step"),
+    "weights as text": (lambda c: c.update("across"), "write update(weights={'across': 1.0})"),
+    "limits as number": (lambda c: c.update(limits=1.0), "write update(limits={'v': 1.0})"),
+    "sample time as text": (lambda c: load_model("ssm").discretise("a"), "give seconds, such as 0.02"),
+    "sample time of a system": (lambda c: load_model("ssm").to_control([1, 2]), "give seconds, such as 0.02"),
+    "dead time as text": (lambda c: VelocityModel.from_control((SYSTEM, SYSTEM), "a"), "(0.06, 0.04) for v and omega"),
+    "speed as text": (lambda c: Trajectory.from_waypoints([(0, 0), (1, 0)], speed="1"), "give m/s, such as 0.5"),
     "logs as array": (lambda c: identify(np.zeros((5, 3))), "paths of log files"),
     "model of a sweep": (lambda c: sweep(model=3), "sweep: model: expected a name, a path or a model, got int 3"),
 }
@@ -123,6 +132,35 @@ def test_a_wrong_type_is_one_sentence_that_says_how_to_make_it(controller, mista
     assert "got " in message
     assert "\n" not in message
     assert isinstance(caught.value, TypeError)
+
+
+@pytest.mark.parametrize(
+    ("names", "place"),
+    [
+        (("circle", "ssm", "mujoco"), "'mujoco' is the name of a plant, given as the trajectory"),
+        (("ssm", "circle", "mujoco"), "'mujoco' is the name of a plant, given as the trajectory"),
+        (("circle", PLANT, "ssm"), "'circle' is the name of a trajectory, given as the controller"),
+        (("ssm", "s", PLANT), "'s' is the name of a trajectory, given as the plant"),
+    ],
+)
+def test_names_in_another_order_are_told_so(names, place):
+    with pytest.raises(ArgumentError, match=re.escape(f"simulate: {place}; the order is simulate(controller, ")):
+        simulate(*names)
+
+
+@pytest.mark.parametrize(
+    ("load", "name"), [(make_plant, "mujco"), (make_plant, "ssm"), (load_model, "SSM"), (load_trajectory, "Circle")]
+)
+def test_a_name_that_is_nearly_one_is_suggested(load, name):
+    near = {"mujco": "mujoco", "ssm": "model:ssm"}.get(name, name.lower())
+    with pytest.raises(ConfigError, match=f"did you mean '{near}'"):
+        load(name)
+
+
+def test_waypoints_take_limits_by_name():
+    points = [(0, 0), (4, 0)]
+    by_name = Trajectory.from_waypoints(points, limits="ssm")
+    assert by_name.duration == Trajectory.from_waypoints(points, limits=load_config("ssm")).duration
 
 
 def test_numbers_of_numpy_are_numbers():
@@ -158,6 +196,8 @@ def test_a_sweep_is_a_table_with_one_row_for_each_run():
         ({"model": "sss"}, "did you mean 'ssm'"),
         ({"seeds": 0}, "seeds = 0; give 1 to 10000"),
         ({"seeds": [-1]}, "give whole numbers from 0 on"),
+        ({"seeds": "a"}, "seeds 'a'; give whole numbers from 0 on"),
+        ({"seeds": 1.5}, "seeds 1.5; give whole numbers from 0 on"),
     ],
 )
 def test_a_sweep_that_cannot_run_is_refused_before_it_begins(values, message):
