@@ -114,6 +114,16 @@ class ScenarioFile:
         return check(Scenario, drawn(self.data, stream), str(self.path))
 
 
+def beside(scenario: Scenario, other: Scenario) -> Scenario:
+    """Both at once; of what there can be only one of, that of `scenario` if it has one."""
+    joined = {
+        name: value + getattr(scenario, name) if isinstance(value, tuple) else getattr(scenario, name) or value
+        for name in other.kinds
+        for value in [getattr(other, name)]
+    }
+    return scenario.model_copy(update=joined)
+
+
 def load_scenario(name: str | Path) -> ScenarioFile:
     """Read a scenario by shipped name or path.
 

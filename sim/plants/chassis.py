@@ -23,6 +23,8 @@ _TIPPED = math.pi / 4
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 _SETTLING_TIME = 1.0
+_CASTOR = 0.01
+"""Friction of a castor over that of a wheel [-]: what its swivel and bearing leave of it; assumed."""
 _CAPSULE = 1e-4
 """Half the length of a wheel that is a capsule [m]: its two contact points are as good as one."""
 
@@ -73,6 +75,8 @@ class Chassis:
         xml = _mjcf(robot, twin, step, payload, sideways != 1.0, self.scene)
         self._model: Any = mujoco.MjModel.from_xml_string(xml)
         self._data: Any = mujoco.MjData(self._model)
+        # MuJoCo needs some friction; so little holds nothing.
+        self._hold = np.array([1.0, 1.0, _CASTOR, _CASTOR]) if twin.chassis.castors else np.ones(4)
         self._sideways = sideways
         self.set_friction(np.full(4, friction))
         self._position, self._velocity = self._data.qpos, self._data.qvel
@@ -133,8 +137,8 @@ class Chassis:
 
     def set_friction(self, friction: FloatArray) -> None:
         """Change the sliding friction coefficient under each wheel (4,), along its rolling; it outlasts a reset."""
-        self._model.pair_friction[:, 0] = self._sideways * friction
-        self._model.pair_friction[:, 1] = friction
+        self._model.pair_friction[:, 0] = self._sideways * friction * self._hold
+        self._model.pair_friction[:, 1] = friction * self._hold
 
     def release(self) -> None:
         """End all pushes."""
@@ -269,13 +273,14 @@ def _mjcf(
 ) -> str:
     """The model in MuJoCo's XML format; `aligned` gives contacts whose first tangent is along the axle."""
     chassis, tyre, radius = twin.chassis, twin.tyre, robot.wheel_radius
-    half_base, half_track = chassis.wheel_base / 2, robot.track / 2
+    front, half_track = 0.0 if chassis.castors else chassis.wheel_base / 2, robot.track / 2
+    rear = front - chassis.wheel_base
     rolling = [share * radius for share in chassis.rolling_radii] * 2
     shapes = [f'type="sphere" size="{one}"' for one in rolling]
     if aligned:
         shapes = [f'type="capsule" size="{one} {_CAPSULE}" euler="90 0 0"' for one in rolling]
         tyre = _of_two(tyre)
-    places = [(half_base, half_track), (half_base, -half_track), (-half_base, half_track), (-half_base, -half_track)]
+    places = [(front, half_track), (front, -half_track), (rear, half_track), (rear, -half_track)]
     # Without it the joints have no constraint at all: robots that leave it out move as ever, bit for bit.
     drag = f' frictionloss="{chassis.wheel_drag}"' if chassis.wheel_drag else ""
     wheels = "".join(

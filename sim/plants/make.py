@@ -13,7 +13,7 @@ from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.robot import Robot, TwistBounds, load_robot
-from diffdrive_mpc.sim.disturbances.scenario import load_scenario
+from diffdrive_mpc.sim.disturbances.scenario import beside, load_scenario
 from diffdrive_mpc.sim.plants.chassis import outline
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.plant import Plant
@@ -21,6 +21,7 @@ from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, SimulatedRobot, lo
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.plants.twin_parameters import load_twin_parameters
 from diffdrive_mpc.sim.plants.world_plant import WorldPlant
+from diffdrive_mpc.sim.population.drawn_robot import DrawnRobot, draw_robot
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from diffdrive_mpc.sim.worlds.world_file import NO_WORLD, load_world
 
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 PHYSICS = "mujoco"
 """Name of the physics plant, and before a colon the kind of another robot in it."""
+DRAWN = "drawn"
+"""Before a colon and a seed: a robot of the market, see `sim/population`."""
 _MODEL_PREFIX = "model:"
 
 
@@ -52,6 +55,7 @@ def make_plant(
     name
         "mujoco" for the physics, "mujoco:NAME" for another robot in it, NAME shipped or the path of a robot file, or
         "model:NAME" for a velocity model with the base effects of its file, NAME as `models.load_model` takes it.
+        "drawn:SEED" is a robot of the market on a floor of its own, which brings its slope, patches and motors along.
         "model:NAME+SECONDS" puts that dead time on top of the model's own, as `extra_dead_time` does: "model:sm+0.04".
         Where a file has the whole of NAME+SECONDS for a path, it is that file. Or a velocity model itself.
     surface
@@ -90,8 +94,11 @@ def make_plant(
     name = str(name) if given_model is None else f"{_MODEL_PREFIX}{given_model.name}"
     floor, sensor_set = load_surface(surface), load_sensor_set(sensors)
     happening = load_scenario(scenario).draw(seed)
+    drawn = _drawn(name)
+    if drawn is not None:
+        happening = beside(happening, drawn.scenario)
     around = None if str(world) == NO_WORLD else load_world(world, seed)
-    if name == PHYSICS or name.startswith(f"{PHYSICS}:"):
+    if drawn is not None or name == PHYSICS or name.startswith(f"{PHYSICS}:"):
         if floor.friction is None:
             raise ConfigError(f"surface '{surface}' has no friction: it is for 'model:' plants; wheels need it to push")
         if extra_dead_time:
@@ -101,7 +108,7 @@ def make_plant(
         from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant  # noqa: PLC0415 - needs MuJoCo
 
         _, colon, file = name.partition(":")
-        build = load_simulated_robot(file) if colon else None
+        build = drawn.build if drawn else load_simulated_robot(file) if colon else None
         own_floor = build.friction if build and surface == DEFAULT else None
         robot = MujocoPlant(
             own_floor or floor.friction,
@@ -191,14 +198,27 @@ def physics_robot(name: str) -> Robot | None:
 
     Raises ConfigError where a robot file is named that cannot be used.
     """
-    if name.partition(":")[0] != PHYSICS:
+    if name.partition(":")[0] not in (PHYSICS, DRAWN):
         return None
     build = _build(name)
     return build.robot if build else load_robot()
 
 
+def _drawn(name: str) -> DrawnRobot | None:
+    """The robot of the market that a plant's name says; None where it says another."""
+    kind, colon, seed = name.partition(":")
+    if not colon or kind != DRAWN:
+        return None
+    if not seed.isdecimal():
+        raise ConfigError(f"plant '{name}': give {DRAWN}:SEED with an integer that is not negative")
+    return draw_robot(int(seed))
+
+
 def _build(name: str) -> SimulatedRobot | None:
     """The robot file that a plant's name says; None where it says none."""
+    drawn = _drawn(name)
+    if drawn is not None:
+        return drawn.build
     kind, colon, file = name.partition(":")
     return load_simulated_robot(file) if colon and kind == PHYSICS else None
 

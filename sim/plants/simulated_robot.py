@@ -44,7 +44,8 @@ class SimulatedRobot(StrictModel):
         if not robot.mass > 4 * chassis.wheel_mass:
             raise ValueError(f"robot.mass {robot.mass} kg: its wheels alone weigh {4 * chassis.wheel_mass:g} kg")
         ahead, left = chassis.centre_of_mass
-        if not (abs(ahead) < chassis.wheel_base / 2 and abs(left) < robot.track / 2):
+        middle = -chassis.wheel_base / 2 if chassis.castors else 0.0
+        if not (abs(ahead - middle) < chassis.wheel_base / 2 and abs(left) < robot.track / 2):
             raise ValueError(
                 f"twin.chassis.centre_of_mass [{ahead}, {left}] m: it must lie between the wheels, "
                 f"{chassis.wheel_base / 2:g} m ahead and {robot.track / 2:g} m to the left at most, or it tips over"

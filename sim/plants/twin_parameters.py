@@ -29,6 +29,11 @@ class ChassisParameters(StrictModel):
         default=(1.0, 1.0),
         description="of the left, of the right wheels over what firmware and encoders take",
     )
+    castors: bool = Field(
+        default=False,
+        description="whether the rear wheels are castors, which carry load and hold nothing; the front axle then lies "
+        "below the middle of the frame, where two driven wheels turn the robot about",
+    )
     wheel_drag: NotNegative = Field(
         default=0.0,
         description="torque of each wheel against the friction of its drive train, whatever its speed [N m]",

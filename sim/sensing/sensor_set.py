@@ -27,6 +27,7 @@ class PoseSensor(StrictModel):
     stated_position_sd: Deviation | None = Field(
         default=None, description="what the pose says of position_sd [m]; null: the truth"
     )
+    loss: float = Field(default=0.0, ge=0, lt=1, description="share of the poses that never arrive, drawn one by one")
     stamped_on_arrival: bool = Field(
         default=False, description="whether the stamp is the instant of delivery, as if the pose were not late"
     )

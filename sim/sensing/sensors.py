@@ -61,7 +61,8 @@ class Sensors:
 
     def reset(self, pose: ArrayLike, wheel_speeds: ArrayLike) -> None:
         """Restart all noise at time 0, after a long rest at `pose` (3,)."""
-        pose_noise, gyro_noise, encoder_noise = np.random.SeedSequence(self._seed).spawn(3)
+        pose_noise, gyro_noise, encoder_noise, losses = np.random.SeedSequence(self._seed).spawn(4)
+        self._losses = np.random.default_rng(losses)
         self._pose_noise, self._gyro_noise = _white(pose_noise, self._pose_sd), _white(gyro_noise, np.ones(1))
         self._encoder_noise = _white(encoder_noise, np.full(4, self._speed_noise))
         self._gyro_bias = self._parameters.gyro.bias_sd * float(next(self._gyro_noise)[0])
@@ -84,6 +85,9 @@ class Sensors:
         """The pose sensor looks at the true `pose` (3,) at `time` [s]."""
         value = np.asarray(pose, dtype=float) + next(self._pose_noise)
         value[2] = -wrap_angle(-value[2])  # into (-pi, pi], as SLAM reports it
+        loss = self._parameters.pose.loss
+        if loss > 0 and self._losses.random() < loss:
+            return
         arrival = time + self._parameters.pose.latency
         stamp = arrival if self._parameters.pose.stamped_on_arrival else time
         self._on_the_way.append((arrival, Stamped(value, stamp, self._pose_covariance)))
