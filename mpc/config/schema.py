@@ -212,8 +212,9 @@ class Monitor(Group):
     """When sensors of motion contradict each other, and when one of them is believed again."""
 
     enabled: bool = Field(True, description="find the sensor that the others contradict, and do without it [-]")
-    position: Positive = Field(0.08, description="contradiction in distance beyond the noise of poses [m]")
-    heading: Positive = Field(0.05, description="contradiction in turning beyond the noise of poses [rad]")
+    false_alarm_rate: Annotated[float, Field(gt=0, le=1000)] = Field(
+        0.02, description="how often a sensor may be given up while all of them are honest [1/h]"
+    )
     turn_ratio: Annotated[float, Field(gt=1)] = Field(
         1.6, description="wheels or body turning by more than this factor beside what the tracks say is told [-]"
     )
@@ -229,6 +230,11 @@ class Failure(Group):
         5, description="ticks for which the rest of the last good plan is used after a failed solve [-]"
     )
     max_pose_age: Positive = Field(0.5, description="without an accepted pose for longer, the robot brakes [s]")
+    dead_reckoning: NotNegative = Field(
+        0.0,
+        description="so long wheels and gyro stand in for poses beyond max_pose_age, while three standard deviations of the "
+        "position are inside reentry.band; 0: never [s]",
+    )
     max_position_error: Positive = Field(
         1.0, description="further than this from where the reference is, the robot brakes and says so [m]"
     )

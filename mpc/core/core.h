@@ -71,7 +71,11 @@ typedef struct {
 
     /* monitor of the sensors */
     int monitor;                     /* whether it judges */
-    real monitor_position, monitor_heading; /* contradiction between sensors beyond their noise [m, rad] */
+    real enough;                     /* evidence from which a sensor is given up, in squared deviations */
+    /* of the test: see mpc/config/sensor_test.yaml, by these names */
+    real windows[3], silence, pose_spacing, latest, lasting, often;
+    real gyro[2], slip_turning[2], slip_driving[2], following[2], answer, sliding[2], frozen[2], odds[2];
+    real doubtful[2], margin, plausible, memory, gains[4], held, scatter[5], late[2], far;
     real monitor_turn_ratio;         /* factor of turning beyond which the tracks are doubted [-] */
     real monitor_trust;              /* how long one has to agree before it is believed again [s] */
 
@@ -107,7 +111,7 @@ typedef struct {
     int forced;                 /* whether the backend is asked at every tick */
 
     /* ladder */
-    real max_pose_age, max_position_error;
+    real max_pose_age, dead_reckoning, max_position_error;
     int fence, fence_at_start; /* whether there is one, and whether its middle is seen from where the reference begins */
     real fence_middle[3];      /* [m, m, rad] */
     real fence_reach[2];       /* half of length and width, less the margin [m] */

@@ -232,15 +232,19 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
     }
     int first = estimator->nodes;
     ddmpc_monitor_move(c, t, twist, wheels, twists);
-    const int newly = has_pose ? ddmpc_monitor_judge(c, &pose) : 0, accused = c->monitor.accused;
-    if (has_pose)
+    const int newly = has_pose ? ddmpc_monitor_judge(c, &pose) : 0;
+    const int unused = c->monitor.accused | ddmpc_monitor_doubts(c, t);
+    if (has_pose) {
         ddmpc_monitor_widen(c, &pose);
+        /* Later than its stamp says, as motion has shown. */
+        pose.stamp -= ddmpc_monitor_delay(c);
+    }
     if (newly) {
         disbelieve(c, newly);
         first = 0;
     }
     for (int i = 0; i < twists; i++) {
-        if (accused & 1 << (i < wheels ? DDMPC_OF_WHEELS : DDMPC_OF_YAW_RATE))
+        if (unused & 1 << (i < wheels ? DDMPC_OF_WHEELS : DDMPC_OF_YAW_RATE))
             continue;
         /* At the nearest tick: within half a sample a twist changes little. */
         const ddmpc_time stamp = i < wheels ? input->wheels.stamp : input->yaw_rate.stamp;
@@ -253,7 +257,7 @@ int ddmpc_estimator_update(ddmpc_controller *c, ddmpc_time t, const ddmpc_input 
         node->twist[node->twists++] = twist[i];
         first = least(first, index);
     }
-    if (has_pose && !(accused & 1 << DDMPC_OF_POSE)) {
+    if (has_pose && !(unused & 1 << DDMPC_OF_POSE)) {
         const int index = node_before(c, pose.stamp);
         ddmpc_node *node = node_at(c, index);
         real expected[3];

@@ -186,7 +186,7 @@ typedef struct {
     real misfit[MONITORED_DELAYS];  /* of poses, were they so late */
     int delay;                      /* the one that fits best */
     int creeping;                   /* whether poses and gyro begin to differ */
-    ddmpc_time slipped, steady;     /* when wheels and gyro turned apart; since when poses drift */
+    ddmpc_time slipped;             /* when wheels last slipped */
     int contradictions[3];          /* in a row, by subject */
     ddmpc_time since[3], agreed[3]; /* when they began [s], for how long there have been none [s] */
     int accused, repeating;         /* bits 1 << subject */
@@ -340,10 +340,15 @@ void ddmpc_monitor_clear(ddmpc_controller *c);
 void ddmpc_monitor_predict(ddmpc_controller *c, const real *newest);
 /* The motion up to `t` by what wheels and gyro read, of `twists` checked numbers the first `wheels` by wheels. */
 void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_twist *twist, int wheels, int twists);
+/* Sensors, as bits by subject, that repeat themselves to the last digit where the commands say something else: until a pose
+   has told whether the robot is held, such readings are not used. */
+int ddmpc_monitor_doubts(const ddmpc_controller *c, ddmpc_time t);
 /* Compare what all say of the motion up to a pose; returns who is accused from now on, as bits by subject. */
 int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose);
 /* Give a pose the covariance that it has, where it states far too little. */
 void ddmpc_monitor_widen(ddmpc_controller *c, ddmpc_checked_pose *pose);
+/* By how much poses are later than their stamps [s]. */
+ddmpc_time ddmpc_monitor_delay(const ddmpc_controller *c);
 /* Say in the result what was found. */
 void ddmpc_monitor_report(ddmpc_controller *c);
 

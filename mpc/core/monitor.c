@@ -1,73 +1,34 @@
-/* Finds the sensor that the others contradict: whenever a pose comes, motion by poses, wheels, gyro and the commands
- * sent is compared over windows of time, and two that agree outvote a third. The commands are no sensor: a robot may be
- * held, pushed or slip, so what they promise counts only beside what a sensor says. */
+/* Tells a sensor at fault from an honest surprise: whenever a pose comes, the motion that poses, wheels, gyro and commands
+ * tell of windows of time is held against hypotheses. Honest ones: all agree within what slip, slopes and loads do; wheels
+ * slip; the robot is held. And one for each sensor: all but that one agree. A sensor is given up when its hypothesis has been
+ * likelier than every honest one, by odds that say how often that may be wrong. */
 #include <string.h>
 
 #include "internal.h"
 
 enum { SHORT, MIDDLE, LONG, WINDOWS };
 enum { BY_WHEELS = 1 << DDMPC_OF_WHEELS, BY_GYRO = 1 << DDMPC_OF_YAW_RATE, BY_POSE = 1 << DDMPC_OF_POSE, SENSES = 3 };
-
-/* Windows over which motion is compared, the last two for what creeps [s]. */
-static const ddmpc_time WINDOW_LENGTH[WINDOWS] = {0.5, 1.5, 3.0};
-/* Poses later than stamped are looked for up to here [s]. */
-#define LATEST 0.3
-/* A sensor that is silent for longer is no witness meanwhile [s]. */
-#define SILENCE 0.1
-/* Time between the poses that are kept [s]. */
-#define POSE_SPACING 0.1
-/* A contradiction has to last [s], and to be seen so often; poses have to drift for longer [s]. */
-#define LASTING 0.1
-#define OFTEN 3
-#define LONG_LASTING 0.3
-/* Noise of a pose within which a difference means nothing, in standard deviations of the difference of two. */
-#define NOISE R(3.0)
-/* Poses that scatter by more than this, in variance over the one stated, count for less, but not for nothing. */
-#define NOISY R(6.25)
-#define NOISIEST R(400.0)
-/* Shares of a turn by which slip may change within a window, and by which it is taken for slip at all. */
-#define SLIPPING R(0.3)
-#define SLIDING R(0.1)
-/* Drift of poses beyond that of dead reckoning: over the contradiction allowed, and in addition by distance and turn. */
-#define DRIFTING R(1.4)
-#define CREEPING R(0.02)
-/* For so long slip is remembered [s]. Dead reckoning uses that of a while ago, as the newest may have been learned from
-   a sensor that is about to be found out. */
-#define SLIP_MEMORY 5.0
-/* In curves with more acceleration to the side than this, slip may carry a robot out of them [m/s^2]. */
-#define SIDEWAYS R(0.4)
-/* Gains of turning: certain as if learned from the first [rad^2], of the last at most, told from the middle one on. */
-#define FIRST_TURN R(0.2)
-#define MUCH_TURN R(6.0)
-#define MOST_TURN R(8.0)
-#define HELD R(0.2) /* turning less than this share of what its wheels do, it is held */
-/* Share of a newly seen scatter in its mean, which the first ones exceed: a mean of all, the stated one among them.
-   A squared deviation counts no more than OUTLIER. */
-#define NOVELTY R(0.04)
-#define FIRST_ONES 25
-#define OUTLIER R(9.0)
-/* By so much poses must fit better at another delay before it is taken for theirs, and what is left of it at the next
-   pose that is kept. */
-#define LATE R(16.0)
-#define FADING R(0.99)
-/* Sums are counted from nought again beyond this, so that single precision stays sharp. */
-#define FAR R(64.0)
+enum { ABSOLUTE, SHARE };
 
 static real square(real x) { return x * x; }
 
-static int differ(real a, real b, real most) { return ddmpc_fabs(a - b) > most; }
-
 static real quotient(const real sums[2]) { return sums[0] / sums[1]; }
+
+/* Variance of what differs by an absolute deviation and by a share of `size`. */
+static real variance(const real deviation[2], real size)
+{
+    return square(deviation[ABSOLUTE]) + square(deviation[SHARE] * size);
+}
 
 void ddmpc_monitor_clear(ddmpc_controller *c)
 {
     ddmpc_monitor *m = &c->monitor;
     memset(m, 0, sizeof *m);
     m->wheels.heard = m->gyro.heard = m->slipped = -HUGE_VAL;
-    m->body_by_wheels[1] = m->body_by_model[1] = m->wheels_by_model[1] = FIRST_TURN;
-    m->body_by_wheels[0] = FIRST_TURN / c->constants->wheel_yaw_ratio;
-    m->body_by_model[0] = FIRST_TURN;
-    m->wheels_by_model[0] = FIRST_TURN * c->constants->wheel_yaw_ratio;
+    m->body_by_wheels[1] = m->body_by_model[1] = m->wheels_by_model[1] = c->constants->gains[0];
+    m->body_by_wheels[0] = c->constants->gains[0] / c->constants->wheel_yaw_ratio;
+    m->body_by_model[0] = c->constants->gains[0];
+    m->wheels_by_model[0] = c->constants->gains[0] * c->constants->wheel_yaw_ratio;
     m->widest[0] = m->widest[1] = R(1.0);
 }
 
@@ -89,9 +50,9 @@ void ddmpc_monitor_predict(ddmpc_controller *c, const real *newest)
     m->now.sum[MODEL_TURN] += half * (before[1] + after[1]);
 }
 
-static void hear(ddmpc_hearing *heard, ddmpc_time t, const real *value, int count)
+static void hear(ddmpc_hearing *heard, ddmpc_time silence, ddmpc_time t, const real *value, int count)
 {
-    const int paused = t - heard->heard > SILENCE;
+    const int paused = t - heard->heard > silence;
     int same = 1;
     for (int i = 0; i < count; i++)
         same = same && value[i] == heard->value[i];
@@ -103,11 +64,34 @@ static void hear(ddmpc_hearing *heard, ddmpc_time t, const real *value, int coun
     memcpy(heard->value, value, (size_t)count * sizeof(real));
 }
 
+/* Whether a reading is another than the commands say, whatever their gain. */
+static int is_doubtful(const ddmpc_constants *k, real reading, real model)
+{
+    return ddmpc_fabs(reading - model) > k->doubtful[ABSOLUTE] + k->doubtful[SHARE] * ddmpc_fabs(model);
+}
+
+int ddmpc_monitor_doubts(const ddmpc_controller *c, ddmpc_time t)
+{
+    const ddmpc_constants *k = c->constants;
+    const ddmpc_monitor *m = &c->monitor;
+    const ddmpc_time silence = (ddmpc_time)k->silence;
+    real model[2];
+    if (!k->monitor)
+        return 0;
+    ddmpc_velocity_output(c, m->state, model, 0);
+    const real wheel_turn = quotient(m->wheels_by_model) * model[1], body_turn = quotient(m->body_by_model) * model[1];
+    const int wheels = is_doubtful(k, m->wheels.value[0], model[0]) || is_doubtful(k, m->wheels.value[1], wheel_turn);
+    const int gyro = is_doubtful(k, m->gyro.value[0], body_turn);
+    return (wheels && t - m->wheels.changed > silence ? BY_WHEELS : 0) |
+           (gyro && t - m->gyro.changed > silence ? BY_GYRO : 0);
+}
+
 /* Count a sum from nought again, wherever it is kept. */
 static void rebase(ddmpc_monitor *m, int i)
 {
-    const real off = m->now.sum[i];
-    m->now.sum[i] = R(0.0);
+    /* Of the heading whole turns: places were summed up along it. */
+    const real turn = R(2.0) * DDMPC_PI, off = i == HEADING ? turn * ddmpc_rint(m->now.sum[i] / turn) : m->now.sum[i];
+    m->now.sum[i] -= off;
     m->frozen.sum[i] -= off;
     m->last_motion.sum[i] -= off;
     for (int k = 0; k < MONITORED; k++)
@@ -119,46 +103,49 @@ static void rebase(ddmpc_monitor *m, int i)
 void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_twist *twist, int wheels, int twists)
 {
     ddmpc_monitor *m = &c->monitor;
+    const ddmpc_constants *k = c->constants;
     const real before[3] = {m->wheels.value[0], m->wheels.value[1], m->gyro.value[0]};
-    if (!c->constants->monitor)
+    const ddmpc_time silence = (ddmpc_time)k->silence;
+    if (!k->monitor)
         return;
     if (wheels) {
         const real values[2] = {twist[0].value, twist[1].value};
-        hear(&m->wheels, t, values, 2);
+        hear(&m->wheels, silence, t, values, 2);
     }
     if (twists > wheels)
-        hear(&m->gyro, t, &twist[wheels].value, 1);
+        hear(&m->gyro, silence, t, &twist[wheels].value, 1);
     if (m->moves == 0)
         m->now.time = t;
     const real dt = (real)(t - m->now.time);
     if (m->moves > 0 && !(dt > R(0.0)))
         return;
     const real *newest = ddmpc_estimator_slip(c);
-    const real share = m->moves > 0 ? ddmpc_min(dt / (real)SLIP_MEMORY, R(1.0)) : R(1.0);
+    const real share = m->moves > 0 ? ddmpc_min(dt / k->memory, R(1.0)) : R(1.0);
     for (int i = 0; i < SLIPS(c); i++)
         m->slip[i] += share * (newest[i] - m->slip[i]);
     const real *slip = m->slip, speed = R(0.5) * (before[0] + m->wheels.value[0]);
     const real wheel_turn = R(0.5) * dt * (before[1] + m->wheels.value[1]);
     const real gyro_turn = R(0.5) * dt * (before[2] + m->gyro.value[0]);
     /* The gyro turns it, or without one the wheels. */
-    const int silent = t - m->gyro.heard > SILENCE || (m->accused & BY_GYRO);
+    const int silent = t - m->gyro.heard > silence || (m->accused & BY_GYRO);
     const real turn = silent ? quotient(m->body_by_wheels) * wheel_turn : gyro_turn;
-    real forward = slip[LONGITUDINAL_GAIN] * speed * dt + slip[TURN_LEFT] * turn;
-    real left = -(slip[TURN_AHEAD] + slip[SIDE_SLIP] * speed) * turn;
-    if (CURVED(c)) {
-        forward += slip[FORWARD_COUPLING] * speed * wheel_turn;
-        left += slip[CRAB] * speed * dt;
-    }
     real *sum = m->now.sum;
-    const real heading = sum[HEADING] + R(0.5) * turn;
-    sum[FORWARD] += forward * ddmpc_cos(heading) - left * ddmpc_sin(heading);
-    sum[LEFT] += forward * ddmpc_sin(heading) + left * ddmpc_cos(heading);
+    if (dt > R(0.0)) {
+        /* The floor's slide has a direction among the poses: there the motion is found, and turned to where sums began. */
+        const real theta = newest[SLIPS(c) + 3], rest = R(0.0), turned = sum[HEADING] - theta;
+        const real model[2] = {speed - slip[V_OFFSET], turn / (dt * slip[OMEGA_GAIN] * slip[YAW_GAIN])};
+        const real cosine = ddmpc_cos(turned), sine = ddmpc_sin(turned), *arguments[5] = {model, slip, &theta, &rest, &dt};
+        real moved[3], *results[2] = {moved, 0};
+        WITH_SLIP(c, move)(arguments, results, 0, 0, 0);
+        sum[FORWARD] += cosine * moved[0] - sine * moved[1];
+        sum[LEFT] += sine * moved[0] + cosine * moved[1];
+    }
     sum[HEADING] += turn;
     sum[WHEEL_DISTANCE] += speed * dt;
     sum[WHEEL_TURN] += wheel_turn;
     sum[GYRO_TURN] += gyro_turn;
     m->now.time = t;
-    const ddmpc_time reach = WINDOW_LENGTH[LONG] + POSE_SPACING + LATEST + (ddmpc_time)c->constants->stamp_history;
+    const ddmpc_time reach = (ddmpc_time)(k->windows[LONG] + k->pose_spacing + k->latest + k->stamp_history);
     if (m->moves == 0 || t - past(m, 0)->time >= reach / (MONITORED - 2)) {
         m->newest = (m->newest + 1) % MONITORED;
         m->moves += m->moves < MONITORED;
@@ -166,7 +153,7 @@ void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_t
     }
     for (int i = 0; i < MOTIONS; i++)
         /* Not the other way round: what is not finite has to go. */
-        if (!(ddmpc_fabs(sum[i]) <= FAR))
+        if (!(ddmpc_fabs(sum[i]) <= k->far))
             rebase(m, i);
 }
 
@@ -200,6 +187,7 @@ typedef struct {
     real pose_turn, wheel_turn, gyro_turn, model_turn; /* of the body, with the gains seen so far [rad] */
     real wheel_advance, wheel_excess;    /* of the wheels beyond what was commanded, without slip [m, rad] */
     real heading;                        /* of the pose halfway [rad] */
+    real late[2];                        /* by which commands differ if wheels answer later than modelled [m, rad] */
 } motions;
 
 static motions compare(const ddmpc_monitor *m, const ddmpc_motion *from, const ddmpc_motion *to, const real before[3],
@@ -207,6 +195,7 @@ static motions compare(const ddmpc_monitor *m, const ddmpc_motion *from, const d
 {
     motions by;
     real sum[MOTIONS];
+    by.late[0] = by.late[1] = R(0.0);
     for (int i = 0; i < MOTIONS; i++)
         sum[i] = to->sum[i] - from->sum[i];
     /* A robot may turn round within a window: of whole turns the gyro knows. */
@@ -231,54 +220,88 @@ static motions compare(const ddmpc_monitor *m, const ddmpc_motion *from, const d
     return by;
 }
 
-/* Whom a comparison speaks against, of those who are `heard`; `agreeing` are confirmed by the others in motion. */
-static int suspects(const ddmpc_constants *k, const motions *by, int heard, const real noise[2], int *agreeing)
+/* What a window tells for each sensor's fault, beside every honest explanation. */
+typedef struct {
+    real evidence[SENSES]; /* squared deviations by which the fault explains more than the best honest explanation */
+    int slips;             /* whether that is another than that all agree */
+    real honest;           /* squared deviations that the best honest explanation leaves */
+} verdict;
+
+/* Squared deviations that explanations leave of one direction, turning or driving. */
+typedef struct {
+    real usual, slip, held, fault[SENSES];
+} left_over;
+
+/* One direction: body by pose `p` and gyro `g`, wheels by encoders `w` and commands `m`; a variance below zero: not heard.
+   `apart` is the variance between body and wheels, `follow` that between wheels and commands. */
+static left_over explain(const real value[4], const real noise[4], real apart, real follow)
 {
-    const real far = k->monitor_position + NOISE * noise[0], turned = k->monitor_heading + NOISE * noise[1];
-    const real slip = turned + SLIPPING * ddmpc_fabs(by->wheel_turn);
-    const real promise = turned + SLIPPING * ddmpc_fabs(by->model_turn);
-    const real p = by->pose_turn, w = by->wheel_turn, g = by->gyro_turn, m = by->model_turn;
+    enum { P, G, W, M };
+    const int pose = noise[P] >= R(0.0), gyro = noise[G] >= R(0.0), wheels = noise[W] >= R(0.0);
+    left_over left;
+    memset(&left, 0, sizeof left);
+    const real body_noise = pose && gyro ? noise[P] * noise[G] / (noise[P] + noise[G]) : pose ? noise[P] : noise[G];
+    const real body = pose && gyro ? body_noise * (value[P] / noise[P] + value[G] / noise[G]) : value[pose ? P : G];
+    const real wheel = wheels ? value[W] : value[M], wheel_noise = wheels ? noise[W] : follow;
+    const real of_body = pose && gyro ? square(value[P] - value[G]) / (noise[P] + noise[G]) : R(0.0);
+    const real of_wheels = wheels ? square(value[W] - value[M]) / (noise[W] + follow) : R(0.0);
+    const real between = square(body - wheel) / (apart + body_noise + wheel_noise);
+    left.usual = of_body + of_wheels + between;
+    left.slip = of_body + of_wheels;
+    left.held = of_body + (wheels ? between : R(0.0));
+    left.fault[DDMPC_OF_WHEELS] = of_body + square(body - value[M]) / (apart + body_noise + follow);
+    left.fault[DDMPC_OF_YAW_RATE] = of_wheels + (pose ? square(value[P] - wheel) / (apart + noise[P] + wheel_noise) : R(0.0));
+    left.fault[DDMPC_OF_POSE] = of_wheels + (gyro ? square(value[G] - wheel) / (apart + noise[G] + wheel_noise) : R(0.0));
+    return left;
+}
+
+/* Weigh a window of `duration` [s], of those who are `heard`; the pose is always. */
+static verdict weigh(const ddmpc_constants *k, const ddmpc_monitor *m, const motions *by, int heard, const real noise[2],
+                     real duration)
+{
     const int wheels = heard & BY_WHEELS, gyro = heard & BY_GYRO;
-    const int pg = gyro && differ(p, g, turned), pw = wheels && differ(p, w, slip);
-    const int apart = wheels && differ(by->pose, by->wheels, far);
-    const int moves = ddmpc_fabs(by->pose) > far || ddmpc_fabs(p) > turned;
-    /* Between poses and gyro the wheels decide, or without them the commands. */
-    const real third = wheels ? w : m;
-    int found = 0;
-    if (pg && R(2.0) * ddmpc_fabs(p - third) < ddmpc_fabs(g - third))
-        found |= BY_GYRO;
-    if (pg && R(2.0) * ddmpc_fabs(g - third) < ddmpc_fabs(p - third))
-        found |= BY_POSE;
-    /* Wheels that slip still turn as commanded. */
-    if (pw && !pg && (!gyro || differ(g, w, slip)) && !differ(p, m, promise) && ddmpc_fabs(by->wheel_excess) > promise)
-        found |= BY_WHEELS;
-    if (apart && ddmpc_fabs(by->wheel_advance) > far && differ(by->model, by->wheels, far) &&
-        R(2.0) * ddmpc_fabs(by->pose - by->model) < ddmpc_fabs(by->pose - by->wheels))
-        found |= BY_WHEELS;
-    *agreeing = (gyro && !pg && moves ? BY_GYRO : 0) | (wheels && !pw && !apart && moves ? BY_WHEELS : 0) |
-                ((gyro || wheels) && !pg && !apart ? BY_POSE : 0);
+    const real turned = ddmpc_max(ddmpc_fabs(by->gyro_turn), ddmpc_fabs(by->model_turn));
+    const real gone = ddmpc_max(ddmpc_fabs(by->pose), ddmpc_fabs(by->model));
+    const real gyro_noise = square(k->gyro[ABSOLUTE] * duration) + square(k->gyro[SHARE] * by->gyro_turn);
+    const real turn[4] = {by->pose_turn, by->gyro_turn, by->wheel_turn, by->model_turn};
+    const real turn_noise[4] = {square(noise[1]), gyro ? gyro_noise : R(-1.0), wheels ? R(0.0) : R(-1.0), R(0.0)};
+    const real way[4] = {by->pose, R(0.0), by->wheels, by->model};
+    const real way_noise[4] = {square(noise[0]), R(-1.0), wheels ? R(0.0) : R(-1.0), R(0.0)};
+    /* Gains are learned from turning. */
+    const real unsure = square(k->gains[3] * turned) * k->gains[0];
+    const real apart = variance(k->slip_turning, turned) + unsure / m->body_by_wheels[1];
+    const real follow = variance(k->following, turned) + unsure / m->wheels_by_model[1] + square(by->late[1]);
+    const real off = variance(k->slip_driving, gone);
+    const left_over a = explain(turn, turn_noise, apart, follow);
+    const left_over b = explain(way, way_noise, off, variance(k->following, gone) + square(by->late[0]));
+    verdict found;
+    found.honest = ddmpc_min(a.usual + b.usual, ddmpc_min(a.slip + b.slip + k->odds[0], a.held + b.held + k->odds[1]));
+    for (int i = 0; i < SENSES; i++)
+        /* The gyro says nothing of driving. */
+        found.evidence[i] = found.honest - a.fault[i] - (i == DDMPC_OF_YAW_RATE ? b.usual : b.fault[i]);
+    found.slips = found.honest < a.usual + b.usual;
+    for (int i = 0; i < SENSES; i++)
+        if (i != DDMPC_OF_POSE && !(heard & 1 << i))
+            found.evidence[i] = R(0.0);
     return found;
 }
 
-/* Whether poses go steadily away from dead reckoning while nothing slips. */
-static int drifts(const ddmpc_constants *k, const motions *half, const motions *whole, real noise)
+/* Squared deviations by which poses go away from dead reckoning as steadily as no slope and no slip takes a robot. */
+static real drift(const ddmpc_constants *k, const motions *half, const motions *whole, real noise)
 {
-    const real most = DRIFTING * k->monitor_position + NOISE * noise + CREEPING * ddmpc_fabs(whole->wheels);
-    const real turned = k->monitor_heading + CREEPING * ddmpc_fabs(whole->gyro_turn);
-    const real duration = (real)WINDOW_LENGTH[LONG];
-    if (ddmpc_fabs(whole->wheels * whole->gyro_turn) > SIDEWAYS * duration * duration ||
-        differ(whole->gyro_turn, whole->wheel_turn, turned) || ddmpc_fabs(whole->wheel_excess) > R(2.0) * turned)
-        return 0;
-    /* About half of the way in the second half of the time: a push or a correction comes at once. */
+    const real spread = R(0.5) * square(noise) + square(R(0.5) * k->sliding[0] * whole->wheels) +
+                        square(R(0.5) * k->sliding[1] * whole->gyro_turn) + square(k->slip_driving[ABSOLUTE]);
+    /* A push or a correction comes at once: of the two halves the one with less of it counts. */
     const real half_off = half->pose - half->wheels, off = whole->pose - whole->wheels;
     const real cosine = ddmpc_cos(whole->heading - half->heading), sine = ddmpc_sin(whole->heading - half->heading);
-    const real size = square(off) + square(whole->left);
+    const real size = ddmpc_hypot(off, whole->left);
     const real along = half_off * (cosine * off - sine * whole->left) + half->left * (sine * off + cosine * whole->left);
-    return size > square(most) && along > R(0.25) * size && along < R(0.8) * size;
+    const real second = size > R(0.0) ? along / size : R(0.0), less = ddmpc_min(second, size - second);
+    return less > R(0.0) ? R(2.0) * square(less) / spread : R(0.0);
 }
 
 /* Learn how poses scatter beyond what they state from second differences, in which steady slip has no part. */
-static void learn_scatter(ddmpc_monitor *m, const ddmpc_checked_pose *pose, const motions *by)
+static void learn_scatter(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_checked_pose *pose, const motions *by)
 {
     const real stated[2] = {R(0.5) * (pose->covariance[0][0] + pose->covariance[1][1]), pose->covariance[2][2]};
     const real off[3] = {by->pose - by->wheels, by->left, by->pose_turn - by->gyro_turn};
@@ -288,81 +311,92 @@ static void learn_scatter(ddmpc_monitor *m, const ddmpc_checked_pose *pose, cons
         seen[i / 2] += square(off[i] - m->residual[i]) / (i < 2 ? R(12.0) : R(6.0));
         m->residual[i] = off[i];
     }
-    if (m->residuals < FIRST_ONES)
+    if (m->residuals < (int)k->scatter[1])
         m->residuals++;
     if (m->residuals <= 2)
         return;
-    const real share = ddmpc_max(NOVELTY, R(1.0) / (real)m->residuals);
+    const real share = ddmpc_max(k->scatter[0], R(1.0) / (real)m->residuals);
     for (int i = 0; i < 2; i++) {
-        const real most = OUTLIER * ddmpc_max(m->scatter[i], R(1.0)), ratio = seen[i] / stated[i];
+        const real most = k->scatter[2] * ddmpc_max(m->scatter[i], R(1.0)), ratio = seen[i] / stated[i];
         /* Not by min: NaN must go. */
         m->scatter[i] += share * ((ratio < most ? ratio : most) - m->scatter[i]);
     }
 }
 
-static void learn_gain(real sums[2], real by, real turn)
+static void learn_gain(real sums[2], real surest, real by, real turn)
 {
     sums[0] += by * turn;
     sums[1] += by * by;
-    if (sums[1] > MOST_TURN) {
-        sums[0] *= MOST_TURN / sums[1];
-        sums[1] = MOST_TURN;
+    if (sums[1] > surest) {
+        sums[0] *= surest / sums[1];
+        sums[1] = surest;
     }
 }
 
-static ddmpc_time delay_of(int index) { return LATEST * index / (MONITORED_DELAYS - 1); }
+static ddmpc_time delay_of(const ddmpc_constants *k, int index)
+{
+    return (ddmpc_time)k->latest * index / (MONITORED_DELAYS - 1);
+}
 
 /* The motion between two instants that are earlier by a delay; 0 if it is not kept. */
-static int compare_late(ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *to, int delay,
+static int compare_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *to, int delay,
                         const real pose[3], motions *by)
 {
     ddmpc_motion begin, end;
-    if (!motion_at(m, from->then.time - delay_of(delay), &begin) || !motion_at(m, to->time - delay_of(delay), &end))
+    if (!motion_at(m, from->then.time - delay_of(k, delay), &begin) || !motion_at(m, to->time - delay_of(k, delay), &end))
         return 0;
     *by = compare(m, &begin, &end, from->value, pose);
+    const ddmpc_time later = (ddmpc_time)k->answer;
+    ddmpc_motion before, after;
+    if (motion_at(m, begin.time - later, &before) && motion_at(m, end.time - later, &after)) {
+        by->late[0] = by->model - (after.sum[MODEL_DISTANCE] - before.sum[MODEL_DISTANCE]);
+        by->late[1] = by->model_turn - quotient(m->body_by_model) * (after.sum[MODEL_TURN] - before.sum[MODEL_TURN]);
+    }
     return 1;
 }
 
 /* Learn how far wheels and body turn for what is commanded, and how late poses are. */
-static void learn(ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *now, const real pose[3],
+static void learn(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from, const ddmpc_motion *now, const real pose[3],
                   const real noise[2])
 {
     motions by;
-    if (!m->creeping && compare_late(m, from, now, m->delay, pose, &by)) {
+    if (!m->creeping && compare_late(k, m, from, now, m->delay, pose, &by)) {
         const real turn = R(0.5) * (by.pose_turn + by.gyro_turn);
         const real wheels = by.wheel_turn / quotient(m->body_by_wheels);
         const real model = by.model_turn / quotient(m->body_by_model);
         /* Of a robot that is held nothing is learned. */
-        if (ddmpc_fabs(turn) >= HELD * ddmpc_fabs(wheels)) {
-            learn_gain(m->body_by_wheels, wheels, turn);
-            learn_gain(m->body_by_model, model, turn);
+        if (ddmpc_fabs(turn) >= k->held * ddmpc_fabs(wheels)) {
+            learn_gain(m->body_by_wheels, k->gains[2], wheels, turn);
+            learn_gain(m->body_by_model, k->gains[2], model, turn);
         }
-        learn_gain(m->wheels_by_model, model, wheels);
+        learn_gain(m->wheels_by_model, k->gains[2], model, wheels);
     }
-    for (int i = 0; i < MONITORED_DELAYS && compare_late(m, from, now, i, pose, &by); i++) {
-        const real forward = (by.pose - by.wheels) / (R(0.02) + noise[0] + R(0.15) * ddmpc_fabs(by.wheels));
-        const real turn = (by.pose_turn - by.gyro_turn) / (R(0.01) + noise[1] + R(0.02) * ddmpc_fabs(by.gyro_turn));
-        m->misfit[i] = FADING * m->misfit[i] + ddmpc_min(square(forward), OUTLIER) + ddmpc_min(square(turn), OUTLIER);
+    for (int i = 0; i < MONITORED_DELAYS && compare_late(k, m, from, now, i, pose, &by); i++) {
+        const real forward = (by.pose - by.wheels) / (k->slip_driving[ABSOLUTE] + noise[0] + k->slip_driving[SHARE] * ddmpc_fabs(by.wheels));
+        const real turn = (by.pose_turn - by.gyro_turn) / (k->gyro[ABSOLUTE] + noise[1] + k->gyro[SHARE] * ddmpc_fabs(by.gyro_turn));
+        m->misfit[i] = k->late[1] * m->misfit[i] + ddmpc_min(square(forward), k->scatter[2]) +
+                       ddmpc_min(square(turn), k->scatter[2]);
     }
     /* Stamps are believed until motion says otherwise. */
     m->delay = 0;
     for (int i = 1; i < MONITORED_DELAYS; i++)
-        if (m->misfit[i] + LATE < m->misfit[0] && m->misfit[i] < m->misfit[m->delay])
+        if (m->misfit[i] + k->late[0] < m->misfit[0] && m->misfit[i] < m->misfit[m->delay])
             m->delay = i;
 }
 
 /* Which sensors have come without a pause since `time`. */
-static int heard_since(const ddmpc_monitor *m, ddmpc_time time)
+static int heard_since(const ddmpc_constants *k, const ddmpc_monitor *m, ddmpc_time time)
 {
-    const int wheels = m->wheels.since <= time && m->now.time - m->wheels.heard <= SILENCE;
-    const int gyro = m->gyro.since <= time && m->now.time - m->gyro.heard <= SILENCE;
+    const ddmpc_time silence = (ddmpc_time)k->silence;
+    const int wheels = m->wheels.since <= time && m->now.time - m->wheels.heard <= silence;
+    const int gyro = m->gyro.since <= time && m->now.time - m->gyro.heard <= silence;
     return (wheels ? BY_WHEELS : 0) | (gyro ? BY_GYRO : 0);
 }
 
 /* Whether a pose that repeats itself does so while two others say that the robot moves. */
-static int is_frozen(ddmpc_controller *c, const real pose[3], const ddmpc_motion *now)
+static int is_frozen(ddmpc_controller *c, const real pose[3], const ddmpc_motion *now, const real noise[2])
 {
-    const real far = c->constants->monitor_position, turned = c->constants->monitor_heading;
+    const ddmpc_constants *k = c->constants;
     ddmpc_monitor *m = &c->monitor;
     m->same++;
     for (int i = 0; i < 3; i++)
@@ -370,13 +404,14 @@ static int is_frozen(ddmpc_controller *c, const real pose[3], const ddmpc_motion
             m->same = 0;
     if (m->same == 0)
         m->frozen = *now;
-    if (m->same < OFTEN - 1)
+    if (m->same < (int)k->often - 1)
         return 0;
     const motions by = compare(m, &m->frozen, now, pose, pose);
-    const int heard = heard_since(m, m->frozen.time) & ~m->accused;
-    const int model = differ(now->sum[MODEL_DISTANCE], m->frozen.sum[MODEL_DISTANCE], far) ||
+    const int heard = heard_since(k, m, m->frozen.time) & ~m->accused;
+    const real far = k->frozen[0] + R(3.0) * noise[0], turned = k->frozen[1] + R(3.0) * noise[1];
+    const int model = ddmpc_fabs(now->sum[MODEL_DISTANCE] - m->frozen.sum[MODEL_DISTANCE]) > far ||
                       ddmpc_fabs(by.model_turn) > turned;
-    const int wheels = differ(now->sum[WHEEL_DISTANCE], m->frozen.sum[WHEEL_DISTANCE], far) ||
+    const int wheels = ddmpc_fabs(now->sum[WHEEL_DISTANCE] - m->frozen.sum[WHEEL_DISTANCE]) > far ||
                        ddmpc_fabs(by.wheel_turn) > turned;
     const int gyro = ddmpc_fabs(by.gyro_turn) > turned;
     return model + (wheels && (heard & BY_WHEELS)) + (gyro && (heard & BY_GYRO)) >= 2;
@@ -393,73 +428,87 @@ static const ddmpc_seen_pose *seen_before(const ddmpc_monitor *m, ddmpc_time sta
     return 0;
 }
 
-/* Whom the motion up to this pose speaks against. */
-static int judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddmpc_motion *now, const real noise[2],
-                 int *agreeing)
+/* The evidence of a window, at the delay of poses that leaves least of it: one that is late is no fault. */
+static verdict weigh_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_pose *from,
+                          const ddmpc_motion *now, const real *pose, int heard, const real noise[2], int window)
+{
+    verdict least = {{R(0.0), R(0.0), R(0.0)}, 0, R(0.0)};
+    for (int i = 0, first = 1; i < MONITORED_DELAYS; i++) {
+        motions by;
+        /* Delays that have been excluded so far explain nothing. */
+        if (m->misfit[i] > m->misfit[m->delay] + k->scatter[2] || !compare_late(k, m, from, now, i, pose, &by))
+            continue;
+        const verdict found = weigh(k, m, &by, heard, noise, k->windows[window]);
+        if (first || found.honest < least.honest)
+            least = found;
+        first = 0;
+    }
+    return least;
+}
+
+/* Evidence against each sensor by the motion up to this pose; `agreeing` gets those whom the others confirm in motion. */
+static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddmpc_motion *now, const real noise[2],
+                  real evidence[SENSES], int *agreeing)
 {
     const ddmpc_constants *k = c->constants;
     ddmpc_monitor *m = &c->monitor;
-    const int accused = m->accused, told = accused & BY_POSE ? ~accused : BY_WHEELS | BY_GYRO;
-    int found = 0, drifting = 0;
-    motions likeliest[WINDOWS];
+    const int accused = m->accused, both = BY_WHEELS | BY_GYRO;
+    motions half, whole;
     for (int window = SHORT; window < WINDOWS; window++) {
-        const ddmpc_seen_pose *from = seen_before(m, pose->stamp, WINDOW_LENGTH[window]);
-        if (!from || !compare_late(m, from, now, m->delay, pose->value, &likeliest[window]))
+        const ddmpc_seen_pose *from = seen_before(m, pose->stamp, (ddmpc_time)k->windows[window]);
+        motions *by = window == LONG ? &whole : &half;
+        if (!from || !compare_late(k, m, from, now, m->delay, pose->value, by))
             break;
-        motions *by = &likeliest[window];
-        const int there = heard_since(m, from->then.time - delay_of(m->delay)), heard = there & ~accused;
-        const int all = heard == (BY_WHEELS | BY_GYRO);
+        const int there = heard_since(k, m, from->then.time - delay_of(k, m->delay)), heard = there & ~accused;
         if (window == MIDDLE)
             continue;
-        int ignored, here = suspects(k, by, heard, noise, window == SHORT && !accused ? agreeing : &ignored);
-        if (window == SHORT && accused) {
-            /* Those whom the poses, or who the poses are to be compared with. */
-            suspects(k, by, there & told, noise, agreeing);
+        const verdict found = weigh_late(k, m, from, now, pose->value, heard, noise, window);
+        for (int i = 0; i < SENSES; i++)
+            evidence[i] = ddmpc_max(evidence[i], found.evidence[i]);
+        if (window == LONG) {
+            m->creeping = square(by->pose_turn - by->gyro_turn) > square(noise[1]) + square(k->gyro[ABSOLUTE] * k->windows[LONG]);
+            /* Dead reckoning is by wheels and gyro: it tells of a drift only where these agree with all else. */
+            if (heard == both && found.honest < k->plausible && pose->stamp - m->slipped > (ddmpc_time)k->memory)
+                evidence[DDMPC_OF_POSE] = ddmpc_max(evidence[DDMPC_OF_POSE], drift(k, &half, &whole, noise[0]));
+            continue;
         }
-        /* Delays that have not been excluded so far explain it as well. */
-        for (int i = 0; here && i < MONITORED_DELAYS; i++) {
-            motions late;
-            if (i == m->delay || m->misfit[i] > m->misfit[m->delay] + OUTLIER)
-                continue;
-            here = compare_late(m, from, now, i, pose->value, &late) ? suspects(k, &late, heard, noise, &ignored) : 0;
-        }
-        found |= here;
-        if (window == SHORT) {
-            const real turned = k->monitor_heading + noise[1] + SLIDING * ddmpc_fabs(by->wheel_turn);
-            const int spinning = R(2.0) * ddmpc_fabs(by->pose) < ddmpc_fabs(by->wheels) &&
-                                 differ(by->pose, by->wheels, k->monitor_position + NOISE * noise[0]);
-            if (all && (spinning || differ(by->gyro_turn, by->wheel_turn, turned)))
-                m->slipped = pose->stamp;
-            const int alive = m->now.time - (m->wheels.changed < m->gyro.changed ? m->wheels.changed : m->gyro.changed) <= SILENCE;
-            if (!here && !accused && alive && there == (BY_WHEELS | BY_GYRO) && pose->stamp >= m->next_pose)
-                learn(m, from, now, pose->value, noise);
-        } else {
-            m->creeping = differ(by->pose_turn, by->gyro_turn, R(0.5) * k->monitor_heading + noise[1]);
-            drifting = all && pose->stamp - m->slipped > SLIP_MEMORY && drifts(k, &likeliest[MIDDLE], by, noise[0]);
-        }
+        const verdict with_accused = accused ? weigh(k, m, by, there, noise, k->windows[window]) : found;
+        const int moves = ddmpc_fabs(by->pose) > k->frozen[0] || ddmpc_fabs(by->pose_turn) > k->frozen[1];
+        if (with_accused.honest < k->plausible)
+            *agreeing = (moves ? there : 0) | BY_POSE;
+        if (found.slips)
+            m->slipped = pose->stamp;
+        const ddmpc_time changed = m->wheels.changed < m->gyro.changed ? m->wheels.changed : m->gyro.changed;
+        const int alive = m->now.time - changed <= (ddmpc_time)k->silence;
+        if (!accused && alive && there == both && pose->stamp >= m->next_pose && found.honest < k->plausible)
+            learn(k, m, from, now, pose->value, noise);
     }
-    if (!drifting)
-        m->steady = pose->stamp;
-    if (pose->stamp - m->steady > LONG_LASTING)
-        found |= BY_POSE;
-    /* By poses that are not believed nobody else is accused. */
-    return accused & BY_POSE ? found & BY_POSE : found;
+    /* A reading that repeats itself against the commands is no witness against poses. */
+    if (ddmpc_monitor_doubts(c, m->now.time))
+        evidence[DDMPC_OF_POSE] = R(0.0);
+    /* By poses that are not used nobody else is accused. */
+    if (accused & BY_POSE)
+        evidence[DDMPC_OF_WHEELS] = evidence[DDMPC_OF_YAW_RATE] = R(0.0);
 }
 
-/* Accuse who has been contradicted for long enough, and believe who has agreed for long enough. */
-static void decide(ddmpc_controller *c, int found, int agreeing, ddmpc_time stamp, ddmpc_time passed)
+/* Accuse who has been contradicted for long enough, and trust who has agreed for long enough. */
+static void decide(ddmpc_controller *c, const real evidence[SENSES], int agreeing, ddmpc_time stamp, ddmpc_time passed)
 {
+    const ddmpc_constants *k = c->constants;
     ddmpc_monitor *m = &c->monitor;
-    const ddmpc_time now = m->now.time;
-    const int repeats[SENSES] = {now - m->wheels.changed > SILENCE, now - m->gyro.changed > SILENCE, m->same > 0};
+    const ddmpc_time now = m->now.time, silence = (ddmpc_time)k->silence;
+    const int repeats[SENSES] = {now - m->wheels.changed > silence, now - m->gyro.changed > silence, m->same > 0};
     for (int i = 0; i < SENSES; i++) {
         const int bit = 1 << i;
-        if (found & bit) {
+        real other = R(0.0);
+        for (int j = 0; j < SENSES; j++)
+            other = j == i ? other : ddmpc_max(other, evidence[j]);
+        if (evidence[i] > k->enough && evidence[i] > other + k->margin) {
             if (m->contradictions[i]++ == 0)
                 m->since[i] = stamp;
             const ddmpc_time lasting = stamp - m->since[i];
             m->agreed[i] = 0.0;
-            if ((m->contradictions[i] < OFTEN || lasting < LASTING) && lasting < WINDOW_LENGTH[SHORT])
+            if ((m->contradictions[i] < (int)k->often || lasting < (ddmpc_time)k->lasting) && lasting < (ddmpc_time)k->windows[SHORT])
                 continue;
             if (!(m->accused & bit))
                 m->repeating = repeats[i] ? m->repeating | bit : m->repeating & ~bit;
@@ -468,7 +517,7 @@ static void decide(ddmpc_controller *c, int found, int agreeing, ddmpc_time stam
             m->contradictions[i] = 0;
             if ((m->accused & agreeing & bit) && !repeats[i])
                 m->agreed[i] += passed;
-            if (m->agreed[i] >= (ddmpc_time)c->constants->monitor_trust) {
+            if (m->agreed[i] >= (ddmpc_time)k->monitor_trust) {
                 m->accused &= ~bit;
                 m->agreed[i] = 0.0;
             }
@@ -488,19 +537,20 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
         ddmpc_sqrt((pose->covariance[0][0] + pose->covariance[1][1]) * ddmpc_max(m->scatter[0], R(1.0))),
         ddmpc_sqrt(R(2.0) * pose->covariance[2][2] * ddmpc_max(m->scatter[1], R(1.0)))};
     int frozen = 0, agreeing = 0;
+    real evidence[SENSES] = {R(0.0), R(0.0), R(0.0)};
     if (m->seen) {
         const ddmpc_time passed = pose->stamp - m->last.stamp;
         const motions by = compare(m, &m->last_motion, &now, m->last.value, pose->value);
-        frozen = is_frozen(c, pose->value, &now);
+        frozen = is_frozen(c, pose->value, &now, noise);
         /* One that goes further at once than a wrong sensor could make it has leapt, which is another question. */
-        const real far = R(0.5) * k->monitor_position + NOISE * noise[0] + k->largest_command[0] * (real)passed;
-        const real turned = R(0.5) * k->monitor_heading + NOISE * noise[1] + k->largest_command[1] * (real)passed;
-        if (!(ddmpc_hypot(by.pose - by.wheels, by.left) <= far && !differ(by.pose_turn, by.gyro_turn, turned)))
+        const real far = R(0.5) * k->frozen[0] + R(3.0) * noise[0] + k->largest_command[0] * (real)passed;
+        const real turned = R(0.5) * k->frozen[1] + R(3.0) * noise[1] + k->largest_command[1] * (real)passed;
+        if (!(ddmpc_hypot(by.pose - by.wheels, by.left) <= far && ddmpc_fabs(by.pose_turn - by.gyro_turn) <= turned))
             m->poses = m->residuals = 0;
         else if (passed <= R(0.25) && m->same == 0)
-            learn_scatter(m, pose, &by);
-        const int found = judge(c, pose, &now, noise, &agreeing);
-        decide(c, found, agreeing, pose->stamp, passed < 0.25 ? passed : 0.25);
+            learn_scatter(k, m, pose, &by);
+        judge(c, pose, &now, noise, evidence, &agreeing);
+        decide(c, evidence, agreeing, pose->stamp, passed < 0.25 ? passed : 0.25);
     } else {
         m->frozen = now;
     }
@@ -519,7 +569,7 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
         m->poses += m->poses < MONITORED_POSES;
         memcpy(m->pose[m->newest_pose].value, pose->value, sizeof pose->value);
         m->pose[m->newest_pose].then = now;
-        m->next_pose = pose->stamp + POSE_SPACING - 1e-9;
+        m->next_pose = pose->stamp + (ddmpc_time)k->pose_spacing - 1e-9;
     }
     m->last = *pose;
     m->last_motion = now;
@@ -527,14 +577,17 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
     return m->accused & ~before;
 }
 
-static real widening(real scatter) { return scatter > NOISY ? ddmpc_min(scatter, NOISIEST) : R(1.0); }
+static real widening(const ddmpc_constants *k, real scatter)
+{
+    return scatter > k->scatter[3] ? ddmpc_min(scatter, k->scatter[4]) : R(1.0);
+}
 
 void ddmpc_monitor_widen(ddmpc_controller *c, ddmpc_checked_pose *pose)
 {
     ddmpc_monitor *m = &c->monitor;
     real by[2];
     for (int i = 0; i < 2; i++) {
-        const real wide = widening(m->scatter[i]);
+        const real wide = widening(c->constants, m->scatter[i]);
         /* What was believed came from poses that were trusted too much. */
         pose->doubt[i] = wide > m->widest[i] ? ddmpc_sqrt(wide / m->widest[i]) : R(1.0);
         m->widest[i] = ddmpc_max(wide, m->widest[i]);
@@ -545,6 +598,8 @@ void ddmpc_monitor_widen(ddmpc_controller *c, ddmpc_checked_pose *pose)
             pose->covariance[i][j] *= by[i / 2] * by[j / 2];
 }
 
+ddmpc_time ddmpc_monitor_delay(const ddmpc_controller *c) { return delay_of(c->constants, c->monitor.delay); }
+
 void ddmpc_monitor_report(ddmpc_controller *c)
 {
     const ddmpc_monitor *m = &c->monitor;
@@ -554,14 +609,14 @@ void ddmpc_monitor_report(ddmpc_controller *c)
     result->reasons |= (unsigned int)m->accused * DDMPC_WHEELS_ACCUSED;
     result->repeating = m->repeating & m->accused;
     result->pose_scatter = ddmpc_sqrt(ddmpc_max(m->scatter[0], m->scatter[1]));
-    result->pose_delay = (real)delay_of(m->delay);
+    result->pose_delay = (real)delay_of(c->constants, m->delay);
     result->turn_ratio[0] = wheels;
     result->turn_ratio[1] = body;
-    if (square(result->pose_scatter) > NOISY)
+    if (square(result->pose_scatter) > c->constants->scatter[3])
         result->reasons |= DDMPC_POSES_SCATTER;
     if (m->delay > 0)
         result->reasons |= DDMPC_POSES_LATE;
-    if (m->body_by_wheels[1] > MUCH_TURN && m->wheels_by_model[1] > MUCH_TURN &&
+    if (m->body_by_wheels[1] > c->constants->gains[1] && m->wheels_by_model[1] > c->constants->gains[1] &&
         !(wheels < most && wheels * most > R(1.0) && body < most && body * most > R(1.0)))
         result->reasons |= DDMPC_TURNS_OTHERWISE;
 }

@@ -495,11 +495,27 @@ static void report_rate(ddmpc_controller *c)
         c->result.reasons |= DDMPC_POSES_RARE;
 }
 
+/* Whether wheels and gyro stand in for poses that stay away: for a while, as long as the position is known to the band. */
+static int is_bridged(const ddmpc_controller *c)
+{
+    const ddmpc_constants *k = c->constants;
+    const ddmpc_time heard = ddmpc_min(c->monitor.wheels.heard, c->monitor.gyro.heard);
+    const real *deviation = c->result.estimate.deviation + STATES(c) + POSE(c);
+    if (!(k->dead_reckoning > R(0.0)) || c->monitor.accused || c->last_tick - heard > (ddmpc_time)k->silence)
+        return 0;
+    return *c->result.estimate.pose_age <= k->dead_reckoning &&
+           UNSURE * ddmpc_hypot(deviation[0], deviation[1]) <= k->band;
+}
+
 /* Whether the last accepted pose is too old, or will be before the next: to drive from one to the other is to lurch. */
 static int has_old_pose(ddmpc_controller *c)
 {
     const ddmpc_estimator *estimator = &c->estimator;
     const int rare = estimator->rare;
+    if (is_bridged(c)) {
+        c->result.reasons &= ~(unsigned int)DDMPC_POSES_RARE;
+        return 0;
+    }
     /* Where poses are rare that is said, and their age only when none comes at all. */
     const ddmpc_time usual = rare ? estimator->pose_interval + estimator->pose_latency : 0.0;
     if (*c->result.estimate.pose_age > c->constants->max_pose_age + (real)usual)

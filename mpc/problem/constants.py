@@ -6,10 +6,13 @@ They go into memory for use from Python, or as text into an exported library: in
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
@@ -192,11 +195,12 @@ class Problem:
         }
 
     def _monitor(self) -> Constants:
-        monitor = self.config.monitor
+        monitor, test = self.config.monitor, dict(_sensor_test())
+        often, scale = test.pop("alarms")
         return {
             "monitor": monitor.enabled,
-            "monitor_position": monitor.position,
-            "monitor_heading": monitor.heading,
+            "enough": scale * float(np.log(often / monitor.false_alarm_rate)),
+            **test,
             "monitor_turn_ratio": monitor.turn_ratio,
             "monitor_trust": monitor.trust_after,
         }
@@ -279,6 +283,7 @@ class Problem:
         failure, finish, reentry = self.config.failure, self.config.finish, self.config.reentry
         return {
             "max_pose_age": failure.max_pose_age,
+            "dead_reckoning": failure.dead_reckoning,
             "max_position_error": failure.max_position_error,
             "max_reused_ticks": failure.max_reused_ticks,
             "resume": failure.resume,
@@ -304,6 +309,13 @@ class Problem:
             "fence_middle": [fence.x, fence.y, fence.heading],
             "fence_reach": [0.5 * fence.length - fence.margin, 0.5 * fence.width - fence.margin],
         }
+
+
+@cache
+def _sensor_test() -> dict[str, Any]:
+    """Numbers of the test that tells a faulty sensor from an honest surprise, by their fields in C."""
+    data: dict[str, Any] = read_yaml(Path(__file__).parents[1] / "config" / "sensor_test.yaml")
+    return data
 
 
 def configured_slip(config: ControllerConfig) -> Slip:

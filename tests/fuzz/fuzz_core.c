@@ -250,7 +250,26 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
     k.least_yaw_rate = k.least_speed = R(0.05);
     k.stamp_history = (real)(0.8 * k.longest_pause);
     k.monitor = 1;
-    k.monitor_position = k.monitor_heading = (real)uniform(0.01, 0.2);
+    k.enough = (real)uniform(1.0, 30.0);
+    const real windows[3] = {R(0.5), R(1.5), R(3.0)};
+    memcpy(k.windows, windows, sizeof windows);
+    k.silence = k.pose_spacing = k.lasting = k.answer = R(0.1);
+    k.latest = R(0.3);
+    k.often = k.margin = R(3.0);
+    for (int i = 0; i < 2; i++) {
+        k.gyro[i] = R(0.02);
+        k.slip_turning[i] = k.slip_driving[i] = k.following[i] = k.sliding[i] = k.frozen[i] = k.doubtful[i] = R(0.1);
+        k.odds[i] = R(6.0);
+    }
+    k.plausible = R(12.0);
+    k.memory = R(5.0);
+    k.held = R(0.2);
+    k.far = R(64.0);
+    k.late[0] = R(16.0);
+    k.late[1] = R(0.99);
+    const real gains[4] = {R(0.2), R(6.0), R(8.0), R(0.5)}, scatter[5] = {R(0.04), R(25.0), R(9.0), R(6.25), R(400.0)};
+    memcpy(k.gains, gains, sizeof gains);
+    memcpy(k.scatter, scatter, sizeof scatter);
     k.monitor_turn_ratio = R(1.5);
     k.monitor_trust = (real)uniform(0.1, 1.0);
     k.largest_position_jump = k.largest_heading_jump = R(0.5);
@@ -275,6 +294,7 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
     k.active_set = once_in(4) ? below(5) : 400;
     k.forced = once_in(8);
     k.max_pose_age = wild(0.5, seldom);
+    k.dead_reckoning = wild(2.0, seldom);
     k.max_position_error = wild(5.0, seldom);
     k.fence = once_in(3);
     k.fence_at_start = once_in(2);

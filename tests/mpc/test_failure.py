@@ -1,6 +1,7 @@
 """What happens when a measurement, the clock or a solve fails: the ladder down to zero, and back."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -67,6 +68,34 @@ def test_without_poses_it_dead_reckons_then_brakes_then_stands():
     assert "no pose was accepted" in results[first_brake].message
     assert (slews(results) <= SLEW + 1e-12).all()
     assert (results[-1].command == 0).all()
+
+
+def without_poses(begin, *, wheels=True):
+    """A change for `drive`: from tick `begin` on no pose comes for 1.2 s of each 1.8 s."""
+
+    def change(k, m):
+        if k < begin or (k - begin) * DT % 1.8 >= 1.2:
+            return m
+        return replace(m, pose=None) if wheels else Measurement(yaw_rate=m.yaw_rate)
+
+    return change
+
+
+def test_with_dead_reckoning_it_drives_on_what_it_has_while_its_position_is_known():
+    patient = controller(**{"failure.dead_reckoning": 2.0})
+    results, poses, times = drive(patient, robot(), REFERENCE, 9.0, change=without_poses(100))
+    assert modes(results) == [Mode.TRACKING]
+    assert np.abs((poses - REFERENCE.sample(times).pose)[:, :2]).max() < 0.03
+
+
+@pytest.mark.parametrize(("wheels", "band"), [(False, 0.08), (True, 0.015)])
+def test_without_wheels_or_beyond_the_band_dead_reckoning_ends(wheels, band):
+    """Blind means blind: then the usual age of a pose counts."""
+    patient = controller(**{"failure.dead_reckoning": 2.0, "reentry.band": band})
+    results, _, _ = drive(patient, robot(), REFERENCE, 4.0, change=without_poses(100, wheels=wheels))
+    assert Mode.BRAKING in modes(results)
+    first_brake = next(k for k, r in enumerate(results) if r.mode is Mode.BRAKING)
+    assert (first_brake - 99) * DT < 1.2
 
 
 def rare_poses(interval, latency, until=math.inf):

@@ -71,8 +71,9 @@ def numeric_fields():
     """Keys and defaults of all numbers in the groups."""
     for group in GROUPS:
         for name, field in type(getattr(ControllerConfig(), group)).model_fields.items():
-            # Curved slip and a least turn radius are not the oracle's: they have tests of their own.
-            if not (field.default is None or isinstance(field.default, bool) or name.startswith(CURVED_SLIPS)):
+            # Curved slip, a least turn radius and dead reckoning are not the oracle's: they have tests of their own.
+            own = (*CURVED_SLIPS, "dead_reckoning")
+            if not (field.default is None or isinstance(field.default, bool) or name.startswith(own)):
                 yield f"{group}.{name}", field.default
 
 
