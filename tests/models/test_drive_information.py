@@ -60,7 +60,7 @@ def test_other_structures_by_gain_and_mean_delay(name):
 
 
 def test_identification_is_as_good_as_it_was_said():
-    """Fifteen logs of one robot, each with noise of its own: errors over stated deviations are of size one."""
+    """Ten logs of one robot, each with noise of its own: errors over stated deviations are of size one."""
     commands = steps(5, 25.0)
     said = DriveInformation(SM, NOISE).parameters(commands, DT)
     sampled = SM.discretise(DT)
@@ -73,7 +73,7 @@ def test_identification_is_as_good_as_it_was_said():
         older = np.array([line[first + k - d - 1, j] for j, d in enumerate(sampled.delay)])
         state = sampled.A @ state + sampled.B0 @ recent + sampled.B1 @ older
     errors = []
-    for seed in range(15):
+    for seed in range(10):
         read = clean + NOISE * np.random.default_rng(seed).standard_normal(clean.shape)
         record = Record("drive", 0.0, DT, commands, twist=read, yaw_rate=read[:, 1])
         found = identify_sm([record], limits=False).parameters
@@ -82,7 +82,7 @@ def test_identification_is_as_good_as_it_was_said():
             part["lag"] = 2 * found.value(f"{channel}.damping") / found.value(f"{channel}.natural_frequency")
             asked = [(f"{channel}.{name}", part[name]) for name in TOLD]
             errors.append([(value - said.value(name)) / said.deviation(name) for name, value in asked])
-    # The root mean square of 15 normal values has a deviation of 0.18: within three of them.
-    size = np.sqrt(np.mean(np.reshape(errors, (15, 6)) ** 2, axis=0))
+    # The root mean square of 10 normal values has a deviation of 0.22: within three of them.
+    size = np.sqrt(np.mean(np.reshape(errors, (10, 6)) ** 2, axis=0))
     assert (size > 0.5).all(), size
     assert (size < 1.6).all(), size
