@@ -103,7 +103,7 @@ def test_whether_an_exchange_explains_the_printed_line_is_open():
 
 
 def test_drives_as_fast_as_the_papers_reach_its_range_and_do_not_leave_it():
-    (drive,) = RobotLogs(31).free(1, 120.0, SMALL.paper_range)
+    (drive,) = RobotLogs(31).free(1, 60.0, SMALL.paper_range)
     v, omega = np.abs(drive.command).max(axis=0)
     assert 1.2 < v <= 1.5
     assert 1.6 < omega <= 2.0
