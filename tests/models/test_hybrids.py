@@ -278,7 +278,7 @@ def test_from_a_log_of_a_linear_robot_the_network_is_left_out(quick, tmp_path):
 
 
 def test_from_a_log_to_a_hybrid_that_a_controller_loads(quick, tmp_path):
-    record = slewing(5, 40.0)
+    record = slewing(5, 60.0)
     columns = {"t": record.dt * np.arange(len(record.command)), "v": record.twist[:, 0], "gyro": record.yaw_rate}
     columns |= {"v_ref": record.command[:, 0], "omega_ref": record.command[:, 1], "omega_wheels": record.yaw_rate}
     log = write_csv(tmp_path / "drive.csv", columns)

@@ -83,7 +83,7 @@ def test_the_address_sanitizer_finds_nothing(tmp_path):
         "from diffdrive_mpc.models.compiled import compiler\n"
         "compiler._FLAGS = ('-std=c99', '-O0', '-fPIC', '-fsanitize=address')\n"
         "from test_reference_shapes import CHANGES, drive\n"
-        "for change in CHANGES.values(): drive(change, late=3, ticks=6)\n"
+        "for change in CHANGES.values(): drive(change)\n"
         "print('driven')\n"
     )
     environment = os.environ | {
