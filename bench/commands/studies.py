@@ -267,6 +267,10 @@ def robustness(
         str | None, typer.Option(metavar="NAMES", help="Paths.", show_default="circle,s; circle with --quick")
     ] = None,
     seeds: Annotated[str, typer.Option(metavar="LIST", help="How many seeds, or a list of them.")] = "1",
+    robots: Annotated[
+        int | None,
+        typer.Option(min=1, help="Drive so many drawn robots, as wide as the market, and no condition."),
+    ] = None,
     jobs: Jobs = None,
 ) -> None:
     """Drive every controller on robots, floors and sensors that it was not tuned to: some minutes on two cores."""
@@ -277,12 +281,13 @@ def robustness(
     loaded = load_conditions(conditions)
     names = split_names(only, "--only") if only is not None else loaded.quick if quick else None
     study = RobustnessStudy(
-        loaded.chosen(names),
+        loaded.chosen(names) if names is not None or robots is None else {},
         loaded.settled,
         controllers=split_names(controllers, "--controllers"),
         models=split_names(models, "--models"),
         trajectories=split_names(trajectories or ("circle" if quick else "circle,s"), "--trajectories"),
         seeds=parse_seeds(seeds),
+        robots=robots or 0,
     )
     carry_out(study, out, jobs)
 

@@ -16,12 +16,12 @@ from diffdrive_mpc.models.robot import Robot, TwistBounds, load_robot
 from diffdrive_mpc.sim.disturbances.scenario import beside, load_scenario
 from diffdrive_mpc.sim.plants.chassis import outline
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
+from diffdrive_mpc.sim.plants.drawn_robot import DrawnRobot, draw_robot
 from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, SimulatedRobot, load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.plants.twin_parameters import load_twin_parameters
 from diffdrive_mpc.sim.plants.world_plant import WorldPlant
-from diffdrive_mpc.sim.population.drawn_robot import DrawnRobot, draw_robot
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 from diffdrive_mpc.sim.worlds.world_file import NO_WORLD, load_world
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 PHYSICS = "mujoco"
 """Name of the physics plant, and before a colon the kind of another robot in it."""
 DRAWN = "drawn"
-"""Before a colon and a seed: a robot of the market, see `sim/population`."""
+"""Before a colon and a seed: a robot of the market, see `sim/plants/market.yaml`."""
 _MODEL_PREFIX = "model:"
 
 

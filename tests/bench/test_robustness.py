@@ -13,18 +13,20 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.controllers import controller_config
+from diffdrive_mpc.bench.controllers import controller_config, run_case
 from diffdrive_mpc.bench.outcomes import SolverShares
-from diffdrive_mpc.bench.studies.robustness.conditions import load_conditions
+from diffdrive_mpc.bench.studies.robustness.conditions import load_conditions, market_cases
 from diffdrive_mpc.bench.studies.robustness.results import (
     ConditionOutcome,
     ratios,
     run_condition,
     study_tables,
 )
+from diffdrive_mpc.bench.studies.robustness.study import turns_on_the_spot
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.load import ROBOT_NAMES
 from diffdrive_mpc.sim import make_plant
+from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
 
 CONDITIONS = load_conditions()
 runner = CliRunner()
@@ -57,7 +59,8 @@ def test_a_peer_is_told_nothing() -> None:
 
 def _row(condition: str, case: Case, error: float, **changes: object) -> ConditionOutcome:
     made = metrics(position_rmse_m=error, **{k: v for k, v in changes.items() if k == "completed"})  # type: ignore[arg-type]
-    row = ConditionOutcome(condition, case, made, recovery(), SolverShares(90.0, 10.0, 0.0, 0), 0.01, 1.0, "", "", 0.0)
+    shares = SolverShares(90.0, 10.0, 0.0, 0)
+    row = ConditionOutcome(condition, case, made, recovery(), shares, 0.01, 1.0, "", "", 0.0, stopped=False, lost_s=0.0)
     return replace(row, **{k: v for k, v in changes.items() if k != "completed"})  # type: ignore[arg-type]
 
 
@@ -84,6 +87,23 @@ def test_tables_show_every_condition_and_what_was_said() -> None:
     assert errors.rows[2][-1] == "0/1"
     assert behind.rows == (("a", "1.00", "2.00"), ("b", "2.00", "1.00"))
     assert [row[:3] for row in said.rows] == [("a", "SSM", "the reference waits"), ("b", "SSM", "tipped over")]
+
+
+def test_robots_of_the_market_are_the_reserved_ones_that_can_drive_the_path() -> None:
+    cases = market_cases(3, "mpc", "ssm", "square", spot_turns=True)
+    seeds = [case.seed for case in cases]
+    assert [case.plant for case in cases] == [f"drawn:{seed}" for seed in seeds]
+    assert all(seed % 2 == 0 and draw_robot(seed).can_drive(spot_turns=True) for seed in seeds)
+    assert dict(cases[0].overrides) == draw_robot(seeds[0]).told
+    assert not market_cases(1, "kanayama", "ssm", "circle", spot_turns=False)[0].overrides
+    assert [turns_on_the_spot(path) for path in ("circle", "square", "s", "cane")] == [False, True, False, False]
+
+
+def test_no_sensor_of_honest_robots_of_the_market_is_given_up() -> None:
+    """Slopes, loads aside, patches, wrong tracks and poor poses are no fault of a sensor."""
+    cases = [case for path in ("circle", "s") for case in market_cases(6, "mpc", "ssm", path, spot_turns=False)]
+    given_up = [case.plant for case in cases if any(" not used: " in message for message in run_case(case).messages)]
+    assert given_up == []
 
 
 @pytest.mark.parametrize("name", ["default", "biased_gyro"])

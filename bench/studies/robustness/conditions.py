@@ -12,6 +12,7 @@ from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.robot import NotNegative
+from diffdrive_mpc.sim.plants.drawn_robot import RESERVED, draw_robot
 
 
 class Condition(StrictModel):
@@ -39,6 +40,26 @@ class Condition(StrictModel):
             seed=seed,
             overrides=() if peer else tuple(self.settings.items()),
         )
+
+
+MARKET = "market"
+"""Name of the condition of drawn robots: one condition, another robot in each run."""
+
+
+def market_cases(robots: int, controller: str, model: str, trajectory: str, spot_turns: bool) -> list[Case]:
+    """Runs of the first `robots` reserved robots of the market that can drive a path; see `DrawnRobot.can_drive`.
+
+    The predictive controller is told what the robot's user knows of it; a peer is told nothing.
+    """
+    cases: list[Case] = []
+    seed = 0
+    while len(cases) < robots:
+        drawn = draw_robot(seed)
+        if drawn.can_drive(spot_turns):
+            condition = Condition(plant=f"drawn:{seed}", settings=dict(drawn.told))
+            cases.append(condition.case(controller, model, trajectory, seed))
+        seed += RESERVED
+    return cases
 
 
 class Conditions(StrictModel):

@@ -21,6 +21,8 @@ from diffdrive_mpc.sim.run import Run
 
 _DIGITS = 6
 """Of every number in `robustness.json`."""
+_ROOM = 0.05
+"""Lateral error [m] up to which a run keeps to its path: the band of Guffanti et al. 2026."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,10 @@ class ConditionOutcome:
         What the controller said most often; empty where it said nothing.
     said_percent
         Share of the ticks at which it said anything [%].
+    stopped
+        Whether it braked or stood on the way: a false stop where every sensor is honest.
+    lost_s
+        Time after the end of the reference at which it arrived [s]; NaN where it did not.
     """
 
     condition: str
@@ -58,6 +64,8 @@ class ConditionOutcome:
     ended: str
     message: str
     said_percent: float
+    stopped: bool
+    lost_s: float
 
     @property
     def driver(self) -> str:
@@ -66,7 +74,7 @@ class ConditionOutcome:
 
     def as_json(self) -> dict[str, object]:
         """Labels and numbers as plain values, without step times."""
-        own = ("condition", "late_lateral_m", "heading_nees", "ended", "message", "said_percent")
+        own = ("condition", "late_lateral_m", "heading_nees", "ended", "message", "said_percent", "stopped", "lost_s")
         kept = {k: v for k, v in metrics_row(self).items() if not k.startswith(("step_time", "solve_time", "deadline"))}
         settings = {"set": dict(self.case.overrides)}
         row: dict[str, object] = plain(
@@ -91,7 +99,16 @@ def run_condition(condition: str, case: Case, settled: float) -> ConditionOutcom
         run.ended,
         said.most_common(1)[0][0] if said else "",
         100.0 * said.total() / len(run.messages),
+        _stopped(run),
+        max(0.0, float(run.time[-1]) - run.reference.duration) if run.metrics.completed else float("nan"),
     )
+
+
+def _stopped(run: Run) -> bool:
+    """Whether the controller braked or stood after it had begun to drive."""
+    modes = [str(mode) for mode in run.modes]
+    began = modes.index("TRACKING") if "TRACKING" in modes else len(modes)
+    return bool({"BRAKING", "STOPPED"} & set(modes[began:]))
 
 
 def _heading_nees(run: Run) -> float:
@@ -126,10 +143,16 @@ def study_tables(rows: Rows) -> list[Table]:
         "position RMSE [mm]": mean_of("position_rmse_m", millis),
         "largest late lateral [mm]": lambda runs: millis(max(one.late_lateral_m for one in runs)),
         "position max [mm]": worst_of("position_max_m", millis),
+        "within 5 cm": lambda runs: f"{sum(one.metrics.lateral_max_m <= _ROOM for one in runs)}/{len(runs)}",
+        "stops": lambda runs: f"{sum(one.stopped for one in runs)}/{len(runs)}",
+        "time lost [s]": lambda runs: number(float(np.nanmean([0.0, *(one.lost_s for one in runs)])), 1),
         "heading NEES": lambda runs: number(float(np.mean([one.heading_nees for one in runs])), 1),
         "completed": completed,
     }
-    note = "Mean RMSE and largest errors over trajectories and seeds; of a run that ended early, of what was driven."
+    note = (
+        "Mean RMSE and largest errors over trajectories and seeds; of a run that ended early, of what was driven. "
+        "Stops: runs in which it braked on the way, a false stop where every sensor is honest."
+    )
     tables = [Table.of("Conditions", ("condition", "controller"), columns, entries, note)]
     if len({driver for _, driver in (names for names, _ in entries)}) > 1:
         tables.append(_ratio_table(conditions))

@@ -51,8 +51,9 @@ class DrawnRobot:
 
         Friction holds it on the slope while it speeds up. While wheels skid in a turn a force moves the robot by its
         share of the grip, and its speed answers with a time constant, skidding speed over friction: both are small
-        enough to steer. The motors of the more heavily loaded side push it uphill, and skid their wheels sideways, at the
-        speed that the path asks of them: torque falls linearly with speed. The yaw rate to command is below the limit.
+        enough to steer. The motors of the more heavily loaded side push it uphill, and skid their wheels sideways, at
+        the speed that the path asks of them: torque falls linearly with speed. The yaw rate to command is below the
+        limit.
         With `spot_turns` the path turns on the spot, which a robot that turns about another point cannot do.
         """
         market, robot, chassis = _market(), self.build.robot, self.build.twin.chassis
@@ -98,7 +99,9 @@ def _market() -> dict[str, Any]:
 def _rim_speed(build: SimulatedRobot) -> float:
     """Speed of the faster wheels on the benchmark paths [m/s]."""
     needs = _market()["needs"]
-    return float(needs["speed"] + 0.5 * needs["turning"] * _skid_track(build.robot.track, build.twin.chassis.wheel_base))
+    return float(
+        needs["speed"] + 0.5 * needs["turning"] * _skid_track(build.robot.track, build.twin.chassis.wheel_base)
+    )
 
 
 def _skid_track(track: float, wheel_base: float) -> float:
@@ -111,10 +114,10 @@ def draw_robot(seed: int) -> DrawnRobot:
     market, stream = _market(), np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(4711,)))
 
     def uniform(span: list[float]) -> float:
-        return float(stream.uniform(*span))
+        return _uniform(stream, span)
 
     def logarithmic(span: list[float]) -> float:
-        return float(np.exp(stream.uniform(*np.log(span))))
+        return float(np.exp(_uniform(stream, np.log(span).tolist())))
 
     twin = digital_twin()
     like = {name: twin[name] for name in ("robot", "twin")}
@@ -132,20 +135,14 @@ def draw_robot(seed: int) -> DrawnRobot:
     rim = needs["speed"] + 0.5 * needs["turning"] * skid
     no_load = uniform(market["top_speed"]) * rim / radius
     quick = usual_twin["motor"]["no_load_speed"] / no_load
-    heavy = mass / usual_robot["mass"] * radius / usual_robot["wheel_radius"]
+    larger = radius / usual_robot["wheel_radius"]
+    heavy = mass / usual_robot["mass"] * larger
     ahead, left = uniform(market["centre_of_mass"]) * wheel_base, uniform(market["centre_of_mass"]) * track
     difference = uniform(market["rolling_radii"]) / 2
     correction = uniform(market["skid_correction"])
     firmware_track = track + correction * (skid - track)
     dead_time, lag_v, lag_omega = uniform(market["dead_time"]), uniform(market["lag"]), uniform(market["lag"])
-    spread = [uniform(market["motor_spread"]) for _ in WHEELS]
-    driven = 2 if castors else 4
-    weak, dead = market["weak_motor"], market["dead_motor"]
-    weak_wheel, weak_factor = int(stream.integers(driven)), uniform(weak["factor"])
-    if stream.random() < weak["often"]:
-        spread[weak_wheel] *= weak_factor
-    dead_wheel, dead_from = int(stream.integers(4)), uniform(dead["start"])
-    dies = stream.random() < dead["often"] and not castors
+    spread, failing = _motors(market, stream, castors=castors)
     friction = logarithmic(market["friction"])
     patches = market["patches"]
     patch = {name: uniform(patches[name]) for name in ("start", "length", "factor")}
@@ -174,7 +171,10 @@ def draw_robot(seed: int) -> DrawnRobot:
                 "motor": {
                     "stall_torque": usual_twin["motor"]["stall_torque"] * heavy * uniform(market["torque"]),
                     "no_load_speed": no_load,
-                    "rotor_inertia": usual_twin["motor"]["rotor_inertia"] * heavy * radius / usual_robot["wheel_radius"],
+                    "rotor_inertia": usual_twin["motor"]["rotor_inertia"]
+                    * heavy
+                    * radius
+                    / usual_robot["wheel_radius"],
                     "spread": spread,
                 },
                 "driver": {
@@ -192,7 +192,7 @@ def draw_robot(seed: int) -> DrawnRobot:
         "description": "what befalls it",
         "slope": slope if sloped else None,
         "patches": [patch] if patched else [],
-        "weak_motors": [{"wheel": WHEELS[dead_wheel], "factor": 0.0, "start": dead_from}] if dies else [],
+        "weak_motors": failing,
     }
     late = pose["period"] / (1.0 - pose["loss"]) if pose["period"] else 0.0
     truth = {
@@ -209,6 +209,24 @@ def draw_robot(seed: int) -> DrawnRobot:
     return DrawnRobot(seed, check(SimulatedRobot, build, where), check(Scenario, scenario, where), told, truth)
 
 
+def _uniform(stream: np.random.Generator, span: list[float]) -> float:
+    return float(stream.uniform(span[0], span[1]))
+
+
+def _motors(
+    market: dict[str, Any], stream: np.random.Generator, *, castors: bool
+) -> tuple[list[float], list[dict[str, Any]]]:
+    """Torque of each motor over nominal, and the motors that fail on the way; castors have none to spare."""
+    spread = [_uniform(stream, market["motor_spread"]) for _ in WHEELS]
+    weak, dead = market["weak_motor"], market["dead_motor"]
+    weak_wheel, weak_factor = int(stream.integers(2 if castors else 4)), _uniform(stream, weak["factor"])
+    if stream.random() < weak["often"]:
+        spread[weak_wheel] *= weak_factor
+    dead_wheel, dead_from = int(stream.integers(4)), _uniform(stream, dead["start"])
+    dies = stream.random() < dead["often"] and not castors
+    return spread, [{"wheel": WHEELS[dead_wheel], "factor": 0.0, "start": dead_from}] if dies else []
+
+
 def _pose_source(ranges: dict[str, Any], stream: np.random.Generator, sample_time: float) -> dict[str, Any]:
     """The pose sensor's values: a common quality, and each beside it."""
     quality = stream.random()
@@ -219,6 +237,6 @@ def _pose_source(ranges: dict[str, Any], stream: np.random.Generator, sample_tim
         return float(np.exp(best + share * (worst - best)))
 
     values: dict[str, Any] = {name: at(name) for name in ("latency", "position_sd", "heading_sd")}
-    period, loss = 1.0 / at("rate"), float(stream.uniform(*ranges["loss"]))
+    period, loss = 1.0 / at("rate"), _uniform(stream, ranges["loss"])
     lossy = stream.random() < 0.5
     return {**values, "period": period if period > sample_time else None, "loss": loss if lossy else 0.0}
