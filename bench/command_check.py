@@ -92,7 +92,7 @@ def stated_limits(config: str | Path | None, overrides: Mapping[str, object]) ->
         pair(""),
         pair("_slew"),
         pair("_braking"),
-        float(values["failure.max_pose_age"]),
+        max(float(values["failure.max_pose_age"]), float(values.get("failure.dead_reckoning") or 0.0)),
         float(values["sample_time"]),
         float(values.get("limits.least_commanded_radius") or 0.0),
     )

@@ -114,7 +114,7 @@ typedef struct {
 } ddmpc_checked_twist;
 
 typedef struct {
-    ddmpc_time stamp;
+    ddmpc_time stamp, stated; /* when it was true, and what its message says of that */
     real value[3], covariance[3][3];
     real doubt[2]; /* by how much the belief before it was too sure of position and heading, in deviations */
 } ddmpc_checked_pose;
@@ -186,7 +186,7 @@ typedef struct {
     real misfit[MONITORED_DELAYS];  /* of poses, were they so late */
     int delay;                      /* the one that fits best */
     int creeping;                   /* whether poses and gyro begin to differ */
-    ddmpc_time slipped;             /* when wheels last slipped */
+    ddmpc_time slipped, stood;      /* when wheels last slipped; when poses last said that it stands though it is told to move */
     int contradictions[3];          /* in a row, by subject */
     ddmpc_time since[3], agreed[3]; /* when they began [s], for how long there have been none [s] */
     int accused, repeating;         /* bits 1 << subject */
@@ -340,8 +340,8 @@ void ddmpc_monitor_clear(ddmpc_controller *c);
 void ddmpc_monitor_predict(ddmpc_controller *c, const real *newest);
 /* The motion up to `t` by what wheels and gyro read, of `twists` checked numbers the first `wheels` by wheels. */
 void ddmpc_monitor_move(ddmpc_controller *c, ddmpc_time t, const ddmpc_checked_twist *twist, int wheels, int twists);
-/* Sensors, as bits by subject, that repeat themselves to the last digit where the commands say something else: until a pose
-   has told whether the robot is held, such readings are not used. */
+/* Sensors, as bits by subject, that repeat themselves to the last digit where the commands say something else. Such readings
+   are not used, but where poses say that the robot stands against its commands: then it is held, and they are right. */
 int ddmpc_monitor_doubts(const ddmpc_controller *c, ddmpc_time t);
 /* Compare what all say of the motion up to a pose; returns who is accused from now on, as bits by subject. */
 int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose);

@@ -24,7 +24,7 @@ void ddmpc_monitor_clear(ddmpc_controller *c)
 {
     ddmpc_monitor *m = &c->monitor;
     memset(m, 0, sizeof *m);
-    m->wheels.heard = m->gyro.heard = m->slipped = -HUGE_VAL;
+    m->wheels.heard = m->gyro.heard = m->slipped = m->stood = -HUGE_VAL;
     m->body_by_wheels[1] = m->body_by_model[1] = m->wheels_by_model[1] = c->constants->gains[0];
     m->body_by_wheels[0] = c->constants->gains[0] / c->constants->wheel_yaw_ratio;
     m->body_by_model[0] = c->constants->gains[0];
@@ -76,19 +76,27 @@ int ddmpc_monitor_doubts(const ddmpc_controller *c, ddmpc_time t)
     const ddmpc_monitor *m = &c->monitor;
     const ddmpc_time silence = (ddmpc_time)k->silence;
     real model[2];
-    if (!k->monitor)
+    if (!k->monitor || t - m->stood <= R(2.0) * (ddmpc_time)k->windows[SHORT])
         return 0;
     ddmpc_velocity_output(c, m->state, model, 0);
     const real wheel_turn = quotient(m->wheels_by_model) * model[1], body_turn = quotient(m->body_by_model) * model[1];
     const int wheels = is_doubtful(k, m->wheels.value[0], model[0]) || is_doubtful(k, m->wheels.value[1], wheel_turn);
     const int gyro = is_doubtful(k, m->gyro.value[0], body_turn);
-    return (wheels && t - m->wheels.changed > silence ? BY_WHEELS : 0) |
-           (gyro && t - m->gyro.changed > silence ? BY_GYRO : 0);
+    const int wheels_repeat = t - m->wheels.heard <= silence && t - m->wheels.changed > silence;
+    const int gyro_repeats = t - m->gyro.heard <= silence && t - m->gyro.changed > silence;
+    return (wheels && wheels_repeat ? BY_WHEELS : 0) | (gyro && gyro_repeats ? BY_GYRO : 0);
 }
 
 /* Count a sum from nought again, wherever it is kept. */
 static void rebase(ddmpc_monitor *m, int i)
 {
+    if (!isfinite(m->now.sum[i])) {
+        /* What was summed up is lost, and what it taught. */
+        m->now.sum[i] = R(0.0);
+        m->moves = m->poses = m->residuals = m->seen = 0;
+        memset(m->slip, 0, sizeof m->slip);
+        return;
+    }
     /* Of the heading whole turns: places were summed up along it. */
     const real turn = R(2.0) * DDMPC_PI, off = i == HEADING ? turn * ddmpc_rint(m->now.sum[i] / turn) : m->now.sum[i];
     m->now.sum[i] -= off;
@@ -241,7 +249,7 @@ static left_over explain(const real value[4], const real noise[4], real apart, r
     left_over left;
     memset(&left, 0, sizeof left);
     const real body_noise = pose && gyro ? noise[P] * noise[G] / (noise[P] + noise[G]) : pose ? noise[P] : noise[G];
-    const real body = pose && gyro ? body_noise * (value[P] / noise[P] + value[G] / noise[G]) : value[pose ? P : G];
+    const real body = pose && gyro ? (value[P] * noise[G] + value[G] * noise[P]) / (noise[P] + noise[G]) : value[pose ? P : G];
     const real wheel = wheels ? value[W] : value[M], wheel_noise = wheels ? noise[W] : follow;
     const real of_body = pose && gyro ? square(value[P] - value[G]) / (noise[P] + noise[G]) : R(0.0);
     const real of_wheels = wheels ? square(value[W] - value[M]) / (noise[W] + follow) : R(0.0);
@@ -474,6 +482,11 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
         }
         const verdict with_accused = accused ? weigh(k, m, by, there, noise, k->windows[window]) : found;
         const int moves = ddmpc_fabs(by->pose) > k->frozen[0] || ddmpc_fabs(by->pose_turn) > k->frozen[1];
+        const real far = k->frozen[0] + R(2.0) * noise[0], turned = k->frozen[1] + R(2.0) * noise[1];
+        const real gone = ddmpc_fabs(by->pose), went = ddmpc_fabs(by->pose_turn);
+        const int told = ddmpc_fabs(by->model) - gone > k->frozen[0] || ddmpc_fabs(by->model_turn) - went > R(2.0) * k->frozen[1];
+        if (told && !(gone > far || went > turned))
+            m->stood = pose->stamp;
         if (with_accused.honest < k->plausible)
             *agreeing = (moves ? there : 0) | BY_POSE;
         if (found.slips)
@@ -484,7 +497,7 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
             learn(k, m, from, now, pose->value, noise);
     }
     /* A reading that repeats itself against the commands is no witness against poses. */
-    if (ddmpc_monitor_doubts(c, m->now.time))
+    if (ddmpc_monitor_doubts(c, m->now.time) & ~accused)
         evidence[DDMPC_OF_POSE] = R(0.0);
     /* By poses that are not used nobody else is accused. */
     if (accused & BY_POSE)
@@ -569,7 +582,7 @@ int ddmpc_monitor_judge(ddmpc_controller *c, const ddmpc_checked_pose *pose)
         m->poses += m->poses < MONITORED_POSES;
         memcpy(m->pose[m->newest_pose].value, pose->value, sizeof pose->value);
         m->pose[m->newest_pose].then = now;
-        m->next_pose = pose->stamp + (ddmpc_time)k->pose_spacing - 1e-9;
+        m->next_pose = pose->stamp + (ddmpc_time)k->pose_spacing - 1e-6;
     }
     m->last = *pose;
     m->last_motion = now;

@@ -499,9 +499,11 @@ static void report_rate(ddmpc_controller *c)
 static int is_bridged(const ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
-    const ddmpc_time heard = ddmpc_min(c->monitor.wheels.heard, c->monitor.gyro.heard);
+    const ddmpc_time wheels = c->monitor.wheels.heard, gyro = c->monitor.gyro.heard, heard = wheels < gyro ? wheels : gyro;
     const real *deviation = c->result.estimate.deviation + STATES(c) + POSE(c);
-    if (!(k->dead_reckoning > R(0.0)) || c->monitor.accused || c->last_tick - heard > (ddmpc_time)k->silence)
+    if (!(k->dead_reckoning > R(0.0)) || c->last_tick - heard > (ddmpc_time)k->silence)
+        return 0;
+    if (c->monitor.accused || ddmpc_monitor_doubts(c, c->last_tick))
         return 0;
     return *c->result.estimate.pose_age <= k->dead_reckoning &&
            UNSURE * ddmpc_hypot(deviation[0], deviation[1]) <= k->band;

@@ -38,6 +38,20 @@ class SpinningRobot(HeldRobot):
     spins = True
 
 
+class QuietHeldRobot(HeldRobot):
+    """It is held for 2.6 s, and its encoders read exactly zero meanwhile, as real ones do."""
+
+    @property
+    def held(self):
+        return FAULT <= self.k < FAULT + 130
+
+    def measure(self):
+        measurement = super().measure()
+        if not self.held:
+            return measurement
+        return replace(measurement, wheel_twist=replace(measurement.wheel_twist, value=np.zeros(2)))
+
+
 class PushedRobot(IdealRobot):
     """Something moves it by 0.25 m and turns it by 0.2 rad within 0.2 s; gyro and poses see that."""
 
@@ -171,6 +185,27 @@ def test_a_robot_that_slides_down_a_slope_is_not_stopped(trajectory):
     results, _ = run(trajectory=trajectory, robot=SlidingRobot, seconds=12.0)
     assert accused(results) == set()
     assert {result.mode for result in results} <= {Mode.TRACKING, Mode.FINISHED}
+
+
+@pytest.mark.parametrize("every", [1, 5, 10])
+def test_a_held_robot_with_quiet_encoders_is_not_asked_for_more_and_more(every):
+    """Zeros are right there, and poses say so, however seldom they come."""
+
+    def seldom(k, m):
+        return m if k % every == 0 else replace(m, pose=None)
+
+    results, _ = run(seldom, "straight", robot=QuietHeldRobot, seconds=6.0)
+    assert accused(results) == set()
+    late = results[FAULT + 80 : FAULT + 130]
+    assert max(abs(result.command[0]) for result in late) < 0.75
+    assert "blocked for" in late[-1].message
+
+
+@pytest.mark.parametrize("path", ["s", "circle"])
+def test_poses_that_turn_are_found_without_wheels(path):
+    turning = spoilt("pose", lambda pose, t: pose + [0.0, 0.0, 0.3 * t])
+    results, _ = run(lambda k, m: replace(turning(k, m), wheel_twist=None), path)
+    assert first(results, "pose") < 5.0
 
 
 def test_readings_that_repeat_themselves_against_the_commands_are_not_used():
