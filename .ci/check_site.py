@@ -68,7 +68,8 @@ def search(page: Page, home: str) -> str:
     page.locator("label.md-header__button[for=__search]").click()
     page.locator("input.md-search__input").fill(SOUGHT)
     found = page.locator("a.md-search-result__link").first
-    found.wait_for()
+    # The index is read by a worker of the page, on a machine that may be busy.
+    found.wait_for(timeout=120_000)
     found.click()
     page.wait_for_url(lambda url: "index.html" not in url)
     text = page.locator("article").inner_text().lower()
