@@ -282,16 +282,16 @@ static verdict weigh(const ddmpc_constants *k, const ddmpc_monitor *m, const mot
     const real off = variance(k->slip_driving, gone);
     const left_over a = explain(turn, turn_noise, apart, follow);
     const left_over b = explain(way, way_noise, off, variance(k->following, gone) + square(by->late[0]));
-    verdict found;
-    found.honest = ddmpc_min(a.usual + b.usual, ddmpc_min(a.slip + b.slip + k->odds[0], a.held + b.held + k->odds[1]));
+    verdict result;
+    result.honest = ddmpc_min(a.usual + b.usual, ddmpc_min(a.slip + b.slip + k->odds[0], a.held + b.held + k->odds[1]));
     for (int i = 0; i < SENSES; i++)
         /* The gyro says nothing of driving. */
-        found.evidence[i] = found.honest - a.fault[i] - (i == DDMPC_OF_YAW_RATE ? b.usual : b.fault[i]);
-    found.slips = found.honest < a.usual + b.usual;
+        result.evidence[i] = result.honest - a.fault[i] - (i == DDMPC_OF_YAW_RATE ? b.usual : b.fault[i]);
+    result.slips = result.honest < a.usual + b.usual;
     for (int i = 0; i < SENSES; i++)
         if (i != DDMPC_OF_POSE && !(heard & 1 << i))
-            found.evidence[i] = R(0.0);
-    return found;
+            result.evidence[i] = R(0.0);
+    return result;
 }
 
 /* Squared deviations by which poses go away from dead reckoning as steadily as no slope and no slip takes a robot. */
@@ -446,9 +446,9 @@ static verdict weigh_late(const ddmpc_constants *k, ddmpc_monitor *m, const ddmp
         /* Delays that have been excluded so far explain nothing. */
         if (m->misfit[i] > m->misfit[m->delay] + k->scatter[2] || !compare_late(k, m, from, now, i, pose, &by))
             continue;
-        const verdict found = weigh(k, m, &by, heard, noise, k->windows[window]);
-        if (first || found.honest < least.honest)
-            least = found;
+        const verdict result = weigh(k, m, &by, heard, noise, k->windows[window]);
+        if (first || result.honest < least.honest)
+            least = result;
         first = 0;
     }
     return least;
@@ -470,30 +470,30 @@ static void judge(ddmpc_controller *c, const ddmpc_checked_pose *pose, const ddm
         const int there = heard_since(k, m, from->then.time - delay_of(k, m->delay)), heard = there & ~accused;
         if (window == MIDDLE)
             continue;
-        const verdict found = weigh_late(k, m, from, now, pose->value, heard, noise, window);
+        const verdict result = weigh_late(k, m, from, now, pose->value, heard, noise, window);
         for (int i = 0; i < SENSES; i++)
-            evidence[i] = ddmpc_max(evidence[i], found.evidence[i]);
+            evidence[i] = ddmpc_max(evidence[i], result.evidence[i]);
         if (window == LONG) {
             m->creeping = square(by->pose_turn - by->gyro_turn) > square(noise[1]) + square(k->gyro[ABSOLUTE] * k->windows[LONG]);
             /* Dead reckoning is by wheels and gyro: it tells of a drift only where these agree with all else. */
-            if (heard == both && found.honest < k->plausible && pose->stamp - m->slipped > (ddmpc_time)k->memory)
+            if (heard == both && result.honest < k->plausible && pose->stamp - m->slipped > (ddmpc_time)k->memory)
                 evidence[DDMPC_OF_POSE] = ddmpc_max(evidence[DDMPC_OF_POSE], drift(k, &half, &whole, noise[0]));
             continue;
         }
-        const verdict with_accused = accused ? weigh(k, m, by, there, noise, k->windows[window]) : found;
+        const verdict with_accused = accused ? weigh(k, m, by, there, noise, k->windows[window]) : result;
         const int moves = ddmpc_fabs(by->pose) > k->frozen[0] || ddmpc_fabs(by->pose_turn) > k->frozen[1];
         const real far = k->frozen[0] + R(2.0) * noise[0], turned = k->frozen[1] + R(2.0) * noise[1];
         const real gone = ddmpc_fabs(by->pose), went = ddmpc_fabs(by->pose_turn);
-        const int told = ddmpc_fabs(by->model) - gone > k->frozen[0] || ddmpc_fabs(by->model_turn) - went > R(2.0) * k->frozen[1];
-        if (told && !(gone > far || went > turned))
+        const int commanded = ddmpc_fabs(by->model) - gone > k->frozen[0] || ddmpc_fabs(by->model_turn) - went > R(2.0) * k->frozen[1];
+        if (commanded && !(gone > far || went > turned))
             m->stood = pose->stamp;
         if (with_accused.honest < k->plausible)
             *agreeing = (moves ? there : 0) | BY_POSE;
-        if (found.slips)
+        if (result.slips)
             m->slipped = pose->stamp;
         const ddmpc_time changed = m->wheels.changed < m->gyro.changed ? m->wheels.changed : m->gyro.changed;
         const int alive = m->now.time - changed <= (ddmpc_time)k->silence;
-        if (!accused && alive && there == both && pose->stamp >= m->next_pose && found.honest < k->plausible)
+        if (!accused && alive && there == both && pose->stamp >= m->next_pose && result.honest < k->plausible)
             learn(k, m, from, now, pose->value, noise);
     }
     /* A reading that repeats itself against the commands is no witness against poses. */

@@ -75,8 +75,8 @@ def test_ratios_are_to_the_best_that_arrived_everywhere() -> None:
 def test_tables_show_every_condition_and_what_was_said() -> None:
     ours, peer = Case(), Case(controller="kanayama", model="none")
     rows = [
-        _row("a", ours, 0.004, message="the reference waits", said_percent=40.0, late_lateral_m=0.0021),
-        _row("a", replace(ours, seed=1), 0.006, message="braking", said_percent=10.0),
+        _row("a", ours, 0.004, message="the reference waits", said_percent=40.0, late_lateral_m=0.0021, lost_s=1.0),
+        _row("a", replace(ours, seed=1), 0.006, message="braking", said_percent=10.0, lost_s=2.0),
         _row("a", peer, 0.010),
         _row("b", ours, 0.020, ended="tipped over", completed=False),
         _row("b", peer, 0.010),
@@ -85,6 +85,7 @@ def test_tables_show_every_condition_and_what_was_said() -> None:
     assert errors.rows[0][:3] == ("a", "SSM", "5.0")
     assert errors.rows[0][-1] == "2/2"
     assert errors.rows[2][-1] == "0/1"
+    assert [row[errors.columns.index("time lost [s]")] for row in errors.rows[:3]] == ["1.5", "0.0", "-"]
     assert behind.rows == (("a", "1.00", "2.00"), ("b", "2.00", "1.00"))
     assert [row[:3] for row in said.rows] == [("a", "SSM", "the reference waits"), ("b", "SSM", "tipped over")]
 

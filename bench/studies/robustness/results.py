@@ -106,9 +106,14 @@ def run_condition(condition: str, case: Case, settled: float) -> ConditionOutcom
 
 def _stopped(run: Run) -> bool:
     """Whether the controller braked or stood after it had begun to drive."""
-    modes = [str(mode) for mode in run.modes]
-    began = modes.index("TRACKING") if "TRACKING" in modes else len(modes)
-    return bool({"BRAKING", "STOPPED"} & set(modes[began:]))
+    began = run.modes.index("TRACKING") if "TRACKING" in run.modes else len(run.modes)
+    return not {"BRAKING", "STOPPED"}.isdisjoint(run.modes[began:])
+
+
+def _mean_lost(runs: Sequence[ConditionOutcome]) -> float:
+    """Mean time lost by the runs that arrived [s]; NaN where none did."""
+    lost = [one.lost_s for one in runs if one.metrics.completed]
+    return float(np.mean(lost)) if lost else float("nan")
 
 
 def _heading_nees(run: Run) -> float:
@@ -145,7 +150,7 @@ def study_tables(rows: Rows) -> list[Table]:
         "position max [mm]": worst_of("position_max_m", millis),
         "within 5 cm": lambda runs: f"{sum(one.metrics.lateral_max_m <= _ROOM for one in runs)}/{len(runs)}",
         "stops": lambda runs: f"{sum(one.stopped for one in runs)}/{len(runs)}",
-        "time lost [s]": lambda runs: number(float(np.nanmean([0.0, *(one.lost_s for one in runs)])), 1),
+        "time lost [s]": lambda runs: number(_mean_lost(runs), 1),
         "heading NEES": lambda runs: number(float(np.mean([one.heading_nees for one in runs])), 1),
         "completed": completed,
     }
