@@ -34,11 +34,11 @@ class Weights(Group):
 
     along: NotNegative = Field(250.0, description="squared position error along the path [1/m^2]")
     across: NotNegative = Field(700.0, description="squared position error across the path [1/m^2]")
-    heading: NotNegative = Field(14.0, description="squared heading error, side-slip allowed for [1/rad^2]")
-    v: NotNegative = Field(8.0, description="squared deviation of v_ref from its feed-forward [s^2/m^2]")
-    omega: NotNegative = Field(0.8, description="squared deviation of omega_ref from its feed-forward [s^2/rad^2]")
-    v_increment: Positive = Field(20.0, description="squared increment of v_ref from tick to tick [s^2/m^2]")
-    omega_increment: Positive = Field(4.0, description="squared increment of omega_ref from tick to tick [s^2/rad^2]")
+    heading: NotNegative = Field(22.0, description="squared heading error, side-slip allowed for [1/rad^2]")
+    v: NotNegative = Field(2.0, description="squared deviation of v_ref from its feed-forward [s^2/m^2]")
+    omega: NotNegative = Field(0.1, description="squared deviation of omega_ref from its feed-forward [s^2/rad^2]")
+    v_increment: Positive = Field(40.0, description="squared increment of v_ref from tick to tick [s^2/m^2]")
+    omega_increment: Positive = Field(35.0, description="squared increment of omega_ref from tick to tick [s^2/rad^2]")
     terminal: Positive = Field(10.0, description="factor on the pose errors at the end of the horizon [-]")
     soft: Positive = Field(
         50.0, description="exact penalty on each unit by which a soft limit is exceeded [1/(m/s), 1/(rad/s), 1/m]"
@@ -125,10 +125,10 @@ class Estimator(Group):
     position_noise: Positive = Field(0.005, description="position, where the pose states no covariance [m]")
     heading_noise: Positive = Field(0.0052, description="heading, where the pose states no covariance [rad]")
     v_input_noise: Positive = Field(0.05, description="what the model gets wrong, as noise on v_ref [m/s]")
-    omega_input_noise: Positive = Field(0.15, description="what the model gets wrong, as noise on omega_ref [rad/s]")
+    omega_input_noise: Positive = Field(0.1, description="what the model gets wrong, as noise on omega_ref [rad/s]")
     v_offset_uncertainty: Positive = Field(0.03, description="v offset at the start [m/s]")
     v_offset_drift: Positive = Field(0.02, description="random walk of the v offset [m/s per sqrt(s)]")
-    omega_gain_uncertainty: Positive = Field(0.01, description="yaw rate of wheels over model, at the start [-]")
+    omega_gain_uncertainty: Positive = Field(0.1, description="yaw rate of wheels over model, at the start [-]")
     omega_gain_drift: Positive = Field(0.0003, description="random walk of that gain [1 per sqrt(s)]")
     longitudinal_gain_uncertainty: Positive = Field(0.01, description="speed of body over wheels, at the start [-]")
     longitudinal_gain_drift: Positive = Field(0.002, description="random walk of that gain [1 per sqrt(s)]")
@@ -150,6 +150,10 @@ class Estimator(Group):
     )
     load_shift_uncertainty: NotNegative = Field(0.02, description="the same, what is not known of it [s^2]")
     load_shift_drift: NotNegative = Field(0.003, description="random walk of that [s^2 per sqrt(s)]")
+    slide_uncertainty: NotNegative = Field(
+        0.03, description="how far it slides for each radian turned, as down a slope, at the start [m/rad]"
+    )
+    slide_drift: NotNegative = Field(0.003, description="random walk of that [m/rad per sqrt(s)]")
     crab: Coefficient = Field(0.0, description="lateral speed, to the left, over forward speed, at the start [-]")
     crab_uncertainty: NotNegative = Field(0.0, description="the same, what is not known of it [-]")
     crab_drift: NotNegative = Field(0.0, description="random walk of that [1 per sqrt(s)]")
@@ -231,7 +235,7 @@ class Failure(Group):
     )
     max_pose_age: Positive = Field(0.5, description="without an accepted pose for longer, the robot brakes [s]")
     dead_reckoning: NotNegative = Field(
-        0.0,
+        1.5,
         description="so long wheels and gyro stand in for poses beyond max_pose_age, while three standard deviations "
         "of the position are inside reentry.band; 0: never [s]",
     )

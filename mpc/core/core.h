@@ -26,7 +26,7 @@ typedef struct {
     int parameters;          /* P, stage parameters of all of them */
     int nonlinear;           /* whether the velocity model is a function */
     int turns;               /* kinds of soft limit that keep the least turn radius: 2, or 0 without one */
-    int slips;               /* S, slips that are estimated: 8, or with those that curve the twist 13 */
+    int slips;               /* S, slips that are estimated: 10, or with those that curve the twist 15 */
     int model_parameters;    /* Q, numbers that it is given */
     int work;                /* reals of memory that it needs */
     int command_turns;       /* kinds of soft limit that keep the least commanded radius: 2, or 0 without one */
@@ -58,8 +58,8 @@ typedef struct {
     /* estimator */
     const real *noise;         /* [n][n] process noise of one sample */
     real pose_noise[3];
-    real prior[14], uncertainty[14], drift[14]; /* of 13 slips and gyro bias: start, its deviation, variance per sample */
-    real least_slip[13], most_slip[13];         /* they are never believed beyond */
+    real prior[16], uncertainty[16], drift[16]; /* of 15 slips and gyro bias: start, its deviation, variance per sample */
+    real least_slip[15], most_slip[15];         /* they are never believed beyond */
     real wheel_yaw_ratio;            /* yaw rate by encoders over that of the model */
     real surprise, patience;         /* limit [-], and how long it may last [samples] */
     real least_yaw_rate, least_speed;
@@ -76,6 +76,8 @@ typedef struct {
     real windows[3], silence, pose_spacing, latest, lasting, often;
     real gyro[2], slip_turning[2], slip_driving[2], following[2], answer, sliding[2], frozen[2], odds[2];
     real doubtful[2], margin, plausible, memory, gains[4], held, scatter[5], late[2], far;
+    /* of wheels at the end of their speed, and of what is no reason to leave the path */
+    real astray[2], unsure, carried[2], short_by[2], short_for, stuck, steady, trial[2], smoothed, regain;
     real monitor_turn_ratio;         /* factor of turning beyond which the tracks are doubted [-] */
     real monitor_trust;              /* how long one has to agree before it is believed again [s] */
 
@@ -240,7 +242,7 @@ typedef struct {
 enum { DDMPC_NOTES = 8, DDMPC_SENSORS = 4 };
 
 /* The newest estimate; the filter's state is the states, slip (v_offset, omega_gain, longitudinal_gain, yaw_gain,
-   side_slip, turn_ahead, turn_left, load_shift; where it is curved crab, veer, forward_coupling, yaw_coupling,
+   side_slip, turn_ahead, turn_left, load_shift, slide_x, slide_y; where it is curved crab, veer, forward_coupling, yaw_coupling,
    track_growth), gyro bias and pose. */
 typedef struct {
     real *mean;            /* [n+S+4] */

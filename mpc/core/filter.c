@@ -211,7 +211,7 @@ void ddmpc_filter_predict(const ddmpc_controller *c, const ddmpc_belief *before,
     const int driving = ddmpc_fabs(twist[0]) >= k->least_speed;
     const int cornering = turning && driving;
     const int moving[CURVED_SLIPS] = {1,       turning,   driving, turning, cornering, turning,  turning,
-                                      cornering, driving, driving, cornering, cornering, turning};
+                                      cornering, turning, turning, driving, driving, cornering, cornering, turning};
     for (int i = 0; i < S; i++)
         if (moving[i])
             after->covariance[(n + i) * (Z + 1)] += k->drift[i];

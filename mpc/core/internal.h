@@ -35,7 +35,7 @@
 #define DDMPC_MOST_STATES 64
 #define DDMPC_MOST_WINDOW 512
 #define DDMPC_MOST_KINDS 64
-#define DDMPC_MOST_SLIPS 13
+#define DDMPC_MOST_SLIPS 15
 #define STEPS(c) ((c)->sizes.steps)
 #define STATES(c) ((c)->sizes.states)
 #define DELAY(c, channel) ((channel) ? (c)->sizes.delay_omega : (c)->sizes.delay_v)
@@ -63,6 +63,8 @@ enum {
     TURN_AHEAD,
     TURN_LEFT,
     LOAD_SHIFT,
+    SLIDE_X,
+    SLIDE_Y,
     FLAT_SLIPS,
     CRAB = FLAT_SLIPS,
     VEER,
@@ -103,8 +105,8 @@ enum {
 };
 
 typedef struct {
-    real *mean;        /* [n+12] */
-    real *covariance;  /* [n+12][n+12] */
+    real *mean;        /* [n+14] */
+    real *covariance;  /* [n+14][n+14] */
     int surprised[DDMPC_SENSORS]; /* samples since the sensor's innovations have been too large; 0: they are not */
 } ddmpc_belief;
 
@@ -259,9 +261,10 @@ struct ddmpc_controller {
     real allowed;  /* how far outside the robot may be: where it was least far since it started [m] */
     int left_fence;
     real rim[2];           /* smoothed speeds of the right and left wheels by their encoders [m/s] */
-    int short_ticks;       /* for which wheels have been short of what was asked */
-    real patience;         /* factor by which it takes longer, after errors, to find a wheel short */
-    int short_one;         /* the wheel that was found so */
+    int short_one;         /* the wheel that falls short of what is asked */
+    real tried, tried_speed; /* what it was asked when that began, and its speed then [m/s] */
+    real carried;          /* by which it may be off its path, or late, after turns on the spot [m] */
+    real known, doubt;     /* variance of the position by the last fresh pose [m^2]; what is lost of it since, in bands [-] */
     real reach, rim_reach; /* see `watch_wheels`: without slip, and of the wheels at their rim [m/s] */
     real *parameters;     /* [N+1][P] */
     real *reference_pose; /* [SAMPLES][3] */

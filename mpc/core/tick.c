@@ -6,27 +6,6 @@
 #include "clock.h"
 #include "internal.h"
 
-/* Wheels fall short by this share and speed [m/s] of what they were asked for so long [s]; below the share HELD they are
-   held, not short. */
-#define SHORT R(0.08)
-#define LEAST_SHORT R(0.04)
-#define SHORT_FOR 0.2
-#define HELD R(0.3)
-/* Steady within this share of what was asked about its smoothed speed, and for so long [s]: a wheel that is just being
-   stopped passes by all speeds. */
-#define STEADY R(0.2)
-#define LASTING 0.07
-/* The robot has to be behind or beside its reference by this share of what the reference waits for, or of the band. */
-#define ASTRAY R(0.6)
-#define BESIDE R(0.5)
-/* The band is no narrower than the deviation of the position times this. */
-#define UNSURE R(3.0)
-/* Faster by this than all that was asked lately [m/s]. */
-#define FASTER R(0.1)
-/* What they reach is believed to grow again by this share [1/s]. */
-#define REGAIN R(0.05)
-/* Share of a new reading of the encoders in their smoothed speed. */
-#define SMOOTHED R(0.2)
 /* From so much on it is said that a turn is held to the least radius [rad/s, m/s]. */
 #define HELD_TURN R(0.05)
 #define LEAST_TURN R(0.01)
@@ -39,9 +18,10 @@ static void forget(ddmpc_controller *c)
     c->has_last_tick = c->has_leap = 0;
     c->plan_age = -1;
     c->has_result = c->has_driven = c->latched = c->finished = 0;
-    c->rim[0] = c->rim[1] = R(0.0);
-    c->short_ticks = c->short_one = 0;
-    c->patience = R(1.0);
+    c->rim[0] = c->rim[1] = c->carried = c->doubt = c->known = R(0.0);
+    c->reference_twist[0] = c->reference_twist[1] = R(0.0);
+    c->short_one = 0;
+    c->tried = (real)HUGE_VAL;
     c->reach = c->rim_reach = (real)HUGE_VAL;
     c->pending = DDMPC_DONE;
 }
@@ -271,7 +251,7 @@ ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const 
     const real ahead = backwards ? -stray.along : stray.along;
     /* What is not known of the pose is no reason to leave the path for. */
     const real *deviation = c->result.estimate.deviation + STATES(c) + POSE(c);
-    const real band = ddmpc_max(k->band, UNSURE * ddmpc_hypot(deviation[0], deviation[1]));
+    const real band = c->carried + ddmpc_max(k->band, k->unsure * ddmpc_hypot(deviation[0], deviation[1]));
     stray.outside = ddmpc_fabs(stray.across) > band || ddmpc_fabs(stray.heading) > k->heading_band ||
                     !(-k->behind <= ahead && ahead <= k->ahead);
     if (driving) {
@@ -281,8 +261,11 @@ ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const 
         const real turning = !(ddmpc_fabs(omega) > k->turning) ? R(0.0)
                              : omega < R(0.0)                  ? stray.heading
                                                                : -stray.heading;
-        stray.late = ddmpc_max(ddmpc_hypot(stray.along, stray.across) / k->wait, turning / k->heading_wait);
+        const real away = ddmpc_max(ddmpc_hypot(stray.along, stray.across) - c->carried, R(0.0));
+        stray.late = ddmpc_max(away / k->wait, turning / k->heading_wait);
     }
+    /* The less it knows of its position, the slower it drives. */
+    stray.late = ddmpc_max(stray.late, R(4.0) * c->doubt - R(2.0));
     return stray;
 }
 
@@ -379,7 +362,7 @@ static int asked_for(const ddmpc_controller *c, const real sign[2], real least[2
 {
     const real *G = c->constants->inverse_gain, determinant = G[0] * G[3] - G[1] * G[2];
     const int lag = LAG(c, 0) > LAG(c, 1) ? LAG(c, 0) : LAG(c, 1), newest = COMMANDS(c) - 1;
-    const int since = lag + (int)(SHORT_FOR / c->constants->sample_time);
+    const int since = lag + (int)(c->constants->short_for / (real)c->constants->sample_time);
     if (since > newest)
         return 0;
     for (int ago = 0; ago <= since; ago++) {
@@ -396,67 +379,88 @@ static int asked_for(const ddmpc_controller *c, const real sign[2], real least[2
     return 1;
 }
 
-/* The wheel that is the furthest short of what both reference (its speeds in `by_reference`) and commands ask; -1: none.
- * An offset or a gain would have been made up for by then. */
-static int short_wheel(const ddmpc_controller *c, const real by_reference[2], const real read[2])
+/* The wheel that falls the furthest short of what its reference and the commands ask (`asked`, in its direction); -1: none.
+   One that hardly turns is held, or dead; one that is just being stopped passes by all speeds. */
+static int short_wheel(const ddmpc_controller *c, const real by_reference[2], const real read[2], real *asked)
 {
+    const ddmpc_constants *k = c->constants;
     const real sign[2] = {by_reference[0] < R(0.0) ? R(-1.0) : R(1.0), by_reference[1] < R(0.0) ? R(-1.0) : R(1.0)};
     real least[2], most[2], worst = R(0.0);
     int found = -1;
     if (!asked_for(c, sign, least, most))
         return -1;
     for (int i = 0; i < 2; i++) {
-        const real along = sign[i] * c->rim[i], asked = ddmpc_min(sign[i] * by_reference[i], least[i]);
-        const real lacks = asked - along;
-        /* Wheels that turn faster than asked obey somebody else. */
-        if (along > most[i] + FASTER)
+        const real along = sign[i] * c->rim[i], wanted = ddmpc_min(sign[i] * by_reference[i], least[i]);
+        const real lacks = wanted - along;
+        /* Wheels that turn faster than asked follow somebody else's commands. */
+        if (along > most[i] + k->short_by[0])
             return -1;
-        /* One that hardly turns is held, or dead. */
-        if (along > HELD * asked && lacks > SHORT * asked && lacks > LEAST_SHORT && lacks > worst &&
-            ddmpc_fabs(read[i] - c->rim[i]) < STEADY * asked) {
+        if (along > k->stuck * wanted && lacks > k->short_by[1] * wanted && lacks > k->short_by[0] && lacks > worst &&
+            ddmpc_fabs(read[i] - c->rim[i]) < k->steady * wanted) {
             worst = lacks;
             found = i;
+            *asked = least[i];
         }
     }
     return found;
 }
 
-/* Wheels that stay behind are at the end of their speed, or of their force. What they reach is learned from their
- * encoders (on slippery floors the estimate trusts the gyro more), and slowly forgotten. */
+/* A robot that turns on the spot moves by what it turns about and by its slide, whatever the controller does: so far it is
+   no reason to leave the path or to wait, nor for the time that it takes to come back. */
+static void carry(ddmpc_controller *c)
+{
+    const ddmpc_constants *k = c->constants;
+    const real *slip = c->result.estimate.mean + STATES(c), *twist = c->reference_twist;
+    const real turned_about = ddmpc_hypot(slip[TURN_AHEAD], slip[TURN_LEFT]), slide = ddmpc_hypot(slip[SLIDE_X], slip[SLIDE_Y]);
+    c->carried *= R(1.0) - ddmpc_min((real)k->sample_time / k->carried[1], R(1.0));
+    if (ddmpc_fabs(twist[0]) <= k->standing && ddmpc_fabs(twist[1]) > k->turning)
+        c->carried = ddmpc_max(c->carried, k->carried[0] * (turned_about + slide));
+}
+
+/* Whether more command has given the wheel `found` no more speed: a wheel that only answers with another gain does gain. */
+static int gains_nothing(ddmpc_controller *c, int found, real asked)
+{
+    const ddmpc_constants *k = c->constants;
+    const real speed = ddmpc_fabs(c->rim[found]), more = asked - c->tried, gained = speed - c->tried_speed;
+    if (found != c->short_one || more < R(0.0) || (more > k->trial[0] * asked && gained > k->trial[1] * more)) {
+        c->short_one = found;
+        c->tried = asked;
+        c->tried_speed = speed;
+        return 0;
+    }
+    return more > k->trial[0] * asked;
+}
+
+/* Wheels at the end of their speed, or of their force, hold the reference up. What they reach is learned from their encoders
+ * (on slippery floors the estimate trusts the gyro more), and slowly forgotten. */
 static void watch_wheels(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
     const real dt = (real)k->sample_time, *wanted = c->reference_twist + 2;
     const real *wheels = c->estimator.last_wheels, turning = k->half_track * wheels[1] / k->wheel_yaw_ratio;
     const real read[2] = {wheels[0] + turning, wheels[0] - turning};
-    real by_reference[2];
+    real by_reference[2], asked = R(0.0);
     int found = -1;
     for (int i = 0; i < 2; i++)
-        c->rim[i] += SMOOTHED * (read[i] - c->rim[i]);
+        c->rim[i] += k->smoothed * (read[i] - c->rim[i]);
     /* Wheels that answer with another gain fall short of the model, too, but the robot keeps up with its reference. */
     const ddmpc_stray stray = ddmpc_stray_from(c, c->reference_pose + 3, wanted);
-    const int behind = stray.late > ASTRAY || ddmpc_fabs(stray.across) > BESIDE * k->band || stray.outside;
-    if (behind && c->plan_age == 0 && c->last_tick - c->estimator.wheels_stamp < SHORT_FOR) {
+    const int behind = stray.late > k->astray[0] || ddmpc_fabs(stray.across) > k->astray[1] * k->band || stray.outside;
+    if (behind && c->plan_age == 0 && c->last_tick - c->estimator.wheels_stamp < (ddmpc_time)k->short_for) {
         rims(c, wanted, by_reference);
-        found = short_wheel(c, by_reference, read);
+        found = short_wheel(c, by_reference, read, &asked);
     }
-    c->short_ticks = found < 0 ? 0 : c->short_ticks + 1;
-    /* One that turns faster after all was only slow to answer: then it takes twice as long to convince. */
-    if (ddmpc_fabs(c->rim[c->short_one]) > c->rim_reach * (R(1.0) + SHORT) + LEAST_SHORT) {
-        c->reach = c->rim_reach = (real)HUGE_VAL;
-        c->patience *= R(2.0);
-    }
-    if (c->short_ticks * k->sample_time > LASTING * (ddmpc_time)c->patience) {
-        c->short_one = found;
+    if (found >= 0 && gains_nothing(c, found, asked)) {
         c->rim_reach = ddmpc_fabs(c->rim[found]);
         c->reach = ddmpc_fabs(c->rim[found] / by_reference[found]) *
                    (ddmpc_fabs(wanted[0]) + k->half_track * ddmpc_fabs(wanted[1]));
     } else {
-        c->rim_reach *= R(1.0) + REGAIN * dt;
-        c->reach *= R(1.0) + REGAIN * dt;
+        c->rim_reach *= R(1.0) + k->regain * dt;
+        c->reach *= R(1.0) + k->regain * dt;
     }
-    /* Wheels that are not believed say nothing of their reach. */
-    if (!(c->rim_reach < k->soft_upper[2]) || c->result.reasons & DDMPC_WHEELS_ACCUSED)
+    /* Wheels that turn faster after all, or are not believed, say nothing of their end. */
+    const int faster = ddmpc_fabs(c->rim[c->short_one]) > c->rim_reach * (R(1.0) + k->short_by[1]) + k->short_by[0];
+    if (faster || !(c->rim_reach < k->soft_upper[2]) || c->result.reasons & DDMPC_WHEELS_ACCUSED)
         c->reach = c->rim_reach = (real)HUGE_VAL;
     c->result.reach = c->reach;
 }
@@ -496,17 +500,24 @@ static void report_rate(ddmpc_controller *c)
 }
 
 /* Whether wheels and gyro stand in for poses that stay away: for a while, as long as the position is known to the band. */
-static int is_bridged(const ddmpc_controller *c)
+static int is_bridged(ddmpc_controller *c)
 {
     const ddmpc_constants *k = c->constants;
     const ddmpc_time wheels = c->monitor.wheels.heard, gyro = c->monitor.gyro.heard, heard = wheels < gyro ? wheels : gyro;
     const real *deviation = c->result.estimate.deviation + STATES(c) + POSE(c);
+    const real variance = deviation[0] * deviation[0] + deviation[1] * deviation[1];
+    const real age = *c->result.estimate.pose_age;
+    if (age <= k->max_pose_age) {
+        c->known = variance;
+        c->doubt = R(0.0);
+    } else {
+        c->doubt = k->unsure * ddmpc_sqrt(ddmpc_max(variance - c->known, R(0.0))) / k->band;
+    }
     if (!(k->dead_reckoning > R(0.0)) || c->last_tick - heard > (ddmpc_time)k->silence)
         return 0;
     if (c->monitor.accused || ddmpc_monitor_doubts(c, c->last_tick))
         return 0;
-    return *c->result.estimate.pose_age <= k->dead_reckoning &&
-           UNSURE * ddmpc_hypot(deviation[0], deviation[1]) <= k->band;
+    return age <= k->dead_reckoning && c->doubt <= R(1.0);
 }
 
 /* Whether the last accepted pose is too old, or will be before the next: to drive from one to the other is to lurch. */
@@ -557,6 +568,7 @@ static int new_tick(ddmpc_controller *c, ddmpc_time t, const ddmpc_input *input)
         return brake(c, DDMPC_LEFT_FENCE, 1);
     if (c->latched)
         return brake(c, DDMPC_LATCHED, 1);
+    carry(c);
     watch_wheels(c);
     if (is_finished(c, input->reference_time)) {
         ramp(c);

@@ -17,7 +17,7 @@ class Belief:
     Attributes
     ----------
     mean
-        (Z,) in the units of `Estimate.mean`, Z = n + 12 or n + 17.
+        (Z,) in the units of `Estimate.mean`, Z = n + 14 or n + 19.
     covariance
         (Z, Z).
     sent
@@ -33,7 +33,7 @@ class Belief:
 
     @property
     def slips(self) -> slice:
-        """Where slip lies in the state; of `SLIPS` the first 8, or all 13 where the configuration speaks of others."""
+        """Where slip lies in the state; of `SLIPS` the first 10, or all 15 where the configuration speaks of others."""
         return slice(self.states, len(self.mean) - 4)
 
     @property
@@ -53,7 +53,7 @@ class Belief:
 
     @property
     def slip_covariance(self) -> FloatArray:
-        """(13, 13) covariance of the slip in the order of `SLIPS`, zero for what the filter does not have."""
+        """(15, 15) covariance of the slip in the order of `SLIPS`, zero for what the filter does not have."""
         found, size = np.zeros((len(SLIPS), len(SLIPS))), self.slips.stop - self.slips.start
         found[:size, :size] = self.covariance[self.slips, self.slips]
         return found

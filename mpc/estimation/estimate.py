@@ -37,12 +37,12 @@ class Estimate:
 
     @property
     def mean(self) -> FloatArray:
-        """(n + 12 or 17,) mean of the filter's state: states, slip, gyro bias and pose."""
+        """(n + 14 or 19,) mean of the filter's state: states, slip, gyro bias and pose."""
         return self._layout.take(self._block, "mean")
 
     @property
     def deviation(self) -> FloatArray:
-        """(n + 12 or 17,) standard deviations of the same."""
+        """(n + 14 or 19,) standard deviations of the same."""
         return self._layout.take(self._block, "deviation")
 
     @property

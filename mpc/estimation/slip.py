@@ -19,6 +19,9 @@ class Slip:
     That point moves with longitudinal_gain times the wheels' forward speed, and outward in a turn with
     side_slip v omega.
 
+    While it turns it also slides in the plane of the floor, by slide_x and slide_y for each radian in the frame of the
+    poses: on a slope wheels that skid hold it no longer.
+
     The last five curve the twist: with them it is no longer affine in what the model says, and the controller
     linearises it at each sample. Together with the others they span the nine terms of Ordonez et al., 2017 (P4), and
     the virtual track of Botta et al., Appl. Sci. 2021, 11(4), 1594 (P3); `of_polynomial` and `polynomial` translate.
@@ -39,6 +42,9 @@ class Slip:
         Where the robot turns about, from the origin of its frame [m]: the load's centre need not be in the middle.
     load_shift
         How far back that point moves for a forward acceleration, which loads the rear axle [s^2].
+    slide_x, slide_y
+        How far the robot slides for each radian that it turns, along x and y of the frame of the poses [m/rad]: all of
+        it across its heading, and a part of it along (`mpc.problem.formulas.sliding`).
     crab
         Lateral speed of the body, to the left, over its forward speed [-]; P4's a21.
     veer
@@ -57,6 +63,8 @@ class Slip:
     turn_ahead: float = 0.0
     turn_left: float = 0.0
     load_shift: float = 0.0
+    slide_x: float = 0.0
+    slide_y: float = 0.0
     crab: float = 0.0
     veer: float = 0.0
     forward_coupling: float = 0.0
@@ -65,7 +73,7 @@ class Slip:
 
     @property
     def flat(self) -> list[float]:
-        """(8,) without what curves the twist, in the order of `SLIPS`."""
+        """(10,) without what curves the twist, in the order of `SLIPS`."""
         return [getattr(self, name) for name in FLAT_SLIPS]
 
     @classmethod
@@ -90,7 +98,7 @@ class Slip:
     def polynomial(self) -> FloatArray:
         """(9,) coefficients of `models.slip_laws.polynomial_twist` that this slip amounts to, row by row.
 
-        What it has beyond them is left out: offset, load shift and a track that grows. Lateral terms in w_c^2, products
+        What it has beyond them is left out: offset, load shift, slide and a track that grows. Lateral terms in w_c^2, products
         of side-slip and a12, do not exist there.
         """
         turning = self.omega_gain * self.yaw_gain
@@ -106,7 +114,7 @@ class Slip:
 
     @property
     def polynomial_gradient(self) -> FloatArray:
-        """(9, 13) gradient of `polynomial` by what slip consists of, in the order of `SLIPS`."""
+        """(9, 15) gradient of `polynomial` by what slip consists of, in the order of `SLIPS`."""
         # Each coefficient is linear in each of them by itself: a difference over one is the slope.
         columns = [replace(self, **{name: getattr(self, name) + 1.0}).polynomial for name in SLIPS]
         return np.stack(columns, axis=1) - self.polynomial[:, None]
@@ -124,7 +132,7 @@ class Slip:
 
 SLIPS: tuple[str, ...] = tuple(one.name for one in fields(Slip))
 """Names of what slip consists of, in the order of the filter's state."""
-CURVED_SLIPS = SLIPS[8:]
+CURVED_SLIPS = SLIPS[10:]
 """Those that curve the twist: the filter has them only where the configuration speaks of one."""
-FLAT_SLIPS = SLIPS[:8]
+FLAT_SLIPS = SLIPS[:10]
 """The others."""

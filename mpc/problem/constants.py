@@ -158,10 +158,12 @@ class Problem:
 
     def _estimation(self) -> Constants:
         model, s, on, wheels = self.model, self.config.estimator, self.config.compensation, self.config.wheels
-        estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, *[on.side_slip] * 4, *[True] * 6])
+        estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, *[on.side_slip] * 6, *[True] * 6])
         slips = (*SLIPS, "gyro_bias")
-        uncertainty = estimated * np.array([getattr(s, f"{name}_uncertainty") for name in slips])
-        drift = estimated * np.array([getattr(s, f"{name}_drift") for name in slips])
+        # The slide has a direction, and its uncertainty none.
+        kinds = [name.removesuffix("_x").removesuffix("_y") for name in slips]
+        uncertainty = estimated * np.array([getattr(s, f"{kind}_uncertainty") for kind in kinds])
+        drift = estimated * np.array([getattr(s, f"{kind}_drift") for kind in kinds])
         prior = configured_slip(self.config)
         # Gains have bounds of their own; what curves is not believed beyond what was thought possible.
         far = np.full(len(SLIPS), np.inf)
