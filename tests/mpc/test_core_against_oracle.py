@@ -66,7 +66,7 @@ def test_a_drive_along_its_limits(limits, chosen, accuracy):
 
 
 def carried(k, t, m, both):
-    return t, shifted(m, [0.15, 0.1, 0.1]) if k >= 60 else m, None
+    return t, shifted(m, [0.15, 0.13, 0.1]) if k >= 60 else m, None
 
 
 def carried_far(k, t, m, both):

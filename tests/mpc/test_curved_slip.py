@@ -89,7 +89,7 @@ def test_an_uncertainty_alone_makes_room_and_nothing_else_does():
     for controller, more in ((plain, 0), (roomy, 5)):
         controller.start(load_trajectory("s"), 0.0)
         estimate = controller.step(0.0, Measurement(pose=Stamped(np.zeros(3), 0.0))).estimate
-        assert len(estimate.mean) == 2 + 12 + more
+        assert len(estimate.mean) == 2 + 14 + more
         assert estimate.state.shape == (2,)
 
 

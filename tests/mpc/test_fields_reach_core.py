@@ -48,7 +48,7 @@ RANGES = {
     "estimator.load_shift": (0.02, 0.09),
     "estimator.least_yaw_rate": (0.1, 0.3),
     "estimator.least_speed": (0.1, 0.3),
-    "failure.max_reused_ticks": (2, 9),
+    "failure.max_reused_ticks": (2, 5),
     "failure.max_pose_age": (0.25, 0.45),
     "failure.max_position_error": (0.6, 0.9),
     "reentry.band": (0.1, 0.2),
@@ -63,7 +63,15 @@ MODELS = {"ssm": (0.013, 0.027), "sm": (0.055, 0.021), "mbm": (0.0, 0.0606)}
 BY_DAQP = 1e-4
 # Slip on another floor, with another load.
 ELSEWHERE = Slip(
-    v_offset=-0.02, omega_gain=1.03, yaw_gain=1.5, side_slip=0.03, turn_ahead=0.04, turn_left=-0.02, load_shift=0.04
+    v_offset=-0.02,
+    omega_gain=1.03,
+    yaw_gain=1.5,
+    side_slip=0.03,
+    turn_ahead=0.04,
+    turn_left=-0.02,
+    load_shift=0.04,
+    slide_x=0.03,
+    slide_y=-0.02,
 )
 
 

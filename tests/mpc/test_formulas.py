@@ -20,6 +20,7 @@ from diffdrive_mpc.mpc.estimation.slip import CURVED_SLIPS, FLAT_SLIPS, SLIPS, S
 from diffdrive_mpc.mpc.problem.formulas import formulas
 from diffdrive_mpc.mpc.problem.user_functions import user_output, user_step, user_term
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
+from oracle.motion import slid
 
 FORMULAS = {function.name().removeprefix("ddmpc_f_"): function for function in formulas()}
 # Numbers that a robot can have; gains keep off zero, and yaw rates dwell where the arc changes its form.
@@ -27,6 +28,7 @@ RANGES = {
     "y": [(-2, 2), (-3, 3)],
     "slip": [
         *((-0.3, 0.3), (0.3, 2), (0.3, 2), (0.3, 2), (-0.2, 0.2), (-0.2, 0.2), (-0.2, 0.2), (-0.1, 0.1)),
+        *((-0.2, 0.2), (-0.2, 0.2)),  # slide
         # Crab, veer, couplings and growth of the track: those of floors.
         *((-0.05, 0.05), (-0.05, 0.05), (-0.05, 0.05), (-0.05, 0.05), (-0.1, 0.2)),
     ],
@@ -48,6 +50,9 @@ RANGES = {
     "row": [(0, 9), (-5, 5), (-5, 5), (-7, 7), (0, 50), (-1, 1), (-2, 2), (0, 3), (-2, 2), (-1, 1)],
     "coefficients": [(-2, 2)] * 16,
 }
+
+
+SLIDE = slice(8, 10)
 
 
 def entry(low, high):
@@ -125,6 +130,7 @@ def carried(pose, place):
 @given(arguments(FORMULAS["move"]))
 def test_the_move_is_the_arc_of_the_turning_point(values):
     y, slip, theta, acceleration, dt = values
+    slip[SLIDE] = 0.0
     moved, _ = call(FORMULAS["move"], values)
     (v, omega), _ = call(FORMULAS["twist"], [y, slip])
     place = np.array([slip[5] - slip[7] * acceleration[0], slip[6]])
@@ -138,11 +144,23 @@ def test_the_move_is_the_arc_of_the_turning_point(values):
         assert carried(start + moved, place) == pytest.approx(after, abs=1e-11)
 
 
+@given(arguments(FORMULAS["move"]))
+def test_on_a_slope_the_move_gets_its_slide(values):
+    _, slip, theta, _, dt = values
+    moved, _ = call(FORMULAS["move"], values)
+    omega = call(FORMULAS["twist"], values[:2])[0][1]
+    level = slip.copy()
+    level[SLIDE] = 0.0
+    without, _ = call(FORMULAS["move"], [values[0], level, *values[2:]])
+    assert (moved - without)[:2] == pytest.approx(slid(theta[0], omega, dt[0], slip[SLIDE]), abs=1e-12)
+    assert moved[2] == without[2]
+
+
 @given(arguments(FORMULAS["arc"]))
 def test_the_prediction_s_arc_is_the_same(values):
     theta, v, omega, slip, ahead, dt = values
     moved, _ = call(FORMULAS["arc"], values)
-    plain = [0, 1, 1, 1, slip[4], ahead[0], 0, 0]
+    plain = [0, 1, 1, 1, slip[4], ahead[0], 0, 0, *slip[SLIDE]]
     expected, _ = call(FORMULAS["move"], [[v[0], omega[0]], plain, theta, [0.0], dt])
     assert moved == pytest.approx(expected[:2], abs=1e-14)
 
@@ -150,6 +168,7 @@ def test_the_prediction_s_arc_is_the_same(values):
 @given(arguments(FORMULAS["arc"]))
 def test_about_its_origin_the_arc_is_that_of_the_models(values):
     theta, v, omega, slip, _, dt = values
+    slip[SLIDE] = 0.0
     moved, gradient = call(FORMULAS["arc"], [*values[:4], [0.0], dt])
     after, by_pose, by_twist = linearised_arc(np.array([0, 0, theta[0]]), v[0], omega[0], dt[0], slip[4])
     assert moved == pytest.approx(after[:2], abs=1e-12)
@@ -162,8 +181,9 @@ def test_the_aim_is_the_path_and_a_heading_that_stays_finite(values):
     (aim,) = call(FORMULAS["aim"], values)
     assert aim[:3] == pytest.approx(pose, abs=0)
     lead = np.tan(aim[3] - pose[2])
-    assert np.sign(lead) * lead <= abs(slip[4] * omega) + 5 * abs(slip[5] * omega) + 1e-9
-    if v == 0 or slip[5] == 0:
+    slide = np.hypot(*slip[SLIDE])
+    assert np.sign(lead) * lead <= abs(slip[4] * omega) + 5 * (abs(slip[5]) + slide) * abs(omega) + 1e-9
+    if v == 0 or slip[5] == slide == 0:
         assert lead == pytest.approx(slip[4] * omega, abs=1e-12)
 
 
@@ -273,7 +293,7 @@ def test_errors_have_the_length_of_the_distance(values):
 
 
 def test_without_slip_the_wheels_differ_by_the_turn_of_the_track():
-    limited, _ = call(FORMULAS["soft"], [np.zeros(3), [1.0, 0.5], [0, 0], np.zeros(4), [0, 1, 1, 1, 0, 0, 0, 0, 0.3]])
+    limited, _ = call(FORMULAS["soft"], [np.zeros(3), [1.0, 0.5], [0, 0], np.zeros(4), [0, 1, 1, 1, *[0] * 6, 0.3]])
     assert limited == pytest.approx([1.0, 0.5, 1.15, 0.85, 0.0], abs=1e-15)
 
 
@@ -392,7 +412,7 @@ def test_the_c_says_what_casadi_says(library, precision, function, data):
 
 def test_results_that_are_not_wanted_are_left_out(library, precision):
     ffi, lib = library
-    y, slip = ffi.new("real[]", [0.5, 0.2]), ffi.new("real[]", [0, 1, 1, 1, 0, 0, 0, 0])
+    y, slip = ffi.new("real[]", [0.5, 0.2]), ffi.new("real[]", [0, 1, 1, 1, *[0] * 6])
     twist = ffi.new("real[2]")
     lib.ddmpc_f_twist(
         ffi.new("const real *[]", [y, slip]), ffi.new("real *[]", [twist, ffi.NULL]), ffi.NULL, ffi.NULL, 0

@@ -18,7 +18,7 @@ from oracle.estimator import StateEstimator
 
 DT = 0.0202
 MODEL = load_model("ssm").with_extra_dead_time([0.01, 0.03]).discretise(DT)
-TICKS = np.arange(1500)
+TICKS = np.arange(2500)
 COMMANDS = np.column_stack([0.5 + 0.2 * np.sin(TICKS / 15), 0.8 * np.sin(TICKS / 25)])
 
 
@@ -94,7 +94,7 @@ LOADED = [replace(SLIP, turn_ahead=0.05), replace(SLIP, turn_left=0.05), replace
 
 def test_every_kind_of_slip_is_found_and_the_gyros_bias_with_it():
     estimator = StateEstimator(MODEL, Estimator())
-    run(estimator, IdealRobot(MODEL, np.zeros(3), slip=SLIP, gyro_bias=0.004), 1500)
+    run(estimator, IdealRobot(MODEL, np.zeros(3), slip=SLIP, gyro_bias=0.004), 2500)
     found = estimator.estimate.slip
     assert found.v_offset == pytest.approx(0.04, abs=3e-3)
     assert found.longitudinal_gain == pytest.approx(0.985, abs=3e-3)
@@ -130,6 +130,7 @@ def test_without_a_curve_nothing_is_learned_of_the_turning_point_and_nothing_for
     )
     s = Estimator()
     least = [s.side_slip_uncertainty, s.turn_ahead_uncertainty, s.turn_left_uncertainty, s.load_shift_uncertainty]
+    least += [s.slide_uncertainty] * 2
     assert (np.abs(found) < 0.5 * deviation).all()
     assert (deviation <= np.array(least) + 1e-12).all()
     assert (deviation > 0.5 * np.array(least)).all()
@@ -148,7 +149,7 @@ def test_wheels_that_turn_less_are_not_taken_for_slip():
     [
         ("v_offset", ["v_offset", "longitudinal_gain"]),
         ("yaw_gain", ["omega_gain", "yaw_gain"]),
-        ("side_slip", ["side_slip", "turn_ahead", "turn_left", "load_shift"]),
+        ("side_slip", ["side_slip", "turn_ahead", "turn_left", "load_shift", "slide_x", "slide_y"]),
     ],
 )
 def test_what_is_not_compensated_stays_as_without_slip(part, names):

@@ -15,10 +15,10 @@ MODEL = load_model("ssm").with_extra_dead_time([0.01, 0.03]).discretise(DT)
 SETTINGS = Estimator(surprise=1e9, least_yaw_rate=1e-9, least_speed=1e-9)
 FILTER = SlipFilter(MODEL, SETTINGS, Compensation(), 1.1)
 N = MODEL.order
-SIZE = N + 12
+SIZE = N + 14
 NONE = np.zeros((SIZE, SIZE))
 STEP = 1e-6
-NEUTRAL = np.concatenate([np.zeros(N), [0, 1, 1, 1, 0, 0, 0, 0, 0], np.zeros(3)])
+NEUTRAL = np.concatenate([np.zeros(N), [0, 1, 1, 1, *[0] * 7], np.zeros(3)])
 
 means = st.lists(st.floats(-0.5, 0.5), min_size=SIZE, max_size=SIZE).map(lambda z: NEUTRAL + np.array(z))
 commands = st.lists(st.floats(-1, 1), min_size=2, max_size=2).map(np.array)
@@ -51,8 +51,8 @@ def test_the_noise_of_the_model_comes_in_through_its_inputs():
 
 @given(means, commands)
 def test_prediction_moves_the_turning_point_by_the_mean_of_the_twists(mean, command):
-    """Without side-slip it moves straight on, on a circle of its own about which the origin is carried along."""
-    mean[N + 4] = 0.0
+    """Without side-slip and slide it moves straight on, on a circle of its own about which the origin is carried."""
+    mean[[N + 4, N + 8, N + 9]] = 0.0
     after = FILTER.predict(Belief(mean, NONE), command, command).mean
     slip, twists = FILTER.slip(mean), [FILTER.twist(mean), FILTER.twist(after)]
     (v, omega), acceleration = 0.5 * (twists[0] + twists[1]), (twists[1] - twists[0])[0] / DT
@@ -66,12 +66,24 @@ def test_prediction_moves_the_turning_point_by_the_mean_of_the_twists(mean, comm
     assert point(after[-3:]) == pytest.approx(moved, abs=1e-12)
 
 
+def test_a_robot_that_turns_slides_across_its_heading_and_half_as_far_along():
+    mean = NEUTRAL.copy()
+    mean[:N] = MODEL.settled_state([0.0, 0.5])
+    for slide, heading, share in ((0.1, 0.0, 0.5), (0.1, np.pi / 2, 1.0)):
+        mean[N + 8], mean[-1] = 0.0, heading
+        level, omega = FILTER.pose(mean, DT), FILTER.twist(mean)[1]
+        mean[N + 8] = slide
+        after = FILTER.pose(mean, DT)
+        assert after[-1] - heading == pytest.approx(omega * DT)
+        assert after[0] - level[0] == pytest.approx(share * slide * (np.hypot(omega, 0.05) - 0.05) * DT, rel=1e-4)
+
+
 def test_a_robot_at_rest_learns_nothing_of_its_gains_and_forgets_nothing():
     before = Belief(NEUTRAL, np.diag(np.full(SIZE, 0.01)))
     settled = SlipFilter(MODEL, Estimator(), Compensation(), 1.1).predict(before, np.zeros(2), np.zeros(2))
-    growth = np.diag(settled.covariance - before.covariance)[N : N + 9]
-    assert (growth[[0, 8]] > 0).all()
-    assert growth[1:8] == pytest.approx(0, abs=1e-15)
+    growth = np.diag(settled.covariance - before.covariance)[N : N + 11]
+    assert (growth[[0, 10]] > 0).all()
+    assert growth[1:10] == pytest.approx(0, abs=1e-15)
 
 
 @given(means, st.floats(0, 0.9 * DT))
@@ -101,7 +113,7 @@ def wheel_yaw_rate(z):
 
 
 def gyro(z):
-    return FILTER.twist(z)[1] + z[N + 8]
+    return FILTER.twist(z)[1] + z[N + 10]
 
 
 @pytest.mark.parametrize(
@@ -125,12 +137,12 @@ def test_a_surprise_moves_the_robot_and_not_its_slip():
     wary = SlipFilter(MODEL, Estimator(), Compensation(), 1.1)
     mean = NEUTRAL.copy()
     mean[:N] = MODEL.settled_state([0.5, 0.5])
-    P = np.diag(np.concatenate([np.full(N, 1e-5), np.full(9, 1e-4), np.full(3, 1e-5)]))
+    P = np.diag(np.concatenate([np.full(N, 1e-5), np.full(11, 1e-4), np.full(3, 1e-5)]))
     after, _ = wary.correct(Belief(mean, P), "yaw_rate", 2.0, 1e-4)
-    assert after.mean[N : N + 9] == pytest.approx(mean[N : N + 9])
+    assert after.mean[N : N + 11] == pytest.approx(mean[N : N + 11])
     assert wary.twist(after.mean)[1] == pytest.approx(2.0, abs=0.05)
     moved, _ = wary.correct_pose(Belief(mean, P), np.array([0.0, 0.2, 0.0]), 1e-5 * np.eye(3), 0.0)
-    assert moved.mean[N : N + 9] == pytest.approx(mean[N : N + 9])
+    assert moved.mean[N : N + 11] == pytest.approx(mean[N : N + 11])
     assert moved.mean[-2] == pytest.approx(0.2, abs=0.01)
 
 
@@ -139,14 +151,14 @@ def test_a_surprise_that_lasts_is_learned_from_and_a_new_one_is_not():
     mean = NEUTRAL.copy()
     mean[:N] = MODEL.settled_state([0.5, 0.5])
     command = np.array([0.5, 0.5])
-    belief = Belief(mean, np.diag(np.concatenate([np.full(N, 1e-5), np.full(9, 1e-4), np.full(3, 1e-5)])))
+    belief = Belief(mean, np.diag(np.concatenate([np.full(N, 1e-5), np.full(11, 1e-4), np.full(3, 1e-5)])))
     gains = []
     for _ in range(14):
         belief, _ = wary.correct(wary.predict(belief, command, command), "yaw_rate", 3.0, 1e-6)
         gains.append(belief.mean[N + 3])
     assert gains[:10] == pytest.approx([1.0] * 10)
     assert min(gains[10:]) > 1.1
-    calm, _ = wary.correct(belief, "yaw_rate", wary.twist(belief.mean)[1] + belief.mean[N + 8], 1e-6)
+    calm, _ = wary.correct(belief, "yaw_rate", wary.twist(belief.mean)[1] + belief.mean[N + 10], 1e-6)
     again, _ = wary.correct(calm, "yaw_rate", 6.0, 1e-6)
     assert again.mean[N + 3] == pytest.approx(calm.mean[N + 3])
 

@@ -23,14 +23,14 @@ EXTRA = (0.011, 0.033)
 
 SOFT = {
     "none": {},
-    "twist": {"limits.predicted_v": 0.46, "limits.predicted_omega": 0.5},
-    "wheels": {"limits.wheel_speed": 0.55},
+    "twist": {"limits.predicted_v": 0.42, "limits.predicted_omega": 0.33},
+    "wheels": {"limits.wheel_speed": 0.42},
     "corridor": {"limits.corridor": 0.031},
 }
 LIMITS = {
     "wide": {"limits.corridor": 5.0, "limits.v_slew": 20.0, "limits.omega_slew": 60.0},
     "hard": {"limits.v": 0.5, "limits.omega": 0.6, "limits.v_slew": 0.5, "limits.omega_slew": 2.0},
-    "soft": {"limits.predicted_omega": 0.5, "limits.corridor": 0.04},
+    "soft": {"limits.predicted_omega": 0.33, "limits.corridor": 0.04},
 }
 
 
@@ -58,6 +58,8 @@ def setting(model_name, horizon=15, **overrides):
             side_slip=0.1,
             turn_ahead=0.04,
             turn_left=-0.03,
+            slide_x=0.02,
+            slide_y=-0.03,
         ),
         past=past,
         last_command=past[-1],

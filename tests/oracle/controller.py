@@ -14,6 +14,7 @@ from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.config.thresholds import AHEAD, BEHIND, STANDING, TURNING
+from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.reentry import Pursuit, Target, TooFar
 from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
@@ -28,6 +29,8 @@ from oracle.solver import solve
 from oracle.tick import FeedForward, begin_tick
 from oracle.trajectories import sampled
 
+# As in mpc/config/sensor_test.yaml: [rad], [s].
+_CARRIED, _COMES_BACK = 1.5, 1.0
 _NOT_RUN = SolverReport(SolverStatus.NOT_RUN)
 
 
@@ -132,6 +135,7 @@ class OracleController:
         self.guess = None
         self.plan: Plan | None = None
         self.plan_age = 0
+        self.carried, self.passing = 0.0, np.zeros(2)
         self.result: OracleStep | None = None
         self.has_driven = self.latched = self.finished = False
 
@@ -223,6 +227,7 @@ class OracleController:
             return self._brake(notes, f"its way to rest leaves the fence of {size}; call start or reset to drive on")
         if self.latched:
             return self._brake(notes, "stopped after a failure; call start or reset to drive on")
+        self._carry(estimate.slip)
         followed = self.plan is not None and self.plan_age == 0 and self._is_astray()
         self.reach.look(
             estimator.twist_gates.wheels, t, self.wanted if followed else None, estimate.slip, estimator.commands
@@ -246,13 +251,22 @@ class OracleController:
         ahead = math.copysign(along, along * v)
         near = -BEHIND * settings.wait <= ahead <= AHEAD * settings.wait
         # What is not known of the pose is no reason to leave the path for.
-        band = max(settings.band, 3.0 * math.hypot(*estimate.pose_deviation[:2]))
+        band = self.carried + max(settings.band, 3.0 * math.hypot(*estimate.pose_deviation[:2]))
         outside = abs(across) > band or abs(turned) > settings.heading_band or not near
         if abs(v) > STANDING:
             return Stray(outside, -ahead / settings.wait)
         # It stands, or turns on the spot: then the robot has to arrive first.
         turning = -math.copysign(1.0, omega) * turned if abs(omega) > TURNING else 0.0
-        return Stray(outside, max(math.hypot(along, across) / settings.wait, turning / settings.heading_wait))
+        away = max(math.hypot(along, across) - self.carried, 0.0)
+        return Stray(outside, max(away / settings.wait, turning / settings.heading_wait))
+
+    def _carry(self, slip: Slip) -> None:
+        """How far a robot may be off after turns on the spot: by its turning point and its slide over 1.5 rad."""
+        self.carried *= 1.0 - self.config.sample_time / _COMES_BACK
+        v, omega = np.abs(self.passing)
+        if v <= STANDING and omega > TURNING:
+            moves = math.hypot(slip.turn_ahead, slip.turn_left) + math.hypot(slip.slide_x, slip.slide_y)
+            self.carried = max(self.carried, _CARRIED * moves)
 
     def _is_astray(self) -> bool:
         """Whether the robot is behind or beside where it was to be by now."""
@@ -304,6 +318,7 @@ class OracleController:
     def _plan(self, estimate: Estimate, target: Target) -> tuple[Plan | None, SolverStatus]:
         """One real-time iteration: linearise along the shifted plan, solve, keep the plan."""
         config, sample = self.config, target.sample or target.reference.sample(target.time + self.ahead)
+        self.passing = sample.twist[0]
         self.wanted_pose, self.wanted, self.problem.reach = sample.pose[1], sample.twist[1], self.reach.at_rim
         tick = begin_tick(self.feed_forward, estimate, self.estimator.commands.recent, self.last, sample)
         if self.guess is None:

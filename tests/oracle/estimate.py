@@ -17,7 +17,7 @@ class Estimate:
     Parameters
     ----------
     values
-        Time, pose age; mean and standard deviations (n + 12,) of the filter's state, see `oracle.kalman`; twist (2,)
+        Time, pose age; mean and standard deviations (n + 14,) of the filter's state, see `oracle.kalman`; twist (2,)
         and its standard deviations (2,); innovations (4,), NaN where there was none.
     order
         Order n of the velocity model.
@@ -40,13 +40,13 @@ class Estimate:
 
     @property
     def mean(self) -> FloatArray:
-        """(n + 12,) mean of the filter's state: states, slip, gyro bias and pose."""
-        return self.values[2 : self._order + 14]
+        """(n + 14,) mean of the filter's state: states, slip, gyro bias and pose."""
+        return self.values[2 : self._order + 16]
 
     @property
     def deviation(self) -> FloatArray:
-        """(n + 12,) standard deviations of the same."""
-        return self.values[self._order + 14 : 2 * self._order + 26]
+        """(n + 14,) standard deviations of the same."""
+        return self.values[self._order + 16 : 2 * self._order + 30]
 
     @property
     def pose(self) -> FloatArray:
@@ -71,12 +71,12 @@ class Estimate:
     @property
     def slip(self) -> Slip:
         """What lies between the model's twist and that of the body."""
-        return Slip(*self.mean[self._order : self._order + 8].tolist())
+        return Slip(*self.mean[self._order : self._order + 10].tolist())
 
     @property
     def slip_deviation(self) -> Slip:
         """Its standard deviations."""
-        return Slip(*self.deviation[self._order : self._order + 8].tolist())
+        return Slip(*self.deviation[self._order : self._order + 10].tolist())
 
     @property
     def gyro_bias(self) -> float:

@@ -1,7 +1,7 @@
 """The extended Kalman filter: z = (x, slip, gyro_bias, pose).
 
-x are the n states of the velocity model; then the eight numbers of `mpc.estimation.slip`, between its twist and that of
-the body, the gyro's bias [rad/s] and x, y [m], theta [rad]. Functions of z take one state (n + 12,) or many, one to a
+x are the n states of the velocity model; then the ten numbers of `mpc.estimation.slip`, between its twist and that of
+the body, the gyro's bias [rad/s] and x, y [m], theta [rad]. Functions of z take one state (n + 14,) or many, one to a
 column.
 """
 
@@ -17,11 +17,11 @@ from diffdrive_mpc.mpc.config.schema import Compensation, Estimator, Wheels
 from diffdrive_mpc.mpc.estimation.estimate import SENSORS
 from diffdrive_mpc.mpc.estimation.slip import FLAT_SLIPS, Slip
 from oracle.commands import PastCommands
-from oracle.motion import arc, jacobian, sideways, wrapped
+from oracle.motion import arc, jacobian, sideways, slid, wrapped
 
 
 class Belief(NamedTuple):
-    """Mean (n + 12,), covariance, and for each sensor the samples for which it has contradicted them; 0: it agrees."""
+    """Mean (n + 14,), covariance, and for each sensor the samples for which it has contradicted them; 0: it agrees."""
 
     mean: FloatArray
     covariance: FloatArray
@@ -39,10 +39,12 @@ class SlipFilter:
     ) -> None:
         self.model, self.settings, self.wheel_yaw_ratio = model, settings, wheel_yaw_ratio
         n, s, on = model.order, settings, compensation
-        self.slip_places, self.pose_places = np.arange(n, n + 9), np.arange(n + 9, n + 12)
+        self.slip_places, self.pose_places = np.arange(n, n + 11), np.arange(n + 11, n + 14)
         self.gains = np.array([n + 1, n + 2, n + 3])
-        estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, *[on.side_slip] * 4, True])
+        estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, *[on.side_slip] * 6, True])
         names = [*FLAT_SLIPS, "gyro_bias"]
+        # One uncertainty for both directions of the slide.
+        names = ["slide" if name.startswith("slide") else name for name in names]
         self.uncertainty = estimated * [getattr(s, f"{name}_uncertainty") for name in names]
         self.drift = estimated * [getattr(s, f"{name}_drift") for name in names]
         expected = Slip(side_slip=s.side_slip, load_shift=s.load_shift) if on.side_slip else Slip()
@@ -79,9 +81,10 @@ class SlipFilter:
 
     def _moved(self, z: FloatArray, v: FloatArray, omega: FloatArray, acceleration: float, dt: float) -> FloatArray:
         pose = z[self.pose_places]
-        side_slip, turn_ahead, _, load_shift = z[self.slip_places[4:8]]
+        side_slip, turn_ahead, _, load_shift, *slide = z[self.slip_places[4:10]]
         left = sideways(v, omega, side_slip, turn_ahead - load_shift * acceleration)
-        return pose + np.stack(arc(pose[2], v, omega, dt, left))
+        dx, dy = slid(pose[2], omega, dt, slide)
+        return pose + np.stack(arc(pose[2], v, omega, dt, left)) + np.stack([dx, dy, 0.0 * dx])
 
     # What sensors see of it.
 
@@ -95,7 +98,7 @@ class SlipFilter:
 
     def yaw_rate(self, z: FloatArray) -> FloatArray:
         """Yaw rate by the gyro [rad/s]."""
-        return self.twist(z)[1] + z[self.slip_places[8]]
+        return self.twist(z)[1] + z[self.slip_places[10]]
 
     def pose(self, z: FloatArray, ahead: float) -> FloatArray:
         """(3, ...) the pose `ahead` seconds later, at constant twist."""
@@ -111,7 +114,7 @@ class SlipFilter:
             recent, older = commands.acting(ticks_ago)
             x = model.A @ x + model.B0 @ recent + model.B1 @ older
         settled = np.column_stack([model.settled_state(unit) for unit in np.eye(2)])
-        P = np.zeros((n + 12, n + 12))
+        P = np.zeros((n + 14, n + 14))
         P[:n, :n] = settled @ np.diag((model.C @ x) ** 2) @ settled.T
         P[self.slip_places, self.slip_places] = self.uncertainty**2
         return Belief(np.concatenate([x, self.expected, np.zeros(3)]), P)
@@ -126,7 +129,7 @@ class SlipFilter:
 
     def slip(self, z: FloatArray) -> Slip:
         """The slip in a state."""
-        return Slip(*z[self.slip_places[:8]].tolist())
+        return Slip(*z[self.slip_places[:10]].tolist())
 
     def twist_deviation(self, belief: Belief) -> FloatArray:
         """(2,) standard deviations of v [m/s] and omega [rad/s]."""
@@ -146,7 +149,7 @@ class SlipFilter:
         v, omega = np.abs(self.twist(z, 0.5 * model.C @ (z[:n] + after[:n])))
         driving, turning = v >= s.least_speed, omega >= s.least_yaw_rate
         cornering = driving and turning
-        moving = [True, turning, driving, turning, cornering, turning, turning, cornering, True]
+        moving = [True, turning, driving, turning, cornering, turning, turning, cornering, turning, turning, True]
         Q[self.slip_places, self.slip_places] = self.drift**2 * model.dt * moving
         walk = np.array([s.position_drift, s.position_drift, s.heading_drift])
         Q[self.pose_places, self.pose_places] = walk**2 * model.dt

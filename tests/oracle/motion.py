@@ -46,6 +46,20 @@ def sideways(v: FloatArray, omega: FloatArray, side_slip: FloatArray | float, ah
     return -omega * ahead - outward
 
 
+def slid(
+    theta: FloatArray, omega: FloatArray, dt: float, slide: FloatArray | tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Displacement dx, dy [m] over `dt` of a robot that slides by `slide` [m/rad], x and y, for each radian it turns.
+
+    It slides by all of that across its mean heading, and by half of it along; turning slowly it hardly slides.
+    """
+    mean, chord = theta + 0.5 * omega * dt, dt * sinc(0.5 * omega * dt)
+    turned = chord * (np.sqrt(omega**2 + 0.05**2) - 0.05)
+    left_x, left_y = -np.sin(mean), np.cos(mean)
+    across = left_x * slide[0] + left_y * slide[1]
+    return 0.5 * turned * (slide[0] + left_x * across), 0.5 * turned * (slide[1] + left_y * across)
+
+
 def linearised(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Value (m,) and derivative (m, n) of `function` at `at` (n,); it maps points (n, k), in columns, to (m, k).
 

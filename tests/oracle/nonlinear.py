@@ -10,13 +10,15 @@ from oracle.problem import TrackingProblem, roll_out
 from oracle.tick import Tick
 
 
-def _arc(pose: ca.MX, v: ca.MX, omega: ca.MX, dt: float, lateral: ca.MX) -> ca.MX:
+def _arc(pose: ca.MX, v: ca.MX, omega: ca.MX, dt: float, lateral: ca.MX, slide: tuple[float, float]) -> ca.MX:
     half = omega * dt / 2
     # The branch that is not used must be finite too, or its derivative makes NaN of the other.
     small = ca.fabs(half) < 1e-2
     safe = ca.if_else(small, 1, half)
     chord = dt * ca.if_else(small, 1 - half**2 / 6 + half**4 / 120, ca.sin(safe) / safe)
     c, s = ca.cos(pose[2] + half), ca.sin(pose[2] + half)
+    rate = ca.sqrt(omega**2 + 0.05**2) - 0.05
+    v, lateral = v + rate * (c * slide[0] + s * slide[1]) / 2, lateral + rate * (c * slide[1] - s * slide[0])
     return pose + ca.vertcat(chord * (v * c - lateral * s), chord * (v * s + lateral * c), omega * dt)
 
 
@@ -44,7 +46,8 @@ def nonlinear_program(
     pose, cost, across = ca.MX(tick.pose), ca.MX(0), []
     for k in range(N):
         v, omega = mean[0, k], mean[1, k]
-        pose = _arc(pose, v, omega, model.dt, -omega * (lever[k] + slip.side_slip * v))
+        lateral = -omega * (lever[k] + slip.side_slip * v)
+        pose = _arc(pose, v, omega, model.dt, lateral, (slip.slide_x, slip.slide_y))
         x, y, theta = tick.aim[k + 1]
         dx, dy, c, s = pose[0] - x, pose[1] - y, np.cos(theta), np.sin(theta)
         errors = ca.vertcat(c * dx + s * dy, c * dy - s * dx, pose[2] - tick.heading[k + 1])

@@ -19,7 +19,7 @@ import numpy as np
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
-from oracle.motion import arc, linearised, sideways
+from oracle.motion import arc, linearised, sideways, slid
 from oracle.tick import Tick
 
 
@@ -90,6 +90,8 @@ class TrackingProblem:
         theta = tick.pose[2] + self.model.dt * np.cumsum(omega, axis=0)
         before = np.concatenate([np.full_like(theta[:1], tick.pose[2]), theta[:-1]])
         dx, dy, _ = arc(before, v, omega, self.model.dt, sideways(v, omega, tick.slip.side_slip, ahead[:, None]))
+        by_slide = slid(before, omega, self.model.dt, (tick.slip.slide_x, tick.slip.slide_y))
+        dx, dy = dx + by_slide[0], dy + by_slide[1]
         after = np.stack([tick.pose[0] + np.cumsum(dx, axis=0), tick.pose[1] + np.cumsum(dy, axis=0), theta], axis=1)
         return np.concatenate([np.broadcast_to(tick.pose[:, None], after[:1].shape), after])
 

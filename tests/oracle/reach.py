@@ -12,18 +12,10 @@ from diffdrive_mpc.mpc.estimation.slip import Slip
 from oracle.checks import TwistGate
 from oracle.commands import PastCommands
 
-# As in mpc/core/tick.c.
-_SHORT, _LEAST, _FOR, _HELD, _REGAIN, _SMOOTHED, _STEADY, _LASTING, _FASTER = (
-    0.08,
-    0.04,
-    0.2,
-    0.3,
-    0.05,
-    0.2,
-    0.2,
-    0.07,
-    0.1,
-)
+# As in mpc/config/sensor_test.yaml.
+_SHORT, _LEAST, _FOR, _HELD, _REGAIN, _SMOOTHED, _STEADY = 0.08, 0.04, 0.2, 0.3, 0.05, 0.2, 0.2
+# So much more has to be asked, and less than so much of it gained.
+_MORE, _GAINED = 0.02, 0.3
 # Where the robot keeps up with its reference nothing is learned.
 ASTRAY, BESIDE = 0.6, 0.5
 
@@ -40,7 +32,7 @@ class WheelReach:
 
     def restart(self) -> None:
         """Know of no end."""
-        self.actual, self.ticks, self.found, self.patience = np.zeros(2), 0, 0, 1
+        self.actual, self.found, self.tried, self.speed_then = np.zeros(2), 0, math.inf, 0.0
         self._know_nothing()
 
     def _know_nothing(self) -> None:
@@ -67,18 +59,24 @@ class WheelReach:
             lacks = asked - along
             steady = np.abs(read - self.actual) < _STEADY * asked
             short = steady & (along > _HELD * asked) & (lacks > np.maximum(_SHORT * asked, _LEAST))
-            if short.any() and (along <= by_command.max(axis=1) + _FASTER).all():
+            if short.any() and (along <= by_command.max(axis=1) + _LEAST).all():
                 found = int(np.argmax(np.where(short, lacks, -np.inf)))
-        self.ticks = 0 if found is None else self.ticks + 1
-        if abs(self.actual[self.found]) > self.at_rim * (1 + _SHORT) + _LEAST:
-            self._know_nothing()
-            self.patience *= 2
-        if found is not None and self.ticks * self.dt > _LASTING * self.patience:
-            self.found = found
+        if found is not None and self._gains_nothing(found, float(by_command.min(axis=1)[found])):
             self.at_rim = abs(self.actual[found])
             needed = abs(wanted[0]) + self.half_track * abs(wanted[1])
             self.speed = abs(self.actual[found] / by_reference[found]) * needed
         else:
             self.speed, self.at_rim = (value * (1 + _REGAIN * self.dt) for value in (self.speed, self.at_rim))
-        if not self.at_rim < self.most:
+        faster = abs(self.actual[self.found]) > self.at_rim * (1 + _SHORT) + _LEAST
+        if faster or not self.at_rim < self.most:
             self._know_nothing()
+
+    def _gains_nothing(self, found: int, asked: float) -> bool:
+        """Whether the wheel got no faster though more was asked of it than when it was first short."""
+        speed = abs(self.actual[found])
+        more, gained = asked - self.tried, speed - self.speed_then
+        enough = more > _MORE * asked
+        if found != self.found or more < 0 or (enough and gained > _GAINED * more):
+            self.found, self.tried, self.speed_then = found, asked, speed
+            return False
+        return enough

@@ -7,7 +7,7 @@ import osqp
 from scipy import sparse
 
 from diffdrive_mpc.models.interface import FloatArray
-from oracle.motion import arc, linearised, sideways
+from oracle.motion import arc, linearised, sideways, slid
 from oracle.problem import TrackingProblem
 from oracle.tick import Tick
 
@@ -59,7 +59,8 @@ def solve_sparse(problem: TrackingProblem, tick: Tick, plan: FloatArray) -> Floa
         where = np.array([theta[k], *(0.5 * (nominal[k, :, 0] + nominal[k + 1, :, 0]))])
 
         def moving(q: FloatArray, lever: float = ahead[k]) -> FloatArray:
-            return np.stack(arc(*q, model.dt, sideways(q[1], q[2], slip.side_slip, lever)))
+            dx, dy = slid(q[0], q[2], model.dt, (slip.slide_x, slip.slide_y))
+            return np.stack(arc(*q, model.dt, sideways(q[1], q[2], slip.side_slip, lever))) + np.stack([dx, dy, 0 * dx])
 
         move, J = linearised(moving, where)
         moved = move - J @ where

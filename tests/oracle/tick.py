@@ -62,12 +62,14 @@ def heading_to_hold(poses: FloatArray, twist: FloatArray, slip: Slip) -> FloatAr
     """(n,) headings [rad] at which a robot travels along reference `poses` (n, 3) with `twist` (n, 2).
 
     At a speed u to the left of v it travels atan(u / v) to the left of its heading, so it has to point as far to the
-    right. The part of u / v that does not fade with v is -turn_ahead omega / v; instead of 1 / v it is made to bend off
-    below 0.1 m/s, since a robot that turns on the spot cannot make up for it.
+    right. Two parts of u / v grow as v fades, -turn_ahead omega / v and the slide; instead of 1 / v they are made to
+    bend off below 0.1 m/s, since a robot that turns on the spot cannot make up for them.
     """
     v, omega = twist.T
     share = v / (v * v + 0.01)
-    return poses[:, 2] - np.arctan(-omega * slip.side_slip - omega * slip.turn_ahead * share)
+    left = np.column_stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])]) @ [slip.slide_x, slip.slide_y]
+    slide = (np.sqrt(omega**2 + 0.05**2) - 0.05) * left
+    return poses[:, 2] - np.arctan(-omega * slip.side_slip + (slide - omega * slip.turn_ahead) * share)
 
 
 def begin_tick(
