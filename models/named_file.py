@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -45,13 +46,18 @@ def named_file(
     if text in known:
         return folder / f"{text}.yaml"
     check_trusted(name)
-    if Path(name).is_file():
+    if is_file(name):
         return Path(name)
     near = difflib.get_close_matches(text.lower(), known, n=1, cutoff=0.5)
     hint = f"; did you mean '{near[0]}'?" if near else ""
     raise ConfigError(
         f"unknown {kind} '{text}': give one of {', '.join(known)}{others} or the path of a {kind} file{hint}"
     )
+
+
+def is_file(path: str | Path) -> bool:
+    """Whether `path` is a file; false also for a name that is too long, where `Path.is_file` raises."""
+    return os.path.isfile(path)  # noqa: PTH113
 
 
 def shipped_names(folder: Path) -> tuple[str, ...]:

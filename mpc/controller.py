@@ -538,7 +538,8 @@ class Controller:
         """Decide the command for the tick at `t` [s] from what arrived since the last one.
 
         Never raises on data: a measurement that is not finite, jumps or is too old is rejected and `message` says so;
-        the robot dead-reckons, and brakes when no pose was accepted for `failure.max_pose_age`.
+        the robot dead-reckons, and brakes when no pose was accepted for `failure.max_pose_age`, or
+        `failure.dead_reckoning` where wheels and gyro are good.
         With `hold` it brakes and stands instead of driving; it goes on measuring.
 
         Raises

@@ -154,7 +154,8 @@ class TrackingPeer:
         estimate = self._estimator.step(t, measurement)
         since_start = self._since_start(t, estimate)
         wish, mode, message, took = np.zeros(2), "TRACKING", "", 0.0
-        if estimate is None or not estimate.pose_age <= self._config.failure.max_pose_age:
+        failure = self._config.failure
+        if estimate is None or not estimate.pose_age <= max(failure.max_pose_age, failure.dead_reckoning):
             mode, message = "BRAKING", "no recent pose"
         elif since_start >= self._reference.duration:
             mode = "FINISHED"

@@ -128,7 +128,7 @@ class Estimator(Group):
     omega_input_noise: Positive = Field(0.1, description="what the model gets wrong, as noise on omega_ref [rad/s]")
     v_offset_uncertainty: Positive = Field(0.03, description="v offset at the start [m/s]")
     v_offset_drift: Positive = Field(0.02, description="random walk of the v offset [m/s per sqrt(s)]")
-    omega_gain_uncertainty: Positive = Field(0.1, description="yaw rate of wheels over model, at the start [-]")
+    omega_gain_uncertainty: Positive = Field(0.03, description="yaw rate of wheels over model, at the start [-]")
     omega_gain_drift: Positive = Field(0.0003, description="random walk of that gain [1 per sqrt(s)]")
     longitudinal_gain_uncertainty: Positive = Field(0.01, description="speed of body over wheels, at the start [-]")
     longitudinal_gain_drift: Positive = Field(0.002, description="random walk of that gain [1 per sqrt(s)]")
@@ -148,12 +148,12 @@ class Estimator(Group):
     load_shift: NotNegative = Field(
         0.0, description="how far back the turning point moves for an acceleration, at the start [s^2]"
     )
-    load_shift_uncertainty: NotNegative = Field(0.02, description="the same, what is not known of it [s^2]")
-    load_shift_drift: NotNegative = Field(0.003, description="random walk of that [s^2 per sqrt(s)]")
+    load_shift_uncertainty: NotNegative = Field(0.03, description="the same, what is not known of it [s^2]")
+    load_shift_drift: NotNegative = Field(0.001, description="random walk of that [s^2 per sqrt(s)]")
     slide_uncertainty: NotNegative = Field(
         0.03, description="how far it slides for each radian turned, as down a slope, at the start [m/rad]"
     )
-    slide_drift: NotNegative = Field(0.003, description="random walk of that [m/rad per sqrt(s)]")
+    slide_drift: NotNegative = Field(0.001, description="random walk of that [m/rad per sqrt(s)]")
     crab: Coefficient = Field(0.0, description="lateral speed, to the left, over forward speed, at the start [-]")
     crab_uncertainty: NotNegative = Field(0.0, description="the same, what is not known of it [-]")
     crab_drift: NotNegative = Field(0.0, description="random walk of that [1 per sqrt(s)]")

@@ -98,8 +98,8 @@ class Slip:
     def polynomial(self) -> FloatArray:
         """(9,) coefficients of `models.slip_laws.polynomial_twist` that this slip amounts to, row by row.
 
-        What it has beyond them is left out: offset, load shift, slide and a track that grows. Lateral terms in w_c^2, products
-        of side-slip and a12, do not exist there.
+        What it has beyond them is left out: offset, load shift, slide and a track that grows. Lateral terms in w_c^2,
+        products of side-slip and a12, do not exist there.
         """
         turning = self.omega_gain * self.yaw_gain
         return np.array(

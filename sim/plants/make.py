@@ -12,6 +12,7 @@ import numpy as np
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import wrong_type
+from diffdrive_mpc.models.named_file import is_file
 from diffdrive_mpc.models.robot import Robot, TwistBounds, load_robot
 from diffdrive_mpc.sim.disturbances.scenario import beside, load_scenario
 from diffdrive_mpc.sim.plants.chassis import outline
@@ -232,7 +233,7 @@ def _model_robot(sample_time: float | None, limits: TwistBounds | None) -> Robot
 def _split(text: str) -> tuple[str, float]:
     """Model and extra dead time [s] of NAME or NAME+SECONDS; an existing file may have a plus in its path."""
     model, plus, seconds = text.rpartition("+")
-    if not plus or Path(text).is_file():
+    if not plus or is_file(text):
         return text, 0.0
     try:
         dead_time = float(seconds)

@@ -265,6 +265,14 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
     k.memory = R(5.0);
     k.held = R(0.2);
     k.far = R(64.0);
+    k.unsure = R(3.0);
+    k.carried[0] = R(1.5), k.carried[1] = R(1.0);
+    k.astray[0] = R(0.6), k.astray[1] = R(0.5);
+    k.short_by[0] = R(0.04), k.short_by[1] = R(0.08);
+    k.short_for = k.steady = k.smoothed = R(0.2);
+    k.stuck = k.trial[1] = R(0.3);
+    k.trial[0] = R(0.01);
+    k.regain = R(0.05);
     k.late[0] = R(16.0);
     k.late[1] = R(0.99);
     const real gains[4] = {R(0.2), R(6.0), R(8.0), R(0.5)}, scatter[5] = {R(0.04), R(25.0), R(9.0), R(6.25), R(400.0)};
@@ -602,17 +610,17 @@ static void check_bounds(void)
 int main(int count, char **words)
 {
     const subject subjects[] = {
-        {"smallest", {1, 1, 0, 0, 1, 2, 0, 0, 0, 5, 0, 0, 0, 0, 8, 0, 0, 0}, {{0, 0, 0, 0}}, 3000},
-        {"curved, turns", {5, 2, 1, 0, 2, 4, 0, 1, 0, 7, 0, 0, 0, 2, 13, 0, 0, 0}, {{0, 0, 0, 0}}, 3000},
-        {"curved, function", {6, 3, 0, 0, 3, 4, 0, 0, 1, 6, 2, 2, 1, 0, 13, 0, 0, 0}, {{one_row, 1, 0, 0}, {one_row, 1, 1, 1}}, 2000},
-        {"smallest, function", {1, 1, 0, 0, 1, 2, 0, 0, 1, 6, 2, 2, 1, 0, 8, 0, 0, 0}, {{one_row, 1, 0, 0}, {one_row, 1, 1, 1}}, 2000},
-        {"usual", {15, 2, 1, 2, 4, 16, 4, 3, 0, 5, 0, 0, 0, 0, 8, 0, 0, 0}, {{0, 0, 0, 0}}, 3000},
-        {"eight states, terms", {9, 8, 3, 2, 5, 16, 0, 9, 3, 8, 2, 2, 0, 0, 8, 0, 0, 0}, {{three_rows, 3, 0, 0}, {three_rows, 3, 1, 1}}, 1500},
-        {"function, terms", {12, 3, 0, 0, 4, 10, 2, 2, 1, 8, 2, 3, 1, 0, 8, 0, 7, 0}, {{one_row, 1, 0, 1}, {three_rows, 3, 1, 2}}, 800},
-        {"more window than horizon", {4, 2, 20, 30, 32, 40, 1, 1, 0, 5, 0, 0, 0, 0, 8, 0, 0, 0}, {{0, 0, 0, 0}}, 1000},
-        {"largest", {200, 64, 500, 510, 512, 16, 60, 3, 3, 29, 2, 2, 0, 0, 8, 0, 0, 0}, {{three_rows, 3, 0, 0}, {many_rows, 24, 1, 1}}, 14},
-        {"largest, function", {200, 64, 0, 0, 512, 16, 3, 60, 3, 29, 2, 2, 1, 0, 13, 0, 0, 0}, {{three_rows, 3, 0, 0}, {many_rows, 24, 1, 1}}, 5},
-        {"turns, commanded", {8, 2, 1, 2, 4, 8, 1, 1, 0, 9, 0, 0, 0, 2, 8, 0, 0, 2}, {{0, 0, 0, 0}}, 3000},
+        {"smallest", {1, 1, 0, 0, 1, 2, 0, 0, 0, 5, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0}, {{0, 0, 0, 0}}, 3000},
+        {"curved, turns", {5, 2, 1, 0, 2, 4, 0, 1, 0, 7, 0, 0, 0, 2, CURVED_SLIPS, 0, 0, 0}, {{0, 0, 0, 0}}, 3000},
+        {"curved, function", {6, 3, 0, 0, 3, 4, 0, 0, 1, 6, 2, 2, 1, 0, CURVED_SLIPS, 0, 0, 0}, {{one_row, 1, 0, 0}, {one_row, 1, 1, 1}}, 2000},
+        {"smallest, function", {1, 1, 0, 0, 1, 2, 0, 0, 1, 6, 2, 2, 1, 0, FLAT_SLIPS, 0, 0, 0}, {{one_row, 1, 0, 0}, {one_row, 1, 1, 1}}, 2000},
+        {"usual", {15, 2, 1, 2, 4, 16, 4, 3, 0, 5, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0}, {{0, 0, 0, 0}}, 3000},
+        {"eight states, terms", {9, 8, 3, 2, 5, 16, 0, 9, 3, 8, 2, 2, 0, 0, FLAT_SLIPS, 0, 0, 0}, {{three_rows, 3, 0, 0}, {three_rows, 3, 1, 1}}, 1500},
+        {"function, terms", {12, 3, 0, 0, 4, 10, 2, 2, 1, 8, 2, 3, 1, 0, FLAT_SLIPS, 0, 7, 0}, {{one_row, 1, 0, 1}, {three_rows, 3, 1, 2}}, 800},
+        {"more window than horizon", {4, 2, 20, 30, 32, 40, 1, 1, 0, 5, 0, 0, 0, 0, FLAT_SLIPS, 0, 0, 0}, {{0, 0, 0, 0}}, 1000},
+        {"largest", {200, 64, 500, 510, 512, 16, 60, 3, 3, 29, 2, 2, 0, 0, FLAT_SLIPS, 0, 0, 0}, {{three_rows, 3, 0, 0}, {many_rows, 24, 1, 1}}, 14},
+        {"largest, function", {200, 64, 0, 0, 512, 16, 3, 60, 3, 29, 2, 2, 1, 0, CURVED_SLIPS, 0, 0, 0}, {{three_rows, 3, 0, 0}, {many_rows, 24, 1, 1}}, 5},
+        {"turns, commanded", {8, 2, 1, 2, 4, 8, 1, 1, 0, 9, 0, 0, 0, 2, FLAT_SLIPS, 0, 0, 2}, {{0, 0, 0, 0}}, 3000},
     };
     state = count > 1 ? strtoull(words[1], 0, 10) : 1;
     state = state * 0x9E3779B97F4A7C15u + 1;

@@ -52,7 +52,7 @@ def record(controller: Controller, robot: Any, reference: Reference, ticks: int,
 def converged(make: Callable[[], Controller], drive: Drive, reference: Reference, each_tick: EachTick) -> StepResult:
     """The last tick of `drive` with its own plan as the guess, again and again until that changes by less than 1e-9."""
     guess = None
-    for _ in range(60):
+    for _ in range(200):
         controller = make()
         controller.start(reference, 0.0)
         for t, measurement in zip(drive.times, drive.measurements, strict=True):

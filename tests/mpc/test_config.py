@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
+from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs.mapping import LogMapping
 from diffdrive_mpc.models.suggestions import SYNONYMS, suggestion
@@ -106,3 +107,9 @@ def test_a_range_tightened_below_the_last_command_is_reached_at_the_slew_limit()
     due = np.maximum(v[99] - step * np.arange(1, 61), 0.3)
     assert (v[100:] <= due + 1e-9).all()
     assert v[-1] == pytest.approx(0.3, abs=1e-3)
+
+
+@pytest.mark.parametrize("make", [load_config, load_trajectory, load_model])
+def test_a_name_too_long_for_a_file_is_refused_like_any_other(make):
+    with pytest.raises(ConfigError, match="unknown"):
+        make("a" * 5000)

@@ -24,6 +24,10 @@ def controller(**overrides):
     return Controller(load_config("ssm", overrides))
 
 
+def without_dead_reckoning(**overrides):
+    return controller(**{"failure.dead_reckoning": 0.0} | overrides)
+
+
 def robot():
     return IdealRobot(load_model("ssm").discretise(DT), REFERENCE.sample([0.0]).pose[0])
 
@@ -57,14 +61,16 @@ def test_a_single_bad_pose_does_not_disturb_the_drive():
     assert np.abs((poses - REFERENCE.sample(times).pose)[:, :2]).max() < 0.01
 
 
-def test_without_poses_it_dead_reckons_then_brakes_then_stands():
+@pytest.mark.parametrize(("dead_reckoning", "brakes"), [(0.0, 0.5), (1.5, 1.5)])
+def test_without_poses_it_dead_reckons_then_brakes_then_stands(dead_reckoning, brakes):
     def lose(k, m):
         return with_pose(m, [np.nan] * 3) if k >= 100 else m
 
-    results, _, _ = drive(controller(), robot(), REFERENCE, 5.0, change=lose)
+    tracker = controller(**{"failure.dead_reckoning": dead_reckoning})
+    results, _, _ = drive(tracker, robot(), REFERENCE, 5.0, change=lose)
     assert modes(results) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED]
     first_brake = next(k for k, r in enumerate(results) if r.mode is Mode.BRAKING)
-    assert (first_brake - 99) * DT == pytest.approx(0.5, abs=2 * DT)
+    assert (first_brake - 99) * DT == pytest.approx(brakes, abs=2 * DT)
     assert "no pose was accepted" in results[first_brake].message
     assert (slews(results) <= SLEW + 1e-12).all()
     assert (results[-1].command == 0).all()
@@ -119,7 +125,7 @@ def rare_poses(interval, latency, until=math.inf):
 )
 def test_poses_too_rare_for_the_age_allowed_stop_it_once_with_the_remedy(interval, latency, largest, most):
     """It brakes as often as `most`, and then stands: what it is told to raise lets it drive."""
-    tracker = controller(**{"failure.max_pose_age": largest})
+    tracker = controller(**{"failure.max_pose_age": largest, "failure.dead_reckoning": 0.0})
     results, _, _ = drive(tracker, robot(), REFERENCE, 6.0, change=rare_poses(interval, latency))
     order = modes(results)
     assert order.count(Mode.BRAKING) == most
@@ -135,7 +141,7 @@ def test_poses_too_rare_for_the_age_allowed_stop_it_once_with_the_remedy(interva
 
 
 def test_poses_that_come_in_time_again_let_it_drive():
-    results, _, _ = drive(controller(), robot(), REFERENCE, 6.0, change=rare_poses(30, 0, until=3.0))
+    results, _, _ = drive(without_dead_reckoning(), robot(), REFERENCE, 6.0, change=rare_poses(30, 0, until=3.0))
     assert modes(results) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED, Mode.TRACKING]
     assert results[-1].mode is Mode.TRACKING and "poses come" not in results[-1].message
 
@@ -144,7 +150,7 @@ def test_one_drop_out_is_not_taken_for_the_rate_of_poses():
     def lose(k, m):
         return with_pose(m, None) if k % 150 > 115 else m
 
-    results, _, _ = drive(controller(), robot(), REFERENCE, 8.0, change=lose)
+    results, _, _ = drive(without_dead_reckoning(), robot(), REFERENCE, 8.0, change=lose)
     assert any(r.mode is Mode.BRAKING for r in results)
     assert not any("poses come every" in r.message for r in results)
 
@@ -160,7 +166,7 @@ def test_it_drives_on_when_poses_return():
     def lose(k, m):
         return with_pose(m, None) if 100 <= k < 160 else m
 
-    results, poses, times = drive(controller(), robot(), REFERENCE, 12.0, change=lose)
+    results, poses, times = drive(without_dead_reckoning(), robot(), REFERENCE, 12.0, change=lose)
     assert modes(results) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED, Mode.TRACKING]
     assert np.abs((poses - REFERENCE.sample(times).pose)[-50:, :2]).max() < 0.02
 
@@ -169,7 +175,7 @@ def test_it_stays_stopped_where_resuming_is_not_allowed():
     def lose(k, m):
         return with_pose(m, None) if 100 <= k < 140 else m
 
-    results, _, _ = drive(controller(**{"failure.resume": False}), robot(), REFERENCE, 6.0, change=lose)
+    results, _, _ = drive(without_dead_reckoning(**{"failure.resume": False}), robot(), REFERENCE, 6.0, change=lose)
     assert modes(results) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED]
     assert "call start or reset" in results[-1].message
 

@@ -234,7 +234,7 @@ def test_carried_ahead_the_robot_waits_for_the_reference_instead_of_reversing():
 def test_a_pause_in_tracking_stops_the_reference():
     reference = load_trajectory("circle")
 
-    driver = Controller(load_config("ssm"))
+    driver = Controller(load_config("ssm", {"failure.dead_reckoning": 0.0}))
     robot = IdealRobot(MODEL, reference.sample([0.0]).pose[0])
     driver.start(reference, 0.0)
     delays = []

@@ -15,7 +15,7 @@ from oracle.commands import PastCommands
 # As in mpc/config/sensor_test.yaml.
 _SHORT, _LEAST, _FOR, _HELD, _REGAIN, _SMOOTHED, _STEADY = 0.08, 0.04, 0.2, 0.3, 0.05, 0.2, 0.2
 # So much more has to be asked, and less than so much of it gained.
-_MORE, _GAINED = 0.02, 0.3
+_MORE, _GAINED = 0.01, 0.3
 # Where the robot keeps up with its reference nothing is learned.
 ASTRAY, BESIDE = 0.6, 0.5
 
