@@ -8,7 +8,7 @@ from diffdrive_mpc.models import DiscreteModel, Measurement, Stamped
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Wheels
 from diffdrive_mpc.mpc.estimation.slip import Slip
-from oracle.motion import arc, sideways
+from oracle.motion import arc, sideways, slid
 
 # What encoders and geometric track make of the yaw rate that the firmware was asked for.
 WHEEL_YAW_RATIO = Wheels().track / Wheels().encoder_track
@@ -95,7 +95,9 @@ class IdealRobot:
         """(3,) displacement over a sample from the heading `theta`, at the mean of the twists at its ends."""
         (v, omega), dt, slip = 0.5 * (before + after), self.model.dt, self.slip
         ahead = slip.turn_ahead - slip.load_shift * (after - before)[0] / dt
-        return np.array(arc(theta, v, omega, dt, sideways(v, omega, slip.side_slip, ahead)))
+        move = np.array(arc(theta, v, omega, dt, sideways(v, omega, slip.side_slip, ahead)))
+        move[:2] += slid(theta, omega, dt, (slip.slide_x, slip.slide_y))
+        return move
 
 
 def drive(controller, robot, reference, seconds, t0=0.0, change=None):

@@ -93,6 +93,23 @@ def test_a_robot_that_turns_about_another_point_is_tracked_too(slip, worse_witho
     assert late[False] > worse_without * late[True]
 
 
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_a_robot_that_slides_down_a_slope_while_it_turns_is_tracked_too(noise):
+    slip, reference, late = Slip(slide_x=0.1, slide_y=-0.05), hurried(), {}
+    for on in (True, False):
+        told = controller(**{"compensation.side_slip": on})
+        results, poses, times = drive(told, robot_for(reference, slip=slip, noise=noise), reference, reference.duration)
+        half = len(times) // 2
+        late[on] = rmse(poses[half:], times[half:], reference)[0]
+        if on:
+            found, deviation = results[-1].estimate.slip, results[-1].estimate.slip_deviation
+            for name in ("slide_x", "slide_y"):
+                error = getattr(found, name) - getattr(slip, name)
+                assert abs(error) < 3 * getattr(deviation, name)
+                assert abs(error) < 0.03
+    assert late[True] < 0.5 * late[False]
+
+
 @pytest.mark.parametrize("prior", [0.0, 0.06])
 def test_a_robot_without_slip_is_not_made_worse_by_looking_for_it(prior):
     """With a prior that is wrong for it, once it has been learned."""

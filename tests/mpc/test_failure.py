@@ -94,6 +94,21 @@ def test_with_dead_reckoning_it_drives_on_what_it_has_while_its_position_is_know
     assert np.abs((poses - REFERENCE.sample(times).pose)[:, :2]).max() < 0.03
 
 
+def test_the_less_it_knows_of_its_position_the_slower_it_drives_before_it_brakes():
+    def lose(k, m):
+        return replace(m, pose=None) if k >= 100 else m
+
+    unsure = controller(**{"failure.dead_reckoning": 5.0, "reentry.band": 0.03})
+    results, _, _ = drive(unsure, robot(), REFERENCE, 6.0, change=lose)
+    assert modes(results) == [Mode.TRACKING, Mode.BRAKING, Mode.STOPPED]
+    first_brake = next(k for k, r in enumerate(results) if r.mode is Mode.BRAKING)
+    progress = np.array([r.progress for r in results[100:first_brake]])
+    assert progress[0] == 1.0
+    assert (np.diff(progress) <= 1e-9).all()
+    assert progress[-1] < 0.3
+    assert results[first_brake].command[0] < 0.75 * results[100].command[0]
+
+
 @pytest.mark.parametrize(("wheels", "band"), [(False, 0.08), (True, 0.015)])
 def test_without_wheels_or_beyond_the_band_dead_reckoning_ends(wheels, band):
     """Blind means blind: then the usual age of a pose counts."""

@@ -9,6 +9,7 @@ from ideal_robot import IdealRobot
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc import Controller, Mode, load_config, load_trajectory
+from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 
@@ -18,7 +19,19 @@ BAND = 0.05
 SLEW = np.array([2.0, 6.0]) * DT
 
 
-def drive(reference, seconds, *, start=(0.0, 0.0), noise=0.0, false=None, held=None, move=None, base=None, **overrides):
+def drive(
+    reference,
+    seconds,
+    *,
+    start=(0.0, 0.0),
+    noise=0.0,
+    false=None,
+    held=None,
+    move=None,
+    base=None,
+    slip=None,
+    **overrides,
+):
     """Run the loop with a robot that starts `start` (across [m], turned [rad]) beside the reference.
 
     `false` = (from, to, twist): the base obeys `twist` and nobody says so. `held` = (from, to): it does not move.
@@ -28,7 +41,7 @@ def drive(reference, seconds, *, start=(0.0, 0.0), noise=0.0, false=None, held=N
     exact = {"extra_dead_time.v": 0.0, "extra_dead_time.omega": 0.0}
     controller = Controller(load_config("ssm", exact | overrides))
     pose = beside(reference, 0.0, *start)
-    robot = IdealRobot(MODEL, pose, noise=noise)
+    robot = IdealRobot(MODEL, pose, noise=noise, slip=slip)
     controller.start(reference, 0.0)
     results, poses, times, told = [], [], [], None
     for k in range(round(seconds / DT)):
@@ -229,6 +242,20 @@ def test_carried_ahead_the_robot_waits_for_the_reference_instead_of_reversing():
     assert np.min([r.command[0] for r, a in zip(results, after, strict=True) if a]) > -0.05
     assert np.abs(lateral(reference, results, poses, times)).max() < BAND
     assert results[-1].reference_delay == 0.0
+
+
+@pytest.mark.parametrize("slip", [Slip(turn_ahead=0.12), Slip(turn_ahead=-0.12), Slip(slide_x=0.15)])
+def test_what_a_turn_on_the_spot_carries_it_off_by_is_no_reason_to_rejoin(slip):
+    """It turns about a point 12 cm off, or slides 15 cm for each radian: outside of the band, and back on its own."""
+    reference = load_trajectory("square")
+    results, poses, times = drive(reference, reference.duration, slip=slip)
+    away = np.hypot(*(poses - reference.sample(times).pose)[:, :2].T)
+    assert away.max() > 0.08
+    assert not any("rejoining" in result.message for result in results)
+    straight = reference.sample(times).twist[:, 0] > 0.4
+    ends = np.flatnonzero(straight[:-1] & ~straight[1:])
+    assert ends.size == 4
+    assert (away[ends] < 0.5 * away.max()).all()
 
 
 def test_a_pause_in_tracking_stops_the_reference():
