@@ -144,7 +144,7 @@ def make_controller(case: Case) -> TrackingController:
     Raises ConfigError if the controller is unknown, or its model or configuration cannot be used.
     """
     if case.controller in PEERS:
-        return make_peer(case.controller)
+        return make_peer(case.controller, dict(case.overrides))
     if case.controller != "mpc":
         raise ConfigError(f"unknown controller '{case.controller}'; known: {', '.join(CONTROLLERS)}")
     return Controller(case_config(case))

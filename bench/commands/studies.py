@@ -255,6 +255,15 @@ def peers(
         draft.write_text(gains_text(found, loaded), encoding="utf-8")
 
 
+def _rates(text: str) -> list[float]:
+    from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
+
+    try:
+        return [float(one) for one in split_names(text, "--rates")]
+    except ValueError:
+        raise ConfigError(f"--rates {text}: expected numbers above 0, such as 1,10,100") from None
+
+
 def robustness(
     *,
     out: Annotated[Path, out_option("report.html, robustness.json, robustness.md and figures/")],
@@ -270,6 +279,16 @@ def robustness(
     robots: Annotated[
         int | None,
         typer.Option(min=1, help="Drive so many drawn robots, as wide as the market, and no condition."),
+    ] = None,
+    tuning_robots: Annotated[
+        bool,
+        typer.Option("--tuning-robots", help="Drawn robots to tune on in place of the reserved ones."),
+    ] = False,
+    rates: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LIST", help="Rates of false alarms [1/h] to drive these robots at, too.", show_default="none"
+        ),
     ] = None,
     jobs: Jobs = None,
 ) -> None:
@@ -288,6 +307,8 @@ def robustness(
         trajectories=split_names(trajectories or ("circle" if quick else "circle,s"), "--trajectories"),
         seeds=parse_seeds(seeds),
         robots=robots or 0,
+        tuning=tuning_robots,
+        rates=[] if rates is None else _rates(rates),
     )
     carry_out(study, out, jobs)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -32,12 +33,16 @@ PEERS = dict.fromkeys(LAWS, "") | {
 """Every peer to choose on the command line, by name: module and class, or one of `LAWS`. None has a model to choose."""
 
 
-def make_peer(name: str) -> TrackingController:
-    """A fresh controller of a name in `PEERS`."""
+def make_peer(name: str, overrides: Mapping[str, object] | None = None) -> TrackingController:
+    """A fresh controller of a name in `PEERS`.
+
+    `overrides` are configuration values by dotted key, of the robot at hand: a tracking law acts on an estimate that
+    knows as much of it as the predictive controller does. The others know the papers' robot alone.
+    """
     if name in LAWS:
         from diffdrive_mpc.bench.peers.tracking_peer import make_tracking_peer  # noqa: PLC0415 - --help does without it
 
-        return make_tracking_peer(name)
+        return make_tracking_peer(name, overrides=overrides)
     module, _, kind = PEERS[name].partition(".")
     made: TrackingController = getattr(import_module(f"{__name__}.{module}"), kind)()
     return made

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -196,13 +197,19 @@ class TrackingPeer:
         return Sight(since_start + self._lead, Motion(travel, motion.twist), pose, feed_forward)
 
 
-def make_tracking_peer(name: str, gains: Gains | None = None, config: ControllerConfig | None = None) -> TrackingPeer:
-    """The peer of a name in `bench.peers.LAWS`, with the shipped gains by default.
+def make_tracking_peer(
+    name: str,
+    gains: Gains | None = None,
+    config: ControllerConfig | None = None,
+    overrides: Mapping[str, object] | None = None,
+) -> TrackingPeer:
+    """The peer of a name in `bench.peers.LAWS`, with the shipped gains and configuration by default.
 
-    "NAME+slip" is the law NAME with compensation of side-slip; it has gains of its own.
+    "NAME+slip" is the law NAME with compensation of side-slip; it has gains of its own. `overrides` replace values of
+    the shipped configuration.
     """
     kind = law_kind(name)
-    config = config or load_config(MODEL)
+    config = config or load_config(MODEL, dict(overrides or {}))
     gains = gains or load_gains(name)
     robot = delayed(config)
     return TrackingPeer(kind(gains, robot), gains.lead, side_slip=name.endswith("+slip"), config=config)

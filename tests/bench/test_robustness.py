@@ -16,6 +16,7 @@ from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.controllers import controller_config, run_case
 from diffdrive_mpc.bench.outcomes import SolverShares
 from diffdrive_mpc.bench.studies.robustness.conditions import load_conditions, market_cases
+from diffdrive_mpc.bench.studies.robustness.market_tables import alarms_interval, market_tables, share_interval
 from diffdrive_mpc.bench.studies.robustness.results import (
     ConditionOutcome,
     ratios,
@@ -52,9 +53,13 @@ def test_every_condition_has_a_plant_and_settings_that_exist(name: str) -> None:
     assert plant.time == plant.sample_time
 
 
-def test_a_peer_is_told_nothing() -> None:
-    case = CONDITIONS.conditions["long"].case("kanayama", "ssm", "s", 2)
-    assert (case.model, case.overrides) == ("none", ())
+def test_a_peer_on_the_same_estimate_is_told_the_same_of_the_robot_and_others_nothing() -> None:
+    long = CONDITIONS.conditions["long"]
+    law, other = long.case("kanayama", "ssm", "s", 2), long.case("rpp", "ssm", "s", 2)
+    assert (law.model, dict(law.overrides)) == ("none", dict(long.settings))
+    assert (other.model, other.overrides) == ("none", ())
+    errors = [run_case(replace(law, overrides=told)).metrics.position_rmse_m for told in (law.overrides, ())]
+    assert errors[0] != errors[1]
 
 
 def _row(condition: str, case: Case, error: float, **changes: object) -> ConditionOutcome:
@@ -96,8 +101,49 @@ def test_robots_of_the_market_are_the_reserved_ones_that_can_drive_the_path() ->
     assert [case.plant for case in cases] == [f"drawn:{seed}" for seed in seeds]
     assert all(seed % 2 == 0 and draw_robot(seed).can_drive(spot_turns=True) for seed in seeds)
     assert dict(cases[0].overrides) == draw_robot(seeds[0]).told
-    assert not market_cases(1, "kanayama", "ssm", "circle", spot_turns=False)[0].overrides
+    assert not market_cases(1, "rpp", "ssm", "circle", spot_turns=False)[0].overrides
+    tuning = market_cases(2, "mpc", "ssm", "circle", spot_turns=False, tuning=True)
+    assert all(case.seed % 2 == 1 for case in tuning)
     assert [turns_on_the_spot(path) for path in ("circle", "square", "s", "cane")] == [False, True, False, False]
+
+
+def test_intervals_are_those_of_the_textbook() -> None:
+    """Wilson, 8 of 10: 0.490 to 0.943 (Brown, Cai and DasGupta, Statistical Science 16(2), 2001); Poisson, mean 10."""
+    assert share_interval(8, 10) == (pytest.approx(0.490, abs=1e-3), pytest.approx(0.943, abs=1e-3))
+    assert alarms_interval(10.0) == (4, 17)
+    assert alarms_interval(0.0) == (0, 0)
+
+
+def test_robots_of_the_market_are_counted_by_controller_and_alarms_by_rate() -> None:
+    ours, often = Case(), Case(overrides=(("monitor.false_alarm_rate", 100.0),))
+    rows = [
+        _row("market", ours, 0.004, driven_s=1800.0, turn_rate=1.0),
+        _row("market", ours, 0.006, driven_s=1800.0, turn_rate=2.0, stopped=True, given_up=1),
+        _row("market", Case(controller="kanayama", model="none"), 0.010, completed=False),
+        _row("market, 100/h", often, 0.004, driven_s=360.0, given_up=9),
+        _row("ice", ours, 0.004),
+    ]
+    robots, alarms = market_tables(rows)
+    ssm = dict(zip(robots.columns, robots.rows[0], strict=True))
+    assert (ssm["drives"], ssm["arrive"], ssm["stops"], ssm["sensors given up"]) == ("2", "2/2", "1", "1")
+    assert ssm["rate of omega_ref [rad/s^2]"] == "1.50"
+    assert robots.rows[1][:3] == ("kanayama", "1", "0/1")
+    assert alarms.rows == (("0.02", "1.00", "1", "0.0", "0 to 0"), ("100.00", "0.10", "9", "10.0", "4 to 17"))
+    assert market_tables(rows[-1:]) == []
+
+
+def test_a_study_of_the_market_repeats_and_drives_at_every_rate(tmp_path: Path) -> None:
+    runs = []
+    for out in (tmp_path / "1", tmp_path / "2"):
+        words = ["--robots", "2", "--rates", "10,100", "--controllers", "mpc", "--trajectories", "circle"]
+        result = runner.invoke(app, ["study", "robustness", "--out", str(out), *words])
+        assert result.exit_code == 0, result.output
+        runs.append(json.loads((out / "robustness.json").read_text())["runs"])
+    assert runs[0] == runs[1]
+    assert [run["condition"] for run in runs[0]] == [
+        name for name in ("market", "market, 10/h", "market, 100/h") for _ in range(2)
+    ]
+    assert all(run["driven_s"] > 1.0 for run in runs[0])
 
 
 def test_no_sensor_of_honest_robots_of_the_market_is_given_up() -> None:

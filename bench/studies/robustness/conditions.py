@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field, model_validator
 
 from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
-from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.bench.peers import LAWS, PEERS
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.robot import NotNegative
 from diffdrive_mpc.sim.plants.drawn_robot import RESERVED, draw_robot
@@ -23,11 +23,11 @@ class Condition(StrictModel):
     sensors: str = Field("default", description="as --sensors")
     scenario: str = Field(NO_SCENARIO, description="as --scenario")
     settings: dict[str, bool | int | float | str] = Field(
-        default_factory=dict, description="configuration values for the predictive controller, by dotted key"
+        default_factory=dict, description="configuration values of the robot, by dotted key"
     )
 
     def case(self, controller: str, model: str, trajectory: str, seed: int) -> Case:
-        """One run under this condition; a peer has neither a model nor settings."""
+        """One run under this condition; a peer has no model, and settings where it acts on the same estimate."""
         peer = controller in PEERS
         return Case(
             controller=controller,
@@ -38,7 +38,7 @@ class Condition(StrictModel):
             sensors=self.sensors,
             scenario=self.scenario,
             seed=seed,
-            overrides=() if peer else tuple(self.settings.items()),
+            overrides=tuple(self.settings.items()) if controller in LAWS or not peer else (),
         )
 
 
@@ -46,17 +46,27 @@ MARKET = "market"
 """Name of the condition of drawn robots: one condition, another robot in each run."""
 
 
-def market_cases(robots: int, controller: str, model: str, trajectory: str, spot_turns: bool) -> list[Case]:
+def market_cases(
+    robots: int,
+    controller: str,
+    model: str,
+    trajectory: str,
+    spot_turns: bool,
+    *,
+    tuning: bool = False,
+    settings: Mapping[str, bool | int | float | str] | None = None,
+) -> list[Case]:
     """Runs of the first `robots` reserved robots of the market that can drive a path; see `DrawnRobot.can_drive`.
 
-    The predictive controller is told what the robot's user knows of it; a peer is told nothing.
+    With `tuning` those whose seeds are not reserved. Controllers are told what the robot's user knows of it, and
+    `settings`, configuration values by dotted key.
     """
     cases: list[Case] = []
-    seed = 0
+    seed = 1 if tuning else 0
     while len(cases) < robots:
         drawn = draw_robot(seed)
         if drawn.can_drive(spot_turns):
-            condition = Condition(plant=f"drawn:{seed}", settings=dict(drawn.told))
+            condition = Condition(plant=f"drawn:{seed}", settings=dict(drawn.told) | dict(settings or {}))
             cases.append(condition.case(controller, model, trajectory, seed))
         seed += RESERVED
     return cases

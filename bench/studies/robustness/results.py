@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -19,9 +20,11 @@ from diffdrive_mpc.sim import Metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery
 from diffdrive_mpc.sim.run import Run
 
+_ACCUSED = re.compile(r"([a-z ]+?) not used: ")
+"""A sensor that is not used, in a message of the controller."""
 _DIGITS = 6
 """Of every number in `robustness.json`."""
-_ROOM = 0.05
+ROOM = 0.05
 """Lateral error [m] up to which a run keeps to its path: the band of Guffanti et al. 2026."""
 
 
@@ -52,6 +55,12 @@ class ConditionOutcome:
         Whether it braked or stood on the way: a false stop where every sensor is honest.
     lost_s
         Time after the end of the reference at which it arrived [s]; NaN where it did not.
+    given_up
+        How often a sensor was given up: a false alarm where every sensor is honest.
+    driven_s
+        How long the controller drove or stood [s].
+    turn_rate
+        RMS rate of omega_ref until the end of the reference [rad/s^2].
     """
 
     condition: str
@@ -66,6 +75,9 @@ class ConditionOutcome:
     said_percent: float
     stopped: bool
     lost_s: float
+    given_up: int = 0
+    driven_s: float = 0.0
+    turn_rate: float = float("nan")
 
     @property
     def driver(self) -> str:
@@ -74,7 +86,7 @@ class ConditionOutcome:
 
     def as_json(self) -> dict[str, object]:
         """Labels and numbers as plain values, without step times."""
-        own = ("condition", "late_lateral_m", "heading_nees", "ended", "message", "said_percent", "stopped", "lost_s")
+        own = [field.name for field in fields(self) if field.name not in ("case", "metrics", "recovery", "shares")]
         kept = {k: v for k, v in metrics_row(self).items() if not k.startswith(("step_time", "solve_time", "deadline"))}
         settings = {"set": dict(self.case.overrides)}
         row: dict[str, object] = plain(
@@ -101,7 +113,20 @@ def run_condition(condition: str, case: Case, settled: float) -> ConditionOutcom
         100.0 * said.total() / len(run.messages),
         _stopped(run),
         max(0.0, float(run.time[-1]) - run.reference.duration) if run.metrics.completed else float("nan"),
+        _given_up(run),
+        len(run.modes) * run.sample_time,
+        float(np.sqrt(np.mean((np.diff(run.command[run.counted, 1]) / run.sample_time) ** 2))),
     )
+
+
+def _given_up(run: Run) -> int:
+    """How often a sensor began not to be used."""
+    count, before = 0, frozenset[str]()
+    for message in run.messages:
+        now = frozenset(_ACCUSED.findall(message))
+        count += len(now - before)
+        before = now
+    return count
 
 
 def _stopped(run: Run) -> bool:
@@ -110,7 +135,7 @@ def _stopped(run: Run) -> bool:
     return not {"BRAKING", "STOPPED"}.isdisjoint(run.modes[began:])
 
 
-def _mean_lost(runs: Sequence[ConditionOutcome]) -> float:
+def mean_lost(runs: Sequence[ConditionOutcome]) -> float:
     """Mean time lost by the runs that arrived [s]; NaN where none did."""
     lost = [one.lost_s for one in runs if one.metrics.completed]
     return float(np.mean(lost)) if lost else float("nan")
@@ -148,9 +173,9 @@ def study_tables(rows: Rows) -> list[Table]:
         "position RMSE [mm]": mean_of("position_rmse_m", millis),
         "largest late lateral [mm]": lambda runs: millis(max(one.late_lateral_m for one in runs)),
         "position max [mm]": worst_of("position_max_m", millis),
-        "within 5 cm": lambda runs: f"{sum(one.metrics.lateral_max_m <= _ROOM for one in runs)}/{len(runs)}",
+        "within 5 cm": lambda runs: f"{sum(one.metrics.lateral_max_m <= ROOM for one in runs)}/{len(runs)}",
         "stops": lambda runs: f"{sum(one.stopped for one in runs)}/{len(runs)}",
-        "time lost [s]": lambda runs: number(_mean_lost(runs), 1),
+        "time lost [s]": lambda runs: number(mean_lost(runs), 1),
         "heading NEES": lambda runs: number(float(np.mean([one.heading_nees for one in runs])), 1),
         "completed": completed,
     }

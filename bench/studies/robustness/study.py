@@ -15,12 +15,15 @@ from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.studies.robustness.conditions import MARKET, Condition, market_cases
+from diffdrive_mpc.bench.studies.robustness.market_tables import FALSE_ALARM_RATE, market_tables
 from diffdrive_mpc.bench.studies.robustness.results import Rows, run_condition, study_tables
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.config.thresholds import STANDING, TURNING
 
+OURS = "mpc"
+"""The predictive controller, as `bench.case.Case` names it."""
 _LOOKS = 1000
 """Samples at which a path is looked at."""
 Plan = list[tuple[str, Case]]
@@ -47,6 +50,10 @@ class RobustnessStudy(Study[Plan, Rows]):
         Names as in `bench.case.Case`.
     robots
         How many robots of the population to drive beside the conditions, along each trajectory.
+    tuning
+        Whether those are robots to tune on, and not the reserved ones.
+    rates
+        False alarms per hour at which the predictive controller drives these robots again [1/h].
     """
 
     name = "robustness"
@@ -62,15 +69,18 @@ class RobustnessStudy(Study[Plan, Rows]):
         trajectories: Sequence[str],
         seeds: Sequence[int],
         robots: int = 0,
+        tuning: bool = False,
+        rates: Sequence[float] = (),
     ) -> None:
-        self._robots = robots
+        self._robots, self._tuning, self._rates = robots, tuning, rates
         self._conditions, self._settled = conditions, settled
         self._controllers, self._models = controllers, models
         self._trajectories, self._seeds = trajectories, seeds
 
     def plan(self) -> Plan:
         """The cases; raises ConfigError or ValueError if one of them cannot be run."""
-        check_count(self._robots * len(self._controllers) * len(self._models) * len(self._trajectories))
+        drives = len(self._controllers) * len(self._models) + len(self._rates)
+        check_count(self._robots * drives * len(self._trajectories))
         several = (self._conditions, self._controllers, self._models, self._trajectories, self._seeds)
         check_count(math.prod(map(len, several)))
         unknown = [name for name in self._controllers if name not in CONTROLLERS]
@@ -84,16 +94,36 @@ class RobustnessStudy(Study[Plan, Rows]):
             for trajectory in self._trajectories
             for seed in self._seeds
         ]
-        if self._robots:
-            plan += [
-                (MARKET, case)
-                for trajectory in self._trajectories
-                for controller in self._controllers
-                for model in (self._models if controller not in PEERS else self._models[:1])
-                for case in market_cases(self._robots, controller, model, trajectory, turns_on_the_spot(trajectory))
-            ]
-        check_cases([case for name, case in plan if name != MARKET] or [case for _, case in plan[:1]])
-        return plan
+        check_cases([case for _, case in plan])
+        market = self._market()
+        check_cases([case for _, case in market[:1]])
+        return plan + market
+
+    def _market(self) -> Plan:
+        """Robots of the population: at the configured rate of false alarms by every controller, at others by ours."""
+        if not self._robots:
+            return []
+        drivers = [
+            (controller, model)
+            for controller in self._controllers
+            for model in (self._models if controller not in PEERS else self._models[:1])
+        ]
+        asked: list[tuple[str, str, str, dict[str, float]]] = [(MARKET, *driver, {}) for driver in drivers]
+        asked += [(f"{MARKET}, {rate:g}/h", OURS, self._models[0], {FALSE_ALARM_RATE: rate}) for rate in self._rates]
+        return [
+            (name, case)
+            for name, controller, model, settings in asked
+            for trajectory in self._trajectories
+            for case in market_cases(
+                self._robots,
+                controller,
+                model,
+                trajectory,
+                turns_on_the_spot(trajectory),
+                tuning=self._tuning,
+                settings=settings,
+            )
+        ]
 
     def run(self, plan: Plan, jobs: int, bar: ProgressBar) -> Rows:
         """Run every case; each process keeps only what the study needs."""
@@ -115,6 +145,6 @@ class RobustnessStudy(Study[Plan, Rows]):
                 + (f", and {self._robots} robots of the market along each path." if self._robots else ".")
             ],
             notes=[f"Errors: {STATISTICS}. Late: from {self._settled:g} s on."],
-            tables=study_tables(results),
+            tables=[*study_tables(results), *market_tables(results)],
             figures={"ratios.png": partial(draw_ratios, results)} if several else {},
         )
