@@ -1,4 +1,4 @@
-"""A robot of the market, drawn from a seed: build, floor, what befalls it, pose source, and what its user is told."""
+"""A robot of the market, drawn from a seed: build, floor, what befalls it, pose source, and what its user states."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class DrawnRobot:
         Body, drives, firmware, floor and sensors.
     scenario
         Slope, patches and motors of this robot.
-    told
+    stated
         Configuration values by dotted key that its user knows; the tracks may be wrong.
     truth
         The same with the tracks right.
@@ -43,7 +43,7 @@ class DrawnRobot:
     seed: int
     build: SimulatedRobot
     scenario: Scenario
-    told: Mapping[str, float]
+    stated: Mapping[str, float]
     truth: Mapping[str, float]
 
     def can_drive(self, spot_turns: bool = False) -> bool:
@@ -150,7 +150,7 @@ def draw_robot(seed: int) -> DrawnRobot:
     sloped = stream.random() < market["slope"]["often"]
     slope = {"angle": uniform(market["slope"]["angle"]), "downhill": uniform([-math.pi, math.pi])}
     pose = _pose_source(market["pose"], stream, usual_robot["sample_time"])
-    wrong = market["told"]["track"]
+    wrong = market["stated"]["track"]
     track_factor = uniform(wrong["factor"])
     track_factor = track_factor if stream.random() < wrong["wrong"] else 1.0
     build = laid_over(
@@ -204,9 +204,9 @@ def draw_robot(seed: int) -> DrawnRobot:
         "estimator.history": max(0.4, 1.3 * pose["latency"] + 0.1),
         "failure.max_pose_age": max(0.5, pose["latency"] + 5 * late),
     }
-    told = truth | {name: track_factor * truth[name] for name in ("wheels.track", "wheels.encoder_track")}
+    stated = truth | {name: track_factor * truth[name] for name in ("wheels.track", "wheels.encoder_track")}
     where = f"{_FILE.name}, seed {seed}"
-    return DrawnRobot(seed, check(SimulatedRobot, build, where), check(Scenario, scenario, where), told, truth)
+    return DrawnRobot(seed, check(SimulatedRobot, build, where), check(Scenario, scenario, where), stated, truth)
 
 
 def _uniform(stream: np.random.Generator, span: list[float]) -> float:

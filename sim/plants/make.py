@@ -161,8 +161,8 @@ def make_plant(
         return DisturbedPlant(plant, happening, load_robot()) if happening.kinds else plant
     raise ConfigError(
         f"unknown plant '{name}': give 'mujoco', 'mujoco:NAME' (another robot, such as 'heavy', or the path of a robot "
-        "file) or 'model:NAME' (mbm, sm, ssm, a robot such as 'husky', or the path of a model file), with more "
-        f"dead time 'model:NAME+SECONDS'{_near_plant(name)}"
+        "file), 'drawn:SEED' (a robot of the market) or 'model:NAME' (mbm, sm, ssm, a robot such as 'husky', or the path "
+        f"of a model file), with more dead time 'model:NAME+SECONDS'{_near_plant(name)}"
     )
 
 
@@ -170,7 +170,7 @@ def _near_plant(name: str) -> str:
     """The end of the message about an unknown plant: the nearest name, where one is near."""
     from diffdrive_mpc.models.load import MODEL_NAMES  # noqa: PLC0415 - see make_plant
 
-    by_words = {PHYSICS: PHYSICS} | {model: _MODEL_PREFIX + model for model in MODEL_NAMES}
+    by_words = {PHYSICS: PHYSICS, DRAWN: f"{DRAWN}:SEED"} | {model: _MODEL_PREFIX + model for model in MODEL_NAMES}
     near = difflib.get_close_matches(name.lower(), by_words, n=1)
     return f"; did you mean '{by_words[near[0]]}'?" if near else ""
 

@@ -100,7 +100,7 @@ def test_robots_of_the_market_are_the_reserved_ones_that_can_drive_the_path() ->
     seeds = [case.seed for case in cases]
     assert [case.plant for case in cases] == [f"drawn:{seed}" for seed in seeds]
     assert all(seed % 2 == 0 and draw_robot(seed).can_drive(spot_turns=True) for seed in seeds)
-    assert dict(cases[0].overrides) == draw_robot(seeds[0]).told
+    assert dict(cases[0].overrides) == draw_robot(seeds[0]).stated
     assert not market_cases(1, "rpp", "ssm", "circle", spot_turns=False)[0].overrides
     tuning = market_cases(2, "mpc", "ssm", "circle", spot_turns=False, tuning=True)
     assert all(case.seed % 2 == 1 for case in tuning)

@@ -15,7 +15,7 @@ def test_a_seed_draws_the_same_robot_and_run():
     assert draw_robot(7) == draw_robot(7)
     first, second = (
         simulate(
-            Controller(load_config("ssm", draw_robot(4).told)), make_plant("drawn:4", seed=4), load_trajectory("cane")
+            Controller(load_config("ssm", draw_robot(4).stated)), make_plant("drawn:4", seed=4), load_trajectory("cane")
         )
         for _ in range(2)
     )
@@ -30,7 +30,7 @@ def test_robots_are_as_wide_as_the_market():
     base = [robot.build.twin.chassis.wheel_base / robot.build.robot.track for robot in MANY]
     assert (min(base), max(base)) == pytest.approx((0.5, 1.6), abs=0.03)
     assert {robot.build.twin.chassis.castors for robot in MANY} == {True, False}
-    wrong = [robot.told["wheels.track"] / robot.truth["wheels.track"] for robot in MANY]
+    wrong = [robot.stated["wheels.track"] / robot.truth["wheels.track"] for robot in MANY]
     assert 0.35 < np.mean(np.array(wrong) == 1.0) < 0.65
     assert 0.6 <= min(wrong) < 0.65
     assert 1.35 < max(wrong) <= 1.4

@@ -66,7 +66,7 @@ def market_cases(
     while len(cases) < robots:
         drawn = draw_robot(seed)
         if drawn.can_drive(spot_turns):
-            condition = Condition(plant=f"drawn:{seed}", settings=dict(drawn.told) | dict(settings or {}))
+            condition = Condition(plant=f"drawn:{seed}", settings=dict(drawn.stated) | dict(settings or {}))
             cases.append(condition.case(controller, model, trajectory, seed))
         seed += RESERVED
     return cases
