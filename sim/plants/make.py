@@ -161,8 +161,8 @@ def make_plant(
         return DisturbedPlant(plant, happening, load_robot()) if happening.kinds else plant
     raise ConfigError(
         f"unknown plant '{name}': give 'mujoco', 'mujoco:NAME' (another robot, such as 'heavy', or the path of a robot "
-        "file), 'drawn:SEED' (a robot of the market) or 'model:NAME' (mbm, sm, ssm, a robot such as 'husky', or the path "
-        f"of a model file), with more dead time 'model:NAME+SECONDS'{_near_plant(name)}"
+        "file), 'drawn:SEED' (a robot of the market) or 'model:NAME' (mbm, sm, ssm, a robot such as 'husky', or the "
+        f"path of a model file), with more dead time 'model:NAME+SECONDS'{_near_plant(name)}"
     )
 
 
