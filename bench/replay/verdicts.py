@@ -67,7 +67,8 @@ def verdicts(of: Evidence) -> tuple[Verdict, ...]:
 
 def _poses(of: Evidence, _: ReplaySettings) -> Iterator[Verdict]:
     row = next(one for one in of.sensors if one.name == "poses")
-    longest = of.replayed.config.failure.max_pose_age
+    failure = of.replayed.config.failure
+    longest = max(failure.max_pose_age, failure.dead_reckoning)
     if not row.readings:
         yield Verdict(
             "No pose is in the log: the controller would not drive at all.",
@@ -77,7 +78,8 @@ def _poses(of: Evidence, _: ReplaySettings) -> Iterator[Verdict]:
     elif row.longest_gap > longest:
         yield Verdict(
             f"No pose came for {row.longest_gap:.2f} s from {row.gap_at:.2f} s on; the controller brakes after "
-            f"failure.max_pose_age = {longest:g} s (usually one comes every {row.interval:.3f} s).",
+            f"{longest:g} s, failure.max_pose_age or with good wheels and gyro failure.dead_reckoning (usually a pose "
+            f"comes every {row.interval:.3f} s).",
             "look at the localisation and its link at that time",
         )
 

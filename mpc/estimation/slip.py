@@ -132,6 +132,8 @@ class Slip:
 
 SLIPS: tuple[str, ...] = tuple(one.name for one in fields(Slip))
 """Names of what slip consists of, in the order of the filter's state."""
+PRIORS: tuple[str, ...] = tuple(name.removesuffix("_x").removesuffix("_y") for name in SLIPS)
+"""Whose uncertainty and drift in the configuration they have: the slide has a direction, and its uncertainty none."""
 CURVED_SLIPS = SLIPS[10:]
 """Those that curve the twist: the filter has them only where the configuration speaks of one."""
 FLAT_SLIPS = SLIPS[:10]

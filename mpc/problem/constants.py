@@ -19,7 +19,7 @@ from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.config.thresholds import AHEAD, BEHIND, STANDING, TURNING
 from diffdrive_mpc.mpc.core.built_in import BuiltIn, built_in
-from diffdrive_mpc.mpc.estimation.slip import CURVED_SLIPS, FLAT_SLIPS, SLIPS, Slip
+from diffdrive_mpc.mpc.estimation.slip import CURVED_SLIPS, FLAT_SLIPS, PRIORS, SLIPS, Slip
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem.prediction import Prediction, build_prediction
 from diffdrive_mpc.mpc.problem.terms import Term
@@ -159,9 +159,7 @@ class Problem:
     def _estimation(self) -> Constants:
         model, s, on, wheels = self.model, self.config.estimator, self.config.compensation, self.config.wheels
         estimated = np.array([on.v_offset, on.yaw_gain, on.v_offset, on.yaw_gain, *[on.side_slip] * 6, *[True] * 6])
-        slips = (*SLIPS, "gyro_bias")
-        # The slide has a direction, and its uncertainty none.
-        kinds = [name.removesuffix("_x").removesuffix("_y") for name in slips]
+        kinds = (*PRIORS, "gyro_bias")
         uncertainty = estimated * np.array([getattr(s, f"{kind}_uncertainty") for kind in kinds])
         drift = estimated * np.array([getattr(s, f"{kind}_drift") for kind in kinds])
         prior = configured_slip(self.config)

@@ -136,22 +136,22 @@ def lateral_speed(flat: ca.SX, slip: ca.SX, ahead: ca.SX) -> ca.SX:
     return ca.SX(s.crab * v - (ahead + s.side_slip * v) * omega)
 
 
-def sliding(theta: ca.SX, omega: ca.SX, slip: ca.SX) -> tuple[ca.SX, ca.SX]:
+def sliding(theta: ca.SX, omega: ca.SX, slide_x: ca.SX, slide_y: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Speed (along, across) the heading `theta` [m/s] at which the floor lets a robot slide that turns at `omega`.
 
     Skidding wheels hold a robot by what is left of their friction; a force down a slope moves it in proportion to how
     fast they skid.
     """
-    s = _named(slip)
     rate = ca.sqrt(omega**2 + _LEAST_TURN**2) - _LEAST_TURN
-    along = ca.cos(theta) * s.slide_x + ca.sin(theta) * s.slide_y
-    across = ca.cos(theta) * s.slide_y - ca.sin(theta) * s.slide_x
+    along = ca.cos(theta) * slide_x + ca.sin(theta) * slide_y
+    across = ca.cos(theta) * slide_y - ca.sin(theta) * slide_x
     return ALONG * rate * along, rate * across
 
 
 def _moved(theta: ca.SX, twist: ca.SX, flat: ca.SX, slip: ca.SX, ahead: ca.SX, dt: ca.SX) -> ca.SX:
     """Displacement (3) over `dt` along the arc of the body's `twist`, with its side-slip and slide at its middle."""
-    along, across = sliding(theta + twist[1] * dt / 2, twist[1], slip)
+    s = _named(slip)
+    along, across = sliding(theta + twist[1] * dt / 2, twist[1], s.slide_x, s.slide_y)
     return arc_displacement(theta, twist[0] + along, twist[1], dt, lateral_speed(flat, slip, ahead) + across)
 
 
@@ -182,7 +182,7 @@ def aim(pose: ca.SX, twist: ca.SX, slip: ca.SX) -> ca.SX:
     """
     s = _named(slip)
     v, omega = twist[0], _flat_of(twist, slip)[1]
-    _, slide = sliding(pose[2], twist[1], slip)
+    _, slide = sliding(pose[2], twist[1], s.slide_x, s.slide_y)
     outward = s.side_slip * omega + (s.turn_ahead * omega - slide) * v / (v**2 + SLOW**2)
     return ca.vertcat(pose, pose[2] + ca.atan(outward - s.crab))
 

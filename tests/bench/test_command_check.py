@@ -154,7 +154,7 @@ def test_the_controller_keeps_what_it_states(scenario: str) -> None:
 def test_without_poses_it_stops_in_time_and_one_tick_later_would_be_found(tmp_path: Path) -> None:
     path = tmp_path / "blackout.yaml"
     path.write_text(BLACKOUT, encoding="utf-8")
-    definition = Definition.of({"scenario": str(path), "plant": "model:ssm"})
+    definition = Definition.of({"scenario": str(path), "plant": "model:ssm", "config.failure.dead_reckoning": 0.0})
     controller, plant, reference = build(definition.case)
     watched = WatchedController(controller)
     run = simulate(watched, plant, reference)
@@ -170,7 +170,9 @@ def test_without_poses_it_stops_in_time_and_one_tick_later_would_be_found(tmp_pa
 
 def test_overrides_and_the_file_tighten_what_is_checked(tmp_path: Path) -> None:
     config = tmp_path / "config.yaml"
-    config.write_text("model: ssm\nlimits:\n  v: 0.9   # m/s\nfailure: {max_pose_age: 0.2}\n", encoding="utf-8")
+    config.write_text(
+        "model: ssm\nlimits:\n  v: 0.9   # m/s\nfailure: {max_pose_age: 0.2, dead_reckoning: 0.0}\n", encoding="utf-8"
+    )
     limits = stated_limits(config, {"limits.omega_slew": 4.0, "horizon": 20})
     assert limits == Limits((0.9, 2.0), (2.0, 4.0), (2.0, 6.0), 0.2, 0.0202)
 

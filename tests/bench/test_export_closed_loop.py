@@ -33,7 +33,7 @@ def in_double(tmp_path_factory):
 def with_sanitizers(tmp_path_factory):
     """Stops at the first access out of bounds, undefined operation, or complaint; soft limits matter."""
     folder = tmp_path_factory.mktemp("export") / "sanitized"
-    overrides = {"limits.wheel_speed": 0.58, "failure.resume": False}
+    overrides = {"limits.wheel_speed": 0.58, "failure.resume": False, "failure.dead_reckoning": 0.0}
     return export(folder, "s", "double", overrides, "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
@@ -182,7 +182,7 @@ def test_every_step_of_the_ladder(in_double):
 
 
 def test_a_failure_latches_where_the_robot_must_not_resume(with_sanitizers):
-    overrides = {"limits.wheel_speed": 0.58, "failure.resume": False}
+    overrides = {"limits.wheel_speed": 0.58, "failure.resume": False, "failure.dead_reckoning": 0.0}
     steps = drive_both(with_sanitizers, "s", overrides, 100, change=events)
     assert [ours.mode for ours, _ in steps] == [theirs.mode for _, theirs in steps]
     assert np.abs(differences(steps)).max() <= DOUBLE

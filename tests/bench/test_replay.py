@@ -175,8 +175,10 @@ def test_what_is_as_it_should_be_is_not_warned_of(tmp_path):
 
 
 def test_lost_poses_and_limits_are_told_with_their_evidence(tmp_path):
-    _, path, _ = logged(Case(scenario="sensor_dropouts", overrides=(("limits.v_slew", 0.25),)), tmp_path)
-    code, said = run_replay(path, "--model", "ssm", "--set", "limits.v_slew=0.25", "--out", tmp_path / "out")
+    strict = {"limits.v_slew": 0.25, "failure.dead_reckoning": 0.0}
+    _, path, _ = logged(Case(scenario="sensor_dropouts", overrides=tuple(strict.items())), tmp_path)
+    changes = [word for key, value in strict.items() for word in ("--set", f"{key}={value}")]
+    code, said = run_replay(path, "--model", "ssm", *changes, "--out", tmp_path / "out")
     assert code == 0, said
     words = verdicts(tmp_path / "out")
     assert "No pose came for" in words and "failure.max_pose_age" in words

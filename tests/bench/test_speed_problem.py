@@ -118,7 +118,7 @@ def test_the_cost_of_any_plan_is_that_of_the_controllers_problem(seed):
         z = np.array(step(z, u, parameters[k])).ravel()
         error = np.array(tracking(z, parameters[k + 1])).ravel()
         cost += (stages.terminal if k == 5 else 1.0) * stages.tracking_weights @ error**2 / 2
-        over = np.maximum(np.abs(np.array(soft_values(z, parameters[k + 1])).ravel()) - parameters[k + 1, 13:], 0)
+        over = np.maximum(np.abs(np.array(soft_values(z, parameters[k + 1])).ravel()) - parameters[k + 1, 15:], 0)
         cost += stages.soft * over.sum() + stages.soft_quadratic * (over**2).sum() / 2
     program, bounds = nonlinear_program(it.problem, it.tick, it.ahead)
     evaluate = ca.Function("program", [program["x"]], [program["f"], program["g"]])

@@ -22,7 +22,7 @@ from diffdrive_mpc.models.pose import ahead_and_left
 from diffdrive_mpc.models.slip_laws import POLYNOMIAL
 from diffdrive_mpc.mpc import Controller, load_config
 from diffdrive_mpc.mpc.estimation.belief import Belief
-from diffdrive_mpc.mpc.estimation.slip import SLIPS, Slip
+from diffdrive_mpc.mpc.estimation.slip import PRIORS, Slip
 from diffdrive_mpc.mpc.trajectories.excitation import slip_excitation
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import lay_segments
@@ -160,7 +160,7 @@ def scatter_of(study: ScatterStudy, floor: ScatterFloor, drifts: float, seed: in
 def _settings(study: ScatterStudy, drifts: float) -> dict[str, float]:
     """Of the filter: what the study says, and drifts of slip that are those of the configuration times `drifts`."""
     usual = load_config("ssm").estimator
-    scaled = {f"{name}_drift": drifts * getattr(usual, f"{name}_drift") for name in SLIPS}
+    scaled = {f"{name}_drift": drifts * getattr(usual, f"{name}_drift") for name in PRIORS}
     return {f"estimator.{name}": value for name, value in {**study.estimator, **scaled}.items()}
 
 

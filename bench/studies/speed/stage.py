@@ -17,13 +17,14 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import arc_displacement
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
+from diffdrive_mpc.mpc.problem.formulas import sliding
 from diffdrive_mpc.mpc.solver.backend import Program
 
 ROWS = (
     *("x", "y", "theta", "heading"),
     *("v_feed_forward", "omega_feed_forward"),
     *("v_gain", "omega_gain", "v_offset", "omega_offset", "turn_left"),
-    *("side_slip", "ahead"),
+    *("side_slip", "ahead", "slide_x", "slide_y"),
     *("v_limit", "omega_limit", "right_limit", "left_limit", "corridor"),
 )
 """What changes from tick to tick, in the order of a stage's parameters."""
@@ -81,8 +82,9 @@ def stage_problem(config: ControllerConfig, model: DiscreteModel) -> StageProble
     older = ca.vertcat(*(line[2 * (memory - int(delay) - 1) + i] for i, delay in enumerate(model.delay)))
     after = ca.DM(model.A) @ x + ca.DM(model.B0) @ recent + ca.DM(model.B1) @ older
     mean = _body(turn_left, (point + gains * (ca.DM(model.C) @ after + offset)) / 2)
-    lateral = -(ahead + side_slip * mean[0]) * mean[1]
-    moved = pose + arc_displacement(pose[2], mean[0], mean[1], ca.SX(model.dt), lateral)
+    along, across = sliding(pose[2] + mean[1] * model.dt / 2, mean[1], p[13], p[14])
+    lateral = -(ahead + side_slip * mean[0]) * mean[1] + across
+    moved = pose + arc_displacement(pose[2], mean[0] + along, mean[1], ca.SX(model.dt), lateral)
     c, s = ca.cos(reference[2]), ca.sin(reference[2])
     error = pose - reference
     across = c * error[1] - s * error[0]
@@ -133,7 +135,8 @@ def stage_data(program: Program, estimate: Estimate, past: FloatArray) -> tuple[
     parameters[:, 8:10] = slip.offset
     parameters[:, 10:12] = slip.turn_left, slip.side_slip
     parameters[:N, 12] = program.ahead
-    parameters[:, 13:] = program.soft_limits
+    parameters[:, 13:15] = slip.slide_x, slip.slide_y
+    parameters[:, 15:] = program.soft_limits
     return np.concatenate([estimate.state, estimate.pose, past.ravel()]), parameters
 
 
