@@ -17,7 +17,7 @@ _SHORT, _LEAST, _FOR, _HELD, _REGAIN, _SMOOTHED, _STEADY = 0.08, 0.04, 0.2, 0.3,
 # So much more has to be asked, and less than so much of it gained.
 _MORE, _GAINED = 0.01, 0.3
 # Where the robot keeps up with its reference nothing is learned.
-ASTRAY, BESIDE = 0.5, 0.4
+ASTRAY, BESIDE = 0.4, 0.4
 
 
 class WheelReach:
