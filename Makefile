@@ -10,6 +10,7 @@ SPEED_OUT ?= out/speed
 EDGE_OUT ?= out/edge
 PEERS_OUT ?= out/peers
 ROBUSTNESS_OUT ?= out/robustness
+MARKET_OUT ?= out/market
 PROVE_OUT ?= out/prove
 WORLDS_OUT ?= out/worlds
 TUNE_OUT ?= out/tune
@@ -45,7 +46,7 @@ LOCKED := --no-deps --require-hashes -r
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench bench-full edge gallery goals peers robustness worlds prove tune tracking reproduce speed screenshots wheel test test-system fuzz lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
+.PHONY: help bench bench-full edge gallery goals peers robustness market worlds prove tune tracking reproduce speed screenshots wheel test test-system fuzz lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -81,6 +82,10 @@ peers: $(READY) ## tune the peers again, and show that their neighbours are no b
 robustness: $(READY) ## every controller on other robots, floors, loads and sensors: out/robustness
 	$(BIN)/diffdrive-mpc study robustness --out $(ROBUSTNESS_OUT) --controllers mpc,pursuit+slip,kanayama+slip,lqr+slip \
 		--models ssm,sm --trajectories circle,s --seeds 6,7
+
+market: $(READY) ## two hundred robots that nobody tuned to, and how often sensors are given up: out/market, some ten minutes
+	$(BIN)/diffdrive-mpc study robustness --out $(MARKET_OUT) --controllers mpc,pursuit+slip,kanayama+slip,lqr+slip \
+		--robots 200 --rates 1,10,100
 
 worlds: $(READY) ## drawn and named worlds with contacts counted, beside peers that see the same: out/worlds, some hours
 	$(BIN)/diffdrive-mpc study worlds --out $(WORLDS_OUT) $(WORLDS)

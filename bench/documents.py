@@ -73,6 +73,7 @@ SPEED = ShownReport("speed", ("horizon.png", "tail.png"), ("speed.json",), "perf
 PEERS = ShownReport("peers", (), (), "peers.md")
 EDGE = ShownReport("edge", ("overview.png",), (), "peers.md", study="bench")
 ROBUSTNESS = ShownReport("robustness", ("ratios.png",), (), "robustness.md")
+MARKET = ShownReport("market", (), (), "robustness.md", study="robustness")
 PROVE = ShownReport(
     "prove", ("errors.png", "map-dead-time-and-friction.png", "map-mass-and-latency.png"), (), "prove.md"
 )
@@ -108,6 +109,7 @@ SHOWN = (
     PEERS,
     EDGE,
     ROBUSTNESS,
+    MARKET,
     PROVE,
     TUNE,
     TORQUE,
