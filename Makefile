@@ -21,6 +21,7 @@ BILL_OUT ?= out/bill.json
 TRACKING ?=
 REPRODUCE ?=
 SPEED ?=
+MARKET ?=
 PROVE ?=
 WORLDS ?=
 TUNE ?=
@@ -83,9 +84,8 @@ robustness: $(READY) ## every controller on other robots, floors, loads and sens
 	$(BIN)/diffdrive-mpc study robustness --out $(ROBUSTNESS_OUT) --controllers mpc,pursuit+slip,kanayama+slip,lqr+slip \
 		--models ssm,sm --trajectories circle,s --seeds 6,7
 
-market: $(READY) ## two hundred robots that nobody tuned to, and how often sensors are given up: out/market, some ten minutes
-	$(BIN)/diffdrive-mpc study robustness --out $(MARKET_OUT) --controllers mpc,pursuit+slip,kanayama+slip,lqr+slip \
-		--robots 200 --rates 1,10,100
+market: $(READY) ## a thousand robots that nobody tuned to: out/market, some six minutes; MARKET="--rates 1,10,100", other controllers
+	$(BIN)/diffdrive-mpc study robustness --out $(MARKET_OUT) --robots 1000 --controllers mpc $(MARKET)
 
 worlds: $(READY) ## drawn and named worlds with contacts counted, beside peers that see the same: out/worlds, some hours
 	$(BIN)/diffdrive-mpc study worlds --out $(WORLDS_OUT) $(WORLDS)
