@@ -53,4 +53,7 @@ def draw_errors(errors: ArrayLike, tail: Estimate, path: Path) -> None:
             axes.axvspan(1e3 * tail.low, 1e3 * tail.high, color=PALETTE[1], alpha=0.2, linewidth=0.0)
         axes.axhline(0.05, color=REFERENCE_COLOUR, linestyle=":")
         axes.set(xscale="log", yscale="log", xlabel="position RMSE [mm]", ylabel="share of completed runs with more")
+        # The errors of few runs may be nearly the same: an axis needs some width.
+        if ordered.size:
+            axes.set_xlim(0.9 * ordered[0], 1.1 * max(ordered[-1], 1e3 * tail.value))
         axes.legend()

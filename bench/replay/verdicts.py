@@ -68,14 +68,14 @@ def verdicts(of: Evidence) -> tuple[Verdict, ...]:
 def _poses(of: Evidence, _: ReplaySettings) -> Iterator[Verdict]:
     row = next(one for one in of.sensors if one.name == "poses")
     failure = of.replayed.config.failure
-    longest = max(failure.max_pose_age, failure.dead_reckoning)
     if not row.readings:
         yield Verdict(
             "No pose is in the log: the controller would not drive at all.",
             "map the topic or columns of a localisation, or look at dead time, limits and speeds alone with "
             "--pose odometry",
         )
-    elif row.longest_gap > longest:
+    elif row.longest_gap > failure.max_pose_age:
+        longest = max(failure.max_pose_age, failure.dead_reckoning)
         yield Verdict(
             f"No pose came for {row.longest_gap:.2f} s from {row.gap_at:.2f} s on; the controller brakes after "
             f"{longest:g} s, failure.max_pose_age or with good wheels and gyro failure.dead_reckoning (usually a pose "

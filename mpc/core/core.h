@@ -77,7 +77,7 @@ typedef struct {
     real gyro[2], slip_turning[2], slip_driving[2], following[2], answer, sliding[2], frozen[2], odds[2];
     real doubtful[2], margin, plausible, memory, gains[4], held, scatter[5], late[2], far;
     /* of wheels at the end of their speed, and of what is no reason to leave the path */
-    real astray[2], unsure, carried[2], short_by[2], short_for, stuck, steady, trial[2], smoothed, regain;
+    real astray[2], unsure, doubtful_band, carried[2], short_by[2], short_for, stuck, steady, trial[2], smoothed, regain;
     real monitor_turn_ratio;         /* factor of turning beyond which the tracks are doubted [-] */
     real monitor_trust;              /* how long one has to agree before it is believed again [s] */
 

@@ -265,7 +265,8 @@ ddmpc_stray ddmpc_stray_from(const ddmpc_controller *c, const real *pose, const 
         stray.late = ddmpc_max(away / k->wait, turning / k->heading_wait);
     }
     /* The less it knows of its position, the slower it drives. */
-    stray.late = ddmpc_max(stray.late, R(4.0) * c->doubt - R(2.0));
+    const real beyond = (c->doubt - k->doubtful_band) / (R(1.0) - k->doubtful_band);
+    stray.late = ddmpc_max(stray.late, R(1.0) + beyond);
     return stray;
 }
 

@@ -266,6 +266,7 @@ static ddmpc_constants make_constants(const ddmpc_sizes *s)
     k.held = R(0.2);
     k.far = R(64.0);
     k.unsure = R(3.0);
+    k.doubtful_band = R(0.75);
     k.carried[0] = R(1.5), k.carried[1] = R(1.0);
     k.astray[0] = R(0.6), k.astray[1] = R(0.5);
     k.short_by[0] = R(0.04), k.short_by[1] = R(0.08);

@@ -105,7 +105,7 @@ def test_without_a_costmap_it_does_not_drive_and_with_one_it_stays_before_the_wa
                 show(wall)
             base.step()
             assert base.plant.true_pose[0] + 0.25 < wall
-        assert "the reference waits" in s.loop.last.message or s.loop.last.mode == Mode.STOPPED
+        assert "the reference" in s.loop.last.message or s.loop.last.mode == Mode.STOPPED
         # Nobody tells any more.
         show(None)
         base.run(60)
