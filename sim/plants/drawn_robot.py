@@ -5,21 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from diffdrive_mpc.models.checked_yaml import check, laid_over, read_yaml
+from diffdrive_mpc.models.checked_yaml import check, laid_over
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.chassis import WHEELS
+from diffdrive_mpc.sim.plants.market import Market, PoseSources, load_market
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot, digital_twin
 
 RESERVED = 2
 """Seeds that are a multiple of it are never used for tuning: results are reported on them."""
 _GRAVITY = 9.81
-_FILE = Path(__file__).with_name("market.yaml")
 
 
 @dataclass(frozen=True)
@@ -49,39 +47,75 @@ class DrawnRobot:
     def can_drive(self, spot_turns: bool = False) -> bool:
         """Whether it can drive the benchmark paths, by a rule that knows its physics and no controller.
 
-        Friction holds it on the slope while it speeds up. While wheels skid in a turn a force moves the robot by its
-        share of the grip, and its speed answers with a time constant, skidding speed over friction: both are small
-        enough to steer. The motors of the more heavily loaded side push it uphill, and skid their wheels sideways, at
-        the speed that the path asks of them: torque falls linearly with speed. The yaw rate to command is below the
-        limit.
-        With `spot_turns` the path turns on the spot, which a robot that turns about another point cannot do.
+        Grip holds it on the slope, moves it sideways and turns it as the paths ask; motors push it uphill while their
+        wheels skid; the yaw rate to command is below the limit. With `spot_turns` the path turns on the spot, which a
+        robot that turns about another point cannot do.
         """
-        market, robot, chassis = _market(), self.build.robot, self.build.twin.chassis
-        needs, margin, grip = market["needs"], market["margin"], float(self.build.friction or 0.0)
-        slope = self.scenario.slope.angle if self.scenario.slope else 0.0
-        for patch in self.scenario.patches:
-            grip = min(grip, patch.coefficient(float(self.build.friction or 0.0)))
-        base, track = (0.0 if chassis.castors else chassis.wheel_base), robot.track
-        ahead, left = chassis.centre_of_mass
-        on_driven = 1.0 + ahead / chassis.wheel_base if chassis.castors else 1.0
-        push = math.tan(slope) + needs["acceleration"] / _GRAVITY / math.cos(slope)
-        skid = needs["turning"] * math.hypot(base / 2, base**2 / track / 2)
-        needed = robot.mass * _GRAVITY * (0.5 + abs(left) / track) * (push + grip * base / math.hypot(base, track))
-        command = needs["turning"] * _skid_track(track, base) / self.build.firmware.track
-        turns_about = 0.0 if chassis.castors else market["turning_point"] * abs(ahead)
-        return bool(
-            grip * on_driven > margin * push
-            and min(self._side_forces()) > margin * needed
-            and margin * command < robot.limits.omega
-            and skid * math.tan(slope) / grip < needs["sliding"] * needs["speed"]
-            and skid / (grip * _GRAVITY) < needs["skid_time"]
-            and not (spot_turns and turns_about > needs["turning_point"])
+        market = load_market()
+        ahead = 0.0 if self.build.twin.chassis.castors else abs(self.build.twin.chassis.centre_of_mass[0])
+        turns_aside = market.turning_point * ahead > market.needs.turning_point
+        return self._grips() and self._pushes() and self._answers() and not (spot_turns and turns_aside)
+
+    @property
+    def _grip(self) -> float:
+        """Friction coefficient of the worst floor on its way."""
+        usual = float(self.build.friction or 0.0)
+        return min([usual, *(patch.coefficient(usual) for patch in self.scenario.patches)])
+
+    @property
+    def _slope(self) -> float:
+        """Slope of its floor [rad]."""
+        return self.scenario.slope.angle if self.scenario.slope else 0.0
+
+    @property
+    def _skidding_base(self) -> float:
+        """Wheel base of the wheels that skid sideways in a turn [m]: castors do not."""
+        return 0.0 if self.build.twin.chassis.castors else self.build.twin.chassis.wheel_base
+
+    def _climb(self) -> float:
+        """Force along the way on the slope, over its weight across: the slope, and the reference's acceleration."""
+        return math.tan(self._slope) + load_market().needs.acceleration / _GRAVITY / math.cos(self._slope)
+
+    def _grips(self) -> bool:
+        """Whether grip holds it on the slope while it speeds up, and gives it the yaw acceleration of the paths."""
+        market = load_market()
+        turned = market.stated.yaw_acceleration * _yaw_acceleration(self.build, self._grip)
+        return (
+            self._grip * _on_driven(self.build) > market.margin * self._climb()
+            and turned > market.needs.yaw_acceleration
+        )
+
+    def _pushes(self) -> bool:
+        """Whether the motors of the more loaded side push it uphill and skid their wheels, at the speed they need."""
+        chassis, robot = self.build.twin.chassis, self.build.robot
+        base, track, left = self._skidding_base, robot.track, chassis.centre_of_mass[1]
+        load = robot.mass * _GRAVITY * (0.5 + abs(left) / track)
+        needed = load * (self._climb() + self._grip * base / math.hypot(base, track))
+        return min(self._side_forces()) > load_market().margin * needed
+
+    def _answers(self) -> bool:
+        """Whether the yaw rate to command is below its limit, and its speed answers while its wheels skid in a turn.
+
+        Coulomb friction points against the skid, so a force along the way only turns it. The speed follows that force
+        with the time constant `speed of the skid / (friction g) * (1 + (base / track)^2)`, and a slope moves the robot
+        by its share of the grip.
+        """
+        market, track, base = load_market(), self.build.robot.track, self._skidding_base
+        needs = market.needs
+        command = needs.turning * _skid_track(track, base) / self.build.firmware.track
+        skid = needs.turning * math.hypot(base / 2, base**2 / track / 2)
+        answer = skid * (1.0 + (base / track) ** 2) / (self._grip * _GRAVITY)
+        return (
+            market.margin * command < self.build.robot.limits.omega
+            and skid * math.tan(self._slope) / self._grip < needs.sliding * needs.speed
+            and answer < needs.skid_time
         )
 
     def _side_forces(self) -> tuple[float, float]:
         """Force of the left and of the right motors at the speed that the paths ask of the faster wheels [N]."""
         robot, motor, castors = self.build.robot, self.build.twin.motor, self.build.twin.chassis.castors
-        left = 1.0 - _rim_speed(self.build) / (motor.no_load_speed * robot.wheel_radius)
+        rim = _rim_speed(robot.track, self._skidding_base)
+        left = 1.0 - rim / (motor.no_load_speed * robot.wheel_radius)
         factors = dict.fromkeys(WHEELS, 1.0) | {weak.wheel: weak.factor for weak in self.scenario.weak_motors}
         forces = [
             0.0 if castors and wheel.startswith("rear") else share * factors[wheel] * left * motor.stall_torque
@@ -90,18 +124,18 @@ class DrawnRobot:
         return (forces[0] + forces[2]) / robot.wheel_radius, (forces[1] + forces[3]) / robot.wheel_radius
 
 
-@cache
-def _market() -> dict[str, Any]:
-    data: dict[str, Any] = read_yaml(_FILE)
-    return data
+def _on_driven(build: SimulatedRobot) -> float:
+    """Share of the weight on driven wheels."""
+    chassis = build.twin.chassis
+    return 1.0 + chassis.centre_of_mass[0] / chassis.wheel_base if chassis.castors else 1.0
 
 
-def _rim_speed(build: SimulatedRobot) -> float:
-    """Speed of the faster wheels on the benchmark paths [m/s]."""
-    needs = _market()["needs"]
-    return float(
-        needs["speed"] + 0.5 * needs["turning"] * _skid_track(build.robot.track, build.twin.chassis.wheel_base)
-    )
+def _yaw_acceleration(build: SimulatedRobot, grip: float) -> float:
+    """Yaw acceleration that driven wheels give a box of its size on a floor of this friction [rad/s^2]."""
+    chassis, track = build.twin.chassis, build.robot.track
+    behind = chassis.centre_of_mass[0] if chassis.castors else 0.0
+    inertia = (chassis.wheel_base**2 + track**2) / 12.0 + behind**2
+    return grip * _GRAVITY * _on_driven(build) * track / 2.0 / inertia
 
 
 def _skid_track(track: float, wheel_base: float) -> float:
@@ -109,134 +143,139 @@ def _skid_track(track: float, wheel_base: float) -> float:
     return track * (1.0 + (wheel_base / track) ** 2)
 
 
+def _rim_speed(track: float, wheel_base: float) -> float:
+    """Speed of the faster wheels on the benchmark paths [m/s]."""
+    needs = load_market().needs
+    return needs.speed + 0.5 * needs.turning * _skid_track(track, wheel_base)
+
+
 def draw_robot(seed: int) -> DrawnRobot:
     """Draw the robot of `seed` (not negative); the same seed gives the same one."""
-    market, stream = _market(), np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(4711,)))
-
-    def uniform(span: list[float]) -> float:
-        return _uniform(stream, span)
-
-    def logarithmic(span: list[float]) -> float:
-        return float(np.exp(_uniform(stream, np.log(span).tolist())))
-
+    market, stream = load_market(), np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(4711,)))
+    build = _draw_build(market, stream, f"robot {seed} of the market")
+    befalls: dict[str, Any] = {"description": "what befalls it", "patches": [], "slope": None}
+    castors = build["twin"]["chassis"]["castors"]
+    build["twin"]["motor"]["spread"], befalls["weak_motors"] = _draw_motors(market, stream, castors=castors)
+    build["friction"] = _logarithmic(stream, market.friction)
+    patch = {name: _uniform(stream, getattr(market.patches, name)) for name in ("start", "length", "factor")}
+    if stream.random() < market.patches.often:
+        befalls["patches"] = [patch]
+    sloped = stream.random() < market.slope.often
+    slope = {"angle": _uniform(stream, market.slope.angle), "downhill": _uniform(stream, (-math.pi, math.pi))}
+    if sloped:
+        befalls["slope"] = slope
     twin = digital_twin()
-    like = {name: twin[name] for name in ("robot", "twin")}
-    usual_robot: Any = like["robot"]
-    usual_twin: Any = like["twin"]
-    mass = logarithmic(market["mass"])
-    scale = (mass / usual_robot["mass"]) ** (1 / 3)
-    track = usual_robot["track"] * scale * uniform(market["track"])
-    wheel_base = track * uniform(market["wheel_base"])
-    radius = track * uniform(market["wheel_radius"])
-    often = market["driven"]
-    castors = bool(stream.random() < often["castors"] / sum(often.values()))
-    skid = track if castors else _skid_track(track, wheel_base)
-    needs = market["needs"]
-    rim = needs["speed"] + 0.5 * needs["turning"] * skid
-    no_load = uniform(market["top_speed"]) * rim / radius
-    quick = usual_twin["motor"]["no_load_speed"] / no_load
-    larger = radius / usual_robot["wheel_radius"]
-    heavy = mass / usual_robot["mass"] * larger
-    ahead, left = uniform(market["centre_of_mass"]) * wheel_base, uniform(market["centre_of_mass"]) * track
-    difference = uniform(market["rolling_radii"]) / 2
-    correction = uniform(market["skid_correction"])
-    firmware_track = track + correction * (skid - track)
-    dead_time, lag_v, lag_omega = uniform(market["dead_time"]), uniform(market["lag"]), uniform(market["lag"])
-    spread, failing = _motors(market, stream, castors=castors)
-    friction = logarithmic(market["friction"])
-    patches = market["patches"]
-    patch = {name: uniform(patches[name]) for name in ("start", "length", "factor")}
-    patched = stream.random() < patches["often"]
-    sloped = stream.random() < market["slope"]["often"]
-    slope = {"angle": uniform(market["slope"]["angle"]), "downhill": uniform([-math.pi, math.pi])}
-    pose = _pose_source(market["pose"], stream, usual_robot["sample_time"])
-    wrong = market["stated"]["track"]
-    track_factor = uniform(wrong["factor"])
-    track_factor = track_factor if stream.random() < wrong["wrong"] else 1.0
-    build = laid_over(
-        twin,
-        {
-            "description": f"robot {seed} of the market",
-            "robot": {"mass": mass, "track": track, "wheel_radius": radius},
-            "twin": {
-                "chassis": {
-                    "wheel_base": wheel_base,
-                    "body_size": [wheel_base + radius, 0.8 * track, 0.3 * track],
-                    "body_height": 0.1 * track,
-                    "wheel_mass": usual_twin["chassis"]["wheel_mass"] * mass / usual_robot["mass"],
-                    "centre_of_mass": [ahead - (0.3 * wheel_base if castors else 0.0), left],
-                    "rolling_radii": [1.0 - difference, 1.0 + difference],
-                    "castors": castors,
-                },
-                "motor": {
-                    "stall_torque": usual_twin["motor"]["stall_torque"] * heavy * uniform(market["torque"]),
-                    "no_load_speed": no_load,
-                    "rotor_inertia": usual_twin["motor"]["rotor_inertia"]
-                    * heavy
-                    * radius
-                    / usual_robot["wheel_radius"],
-                    "spread": spread,
-                },
-                "driver": {
-                    "proportional_gain": usual_twin["driver"]["proportional_gain"] * quick,
-                    "integral_gain": usual_twin["driver"]["integral_gain"] * quick,
-                },
-                "link": {"dead_time": dead_time},
+    usual: Any = twin["robot"]
+    build["sensors"] = {"pose": _draw_pose_source(market.pose, stream, usual["sample_time"])}
+    factor = _uniform(stream, market.stated.track.factor)
+    factor = factor if stream.random() < market.stated.track.wrong else 1.0
+    build["twin"]["motor"]["stall_torque"] *= _uniform(stream, market.torque)
+    where = f"market.yaml, seed {seed}"
+    robot = check(SimulatedRobot, laid_over(twin, build), where)
+    truth = _true_settings(robot)
+    stated = truth | {name: factor * truth[name] for name in ("wheels.track", "wheels.encoder_track")}
+    return DrawnRobot(seed, robot, check(Scenario, befalls, where), stated, truth)
+
+
+def _draw_build(market: Market, stream: np.random.Generator, description: str) -> dict[str, Any]:
+    """Body, drives, link and firmware, as changes to the digital twin; torques as of its scaled motors."""
+    twin = digital_twin()
+    usual_robot: Any = twin["robot"]
+    usual: Any = twin["twin"]
+    mass = _logarithmic(stream, market.mass)
+    track = usual_robot["track"] * (mass / usual_robot["mass"]) ** (1 / 3) * _uniform(stream, market.track)
+    wheel_base = track * _uniform(stream, market.wheel_base)
+    radius = track * _uniform(stream, market.wheel_radius)
+    castors = bool(stream.random() < market.driven.castors / (market.driven.castors + market.driven.wheels_4))
+    skidding_base = 0.0 if castors else wheel_base
+    no_load = _uniform(stream, market.top_speed) * _rim_speed(track, skidding_base) / radius
+    ahead = _uniform(stream, market.centre_of_mass) * wheel_base - (0.3 * wheel_base if castors else 0.0)
+    left = _uniform(stream, market.centre_of_mass) * track
+    difference = _uniform(stream, market.rolling_radii) / 2
+    correction = _uniform(stream, market.skid_correction)
+    larger, heavier = radius / usual_robot["wheel_radius"], mass / usual_robot["mass"]
+    quicker = usual["motor"]["no_load_speed"] / no_load
+    return {
+        "description": description,
+        "robot": {"mass": mass, "track": track, "wheel_radius": radius},
+        "twin": {
+            "chassis": {
+                "wheel_base": wheel_base,
+                "body_size": [wheel_base + radius, 0.8 * track, 0.3 * track],
+                "body_height": 0.1 * track,
+                "wheel_mass": usual["chassis"]["wheel_mass"] * heavier,
+                "centre_of_mass": [ahead, left],
+                "rolling_radii": [1.0 - difference, 1.0 + difference],
+                "castors": castors,
             },
-            "firmware": {"lag_v": lag_v, "lag_omega": lag_omega, "track": firmware_track},
-            "friction": friction,
-            "sensors": {"pose": pose},
+            "motor": {
+                "stall_torque": usual["motor"]["stall_torque"] * heavier * larger,
+                "no_load_speed": no_load,
+                "rotor_inertia": usual["motor"]["rotor_inertia"] * heavier * larger**2,
+            },
+            "driver": {gain: usual["driver"][gain] * quicker for gain in ("proportional_gain", "integral_gain")},
+            "link": {"dead_time": _uniform(stream, market.dead_time)},
         },
-    )
-    scenario = {
-        "description": "what befalls it",
-        "slope": slope if sloped else None,
-        "patches": [patch] if patched else [],
-        "weak_motors": failing,
+        "firmware": {
+            "lag_v": _uniform(stream, market.lag),
+            "lag_omega": _uniform(stream, market.lag),
+            "track": track + correction * (_skid_track(track, skidding_base) - track),
+        },
     }
-    late = pose["period"] / (1.0 - pose["loss"]) if pose["period"] else 0.0
-    truth = {
-        "wheels.track": firmware_track,
-        "wheels.encoder_track": track,
-        "limits.wheel_speed": 0.97 * no_load * radius,
-        "extra_dead_time.v": max(0.0, dead_time - usual_twin["link"]["dead_time"]),
-        "extra_dead_time.omega": max(0.0, dead_time - usual_twin["link"]["dead_time"]),
-        "estimator.history": max(0.4, 1.3 * pose["latency"] + 0.1),
-        "failure.max_pose_age": max(0.5, pose["latency"] + 5 * late),
+
+
+def _true_settings(build: SimulatedRobot) -> dict[str, float]:
+    """Configuration values of a robot whose user knows it, by dotted key; of patches and slopes nobody knows."""
+    pose, link, usual = build.sensors.pose, build.twin.link, digital_twin()
+    usual_twin: Any = usual["twin"]
+    usual_robot: Any = usual["robot"]
+    later = max(0.0, link.dead_time - usual_twin["link"]["dead_time"])
+    every = pose.period / (1.0 - pose.loss) if pose.period else 0.0
+    turned = load_market().stated.yaw_acceleration * _yaw_acceleration(build, float(build.friction or 0.0))
+    return {
+        "wheels.track": build.firmware.track,
+        "wheels.encoder_track": build.robot.track,
+        "limits.wheel_speed": 0.97 * build.twin.motor.no_load_speed * build.robot.wheel_radius,
+        "limits.omega_slew": min(usual_robot["command_slew"]["omega"], turned),
+        "extra_dead_time.v": later,
+        "extra_dead_time.omega": later,
+        "estimator.history": max(0.4, 1.3 * pose.latency + 0.1),
+        "failure.max_pose_age": max(0.5, pose.latency + 5 * every),
     }
-    stated = truth | {name: track_factor * truth[name] for name in ("wheels.track", "wheels.encoder_track")}
-    where = f"{_FILE.name}, seed {seed}"
-    return DrawnRobot(seed, check(SimulatedRobot, build, where), check(Scenario, scenario, where), stated, truth)
 
 
-def _uniform(stream: np.random.Generator, span: list[float]) -> float:
-    return float(stream.uniform(span[0], span[1]))
+def _uniform(stream: np.random.Generator, ends: tuple[float, float]) -> float:
+    return float(stream.uniform(*ends))
 
 
-def _motors(
-    market: dict[str, Any], stream: np.random.Generator, *, castors: bool
+def _logarithmic(stream: np.random.Generator, ends: tuple[float, float]) -> float:
+    return math.exp(_uniform(stream, (math.log(ends[0]), math.log(ends[1]))))
+
+
+def _draw_motors(
+    market: Market, stream: np.random.Generator, *, castors: bool
 ) -> tuple[list[float], list[dict[str, Any]]]:
     """Torque of each motor over nominal, and the motors that fail on the way; castors have none to spare."""
-    spread = [_uniform(stream, market["motor_spread"]) for _ in WHEELS]
-    weak, dead = market["weak_motor"], market["dead_motor"]
-    weak_wheel, weak_factor = int(stream.integers(2 if castors else 4)), _uniform(stream, weak["factor"])
-    if stream.random() < weak["often"]:
+    spread = [_uniform(stream, market.motor_spread) for _ in WHEELS]
+    weak, dead = market.weak_motor, market.dead_motor
+    weak_wheel, weak_factor = int(stream.integers(2 if castors else 4)), _uniform(stream, weak.factor)
+    if stream.random() < weak.often:
         spread[weak_wheel] *= weak_factor
-    dead_wheel, dead_from = int(stream.integers(4)), _uniform(stream, dead["start"])
-    dies = stream.random() < dead["often"] and not castors
+    dead_wheel, dead_from = int(stream.integers(4)), _uniform(stream, dead.start)
+    dies = stream.random() < dead.often and not castors
     return spread, [{"wheel": WHEELS[dead_wheel], "factor": 0.0, "start": dead_from}] if dies else []
 
 
-def _pose_source(ranges: dict[str, Any], stream: np.random.Generator, sample_time: float) -> dict[str, Any]:
+def _draw_pose_source(ranges: PoseSources, stream: np.random.Generator, sample_time: float) -> dict[str, Any]:
     """The pose sensor's values: a common quality, and each beside it."""
     quality = stream.random()
 
-    def at(name: str) -> float:
-        share = np.clip(quality + ranges["jitter"] * stream.uniform(-1.0, 1.0), 0.0, 1.0)
-        best, worst = np.log(ranges[name])
+    def at(ends: tuple[float, float]) -> float:
+        share = np.clip(quality + ranges.jitter * stream.uniform(-1.0, 1.0), 0.0, 1.0)
+        best, worst = np.log(ends)
         return float(np.exp(best + share * (worst - best)))
 
-    values: dict[str, Any] = {name: at(name) for name in ("latency", "position_sd", "heading_sd")}
-    period, loss = 1.0 / at("rate"), _uniform(stream, ranges["loss"])
+    values: dict[str, Any] = {name: at(getattr(ranges, name)) for name in ("latency", "position_sd", "heading_sd")}
+    period, loss = 1.0 / at(ranges.rate), _uniform(stream, ranges.loss)
     lossy = stream.random() < 0.5
     return {**values, "period": period if period > sample_time else None, "loss": loss if lossy else 0.0}

@@ -49,6 +49,36 @@ def test_the_rule_lets_a_third_drive_and_fewer_turn_on_the_spot():
     assert all(np.tan(robot.scenario.slope.angle) < robot.build.friction for robot in icy)
 
 
+def test_the_speed_of_a_skidding_robot_answers_as_the_rule_says():
+    """Four Coulomb wheels in a steady turn: what a little more speed of the wheels adds to the force along the way."""
+    base, track, friction, yaw_rate, mass = 0.6, 0.5, 0.7, 0.5, 20.0
+
+    def force(more: float) -> float:
+        along = 0.0
+        for side in (-1.0, 1.0):
+            skid = np.array([side * yaw_rate * base**2 / track / 2 + more, yaw_rate * base / 2])
+            along += 2 * friction * mass * 9.81 / 4 * skid[0] / np.linalg.norm(skid)
+        return along
+
+    slope = (force(1e-6) - force(-1e-6)) / 2e-6
+    skid = np.hypot(yaw_rate * base / 2, yaw_rate * base**2 / track / 2)
+    assert mass / slope == pytest.approx(skid / (friction * 9.81) * (1 + (base / track) ** 2), rel=1e-6)
+
+
+def test_who_drives_is_told_a_slew_that_grip_allows():
+    """A robot turns its yaw rate on perfect sensors' word as quickly as its user states, whatever its floor."""
+    castors = [r for r in MANY if r.can_drive() and r.build.twin.chassis.castors and not r.scenario.kinds]
+    robot = min(castors, key=lambda r: r.stated["limits.omega_slew"])
+    slew = robot.stated["limits.omega_slew"]
+    assert 1.4 < slew < 6.0
+    plant = make_plant(f"drawn:{robot.seed}", sensors="perfect", seed=robot.seed)
+    plant.reset(np.zeros(3))
+    steps = int(1.5 / plant.sample_time)
+    for step in range(steps):
+        plant.advance((0.0, min(1.0, slew * step * plant.sample_time)))
+    assert plant.true_twist[2] == pytest.approx(1.0, abs=0.1)
+
+
 def test_half_of_the_seeds_are_reserved():
     """Tuning takes odd seeds; the numbers of the sensor test say so beside them."""
     assert RESERVED == 2
