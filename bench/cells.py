@@ -45,6 +45,22 @@ def completed(group: Sequence[Scored]) -> str:
     return f"{count(group, 'completed')}/{len(group)}"
 
 
+def time_lost(group: Sequence[Scored]) -> str:
+    """Mean time lost by the runs that completed [s]."""
+    return number(mean([one for one in group if one.metrics.completed], "time_lost_s"), 1)
+
+
+def command_rate(channel: str) -> Cell:
+    """Mean of the RMS rate of a command, "v" [m/s^2] or "omega" [rad/s^2], over the runs that have one."""
+
+    def cell(group: Sequence[Scored]) -> str:
+        rates = recoveries(group, f"command_rate_{channel}")
+        known = rates[np.isfinite(rates)]
+        return number(float(np.mean(known)) if known.size else float("nan"), 2)
+
+    return cell
+
+
 def recovered(group: Sequence[Scored]) -> str:
     """How many runs recovered, of how many; "-" where the disturbance lasts."""
     times = recoveries(group, "recovery_time_s")

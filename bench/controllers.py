@@ -12,7 +12,7 @@ from typing import Any
 from diffdrive_mpc.bench.case import AS_FILED, NO_MODEL, NO_WORLD, Case, Overrides, label
 from diffdrive_mpc.bench.drive import plant_settings
 from diffdrive_mpc.bench.late_plant import LatePlant
-from diffdrive_mpc.bench.peers import PEERS, make_peer
+from diffdrive_mpc.bench.peers import LAWS, PEERS, make_peer
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Reference, TrackingController
 from diffdrive_mpc.models.load import MODEL_NAMES, load_model, model_path
@@ -23,7 +23,7 @@ from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc.mpc.trajectories.scaled import scaled_to_robot
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.sim import Plant, Run, make_plant, simulate
-from diffdrive_mpc.sim.plants.make import physics_robot, plant_outline
+from diffdrive_mpc.sim.plants.make import drawn_robot, physics_robot, plant_outline
 from diffdrive_mpc.sim.worlds.world_file import load_world
 
 CONTROLLERS = ("mpc", *PEERS)
@@ -44,7 +44,7 @@ def build_plant(case: Case) -> Plant:
     """Make the plant of a case; raises as `build` does."""
     told: dict[str, Any] = {}
     if case.controller not in PEERS:
-        told = plant_settings(controller_config(case.model, case.config, case.overrides))
+        told = plant_settings(controller_config(case.model, case.config, settings_of(case)))
     plant = make_plant(
         case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario, world=case.world, **told
     )
@@ -107,7 +107,7 @@ def load_reference(case: Case) -> Trajectory:
 def other_robots(cases: Iterable[Case]) -> list[str]:
     """Return a sentence for each plant of the physics that is another robot than the configuration of its case says."""
     predictive = (case for case in cases if case.controller == "mpc" and case.model != NO_MODEL)
-    kinds = {(case.model, case.config, case.overrides, case.plant): case for case in predictive}
+    kinds = {(case.model, case.config, settings_of(case), case.plant): case for case in predictive}
     sentences = (_other_robot(case) for case in kinds.values())
     return list(dict.fromkeys(filter(None, sentences)))
 
@@ -116,7 +116,7 @@ def _other_robot(case: Case) -> str:
     robot = physics_robot(case.plant)
     if robot is None:
         return ""
-    config = controller_config(case.model, case.config, case.overrides)
+    config = controller_config(case.model, case.config, settings_of(case))
     track, differences = config.wheels.encoder_track, []
     if abs(track / robot.track - 1.0) > _SAME_TRACK:
         differences.append(f"its track is {robot.track:.3g} m, the configuration's {track:.3g} m")
@@ -135,7 +135,7 @@ def _other_robot(case: Case) -> str:
 def _config_of_robot(case: Case) -> ControllerConfig:
     """The configuration that says what the robot of a case can do; a peer has none of its own."""
     model = Case().model if case.controller in PEERS or case.model == NO_MODEL else case.model
-    return controller_config(model, case.config, case.overrides)
+    return controller_config(model, case.config, settings_of(case))
 
 
 def make_controller(case: Case) -> TrackingController:
@@ -144,10 +144,19 @@ def make_controller(case: Case) -> TrackingController:
     Raises ConfigError if the controller is unknown, or its model or configuration cannot be used.
     """
     if case.controller in PEERS:
-        return make_peer(case.controller, dict(case.overrides))
+        return make_peer(case.controller, dict(settings_of(case)))
     if case.controller != "mpc":
         raise ConfigError(f"unknown controller '{case.controller}'; known: {', '.join(CONTROLLERS)}")
     return Controller(case_config(case))
+
+
+def settings_of(case: Case) -> Overrides:
+    """Configuration values of a case, by dotted key: `case.overrides`, and what the user of a drawn robot states.
+
+    A peer that does not act on this project's estimate takes none.
+    """
+    drawn = None if case.controller in PEERS and case.controller not in LAWS else drawn_robot(case.plant)
+    return case.overrides if drawn is None else tuple((dict(drawn.stated) | dict(case.overrides)).items())
 
 
 def case_config(case: Case) -> ControllerConfig:
@@ -156,10 +165,10 @@ def case_config(case: Case) -> ControllerConfig:
     Raises ConfigError as `controller_config`.
     """
     if case.world == NO_WORLD:
-        return controller_config(case.model, case.config, case.overrides)
+        return controller_config(case.model, case.config, settings_of(case))
     length, width = plant_outline(case.plant)
     corners = [[x * length / 2, y * width / 2] for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
-    said = {"free_space.enabled": True, "free_space.footprint": json.dumps(corners)} | dict(case.overrides)
+    said = {"free_space.enabled": True, "free_space.footprint": json.dumps(corners)} | dict(settings_of(case))
     return controller_config(case.model, case.config, tuple(said.items()))
 
 

@@ -13,6 +13,8 @@ from pydantic import Field, model_validator
 from scipy.special import ndtr, ndtri
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, check
+from diffdrive_mpc.sim.plants.drawn_robot import driving_seeds
+from diffdrive_mpc.sim.plants.make import DRAWN
 
 Value = bool | int | float | str
 """Of a factor in one run."""
@@ -158,6 +160,22 @@ class Each(Draw):
         return self.each + index
 
 
+class Market(Draw):
+    """Another robot of the market for each run: the reserved ones that can drive and turn on the spot, in order."""
+
+    market: Annotated[int, Field(ge=0)] = Field(description="number of the first run's, for the factor `plant`")
+
+    @property
+    def sampled(self) -> bool:
+        """It needs no coordinate: it counts."""
+        return False
+
+    def value(self, point: float, index: int) -> Value:  # noqa: ARG002
+        """The name of its plant."""
+        number = self.market + index
+        return f"{DRAWN}:{driving_seeds(number + 1, spot_turns=True)[number]}"
+
+
 KINDS: dict[str, type[Draw]] = {
     "uniform": Uniform,
     "log_uniform": LogUniform,
@@ -165,6 +183,7 @@ KINDS: dict[str, type[Draw]] = {
     "one_of": OneOf,
     "integers": Integers,
     "each": Each,
+    "market": Market,
 }
 
 

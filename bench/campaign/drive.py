@@ -18,7 +18,7 @@ from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.outcome import Row, row_of
 from diffdrive_mpc.bench.case import Overrides
 from diffdrive_mpc.bench.command_check import Unsafe, check_commands, stated_limits
-from diffdrive_mpc.bench.controllers import build
+from diffdrive_mpc.bench.controllers import build, settings_of
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.interface import ControlStep, Measurement, Reference, TrackingController
@@ -66,7 +66,7 @@ class WatchedController:
         if case.controller in PEERS or not self.times:
             return None
         named = case.config or (case.model if case.model in MODEL_NAMES else "ssm")
-        limits = stated_limits(named_file("configuration", PARAMETERS, named), dict(case.overrides))
+        limits = stated_limits(named_file("configuration", PARAMETERS, named), dict(settings_of(case)))
         return check_commands(self.times, self.commands, self.modes, self.pose_came, limits)
 
 

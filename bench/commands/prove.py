@@ -10,7 +10,7 @@ import typer
 from diffdrive_mpc.bench.commands.campaign import Runs, Scheduler
 from diffdrive_mpc.bench.commands.completion import choices
 from diffdrive_mpc.bench.commands.one_line_errors import FAILED
-from diffdrive_mpc.bench.commands.options import Jobs, file_option, out_option
+from diffdrive_mpc.bench.commands.options import Jobs, out_option
 
 EXAMPLE = "Example: diffdrive-mpc prove ssm --out proof --runs 40"
 
@@ -22,7 +22,14 @@ def prove(
     ],
     *,
     out: Annotated[Path, out_option("prove.md, prove.parquet, figures/, worst/ and the rows of the runs")],
-    campaign: Annotated[Path | None, file_option("Campaign with maps and boundaries", "--campaign")] = None,
+    campaign: Annotated[
+        Path | None,
+        typer.Option(
+            "--campaign",
+            help="Campaign with maps and boundaries (YAML), or market: robots drawn as wide as sold.",
+            show_default=False,
+        ),
+    ] = None,
     runs: Runs = None,
     worst: Annotated[int, typer.Option(min=0, max=99, help="Worst runs to keep as files.")] = 10,
     jobs: Jobs = None,

@@ -11,8 +11,10 @@ from diffdrive_mpc.bench.campaign.campaign_file import MOST_RUNS, Campaign, file
 from diffdrive_mpc.bench.campaign.definition import check_factor
 from diffdrive_mpc.bench.case import check_count
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.named_file import named_file
 
-DEFAULT = Path(__file__).with_name("default.yaml")
+PROOFS = Path(__file__).parent
+DEFAULT = PROOFS / "default.yaml"
 
 
 class Axis(StrictModel):
@@ -90,8 +92,11 @@ class Proof(Campaign):
 
 
 def load_proof(path: Path | None) -> Proof:
-    """Read a proof, by default the shipped one; a campaign is one, too. Raises ConfigError when it has a mistake."""
-    file = path or DEFAULT
+    """Read a proof by shipped name or path, by default the default one; a campaign is one, too.
+
+    Raises ConfigError when there is none, or it has a mistake.
+    """
+    file = named_file("proof", PROOFS, path) if path else DEFAULT
     read = load_checked(Proof, file)
     probe = read.probe.model_copy(update={"factors": whole_paths(read.probe.factors, file.parent)})
     return read.model_copy(update=files_beside(read, file) | {"probe": probe})

@@ -21,6 +21,10 @@ from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 CVAR = "CVaR 95 %"
 UNSAFE = ("not_finite", "limit", "slew", "motion", "turn")
 """Kinds of unsafe commands, as `bench.command_check.Unsafe` names them."""
+_BY_FACTOR = (
+    "Braked: it braked or stood on the way, a false stop where every sensor is honest. Time lost: mean of "
+    "the runs that arrived. Rates: RMS of the commands' change, means."
+)
 _SAID = {
     "not_finite": "not finite",
     "limit": "beyond a limit",
@@ -58,8 +62,7 @@ def is_unsafe(one: Driven) -> bool:
 
 def errors(driven: Sequence[Driven]) -> FloatArray:
     """Position RMSE [m] of the runs that have one; of one that ended early, of what was driven."""
-    found = np.array([one.number("position_rmse_m") for one in driven])
-    return np.asarray(found[np.isfinite(found)])
+    return _known(driven, "position_rmse_m")
 
 
 def error_estimates(driven: Sequence[Driven]) -> dict[str, Estimate]:
@@ -173,16 +176,21 @@ def _by_factor(driven: Sequence[Driven]) -> list[Table]:
         groups: dict[str, list[Driven]] = {}
         for one in driven:
             groups.setdefault(str(one.definition.columns[factor]), []).append(one)
-        if len(groups) > 1:
+        if 1 < len(groups) <= max(len(driven) / 2, 2):
             columns = {
                 "runs": lambda runs: str(len(runs)),
                 "completed": lambda runs: str(sum(one.row["completed"] is True for one in runs)),
                 "in the band": lambda runs: str(sum(map(holds, runs))),
+                "braked": lambda runs: str(sum(one.row.get("stopped") is True for one in runs)),
+                "time lost [s]": lambda runs: number(_mean(runs, "time_lost_s"), 1),
                 "position RMSE, mean [mm]": lambda runs: millis(_or_nan(np.mean, errors(runs))),
                 "worst [mm]": lambda runs: millis(_or_nan(np.max, errors(runs))),
+                "largest lateral [mm]": lambda runs: millis(_largest(runs, "lateral_max_m")),
+                "v_ref rate [m/s^2]": lambda runs: number(_mean(runs, "recovery_command_rate_v"), 2),
+                "omega_ref rate [rad/s^2]": lambda runs: number(_mean(runs, "recovery_command_rate_omega"), 2),
             }
             entries = [((name,), groups[name]) for name in sorted(groups)]
-            made.append(Table.of(f"By {factor}", (factor,), columns, entries))
+            made.append(Table.of(f"By {factor}", (factor,), columns, entries, _BY_FACTOR))
     return made
 
 
@@ -233,6 +241,20 @@ def _brief(definition: Definition) -> str:
 
 def _stopped(one: Driven) -> bool:
     return one.row["completed"] is False and one.row.get("last_mode") in ("STOPPED", "BRAKING") and not one.row["ended"]
+
+
+def _mean(driven: Sequence[Driven], column: str) -> float:
+    """Mean of the runs that have a value."""
+    return _or_nan(np.mean, _known(driven, column))
+
+
+def _largest(driven: Sequence[Driven], column: str) -> float:
+    return _or_nan(np.max, _known(driven, column))
+
+
+def _known(driven: Sequence[Driven], column: str) -> FloatArray:
+    values = np.array([one.number(column) for one in driven])
+    return np.asarray(values[np.isfinite(values)])
 
 
 def _or_nan(figure: object, values: FloatArray) -> float:

@@ -45,7 +45,9 @@ class Metrics:
 
     `heading_*` other than the RMSE are of the absolute error. A value that cannot be computed (the robot never moved,
     a pose was not finite, nothing was solved, the plant has no motors) is NaN. Times and iterations are those of the
-    ticks that have one. `motor_work_j` is what the motors gave to the wheels less what they took back, `energy_j` what
+    ticks that have one. `stopped` says whether the controller braked or stood after it had begun to drive: a false stop
+    where every sensor was honest. `time_lost_s` is how long after the end of its reference a run arrived, NaN where it
+    did not. `motor_work_j` is what the motors gave to the wheels less what they took back, `energy_j` what
     the battery gave for it by the drive constants of the robot that drives, without any those of the papers' robot.
     """
 
@@ -77,6 +79,8 @@ class Metrics:
     iterations_max: float
     deadline_misses: int
     fallbacks: int
+    stopped: bool = False
+    time_lost_s: float = math.nan
     motor_work_j: float = math.nan
     energy_j: float = math.nan
 
@@ -218,6 +222,8 @@ def compute_metrics(run: ScoredRun) -> Metrics:
         iterations_max=float(np.max(iterations)) if iterations.size else math.nan,
         deadline_misses=int(np.count_nonzero(step_time > run.sample_time)),
         fallbacks=sum(mode in FALLBACK_MODES for mode, used in zip(run.modes, counted, strict=True) if used),
+        stopped=_stopped(run),
+        time_lost_s=max(0.0, float(run.time[-1]) - run.reference.duration) if _completed(run) else math.nan,
         **_energy(run, counted),
     )
 
@@ -243,6 +249,11 @@ def _percentiles(name: str, times: FloatArray) -> dict[str, float]:
 
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else float("nan")
+
+
+def _stopped(run: ScoredRun) -> bool:
+    began = run.modes.index("TRACKING") if "TRACKING" in run.modes else len(run.modes)
+    return not GIVEN_UP_MODES.isdisjoint(run.modes[began:])
 
 
 def _completed(run: ScoredRun) -> bool:

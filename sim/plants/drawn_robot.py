@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -122,6 +124,23 @@ class DrawnRobot:
             for wheel, share in zip(WHEELS, motor.spread, strict=True)
         ]
         return (forces[0] + forces[2]) / robot.wheel_radius, (forces[1] + forces[3]) / robot.wheel_radius
+
+
+@cache
+def _driving_seeds(spot_turns: bool, tuning: bool) -> tuple[Iterator[int], list[int]]:
+    """Seeds of robots that can drive, in order, and the list of those that were found so far."""
+    seeds = itertools.count(1 if tuning else 0, RESERVED)
+    return (seed for seed in seeds if draw_robot(seed).can_drive(spot_turns)), []
+
+
+def driving_seeds(count: int, *, spot_turns: bool, tuning: bool = False) -> list[int]:
+    """Seeds of the first `count` reserved robots that can drive a path, see `DrawnRobot.can_drive`.
+
+    With `tuning` the first of those whose seeds are not reserved.
+    """
+    more, found = _driving_seeds(spot_turns, tuning)
+    found.extend(itertools.islice(more, max(0, count - len(found))))
+    return found[:count]
 
 
 def _on_driven(build: SimulatedRobot) -> float:

@@ -95,7 +95,7 @@ def make_plant(
     name = str(name) if given_model is None else f"{_MODEL_PREFIX}{given_model.name}"
     floor, sensor_set = load_surface(surface), load_sensor_set(sensors)
     happening = load_scenario(scenario).draw(seed)
-    drawn = _drawn(name)
+    drawn = drawn_robot(name)
     if drawn is not None:
         happening = beside(happening, drawn.scenario)
     around = None if str(world) == NO_WORLD else load_world(world, seed)
@@ -205,8 +205,8 @@ def physics_robot(name: str) -> Robot | None:
     return build.robot if build else load_robot()
 
 
-def _drawn(name: str) -> DrawnRobot | None:
-    """The robot of the market that a plant's name says; None where it says another."""
+def drawn_robot(name: str) -> DrawnRobot | None:
+    """The robot of the market that a name says, None where it says another plant. Raises ConfigError without a seed."""
     kind, colon, seed = name.partition(":")
     if not colon or kind != DRAWN:
         return None
@@ -217,7 +217,7 @@ def _drawn(name: str) -> DrawnRobot | None:
 
 def _build(name: str) -> SimulatedRobot | None:
     """The robot file that a plant's name says; None where it says none."""
-    drawn = _drawn(name)
+    drawn = drawn_robot(name)
     if drawn is not None:
         return drawn.build
     kind, colon, file = name.partition(":")

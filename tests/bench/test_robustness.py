@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.controllers import controller_config, run_case
+from diffdrive_mpc.bench.controllers import case_config, controller_config, run_case, settings_of
 from diffdrive_mpc.bench.outcomes import SolverShares
 from diffdrive_mpc.bench.studies.robustness.conditions import load_conditions, market_cases
 from diffdrive_mpc.bench.studies.robustness.market_tables import alarms_interval, market_tables, share_interval
@@ -63,10 +63,11 @@ def test_a_peer_on_the_same_estimate_is_told_the_same_of_the_robot_and_others_no
 
 
 def _row(condition: str, case: Case, error: float, **changes: object) -> ConditionOutcome:
-    made = metrics(position_rmse_m=error, **{k: v for k, v in changes.items() if k == "completed"})  # type: ignore[arg-type]
-    shares = SolverShares(90.0, 10.0, 0.0, 0)
-    row = ConditionOutcome(condition, case, made, recovery(), shares, 0.01, 1.0, "", "", 0.0, stopped=False, lost_s=0.0)
-    return replace(row, **{k: v for k, v in changes.items() if k != "completed"})  # type: ignore[arg-type]
+    of_metrics = {name: changes.pop(name) for name in ("completed", "stopped", "time_lost_s") if name in changes}
+    made = metrics(position_rmse_m=error, **{"time_lost_s": 0.0, "stopped": False} | of_metrics)  # type: ignore[arg-type]
+    back = replace(recovery(), command_rate_omega=changes.pop("command_rate_omega", 1.0))  # type: ignore[arg-type]
+    row = ConditionOutcome(condition, case, made, back, SolverShares(90.0, 10.0, 0.0, 0), 0.01, 1.0, "", "", 0.0)
+    return replace(row, **changes)  # type: ignore[arg-type]
 
 
 def test_ratios_are_to_the_best_that_arrived_everywhere() -> None:
@@ -80,8 +81,8 @@ def test_ratios_are_to_the_best_that_arrived_everywhere() -> None:
 def test_tables_show_every_condition_and_what_was_said() -> None:
     ours, peer = Case(), Case(controller="kanayama", model="none")
     rows = [
-        _row("a", ours, 0.004, message="the reference waits", said_percent=40.0, late_lateral_m=0.0021, lost_s=1.0),
-        _row("a", replace(ours, seed=1), 0.006, message="braking", said_percent=10.0, lost_s=2.0),
+        _row("a", ours, 0.004, message="the reference waits", said_percent=40.0, time_lost_s=1.0),
+        _row("a", replace(ours, seed=1), 0.006, message="braking", said_percent=10.0, time_lost_s=2.0),
         _row("a", peer, 0.010),
         _row("b", ours, 0.020, ended="tipped over", completed=False),
         _row("b", peer, 0.010),
@@ -100,8 +101,11 @@ def test_robots_of_the_market_are_the_reserved_ones_that_can_drive_the_path() ->
     seeds = [case.seed for case in cases]
     assert [case.plant for case in cases] == [f"drawn:{seed}" for seed in seeds]
     assert all(seed % 2 == 0 and draw_robot(seed).can_drive(spot_turns=True) for seed in seeds)
-    assert dict(cases[0].overrides) == draw_robot(seeds[0]).stated
-    assert not market_cases(1, "rpp", "ssm", "circle", spot_turns=False)[0].overrides
+    assert not any(case.overrides for case in cases)
+    assert dict(settings_of(cases[0])) == draw_robot(seeds[0]).stated
+    assert case_config(cases[0]).wheels.track == draw_robot(seeds[0]).stated["wheels.track"]
+    assert dict(settings_of(replace(cases[0], overrides=(("limits.omega", 0.5),))))["limits.omega"] == 0.5
+    assert not settings_of(market_cases(1, "rpp", "ssm", "circle", spot_turns=False)[0])
     tuning = market_cases(2, "mpc", "ssm", "circle", spot_turns=False, tuning=True)
     assert all(case.seed % 2 == 1 for case in tuning)
     assert [turns_on_the_spot(path) for path in ("circle", "square", "s", "cane")] == [False, True, False, False]
@@ -117,8 +121,8 @@ def test_intervals_are_those_of_the_textbook() -> None:
 def test_robots_of_the_market_are_counted_by_controller_and_alarms_by_rate() -> None:
     ours, often = Case(), Case(overrides=(("monitor.false_alarm_rate", 100.0),))
     rows = [
-        _row("market", ours, 0.004, driven_s=1800.0, turn_rate=1.0),
-        _row("market", ours, 0.006, driven_s=1800.0, turn_rate=2.0, stopped=True, given_up=1),
+        _row("market", ours, 0.004, driven_s=1800.0, command_rate_omega=1.0),
+        _row("market", ours, 0.006, driven_s=1800.0, command_rate_omega=2.0, stopped=True, given_up=1),
         _row("market", Case(controller="kanayama", model="none"), 0.010, completed=False),
         _row("market, 100/h", often, 0.004, driven_s=360.0, given_up=9),
         _row("ice", ours, 0.004),

@@ -11,6 +11,7 @@ import numpy as np
 from diffdrive_mpc.bench.case import DIMENSIONS
 from diffdrive_mpc.bench.cells import (
     Cell,
+    command_rate,
     completed,
     mean_of,
     recovered,
@@ -153,7 +154,11 @@ def error_table(outcomes: Group) -> Table:
 def path_table(outcomes: Group) -> Table:
     """Errors against the path rather than the timed reference, by trajectory."""
     columns = {**_LATERAL, **_COURSE, **_IN_BAND}
-    note = "Means over seeds. Lateral: by projection onto the path. Course: direction of travel against its tangent."
+    columns |= {"v_ref rate [m/s²]": command_rate("v"), "omega_ref rate [rad/s²]": command_rate("omega")}
+    note = (
+        "Means over seeds. Lateral: by projection onto the path. Course: direction of travel against its tangent. "
+        "Rates: RMS of the change of the command."
+    )
     if drawn_distances(outcomes).any():
         columns |= {f"reference to drawn path, {what} [m]": cell for what, cell in _DRAWN.items()}
         note += " The path is that of the reference, which smooth timing lays beside the drawn one."

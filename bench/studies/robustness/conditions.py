@@ -12,7 +12,8 @@ from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
 from diffdrive_mpc.bench.peers import LAWS, PEERS
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.robot import NotNegative
-from diffdrive_mpc.sim.plants.drawn_robot import RESERVED, draw_robot
+from diffdrive_mpc.sim.plants.drawn_robot import driving_seeds
+from diffdrive_mpc.sim.plants.make import DRAWN
 
 
 class Condition(StrictModel):
@@ -56,20 +57,15 @@ def market_cases(
     tuning: bool = False,
     settings: Mapping[str, bool | int | float | str] | None = None,
 ) -> list[Case]:
-    """Runs of the first `robots` reserved robots of the market that can drive a path; see `DrawnRobot.can_drive`.
+    """Runs of the first `robots` reserved robots of the market that can drive a path; see `drawn_robot.driving_seeds`.
 
-    With `tuning` those whose seeds are not reserved. Controllers are told what the robot's user knows of it, and
+    With `tuning` those whose seeds are not reserved. Controllers are told what the robot's user states of it, and
     `settings`, configuration values by dotted key.
     """
-    cases: list[Case] = []
-    seed = 1 if tuning else 0
-    while len(cases) < robots:
-        drawn = draw_robot(seed)
-        if drawn.can_drive(spot_turns):
-            condition = Condition(plant=f"drawn:{seed}", settings=dict(drawn.stated) | dict(settings or {}))
-            cases.append(condition.case(controller, model, trajectory, seed))
-        seed += RESERVED
-    return cases
+    return [
+        Condition(plant=f"{DRAWN}:{seed}", settings=dict(settings or {})).case(controller, model, trajectory, seed)
+        for seed in driving_seeds(robots, spot_turns=spot_turns, tuning=tuning)
+    ]
 
 
 class Conditions(StrictModel):

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import binomtest, poisson
 
-from diffdrive_mpc.bench.cells import Cell, completed
+from diffdrive_mpc.bench.cells import Cell, command_rate, completed, time_lost, total_of
 from diffdrive_mpc.bench.outcomes import group
 from diffdrive_mpc.bench.studies.robustness.conditions import MARKET
-from diffdrive_mpc.bench.studies.robustness.results import ROOM, ConditionOutcome, Rows, mean_lost
+from diffdrive_mpc.bench.studies.robustness.results import ROOM, ConditionOutcome, Rows
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.mpc import ControllerConfig
 
@@ -41,13 +41,13 @@ def market_tables(rows: Rows) -> list[Table]:
     columns: dict[str, Cell] = {
         "drives": lambda runs: str(len(runs)),
         "arrive": completed,
-        "stops": lambda runs: str(sum(run.stopped for run in runs)),
+        "stops": total_of("stopped"),
         "sensors given up": lambda runs: str(sum(run.given_up for run in runs)),
         "within 5 cm [%]": lambda runs: _share([run.metrics.lateral_max_m <= ROOM for run in runs]),
         "position RMSE, median [mm]": lambda runs: _percentile(runs, 50),
         "90 % [mm]": lambda runs: _percentile(runs, 90),
-        "time lost [s]": lambda runs: number(mean_lost(runs), 1),
-        "rate of omega_ref [rad/s^2]": lambda runs: number(float(np.mean([run.turn_rate for run in runs])), 2),
+        "time lost [s]": time_lost,
+        "rate of omega_ref [rad/s^2]": command_rate("omega"),
     }
     note = (
         "Every sensor of these robots is honest: a stop, or a sensor given up, is false. In brackets: Wilson's "

@@ -10,9 +10,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.cells import Cell, completed, mean_of, millis, worst_of
+from diffdrive_mpc.bench.cells import Cell, completed, mean_of, millis, time_lost, worst_of
 from diffdrive_mpc.bench.controllers import run_case
-from diffdrive_mpc.bench.outcomes import SolverShares, group, mean, metrics_row, model_name, plain
+from diffdrive_mpc.bench.outcomes import SolverShares, count, group, mean, metrics_row, model_name, plain
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.pose import wrap_angle
@@ -51,16 +51,10 @@ class ConditionOutcome:
         What the controller said most often; empty where it said nothing.
     said_percent
         Share of the ticks at which it said anything [%].
-    stopped
-        Whether it braked or stood on the way: a false stop where every sensor is honest.
-    lost_s
-        Time after the end of the reference at which it arrived [s]; NaN where it did not.
     given_up
         How often a sensor was given up: a false alarm where every sensor is honest.
     driven_s
         How long the controller drove or stood [s].
-    turn_rate
-        RMS rate of omega_ref until the end of the reference [rad/s^2].
     """
 
     condition: str
@@ -73,11 +67,8 @@ class ConditionOutcome:
     ended: str
     message: str
     said_percent: float
-    stopped: bool
-    lost_s: float
     given_up: int = 0
     driven_s: float = 0.0
-    turn_rate: float = float("nan")
 
     @property
     def driver(self) -> str:
@@ -111,11 +102,8 @@ def run_condition(condition: str, case: Case, settled: float) -> ConditionOutcom
         run.ended,
         said.most_common(1)[0][0] if said else "",
         100.0 * said.total() / len(run.messages),
-        _stopped(run),
-        max(0.0, float(run.time[-1]) - run.reference.duration) if run.metrics.completed else float("nan"),
         _given_up(run),
         len(run.modes) * run.sample_time,
-        float(np.sqrt(np.mean((np.diff(run.command[run.counted, 1]) / run.sample_time) ** 2))),
     )
 
 
@@ -127,18 +115,6 @@ def _given_up(run: Run) -> int:
         count += len(now - before)
         before = now
     return count
-
-
-def _stopped(run: Run) -> bool:
-    """Whether the controller braked or stood after it had begun to drive."""
-    began = run.modes.index("TRACKING") if "TRACKING" in run.modes else len(run.modes)
-    return not {"BRAKING", "STOPPED"}.isdisjoint(run.modes[began:])
-
-
-def mean_lost(runs: Sequence[ConditionOutcome]) -> float:
-    """Mean time lost by the runs that arrived [s]; NaN where none did."""
-    lost = [one.lost_s for one in runs if one.metrics.completed]
-    return float(np.mean(lost)) if lost else float("nan")
 
 
 def _heading_nees(run: Run) -> float:
@@ -174,8 +150,8 @@ def study_tables(rows: Rows) -> list[Table]:
         "largest late lateral [mm]": lambda runs: millis(max(one.late_lateral_m for one in runs)),
         "position max [mm]": worst_of("position_max_m", millis),
         "within 5 cm": lambda runs: f"{sum(one.metrics.lateral_max_m <= ROOM for one in runs)}/{len(runs)}",
-        "stops": lambda runs: f"{sum(one.stopped for one in runs)}/{len(runs)}",
-        "time lost [s]": lambda runs: number(mean_lost(runs), 1),
+        "stops": lambda runs: f"{count(runs, 'stopped')}/{len(runs)}",
+        "time lost [s]": time_lost,
         "heading NEES": lambda runs: number(float(np.mean([one.heading_nees for one in runs])), 1),
         "completed": completed,
     }
