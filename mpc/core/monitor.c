@@ -297,8 +297,10 @@ static verdict weigh(const ddmpc_constants *k, const ddmpc_monitor *m, const mot
 /* Squared deviations by which poses go away from dead reckoning as steadily as no slope and no slip takes a robot. */
 static real drift(const ddmpc_constants *k, const motions *half, const motions *whole, real noise)
 {
+    /* Of an S the two turns do not cancel: each moves the robot. */
+    const real turned = ddmpc_fabs(half->gyro_turn) + ddmpc_fabs(whole->gyro_turn - half->gyro_turn);
     const real spread = R(0.5) * square(noise) + square(R(0.5) * k->sliding[0] * whole->wheels) +
-                        square(R(0.5) * k->sliding[1] * whole->gyro_turn) + square(k->slip_driving[ABSOLUTE]);
+                        square(R(0.5) * k->sliding[1] * turned) + square(k->slip_driving[ABSOLUTE]);
     /* A push or a correction comes at once: of the two halves the one with less of it counts. */
     const real half_off = half->pose - half->wheels, off = whole->pose - whole->wheels;
     const real cosine = ddmpc_cos(whole->heading - half->heading), sine = ddmpc_sin(whole->heading - half->heading);
