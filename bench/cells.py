@@ -45,9 +45,9 @@ def completed(group: Sequence[Scored]) -> str:
     return f"{count(group, 'completed')}/{len(group)}"
 
 
-def time_lost(group: Sequence[Scored]) -> str:
-    """Mean time lost by the runs that completed [s]."""
-    return number(mean([one for one in group if one.metrics.completed], "time_lost_s"), 1)
+def time_behind(group: Sequence[Scored]) -> str:
+    """Mean over runs of the largest time behind the reference [s]."""
+    return number(mean(group, "behind_max_s"), 2)
 
 
 def command_rate(channel: str) -> Cell:

@@ -22,8 +22,8 @@ CVAR = "CVaR 95 %"
 UNSAFE = ("not_finite", "limit", "slew", "motion", "turn")
 """Kinds of unsafe commands, as `bench.command_check.Unsafe` names them."""
 _BY_FACTOR = (
-    "Braked: it braked or stood on the way, a false stop where every sensor is honest. Time lost: mean of "
-    "the runs that arrived. Rates: RMS of the commands' change, means."
+    "Braked: it braked or stood on the way, a false stop where every sensor is honest. Time behind: largest "
+    "of a run, mean. Rates: RMS of the commands' change, means."
 )
 _SAID = {
     "not_finite": "not finite",
@@ -182,7 +182,7 @@ def _by_factor(driven: Sequence[Driven]) -> list[Table]:
                 "completed": lambda runs: str(sum(one.row["completed"] is True for one in runs)),
                 "in the band": lambda runs: str(sum(map(holds, runs))),
                 "braked": lambda runs: str(sum(one.row.get("stopped") is True for one in runs)),
-                "time lost [s]": lambda runs: number(_mean(runs, "time_lost_s"), 1),
+                "time behind [s]": lambda runs: number(_mean(runs, "behind_max_s"), 2),
                 "position RMSE, mean [mm]": lambda runs: millis(_or_nan(np.mean, errors(runs))),
                 "worst [mm]": lambda runs: millis(_or_nan(np.max, errors(runs))),
                 "largest lateral [mm]": lambda runs: millis(_largest(runs, "lateral_max_m")),

@@ -387,11 +387,15 @@ static void learn(const ddmpc_constants *k, ddmpc_monitor *m, const ddmpc_seen_p
         m->misfit[i] = k->late[1] * m->misfit[i] + ddmpc_min(square(forward), k->scatter[2]) +
                        ddmpc_min(square(turn), k->scatter[2]);
     }
-    /* Stamps are believed until motion says otherwise. */
-    m->delay = 0;
+    /* Stamps are believed until motion says otherwise, and so is then a delay: steady motion tells of none. */
+    int best = 0;
     for (int i = 1; i < MONITORED_DELAYS; i++)
-        if (m->misfit[i] + k->late[0] < m->misfit[0] && m->misfit[i] < m->misfit[m->delay])
-            m->delay = i;
+        if (m->misfit[i] < m->misfit[best])
+            best = i;
+    if (m->misfit[best] + k->late[0] < m->misfit[0])
+        m->delay = best;
+    else if (m->misfit[0] + k->late[0] < m->misfit[m->delay])
+        m->delay = 0;
 }
 
 /* Which sensors have come without a pause since `time`. */

@@ -28,6 +28,8 @@ GIVEN_UP_MODES = frozenset({"BRAKING", "STOPPED"})
 
 # Two twists closer than this [m/s, rad/s] are the same: a ramp changes by a hundred times as much in a sample.
 _SAME_TWIST = 1e-6
+# Behind a slower reference [m/s] an error of millimetres would be seconds.
+_MOVING = 0.1
 # Name and unit in the fields of `Metrics`, by what a cell is multiplied, its decimals, and how the row is called.
 _SHOWN = (
     ("position", "m", 1.0, 4, "position [m]"),
@@ -46,9 +48,10 @@ class Metrics:
     `heading_*` other than the RMSE are of the absolute error. A value that cannot be computed (the robot never moved,
     a pose was not finite, nothing was solved, the plant has no motors) is NaN. Times and iterations are those of the
     ticks that have one. `stopped` says whether the controller braked or stood after it had begun to drive: a false stop
-    where every sensor was honest. `time_lost_s` is how long after the end of its reference a run arrived, NaN where it
-    did not. `motor_work_j` is what the motors gave to the wheels less what they took back, `energy_j` what
-    the battery gave for it by the drive constants of the robot that drives, without any those of the papers' robot.
+    where every sensor was honest. `behind_max_s` is the largest time by which the robot was behind its moving
+    reference: the distance along the reference's heading over its speed. `motor_work_j` is what the motors gave to the
+    wheels less what they took back, `energy_j` what the battery gave for it by the drive constants of the robot that
+    drives, without any those of the papers' robot.
     """
 
     steps: int
@@ -80,7 +83,7 @@ class Metrics:
     deadline_misses: int
     fallbacks: int
     stopped: bool = False
-    time_lost_s: float = math.nan
+    behind_max_s: float = math.nan
     motor_work_j: float = math.nan
     energy_j: float = math.nan
 
@@ -127,6 +130,11 @@ class ScoredRun(Protocol):
     @property
     def true_twist(self) -> FloatArray:
         """(n, 3) forward speed [m/s], lateral speed [m/s], yaw rate [rad/s]."""
+        ...
+
+    @property
+    def reference_pose(self) -> FloatArray:
+        """(n, 3) x [m], y [m], theta [rad]."""
         ...
 
     @property
@@ -223,7 +231,7 @@ def compute_metrics(run: ScoredRun) -> Metrics:
         deadline_misses=int(np.count_nonzero(step_time > run.sample_time)),
         fallbacks=sum(mode in FALLBACK_MODES for mode, used in zip(run.modes, counted, strict=True) if used),
         stopped=_stopped(run),
-        time_lost_s=max(0.0, float(run.time[-1]) - run.reference.duration) if _completed(run) else math.nan,
+        behind_max_s=_behind(run, counted),
         **_energy(run, counted),
     )
 
@@ -249,6 +257,17 @@ def _percentiles(name: str, times: FloatArray) -> dict[str, float]:
 
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else float("nan")
+
+
+def _behind(run: ScoredRun, counted: NDArray[np.bool_]) -> float:
+    speed = run.reference_twist[:, 0]
+    moving = counted & (speed > _MOVING)
+    if not moving.any():
+        return math.nan
+    away = run.reference_pose[moving] - run.true_pose[moving]
+    heading = run.reference_pose[moving, 2]
+    along = np.cos(heading) * away[:, 0] + np.sin(heading) * away[:, 1]
+    return max(0.0, float(np.max(along / speed[moving])))
 
 
 def _stopped(run: ScoredRun) -> bool:

@@ -73,6 +73,8 @@ FIELDS = {
     "iterations_max": float,
     "deadline_misses": int,
     "fallbacks": int,
+    "stopped": bool,
+    "behind_max_s": float,
     "motor_work_j": type(None),  # a velocity model has no motors
     "energy_j": type(None),
     "path_unlimited_percent": float,

@@ -63,8 +63,8 @@ def test_a_peer_on_the_same_estimate_is_told_the_same_of_the_robot_and_others_no
 
 
 def _row(condition: str, case: Case, error: float, **changes: object) -> ConditionOutcome:
-    of_metrics = {name: changes.pop(name) for name in ("completed", "stopped", "time_lost_s") if name in changes}
-    made = metrics(position_rmse_m=error, **{"time_lost_s": 0.0, "stopped": False} | of_metrics)  # type: ignore[arg-type]
+    of_metrics = {name: changes.pop(name) for name in ("completed", "stopped", "behind_max_s") if name in changes}
+    made = metrics(position_rmse_m=error, **{"behind_max_s": 0.0, "stopped": False} | of_metrics)  # type: ignore[arg-type]
     back = replace(recovery(), command_rate_omega=changes.pop("command_rate_omega", 1.0))  # type: ignore[arg-type]
     row = ConditionOutcome(condition, case, made, back, SolverShares(90.0, 10.0, 0.0, 0), 0.01, 1.0, "", "", 0.0)
     return replace(row, **changes)  # type: ignore[arg-type]
@@ -81,8 +81,8 @@ def test_ratios_are_to_the_best_that_arrived_everywhere() -> None:
 def test_tables_show_every_condition_and_what_was_said() -> None:
     ours, peer = Case(), Case(controller="kanayama", model="none")
     rows = [
-        _row("a", ours, 0.004, message="the reference waits", said_percent=40.0, time_lost_s=1.0),
-        _row("a", replace(ours, seed=1), 0.006, message="braking", said_percent=10.0, time_lost_s=2.0),
+        _row("a", ours, 0.004, message="the reference waits", said_percent=40.0, behind_max_s=1.0),
+        _row("a", replace(ours, seed=1), 0.006, message="braking", said_percent=10.0, behind_max_s=2.0),
         _row("a", peer, 0.010),
         _row("b", ours, 0.020, ended="tipped over", completed=False),
         _row("b", peer, 0.010),
@@ -91,7 +91,7 @@ def test_tables_show_every_condition_and_what_was_said() -> None:
     assert errors.rows[0][:3] == ("a", "SSM", "5.0")
     assert errors.rows[0][-1] == "2/2"
     assert errors.rows[2][-1] == "0/1"
-    assert [row[errors.columns.index("time lost [s]")] for row in errors.rows[:3]] == ["1.5", "0.0", "-"]
+    assert [row[errors.columns.index("time behind [s]")] for row in errors.rows[:3]] == ["1.50", "0.00", "0.00"]
     assert behind.rows == (("a", "1.00", "2.00"), ("b", "2.00", "1.00"))
     assert [row[:3] for row in said.rows] == [("a", "SSM", "the reference waits"), ("b", "SSM", "tipped over")]
 

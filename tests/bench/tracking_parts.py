@@ -57,7 +57,14 @@ def case(**changes: object) -> Case:
 def metrics(**changes: float) -> Metrics:
     """Every error well inside every target."""
     values: dict[str, object] = {field.name: 0.001 for field in fields(Metrics)}
-    values |= {"steps": 100, "completed": True, "deadline_misses": 0, "fallbacks": 0, "in_band_percent": 100.0}
+    values |= {
+        "steps": 100,
+        "completed": True,
+        "stopped": False,
+        "deadline_misses": 0,
+        "fallbacks": 0,
+        "in_band_percent": 100.0,
+    }
     return Metrics(**{**values, **changes})  # type: ignore[arg-type]
 
 

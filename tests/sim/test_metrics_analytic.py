@@ -41,6 +41,8 @@ def test_a_delayed_motion_is_off_in_position_and_heading_but_on_the_path(delay: 
     assert run.metrics.position_rmse_m == pytest.approx(chord, rel=1e-9)
     assert run.metrics.position_max_m == pytest.approx(chord, rel=1e-9)
     assert run.metrics.heading_mean_rad == pytest.approx(0.5 * delay, rel=1e-9)
+    # Along the tangent, over the speed.
+    assert run.metrics.behind_max_s == pytest.approx(np.sin(0.5 * delay) / 0.5, rel=1e-9)
     on_path = run.time >= delay  # earlier the robot is before the start, where the path goes on straight
     assert np.abs(run.errors.lateral[on_path]).max() < 3.2e-6
 

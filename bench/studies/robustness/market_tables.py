@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import binomtest, poisson
 
-from diffdrive_mpc.bench.cells import Cell, command_rate, completed, time_lost, total_of
+from diffdrive_mpc.bench.cells import Cell, command_rate, completed, time_behind, total_of
 from diffdrive_mpc.bench.outcomes import group
 from diffdrive_mpc.bench.studies.robustness.conditions import MARKET
 from diffdrive_mpc.bench.studies.robustness.results import ROOM, ConditionOutcome, Rows
@@ -46,12 +46,12 @@ def market_tables(rows: Rows) -> list[Table]:
         "within 5 cm [%]": lambda runs: _share([run.metrics.lateral_max_m <= ROOM for run in runs]),
         "position RMSE, median [mm]": lambda runs: _percentile(runs, 50),
         "90 % [mm]": lambda runs: _percentile(runs, 90),
-        "time lost [s]": time_lost,
+        "time behind [s]": time_behind,
         "rate of omega_ref [rad/s^2]": command_rate("omega"),
     }
     note = (
         "Every sensor of these robots is honest: a stop, or a sensor given up, is false. In brackets: Wilson's "
-        "interval of 95 %. Time lost: mean of the drives that arrived. Rate: mean over the drives of the RMS."
+        "interval of 95 %. Time behind: largest of a drive, mean. Rate: RMS of a drive, mean."
     )
     entries = [((driver,), runs) for driver, runs in by_driver.items()]
     tables = [Table.of("Robots of the market", ("controller",), columns, entries, note)]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.cells import Cell, completed, mean_of, millis, time_lost, worst_of
+from diffdrive_mpc.bench.cells import Cell, completed, mean_of, millis, time_behind, worst_of
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.outcomes import SolverShares, count, group, mean, metrics_row, model_name, plain
 from diffdrive_mpc.bench.peers import PEERS
@@ -151,13 +151,14 @@ def study_tables(rows: Rows) -> list[Table]:
         "position max [mm]": worst_of("position_max_m", millis),
         "within 5 cm": lambda runs: f"{sum(one.metrics.lateral_max_m <= ROOM for one in runs)}/{len(runs)}",
         "stops": lambda runs: f"{count(runs, 'stopped')}/{len(runs)}",
-        "time lost [s]": time_lost,
+        "time behind [s]": time_behind,
         "heading NEES": lambda runs: number(float(np.mean([one.heading_nees for one in runs])), 1),
         "completed": completed,
     }
     note = (
         "Mean RMSE and largest errors over trajectories and seeds; of a run that ended early, of what was driven. "
-        "Stops: runs in which it braked on the way, a false stop where every sensor is honest."
+        "Stops: runs in which it braked on the way, a false stop where every sensor is honest. "
+        "Time behind: largest of a run, mean."
     )
     tables = [Table.of("Conditions", ("condition", "controller"), columns, entries, note)]
     if len({driver for _, driver in (names for names, _ in entries)}) > 1:
