@@ -145,30 +145,29 @@ class Integers(Draw):
         return min(low + int(point * (high - low + 1)), high)
 
 
-class Each(Draw):
-    """Another number for each run: the first one, the next, ..."""
-
-    each: Annotated[int, Field(ge=0)] = Field(description="number of the first run")
+class Counted(Draw, ABC):
+    """Another value for each run, in order."""
 
     @property
     def sampled(self) -> bool:
         """It needs no coordinate: it counts."""
         return False
+
+
+class Each(Counted):
+    """Another number for each run: the first one, the next, ..."""
+
+    each: Annotated[int, Field(ge=0)] = Field(description="number of the first run")
 
     def value(self, point: float, index: int) -> Value:  # noqa: ARG002
         """Its number."""
         return self.each + index
 
 
-class Market(Draw):
+class Market(Counted):
     """Another robot of the market for each run: the reserved ones that can drive and turn on the spot, in order."""
 
     market: Annotated[int, Field(ge=0)] = Field(description="number of the first run's, for the factor `plant`")
-
-    @property
-    def sampled(self) -> bool:
-        """It needs no coordinate: it counts."""
-        return False
 
     def value(self, point: float, index: int) -> Value:  # noqa: ARG002
         """The name of its plant."""

@@ -98,19 +98,16 @@ class DrawnRobot:
     def _answers(self) -> bool:
         """Whether the yaw rate to command is below its limit, and its speed answers while its wheels skid in a turn.
 
-        Coulomb friction points against the skid, so a force along the way only turns it. The speed follows that force
-        with the time constant `speed of the skid / (friction g) * (1 + (base / track)^2)`, and a slope moves the robot
-        by its share of the grip.
+        A slope moves the robot by its share of the grip.
         """
         market, track, base = load_market(), self.build.robot.track, self._skidding_base
         needs = market.needs
         command = needs.turning * _skid_track(track, base) / self.build.firmware.track
-        skid = needs.turning * math.hypot(base / 2, base**2 / track / 2)
-        answer = skid * (1.0 + (base / track) ** 2) / (self._grip * _GRAVITY)
+        skid = _skid_speed(needs.turning, track, base)
         return (
             market.margin * command < self.build.robot.limits.omega
             and skid * math.tan(self._slope) / self._grip < needs.sliding * needs.speed
-            and answer < needs.skid_time
+            and skidding_time(needs.turning, track, base, self._grip) < needs.skid_time
         )
 
     def _side_forces(self) -> tuple[float, float]:
@@ -155,6 +152,20 @@ def _yaw_acceleration(build: SimulatedRobot, grip: float) -> float:
     behind = chassis.centre_of_mass[0] if chassis.castors else 0.0
     inertia = (chassis.wheel_base**2 + track**2) / 12.0 + behind**2
     return grip * _GRAVITY * _on_driven(build) * track / 2.0 / inertia
+
+
+def _skid_speed(yaw_rate: float, track: float, wheel_base: float) -> float:
+    """Speed at which wheels skid in a turn [m/s]: Coulomb friction, the wheels' middle as its centre."""
+    return yaw_rate * math.hypot(wheel_base / 2, wheel_base**2 / track / 2)
+
+
+def skidding_time(yaw_rate: float, track: float, wheel_base: float, friction: float) -> float:
+    """Time constant of the speed of a robot whose wheels skid in a turn [s].
+
+    Coulomb friction points against the skid, so that a force along the way only turns it.
+    """
+    skid = _skid_speed(yaw_rate, track, wheel_base)
+    return skid * (1.0 + (wheel_base / track) ** 2) / (friction * _GRAVITY)
 
 
 def _skid_track(track: float, wheel_base: float) -> float:

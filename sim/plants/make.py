@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -205,6 +206,7 @@ def physics_robot(name: str) -> Robot | None:
     return build.robot if build else load_robot()
 
 
+@lru_cache(maxsize=16)
 def drawn_robot(name: str) -> DrawnRobot | None:
     """The robot of the market that a name says, None where it says another plant. Raises ConfigError without a seed."""
     kind, colon, seed = name.partition(":")

@@ -6,7 +6,7 @@ import pytest
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
-from diffdrive_mpc.sim.plants.drawn_robot import RESERVED, draw_robot
+from diffdrive_mpc.sim.plants.drawn_robot import RESERVED, draw_robot, skidding_time
 
 MANY = [draw_robot(seed) for seed in range(300)]
 
@@ -61,8 +61,7 @@ def test_the_speed_of_a_skidding_robot_answers_as_the_rule_says():
         return along
 
     slope = (force(1e-6) - force(-1e-6)) / 2e-6
-    skid = np.hypot(yaw_rate * base / 2, yaw_rate * base**2 / track / 2)
-    assert mass / slope == pytest.approx(skid / (friction * 9.81) * (1 + (base / track) ** 2), rel=1e-6)
+    assert skidding_time(yaw_rate, track, base, friction) == pytest.approx(mass / slope, rel=1e-6)
 
 
 def test_who_drives_is_told_a_slew_that_grip_allows():
