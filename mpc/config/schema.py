@@ -32,13 +32,13 @@ class ExtraDeadTime(Group):
 class Weights(Group):
     """Weights of the quadratic cost, each summed over the steps of the horizon."""
 
-    along: NotNegative = Field(400.0, description="squared position error along the path [1/m^2]")
+    along: NotNegative = Field(250.0, description="squared position error along the path [1/m^2]")
     across: NotNegative = Field(700.0, description="squared position error across the path [1/m^2]")
     heading: NotNegative = Field(30.0, description="squared heading error, side-slip allowed for [1/rad^2]")
-    v: NotNegative = Field(3.0, description="squared deviation of v_ref from its feed-forward [s^2/m^2]")
+    v: NotNegative = Field(8.0, description="squared deviation of v_ref from its feed-forward [s^2/m^2]")
     omega: NotNegative = Field(0.1, description="squared deviation of omega_ref from its feed-forward [s^2/rad^2]")
     v_increment: Positive = Field(40.0, description="squared increment of v_ref from tick to tick [s^2/m^2]")
-    omega_increment: Positive = Field(50.0, description="squared increment of omega_ref from tick to tick [s^2/rad^2]")
+    omega_increment: Positive = Field(35.0, description="squared increment of omega_ref from tick to tick [s^2/rad^2]")
     terminal: Positive = Field(10.0, description="factor on the pose errors at the end of the horizon [-]")
     soft: Positive = Field(
         50.0, description="exact penalty on each unit by which a soft limit is exceeded [1/(m/s), 1/(rad/s), 1/m]"

@@ -22,7 +22,7 @@ def test_a_path_at_the_edge_is_driven_to_its_end(name: str) -> None:
 
 
 @pytest.mark.parametrize("overrides", [(), (WHEEL_SPEED,)])
-def test_limits_bind_on_tight_for_a_good_part_of_the_time(overrides: tuple[tuple[str, object], ...]) -> None:
+def test_limits_bind_on_tight_for_a_third_of_the_time(overrides: tuple[tuple[str, object], ...]) -> None:
     run = run_case(Case(trajectory="tight", overrides=overrides))
     assert run.metrics.completed
     config = controller_config("ssm", overrides=overrides)
@@ -41,4 +41,4 @@ def test_limits_bind_on_tight_for_a_good_part_of_the_time(overrides: tuple[tuple
     assert share["slew"] > 0.1
     # Within the command's shipped limits the wheels never reach theirs.
     assert (share["wheels"] > 0.05) == bool(overrides)
-    assert 0.28 < (at["command"] | at["slew"] | at["wheels"]).mean() < 0.65
+    assert 0.28 < (at["command"] | at["slew"] | at["wheels"]).mean() < (0.5 if overrides else 0.45)

@@ -24,7 +24,7 @@ def test_a_seed_fixes_the_study_and_an_interruption_changes_nothing(
     plan = small_plan(tmp_path)
     whole = searched(plan, tmp_path / "whole")
     assert [one.number for one in whole.points] == list(range(11))
-    assert whole.points[0].values == {"weights.across": 700.0, "weights.omega_increment": 50.0, "horizon": 30}
+    assert whole.points[0].values == {"weights.across": 700.0, "weights.omega_increment": 35.0, "horizon": 30}
     assert (whole.points[0].value, whole.points[0].usable) == (1.0, True)
     assert 0 < len(whole.usable) < 11
     calls = iter(range(1000))

@@ -74,7 +74,7 @@ def hurried():
 @pytest.mark.parametrize("noise", [0.0, 1.0])
 @pytest.mark.parametrize(
     ("slip", "worse_without"),
-    [(Slip(turn_ahead=0.05), 4), (Slip(turn_left=0.05), 2.9), (Slip(side_slip=0.06, load_shift=0.05), 3.5)],
+    [(Slip(turn_ahead=0.05), 4), (Slip(turn_left=0.05), 3.5), (Slip(side_slip=0.06, load_shift=0.05), 3.5)],
     ids=["ahead", "left", "dips"],
 )
 def test_a_robot_that_turns_about_another_point_is_tracked_too(slip, worse_without, noise):

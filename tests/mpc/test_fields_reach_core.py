@@ -244,7 +244,7 @@ def to_the_end(both, model, reference, late, aside):
 
 
 @pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [1, 5])
 def test_a_drive_on_which_every_field_matters(name, seed):
     both, _, _ = driven(name, seed)
     modes = [str(result.mode) for result in both.results]
@@ -256,7 +256,7 @@ def test_a_drive_on_which_every_field_matters(name, seed):
     "words", ["blocked for", "m from the reference", "not at rest within", "the history reaches back", "jumps from"]
 )
 def test_everything_happens_on_the_drives(words):
-    assert any(words in driven(name, seed)[0].words for name in MODELS for seed in (1, 3))
+    assert any(words in driven(name, seed)[0].words for name in MODELS for seed in (1, 5))
 
 
 # Only re-entry has them, and it is not in the core.
@@ -271,7 +271,7 @@ NEIGHBOURS = [
 @pytest.mark.parametrize(("one", "other"), NEIGHBOURS)
 def test_the_drives_tell_two_fields_apart(one, other):
     """Else exchanging them on the way into the core would not be seen above: the drives have to stay that rich."""
-    assert any(told_apart(name, seed, one, other) for name in MODELS for seed in (1, 3))
+    assert any(told_apart(name, seed, one, other) for name in MODELS for seed in (1, 5))
 
 
 def told_apart(name, seed, one, other):

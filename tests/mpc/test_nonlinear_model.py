@@ -116,7 +116,7 @@ def test_its_lag_is_that_of_its_linearisation():
 @pytest.mark.parametrize("name", MODELS)
 def test_real_time_iterations_converge_to_ipopts_solution(name, ticks):
     model = MODELS[name]
-    config = load_config("ssm", {"horizon": 15, "reentry.enabled": False, "weights.along": 250.0} | NO_SLIP | EXACT)
+    config = load_config("ssm", {"horizon": 15, "reentry.enabled": False} | NO_SLIP | EXACT)
 
     def make():
         return Controller(config, model=model)

@@ -23,8 +23,8 @@ MODEL = load_model("ssm").with_extra_dead_time([CONFIG.extra_dead_time.v, CONFIG
 FAR_AWAY = (10.0, 10.0)
 # Re-entry lets the reference wait for a robot that is held up; without, the robot goes round what is in its way.
 # What the shipped estimator expects of the mujoco plant these robots do not do: they slip in no way.
-# The terms below are as dear as they are beside this weight of the error along the path.
-WAITS = {"estimator.side_slip": 0.0, "estimator.load_shift": 0.0, "weights.along": 250.0}
+# The terms below are as dear as they are beside this price of quick turning.
+WAITS = {"estimator.side_slip": 0.0, "estimator.load_shift": 0.0, "weights.omega_increment": 4.0}
 SWERVES = WAITS | {"reentry.enabled": False}
 
 FILE = """
