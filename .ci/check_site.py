@@ -17,7 +17,6 @@ from pathlib import Path
 from threading import Thread
 
 from playwright.sync_api import Page, sync_playwright
-from playwright.sync_api import TimeoutError as NotShownError
 
 PHONE = {"width": 390, "height": 844}
 SOUGHT = "dead time"
@@ -67,17 +66,10 @@ def search(page: Page, home: str) -> str:
     """Title of the page that the first find of the search box leads to."""
     page.goto(f"{home}/index.html")
     page.locator("label.md-header__button[for=__search]").click()
-    box, found = page.locator("input.md-search__input"), page.locator("a.md-search-result__link").first
-    # The index is read by a worker of the page, on a machine that may be busy; what was typed before is lost then.
-    for left in reversed(range(12)):
-        box.fill("")
-        box.fill(SOUGHT)
-        try:
-            found.wait_for(timeout=10_000)
-            break
-        except NotShownError:
-            if not left:
-                raise
+    page.locator("input.md-search__input").fill(SOUGHT)
+    found = page.locator("a.md-search-result__link").first
+    # The index is read by a worker of the page, on a machine that may be busy.
+    found.wait_for(timeout=120_000)
     found.click()
     page.wait_for_url(lambda url: "index.html" not in url)
     text = page.locator("article").inner_text().lower()
