@@ -33,7 +33,7 @@ TEST ?=
 # Lists of packages that stand beside the project's own, pinned with hashes too.
 HASHED := --no-config --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links \
 	--no-header --no-annotate --quiet
-PEERS_LIST := bench/studies/speed/subjects/requirements
+PEERS_LIST := studies/speed/subjects/requirements
 BIN := $(VENV)/bin
 # What `make bench` needs: the package alone, 50 packages of some 300.
 CORE := $(VENV)/.core
@@ -78,17 +78,17 @@ goals: $(READY) ## a hundred random goals of the node's action in a row, over DD
 	$(BIN)/python tests/mpc/follow_long.py --goals 100 $(GOALS)
 
 peers: $(READY) ## tune the peers again, and show that their neighbours are no better: out/peers
-	$(BIN)/diffdrive-mpc study peers --out $(PEERS_OUT)
+	$(BIN)/python -m studies peers --out $(PEERS_OUT)
 
 robustness: $(READY) ## every controller on other robots, floors, loads and sensors: out/robustness
-	$(BIN)/diffdrive-mpc study robustness --out $(ROBUSTNESS_OUT) --controllers mpc,pursuit+slip,kanayama+slip,lqr+slip \
+	$(BIN)/python -m studies robustness --out $(ROBUSTNESS_OUT) --controllers mpc,pursuit+slip,kanayama+slip,lqr+slip \
 		--models ssm,sm --trajectories circle,s --seeds 6,7
 
 market: $(READY) ## a thousand robots that nobody tuned to: out/market, some six minutes; MARKET="--rates 1,10,100", other controllers
-	$(BIN)/diffdrive-mpc study robustness --out $(MARKET_OUT) --robots 1000 --controllers mpc $(MARKET)
+	$(BIN)/python -m studies robustness --out $(MARKET_OUT) --robots 1000 --controllers mpc $(MARKET)
 
 worlds: $(READY) ## drawn and named worlds with contacts counted, beside peers that see the same: out/worlds, some hours
-	$(BIN)/diffdrive-mpc study worlds --out $(WORLDS_OUT) $(WORLDS)
+	$(BIN)/python -m studies worlds --out $(WORLDS_OUT) $(WORLDS)
 
 prove: $(READY) ## how often the controller fails on many plants, paths and faults, and where it stops to hold: out/prove
 	$(BIN)/diffdrive-mpc prove ssm --out $(PROVE_OUT) $(PROVE)
@@ -98,24 +98,24 @@ tune: $(READY) ## search for a better configuration, and hold it against the shi
 
 .PHONY: torque
 torque: $(READY) ## what a turn costs: torque, least radius and energy, measured, learned and predicted: out/torque
-	$(BIN)/diffdrive-mpc study torque --out $(TORQUE_OUT)
+	$(BIN)/python -m studies torque --out $(TORQUE_OUT)
 
 .PHONY: saving
 saving: $(READY) ## how much an energy-optimal path saves, driven in closed loop: out/saving
-	$(BIN)/diffdrive-mpc study saving --out $(SAVING_OUT)
+	$(BIN)/python -m studies saving --out $(SAVING_OUT)
 
 .PHONY: energy-front
 energy-front: $(READY) ## what a cost of energy in the controller saves, and what it costs in error: out/energy-front
-	$(BIN)/diffdrive-mpc study energy-front --out out/energy-front
+	$(BIN)/python -m studies energy-front --out out/energy-front
 
 tracking: $(READY) ## what the tracking reaches, what each part is worth, how much is left: tables and figures in out/tracking
-	$(BIN)/diffdrive-mpc study tracking --out $(TRACKING_OUT) $(TRACKING)
+	$(BIN)/python -m studies tracking --out $(TRACKING_OUT) $(TRACKING)
 
 reproduce: $(READY) ## the papers' experiments on the simulated robot, beside the papers' figures: out/reproduce
-	$(BIN)/diffdrive-mpc study reproduce --out $(REPRODUCE_OUT) $(REPRODUCE)
+	$(BIN)/python -m studies reproduce --out $(REPRODUCE_OUT) $(REPRODUCE)
 
 speed: $(READY) ## step times beside acados, do-mpc and CasADi's solvers on the same problem: out/speed
-	$(BIN)/diffdrive-mpc study speed --out $(SPEED_OUT) $(SPEED)
+	$(BIN)/python -m studies speed --out $(SPEED_OUT) $(SPEED)
 
 screenshots: $(READY) ## reports of small real runs, and their pictures for docs/reports.md, in a real browser
 	$(BIN)/diffdrive-mpc simulate --trajectory s --out $(REPORTS_OUT)/simulate --log $(REPORTS_OUT)/s.csv
@@ -124,14 +124,14 @@ screenshots: $(READY) ## reports of small real runs, and their pictures for docs
 	$(BIN)/diffdrive-mpc identify $(REPORTS_OUT)/s.csv $(REPORTS_OUT)/square.csv --validate $(REPORTS_OUT)/cane.csv \
 		--structure ssm --out $(REPORTS_OUT)/identify
 	$(BIN)/diffdrive-mpc bench --quick --out $(REPORTS_OUT)/bench
-	$(BIN)/diffdrive-mpc study tracking --quick --out $(REPORTS_OUT)/tracking
+	$(BIN)/python -m studies tracking --quick --out $(REPORTS_OUT)/tracking
 	$(BIN)/diffdrive-mpc tune ssm --plan docs/reports/plan.yaml --out $(REPORTS_OUT)/tune
 	$(BIN)/diffdrive-mpc prove ssm --runs 100 --out $(REPORTS_OUT)/prove
 	$(BIN)/diffdrive-mpc commission heavy --inside 5x4 --quick --out $(REPORTS_OUT)/commission
 	for name in simulate bench identify tracking tune prove commission; do \
-		$(BIN)/python -m diffdrive_mpc.bench.html_report.screenshots $(REPORTS_OUT)/$$name/report.html docs/reports/$$name.png || exit 1; \
+		$(BIN)/python -m studies.documents.screenshots $(REPORTS_OUT)/$$name/report.html docs/reports/$$name.png || exit 1; \
 	done
-	$(BIN)/python -m diffdrive_mpc.bench.html_report.screenshots $(REPORTS_OUT)/simulate/report.html docs/reports/phone.png \
+	$(BIN)/python -m studies.documents.screenshots $(REPORTS_OUT)/simulate/report.html docs/reports/phone.png \
 		--width 390 --height 1500
 
 wheel: $(READY) ## a wheel for this machine and a source archive, both in dist/: it needs neither the clone nor a compiler any more
@@ -158,29 +158,29 @@ format: $(READY) ## apply the format
 	$(BIN)/ruff check --fix .
 
 models: $(READY) ## identify MBM and SM again from experiments on the simulated robot
-	$(BIN)/diffdrive-mpc models fit
+	$(BIN)/python -m studies models fit
 
 calibrate: $(READY) ## fit the simulated robot to the published SSM again
-	$(BIN)/diffdrive-mpc models calibrate
+	$(BIN)/python -m studies models calibrate
 
 readme: $(READY) ## copy tables and figures of the last `make bench` and of the studies that were made into README and docs
-	$(BIN)/python -m diffdrive_mpc.bench.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT) $(PEERS_OUT) $(EDGE_OUT) $(ROBUSTNESS_OUT) $(PROVE_OUT) $(TORQUE_OUT) $(SAVING_OUT))
+	$(BIN)/python -m studies.documents.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT) $(PEERS_OUT) $(EDGE_OUT) $(ROBUSTNESS_OUT) $(PROVE_OUT) $(TORQUE_OUT) $(SAVING_OUT))
 
 schemas: $(READY) ## write the JSON Schemas of all kinds of files again
-	$(BIN)/python -m diffdrive_mpc.bench.schemas.generate
+	$(BIN)/python -m diffdrive_mpc.app.schemas.generate
 
 gallery: $(READY) ## the films of docs/gallery.md: some minutes
-	$(BIN)/python -m diffdrive_mpc.bench.gallery.build docs
+	$(BIN)/python -m studies.gallery.build docs
 
 site: $(READY) ## the documents as a site: out/site
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir $(SITE_OUT)
 	@echo "$(SITE_OUT)/index.html"
 
 notebooks: $(READY) ## notebooks and pictures of the tutorials, from their pages
-	$(BIN)/python -m diffdrive_mpc.bench.site.notebooks
+	$(BIN)/python -m studies.site.notebooks
 
 pictures: $(READY) ## pictures of the documents that no study leaves
-	$(BIN)/python -m diffdrive_mpc.bench.site.pictures
+	$(BIN)/python -m studies.site.pictures
 
 requirements: ## pin all dependencies anew (needs uv)
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \

@@ -144,7 +144,7 @@ def ros_types():
     Returns the folder. Without it, tests run as on a machine that has no such packages. Types are compiled as C++, so
     that a test that uses them is one of the system suite.
     """
-    from diffdrive_mpc.bench.ros_types.build import built_types, search_path
+    from diffdrive_mpc.app.ros_types.build import built_types, search_path
 
     folder = built_types()
     if str(folder) not in sys.path:

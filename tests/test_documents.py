@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.documents import SHOWN, with_report
+from diffdrive_mpc.app.cli import app
+from studies.documents.documents import SHOWN, with_report
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
@@ -24,9 +24,9 @@ CI_SCRIPT = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 RUN_IN_CI = {line.strip() for line in CI_SCRIPT.splitlines()}
 # Commands that a test of their own runs with the same options, to look at what they leave.
 RUN_IN_TESTS = {
-    "diffdrive-mpc study energy-front --quick --out front": "bench/test_energy_front.py",
-    "diffdrive-mpc study saving --quick --out saved": "bench/test_saving_study.py",
-    "diffdrive-mpc study torque --quick --out turn": "bench/test_torque_study.py",
+    "python -m studies energy-front --quick --out front": "bench/test_energy_front.py",
+    "python -m studies saving --quick --out saved": "bench/test_saving_study.py",
+    "python -m studies torque --quick --out turn": "bench/test_torque_study.py",
 }
 OWN_PROCESS = ("node", "sim-robot", "monitor")
 # These say how to install it: .ci/tour.py runs them as they stand, where only a wheel is installed.

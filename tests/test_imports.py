@@ -21,9 +21,7 @@ controller = Controller(load_config("ssm"))
 controller.start(load_trajectory("circle"), 0.0)
 assert controller.step(0.0, Measurement()).mode.name == "STOPPED"
 """
-COMMAND = (
-    "import sys; sys.argv[1:] = {}\nfrom diffdrive_mpc.bench.cli import main\ntry: main()\nexcept SystemExit: pass"
-)
+COMMAND = "import sys; sys.argv[1:] = {}\nfrom diffdrive_mpc.app.cli import main\ntry: main()\nexcept SystemExit: pass"
 LOADED = {
     "a model": (MODEL, REPORTS | SCIPY | {"mujoco", "rich", "typer"}),
     "a controller": (CONTROLLER, REPORTS | SCIPY | {"mujoco", "rich", "typer"}),

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from diffdrive_mpc.bench.site.notebooks import executed, notebook_text, pictures
+from studies.site.notebooks import executed, notebook_text, pictures
 
 FOLDER = Path(__file__).parents[1] / "docs" / "tutorials"
 TUTORIALS = sorted(path for path in FOLDER.glob("*.md") if path.stem != "index")

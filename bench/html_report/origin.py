@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from diffdrive_mpc.bench.command_line import command_line
+from diffdrive_mpc.bench.command_line.words import command_line
 from diffdrive_mpc.bench.html_report.page import Origin
 
 

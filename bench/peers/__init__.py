@@ -26,7 +26,6 @@ robot's delay; with "+slip" it makes up for the estimated side-slip too."""
 PEERS = dict.fromkeys(LAWS, "") | {
     "kanayama-plain": "kanayama.KanayamaController",
     "rpp": "rpp.RegulatedPurePursuit",
-    "do-mpc": "do_mpc.DoMpcController",
     "rpp+stop": "seeing.PursuitThatStops",
     "mppi+grid": "seeing.MppiWithGrid",
 }

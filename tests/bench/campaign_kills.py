@@ -32,7 +32,7 @@ factors:
   config.weights.across: {{log_uniform: [300, 1500]}}  # 1/m^2
   sensors.pose.latency: {{uniform: [0.0, 0.1]}}        # s
 """
-COMMAND = (sys.executable, "-c", "from diffdrive_mpc.bench.cli import main; main()")
+COMMAND = (sys.executable, "-c", "from diffdrive_mpc.app.cli import main; main()")
 LONGEST = 600.0
 
 

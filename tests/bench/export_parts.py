@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive_mpc.bench.export.emulator import REPLY_BYTES, Reply, read_reply, request_bytes
+from diffdrive_mpc.app.export.emulator import REPLY_BYTES, Reply, read_reply, request_bytes
 from diffdrive_mpc.models import Measurement
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.export import Precision, export_controller

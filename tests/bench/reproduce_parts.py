@@ -6,15 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive_mpc.bench.studies.reproduce import networks
-from diffdrive_mpc.bench.studies.reproduce.cost import Cost
-from diffdrive_mpc.bench.studies.reproduce.drives import PoseError, Spread
-from diffdrive_mpc.bench.studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, SM, MbmSmResult
-from diffdrive_mpc.bench.studies.reproduce.networks import NetworkResult, NetworkRow, NetworkRows
-from diffdrive_mpc.bench.studies.reproduce.published import load_published
-from diffdrive_mpc.bench.studies.reproduce.settings import load_study
-from diffdrive_mpc.bench.studies.reproduce.slip_scatter import LEARNED, NOMINAL, TRUE, Foresight, SlipScatter
-from diffdrive_mpc.bench.studies.reproduce.state_space import (
+from diffdrive_mpc.bench.study import Report, write_report
+from studies.reproduce import networks
+from studies.reproduce.cost import Cost
+from studies.reproduce.drives import PoseError, Spread
+from studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, SM, MbmSmResult
+from studies.reproduce.networks import NetworkResult, NetworkRow, NetworkRows
+from studies.reproduce.published import load_published
+from studies.reproduce.settings import load_study
+from studies.reproduce.slip_scatter import LEARNED, NOMINAL, TRUE, Foresight, SlipScatter
+from studies.reproduce.state_space import (
     IDENTIFIED,
     PRINTED,
     FreeDrive,
@@ -22,11 +23,10 @@ from diffdrive_mpc.bench.studies.reproduce.state_space import (
     SsmResult,
     VelocityFit,
 )
-from diffdrive_mpc.bench.studies.reproduce.study import ReproduceResults, ReproduceStudy
-from diffdrive_mpc.bench.studies.reproduce.turn_learning import EnergyRun, LearnedTurns
-from diffdrive_mpc.bench.studies.reproduce.turning import LAW, SteadyTurns, TurningResult
-from diffdrive_mpc.bench.studies.reproduce.virtual_track import check_virtual_track
-from diffdrive_mpc.bench.study import Report, write_report
+from studies.reproduce.study import ReproduceResults, ReproduceStudy
+from studies.reproduce.turn_learning import EnergyRun, LearnedTurns
+from studies.reproduce.turning import LAW, SteadyTurns, TurningResult
+from studies.reproduce.virtual_track import check_virtual_track
 
 NAMES = ("circle", "square", "s", "cane")
 META = {

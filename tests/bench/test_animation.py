@@ -16,13 +16,13 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant, simulate
-from diffdrive_mpc.bench.animation.animate import write_film
-from diffdrive_mpc.bench.animation.film import Film, read_size
-from diffdrive_mpc.bench.animation.film_file import film_path
-from diffdrive_mpc.bench.animation.pictures import pictures
-from diffdrive_mpc.bench.animation.playback import from_columns
-from diffdrive_mpc.bench.animation.recording import read_recording
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.animation.animate import write_film
+from diffdrive_mpc.app.animation.film import Film, read_size
+from diffdrive_mpc.app.animation.film_file import film_path
+from diffdrive_mpc.app.animation.pictures import pictures
+from diffdrive_mpc.app.animation.playback import from_columns
+from diffdrive_mpc.app.animation.recording import read_recording
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.sim.log_csv import write_log
 from diffdrive_mpc.sim.log_mcap import write_log as write_mcap

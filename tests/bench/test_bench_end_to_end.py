@@ -11,7 +11,7 @@ import pytest
 from log_parts import TEXTS, read_columns
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.contents import CONTENTS
 
 runner = CliRunner()

@@ -16,6 +16,7 @@ import yaml
 from bench_parts import quick_case
 from typer.testing import CliRunner
 
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.campaign import drive as drive_module
 from diffdrive_mpc.bench.campaign import identity
 from diffdrive_mpc.bench.campaign.definition import Definition
@@ -26,7 +27,6 @@ from diffdrive_mpc.bench.campaign.outcome import TIME
 from diffdrive_mpc.bench.campaign.parquet import read_table
 from diffdrive_mpc.bench.campaign.store import Store
 from diffdrive_mpc.bench.campaign.task import OtherVersionError, Task, do
-from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.config_file import PARAMETERS

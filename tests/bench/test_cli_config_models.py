@@ -10,10 +10,10 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.config_report import schema_rows
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc.mpc.config.described import schema_rows
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
 runner = CliRunner()

@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from diffdrive_mpc import MissingPackageError, NotCompiledError
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.errors import NotReproducibleError
 from diffdrive_mpc.sim import Run, simulate
 
@@ -184,7 +184,7 @@ def test_a_fault_of_the_program_is_not_passed_off_as_bad_input(monkeypatch: pyte
     def fails(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("diffdrive_mpc.bench.model_report.print_model", fails)
+    monkeypatch.setattr("diffdrive_mpc.app.model_report.print_model", fails)
     result = runner.invoke(app, ["models", "show", "ssm"])
     assert isinstance(result.exception, ZeroDivisionError)
 
@@ -212,7 +212,7 @@ def test_version() -> None:
 def test_without_mujoco_the_remedy_is_named() -> None:
     code = (
         "import sys; sys.modules['mujoco'] = None; sys.argv = ['x', 'simulate']; "
-        "from diffdrive_mpc.bench.cli import main; main()"
+        "from diffdrive_mpc.app.cli import main; main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1
@@ -226,7 +226,7 @@ def test_an_error_of_the_project_that_is_not_bad_input_has_an_exit_code_of_its_o
     def fail() -> None:
         raise kind("no compiler;\n  get one")
 
-    monkeypatch.setattr("diffdrive_mpc.bench.model_report.print_models", fail)
+    monkeypatch.setattr("diffdrive_mpc.app.model_report.print_models", fail)
     result = runner.invoke(app, ["models", "list"])
     assert (result.exit_code, result.stderr) == (1, "error: no compiler; get one\n")
 
@@ -234,7 +234,7 @@ def test_an_error_of_the_project_that_is_not_bad_input_has_an_exit_code_of_its_o
 def test_the_console_command_runs_as_a_program() -> None:
     code = (
         "import sys; sys.argv = ['diffdrive-mpc', 'models', 'show', 'foo']; "
-        "from diffdrive_mpc.bench.cli import main; main()"
+        "from diffdrive_mpc.app.cli import main; main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 2

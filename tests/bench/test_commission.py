@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from opened_report import check_report, content_of
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.commission.commissioning import Asked, NeedsAPersonError, commission
-from diffdrive_mpc.bench.commission.drawn_robot import drawn_robot, write_drawn_robot
-from diffdrive_mpc.bench.commission.ledger import Gate, Ledger, key_of
-from diffdrive_mpc.bench.commission.run import commission_into
-from diffdrive_mpc.bench.commission.settings import DriveSettings
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.app.commission.commissioning import Asked, NeedsAPersonError, commission
+from diffdrive_mpc.app.commission.drawn_robot import drawn_robot, write_drawn_robot
+from diffdrive_mpc.app.commission.ledger import Gate, Ledger, key_of
+from diffdrive_mpc.app.commission.run import commission_into
+from diffdrive_mpc.app.commission.settings import DriveSettings
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.trajectories.model_excitation import Room
@@ -110,7 +110,7 @@ def test_what_was_tuned_is_proven_and_delivered(commissioned, monkeypatch):
         (folder / "config.yaml").write_text(words + "weights: {across: 777.0}\n")
         return SimpleNamespace(sentence="the objective is lower", improved=True)
 
-    monkeypatch.setattr("diffdrive_mpc.bench.tune.study.tune", tune)
+    monkeypatch.setattr("diffdrive_mpc.app.tune.study.tune", tune)
     assert repeated(replace(asked, tuned=True), out) == ["tune", "prove"]
     config = load_config(out / "robot" / "config.yaml")
     assert config.weights.across == 777.0

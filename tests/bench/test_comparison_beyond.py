@@ -11,17 +11,17 @@ import pytest
 from bench_parts import quick_case, quick_outcome
 
 from diffdrive_mpc.bench.case import COMPARED, Case
+from diffdrive_mpc.bench.comparison.order import interval, order, order_table, reversed_pairs
+from diffdrive_mpc.bench.comparison.plan import LATE_TICKS, OTHER_SEEDS, SPEEDS, default_settings, plan_cases
+from diffdrive_mpc.bench.comparison.plan import read_options as read
+from diffdrive_mpc.bench.comparison.properties import measure_properties, predicts, property_table
+from diffdrive_mpc.bench.comparison.results import ComparisonResults
+from diffdrive_mpc.bench.comparison.study import ComparisonStudy
+from diffdrive_mpc.bench.comparison.tables import side_by_side_table
 from diffdrive_mpc.bench.controllers import build, controller_config
 from diffdrive_mpc.bench.late_plant import LatePlant
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.outcomes import Outcome, Score
-from diffdrive_mpc.bench.studies.comparison.order import interval, order, order_table, reversed_pairs
-from diffdrive_mpc.bench.studies.comparison.plan import LATE_TICKS, OTHER_SEEDS, SPEEDS, default_settings, plan_cases
-from diffdrive_mpc.bench.studies.comparison.plan import read_options as read
-from diffdrive_mpc.bench.studies.comparison.properties import measure_properties, predicts, property_table
-from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
-from diffdrive_mpc.bench.studies.comparison.study import ComparisonStudy
-from diffdrive_mpc.bench.studies.comparison.tables import side_by_side_table
 from diffdrive_mpc.bench.study import write_report
 from diffdrive_mpc.sim import make_plant
 

@@ -9,7 +9,7 @@ import pytest
 from bench_parts import quick_case
 
 from diffdrive_mpc.bench.case import DIMENSIONS, label
-from diffdrive_mpc.bench.studies.comparison.plan import (
+from diffdrive_mpc.bench.comparison.plan import (
     ComparisonSettings,
     default_settings,
     plan_cases,

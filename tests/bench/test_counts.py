@@ -7,19 +7,19 @@ from pathlib import Path
 
 import pytest
 
-from diffdrive_mpc.bench.animation.film import Film
+from diffdrive_mpc.app.animation.film import Film
+from diffdrive_mpc.app.proof.boundaries import Boundary
+from diffdrive_mpc.app.proof.proof_file import DEFAULT as PROOF
+from diffdrive_mpc.app.proof.proof_file import Search, load_proof
+from diffdrive_mpc.app.tune.tune_file import DEFAULT as PLAN
+from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.case import combinations, split_names
-from diffdrive_mpc.bench.proof.boundaries import Boundary
-from diffdrive_mpc.bench.proof.proof_file import DEFAULT as PROOF
-from diffdrive_mpc.bench.proof.proof_file import Search, load_proof
-from diffdrive_mpc.bench.studies.comparison.plan import plan_cases, read_options
-from diffdrive_mpc.bench.studies.robustness.conditions import load_conditions
-from diffdrive_mpc.bench.studies.robustness.study import RobustnessStudy
+from diffdrive_mpc.bench.comparison.plan import plan_cases, read_options
+from diffdrive_mpc.bench.conditions import load_conditions
 from diffdrive_mpc.bench.sweep import sweep_settings
-from diffdrive_mpc.bench.tune.tune_file import DEFAULT as PLAN
-from diffdrive_mpc.bench.tune.tune_file import load_plan
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.logs.reading import read_log
+from studies.robustness.study import RobustnessStudy
 
 
 def test_a_grid_is_counted_before_it_is_listed() -> None:

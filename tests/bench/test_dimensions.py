@@ -9,13 +9,13 @@ import pytest
 from bench_parts import quick_outcome
 from typer.testing import CliRunner
 
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import DIMENSIONS, Case, Dimension, combinations
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.comparison.plan import default_settings, read_options
+from diffdrive_mpc.bench.comparison.results import ComparisonResults
+from diffdrive_mpc.bench.comparison.tables import path_table
 from diffdrive_mpc.bench.controllers import check_cases, load_reference
 from diffdrive_mpc.bench.outcomes import Outcome, by_driver
-from diffdrive_mpc.bench.studies.comparison.plan import default_settings, read_options
-from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults
-from diffdrive_mpc.bench.studies.comparison.tables import path_table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
 NAMES = ["controller", "model", "trajectory", "timing", "plant", "surface", "sensors", "scenario", "world", "seed"]

@@ -3,7 +3,7 @@
 from log_parts import drive, write_csv
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.cli import app
 
 COLUMNS = drive(seconds=8.0)
 

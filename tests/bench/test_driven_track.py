@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diffdrive_mpc.bench.studies.reproduce.drive_models import (
+from diffdrive_mpc.models.logs import Record
+from studies.reproduce.drive_models import (
     EXPERIMENTAL,
     NO_MODEL,
     PHYSICAL,
@@ -15,11 +16,10 @@ from diffdrive_mpc.bench.studies.reproduce.drive_models import (
     reversing_commands,
     velocity_errors,
 )
-from diffdrive_mpc.bench.studies.reproduce.driven_track import DrivenTrack, drive_tests, driven_track_findings
-from diffdrive_mpc.bench.studies.reproduce.published import load_published
-from diffdrive_mpc.bench.studies.reproduce.settings import load_study
-from diffdrive_mpc.bench.studies.reproduce.virtual_track import fit_line
-from diffdrive_mpc.models.logs import Record
+from studies.reproduce.driven_track import DrivenTrack, drive_tests, driven_track_findings
+from studies.reproduce.published import load_published
+from studies.reproduce.settings import load_study
+from studies.reproduce.virtual_track import fit_line
 
 STUDY = load_study(quick=True).driven_track
 FEW = STUDY.model_copy(

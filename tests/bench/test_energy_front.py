@@ -6,9 +6,9 @@ import pytest
 from opened_report import check_report
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.studies.energy_front.settings import HERE, load_study
-from diffdrive_mpc.bench.studies.energy_front.study import Driven, fronts
+from diffdrive_mpc.app.cli import app
+from studies.energy_front.settings import HERE, load_study
+from studies.energy_front.study import Driven, fronts
 
 
 @pytest.fixture(scope="module")

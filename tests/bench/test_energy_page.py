@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from diffdrive_mpc.bench.energy_page import PAGE, learned_table, told
+from studies.documents.energy_page import PAGE, learned_table, told
 
 
 def numbers(row: str) -> list[float]:

@@ -7,8 +7,8 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.excitation import check_drive, driven, excite_model
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.app.excitation import check_drive, driven, excite_model
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.mpc.trajectories import model_excitation as searched

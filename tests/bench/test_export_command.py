@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from export_parts import SpoiledReference, compile_c
 
-from diffdrive_mpc.bench.export.command import export_library
+from diffdrive_mpc.app.export.command import export_library
 from diffdrive_mpc.mpc import load_config, load_trajectory
 from diffdrive_mpc.mpc.core.sources import CORE
 from diffdrive_mpc.mpc.export import Precision, export_controller

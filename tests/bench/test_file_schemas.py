@@ -15,13 +15,13 @@ from jsonschema import Draft202012Validator
 from pydantic import ValidationError
 from typer.testing import CliRunner
 
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.app.proof.proof_file import load_proof
+from diffdrive_mpc.app.schemas.generate import json_schema
+from diffdrive_mpc.app.schemas.kinds import KINDS
+from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.campaign.campaign_file import load_campaign
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.proof.proof_file import load_proof
-from diffdrive_mpc.bench.schemas.generate import json_schema
-from diffdrive_mpc.bench.schemas.kinds import KINDS
-from diffdrive_mpc.bench.studies.robustness.conditions import load_conditions
-from diffdrive_mpc.bench.tune.tune_file import load_plan
+from diffdrive_mpc.bench.conditions import load_conditions
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.editor_line import EDITOR_LINE, kept_editor_line
 from diffdrive_mpc.models.energy import load_drive_constants

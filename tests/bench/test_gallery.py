@@ -6,8 +6,8 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.gallery.build import FOLDER, load_gallery
+from diffdrive_mpc.app.cli import app
+from studies.gallery.build import FOLDER, load_gallery
 
 DOCS = Path(__file__).parents[2] / "docs"
 PICTURES = load_gallery().pictures

@@ -12,8 +12,9 @@ from bench_parts import quick_outcome
 from opened_report import check_page, check_report, content_of, opened
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.html_report.browser import opened_browser
+from diffdrive_mpc.bench.html_report.configuration import case_config
 from diffdrive_mpc.bench.html_report.document import json_text, page_text
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
@@ -32,11 +33,10 @@ from diffdrive_mpc.bench.html_report.page import (
 )
 from diffdrive_mpc.bench.html_report.run_series import column, kept_ticks, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
-from diffdrive_mpc.bench.html_report.screenshots import screenshot
 from diffdrive_mpc.bench.outcomes import Outcome
-from diffdrive_mpc.bench.studies.comparison.single_page import case_config
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from studies.documents.screenshots import screenshot
 
 QUICK = ("--plant", "model:ssm", "--surface", "ideal", "--sensors", "perfect", "--trajectory", "cane")
 READ = (

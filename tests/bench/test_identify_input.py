@@ -7,9 +7,9 @@ import pytest
 from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_mapping
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.app.identification import study, trial_drives
 from diffdrive_mpc.bench.contents import CONTENTS
-from diffdrive_mpc.bench.studies.identification import study, trial_drives
 
 runner = CliRunner()
 COLUMNS = drive(seconds=12.0)

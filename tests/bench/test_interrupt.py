@@ -12,7 +12,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.cli import app
 
 
 @pytest.mark.parametrize("kind", [KeyboardInterrupt, typer.Abort])
@@ -20,7 +20,7 @@ def test_an_interrupted_command_says_so(kind: type[BaseException], monkeypatch: 
     def interrupted(*_: object) -> None:
         raise kind
 
-    monkeypatch.setattr("diffdrive_mpc.bench.model_report.print_model", interrupted)
+    monkeypatch.setattr("diffdrive_mpc.app.model_report.print_model", interrupted)
     result = CliRunner().invoke(app, ["models", "show", "ssm"])
     assert result.exit_code == 130
     assert result.stderr.strip() == "error: aborted"
@@ -29,7 +29,7 @@ def test_an_interrupted_command_says_so(kind: type[BaseException], monkeypatch: 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_sigterm_leaves_no_draft_and_no_process_behind(jobs: str, tmp_path: Path) -> None:
-    command = [sys.executable, "-c", "from diffdrive_mpc.bench.cli import main; main()", "bench", "--seeds", "20"]
+    command = [sys.executable, "-c", "from diffdrive_mpc.app.cli import main; main()", "bench", "--seeds", "20"]
     words = ["--models", "ssm,sm", "--trajectories", "circle,s", "--jobs", jobs, "--out", str(tmp_path / "out")]
     with subprocess.Popen([*command, *words], stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         session = process.pid

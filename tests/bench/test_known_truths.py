@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diffdrive_mpc.bench.studies.identification.known_truths import RecoveredTruth, coverage_table, recover, recover_all
+from studies.shipped_models.known_truths import RecoveredTruth, coverage_table, recover, recover_all
 
 
 def test_truths_lie_within_four_standard_deviations():

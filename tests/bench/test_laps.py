@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.app.simulate.laps import drive_laps
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.studies.comparison.laps import drive_laps
 from diffdrive_mpc.sim.laps import lap_parts
 
 PLAIN = Case(plant="model:sm", trajectory="cane")

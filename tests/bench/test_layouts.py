@@ -8,8 +8,8 @@ import pytest
 from mcap.reader import make_reader
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.layouts import LAYOUTS, layout
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.app.layouts import LAYOUTS, layout
 from diffdrive_mpc.models.logs.drive_log.topics import STATE
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build
-from diffdrive_mpc.bench.studies.loop_speed import study
 from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.sim import simulate
+from studies.loop_speed import study
 
 
 def test_the_plant_alone_drives_what_it_drove_in_the_loop():

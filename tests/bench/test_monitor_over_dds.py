@@ -5,9 +5,9 @@ import time
 import numpy as np
 from test_over_dds import BOUND, true_twists
 
-from diffdrive_mpc.bench.studies.ros.two_processes import own_domain, running
 from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
 from diffdrive_mpc.models.logs.mapping import Topic
+from studies.ros.two_processes import own_domain, running
 
 
 def test_a_robot_stops_by_itself_when_its_monitor_is_killed(tmp_path, monkeypatch):

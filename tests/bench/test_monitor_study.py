@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.monitor.drives import nominal_case
-from diffdrive_mpc.bench.monitor.faults import FAULTS, Fault, Sent
-from diffdrive_mpc.bench.monitor.study import MonitorStudy, Watched, complaint
-from diffdrive_mpc.bench.monitor.trial import HARM, faulty_trial, nominal_trial
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.mpc.monitor.judge import rule_names
 from diffdrive_mpc.mpc.monitor.rules import load_rules
+from studies.monitor.drives import nominal_case
+from studies.monitor.faults import FAULTS, Fault, Sent
+from studies.monitor.study import MonitorStudy, Watched, complaint
+from studies.monitor.trial import HARM, faulty_trial, nominal_trial
 
 RULES = load_rules()
 SEED = 90_000
@@ -79,7 +79,7 @@ def test_the_study_says_what_was_missed(monkeypatch, tmp_path):
     values["path"] |= {"distance": 900.0, "heading": 9.0, "after_end": 900.0, "faster_omega": 99.0, "faster_v": 99.0}
     rules.write_text(json.dumps(values), encoding="utf-8")
     few = {name: FAULTS[name] for name in ("not a number", "wrong sign")}
-    monkeypatch.setattr("diffdrive_mpc.bench.monitor.study.FAULTS", few)
+    monkeypatch.setattr("studies.monitor.study.FAULTS", few)
     words = ["study", "monitor-study", "--rules", str(rules), "--seeds", "1", "--hours", "0.01", "--jobs", "1"]
     result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out")])
     assert result.exit_code == 1 and "error: missed or late: wrong sign (1)" in result.stderr

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.command_line import named_inputs
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.bench.command_line.words import named_inputs
 from diffdrive_mpc.models.input_file import read_input
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.read_files import reading

@@ -14,12 +14,12 @@ from rclpy.qos import qos_profile_sensor_data
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build
-from diffdrive_mpc.bench.studies.ros.compare import COMPARED, compare, comparison_table, timing_table
-from diffdrive_mpc.bench.studies.ros.two_processes import DriveFailedError, drive_over_dds, own_domain, running
 from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
 from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.ros.base_settings import SHIPPED
+from studies.ros.compare import COMPARED, compare, comparison_table, timing_table
+from studies.ros.two_processes import DriveFailedError, drive_over_dds, own_domain, running
 
 BOUND = 120.0
 MAGIC = b"\x89MCAP0\r\n"

@@ -10,8 +10,8 @@ from log_parts import MAPPING, bag_topics, drive, write_bag, write_csv, write_ma
 from typer.testing import CliRunner
 
 from diffdrive_mpc import identify
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.controllers import load_reference, other_robots, run_case
 from diffdrive_mpc.bench.table import number
 from diffdrive_mpc.models.checked_yaml import ConfigError

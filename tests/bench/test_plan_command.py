@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.turn_costs import load_turn_costs, turn_costs_text
 from diffdrive_mpc.mpc import load_trajectory
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from diffdrive_mpc.app.proof.boundaries import Boundary, find_boundaries
+from diffdrive_mpc.app.proof.maps import drawn_map, map_runs
+from diffdrive_mpc.app.proof.proof_file import Axis, Map, Search
+from diffdrive_mpc.app.proof.report import Outcomes, facts, is_unsafe, tables, worst
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.engine import Driven
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.proof.boundaries import Boundary, find_boundaries
-from diffdrive_mpc.bench.proof.maps import drawn_map, map_runs
-from diffdrive_mpc.bench.proof.proof_file import Axis, Map, Search
-from diffdrive_mpc.bench.proof.report import Outcomes, facts, is_unsafe, tables, worst
-from diffdrive_mpc.bench.proof.statistics import Estimate, Rate, cvar, mean, median
+from diffdrive_mpc.bench.statistics import Estimate, Rate, cvar, mean, median
 
 PROBE = Definition(Case())
 

@@ -10,12 +10,12 @@ import yaml
 from opened_report import check_report, content_of
 from typer.testing import CliRunner
 
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.app.proof.maps import map_runs
+from diffdrive_mpc.app.proof.proof_file import load_proof
 from diffdrive_mpc.bench.campaign.check import check_definitions
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.parquet import read_table
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.proof.maps import map_runs
-from diffdrive_mpc.bench.proof.proof_file import load_proof
 
 SHORT = "name: short\nsegments:\n- {v: 0.4, omega: 0.5, duration: 0.6}\n"
 PROOF = """

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.studies.real_logs.protocol import divide, load_protocol
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs import Record
+from studies.real_logs.protocol import divide, load_protocol
 
 
 def record(count, every=1):

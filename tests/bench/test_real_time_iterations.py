@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from speed_parts import oracle_tick
 
-from diffdrive_mpc.bench.studies.speed.closed_loop_cost import closed_loop_cost
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.sim import make_plant
 from oracle.controller import OracleController
 from oracle.nonlinear import nonlinear_program
 from oracle.problem import TrackingProblem
 from oracle.solver import solve
+from studies.speed.closed_loop_cost import closed_loop_cost
 
 TIGHT = {"limits.v_slew": 0.6, "limits.omega_slew": 2.5, "limits.v": 0.6, "limits.omega": 1.2}
 

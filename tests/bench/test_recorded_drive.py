@@ -8,12 +8,12 @@ from geometry_msgs.msg import TwistStamped
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build
-from diffdrive_mpc.bench.studies.ros.recorded_drive import loop_timing, read_drive
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Stamped
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.ros import messages
 from diffdrive_mpc.sim.ros.bag_recorder import bag_recorder
+from studies.ros.recorded_drive import loop_timing, read_drive
 
 DT = 0.0202
 START = 10_100_000_000

@@ -9,12 +9,12 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.app.replay.open_loop import replay
+from diffdrive_mpc.app.replay.reading import read_recording
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.cli import app
 from diffdrive_mpc.bench.controllers import build
-from diffdrive_mpc.bench.replay.open_loop import replay
-from diffdrive_mpc.bench.replay.reading import read_recording
-from diffdrive_mpc.bench.studies.ros.two_processes import drive_over_dds
+from studies.ros.two_processes import drive_over_dds
 
 DT = 0.0202
 CASE = Case(trajectory="cane", sensors="slam", overrides=(("weights.across", 90.0),))

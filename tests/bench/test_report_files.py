@@ -14,14 +14,11 @@ import pytest
 from bench_parts import quick_outcome
 
 from diffdrive_mpc.bench.atomic import staged
-from diffdrive_mpc.bench.figure_style import file_name, free_name
-from diffdrive_mpc.bench.machine import describe_run
-from diffdrive_mpc.bench.outcomes import Outcome, by_driver
-from diffdrive_mpc.bench.studies.comparison.figures import draw_case, drawings
-from diffdrive_mpc.bench.studies.comparison.plan import default_settings
-from diffdrive_mpc.bench.studies.comparison.results import ComparisonResults, describe, incomplete, row
-from diffdrive_mpc.bench.studies.comparison.study import ComparisonStudy
-from diffdrive_mpc.bench.studies.comparison.tables import (
+from diffdrive_mpc.bench.comparison.figures import draw_case, drawings
+from diffdrive_mpc.bench.comparison.plan import default_settings
+from diffdrive_mpc.bench.comparison.results import ComparisonResults, describe, incomplete, row
+from diffdrive_mpc.bench.comparison.study import ComparisonStudy
+from diffdrive_mpc.bench.comparison.tables import (
     error_table,
     horizon_table,
     report_tables,
@@ -30,6 +27,9 @@ from diffdrive_mpc.bench.studies.comparison.tables import (
     summary_table,
     time_table,
 )
+from diffdrive_mpc.bench.figure_style import file_name, free_name
+from diffdrive_mpc.bench.machine import describe_run
+from diffdrive_mpc.bench.outcomes import Outcome, by_driver
 from diffdrive_mpc.bench.study import markdown, write_report
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.bench.timing import TimingPass

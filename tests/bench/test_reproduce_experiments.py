@@ -12,27 +12,27 @@ from hypothesis.extra.numpy import arrays
 
 from diffdrive_mpc.bench.outcomes import plain
 from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.bench.studies.reproduce.cost import measure_cost
-from diffdrive_mpc.bench.studies.reproduce.driven_track import drive_tests
-from diffdrive_mpc.bench.studies.reproduce.drives import (
+from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.terrain import load_vehicle
+from diffdrive_mpc.mpc import load_trajectory
+from studies.reproduce.cost import measure_cost
+from studies.reproduce.driven_track import drive_tests
+from studies.reproduce.drives import (
     RobotLogs,
     Spread,
     dead_reckon,
     pose_error,
     trajectory_commands,
 )
-from diffdrive_mpc.bench.studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, compare_mbm_and_sm
-from diffdrive_mpc.bench.studies.reproduce.published import load_published
-from diffdrive_mpc.bench.studies.reproduce.settings import CostStudy, MbmSmStudy, SsmStudy, load_study
-from diffdrive_mpc.bench.studies.reproduce.state_space import IDENTIFIED, PRINTED, compare_orders
-from diffdrive_mpc.bench.studies.reproduce.study import ReproduceStudy
-from diffdrive_mpc.bench.studies.reproduce.turn_learning import learn_turns
-from diffdrive_mpc.bench.studies.reproduce.turning import turn_steadily
-from diffdrive_mpc.bench.studies.reproduce.virtual_track import check_virtual_track, fit_line
-from diffdrive_mpc.models.pose import integrate_pose
-from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.models.terrain import load_vehicle
-from diffdrive_mpc.mpc import load_trajectory
+from studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, compare_mbm_and_sm
+from studies.reproduce.published import load_published
+from studies.reproduce.settings import CostStudy, MbmSmStudy, SsmStudy, load_study
+from studies.reproduce.state_space import IDENTIFIED, PRINTED, compare_orders
+from studies.reproduce.study import ReproduceStudy
+from studies.reproduce.turn_learning import learn_turns
+from studies.reproduce.turning import turn_steadily
+from studies.reproduce.virtual_track import check_virtual_track, fit_line
 
 DT = load_robot().sample_time
 twists = arrays(float, st.tuples(st.integers(2, 30), st.just(2)), elements=st.floats(-2.0, 2.0))

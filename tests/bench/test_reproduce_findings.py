@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from reproduce_parts import cost, learned_turns, lstm, made_up, mbm_sm, network_rows, scatter, ssm, steady, turning
 
-from diffdrive_mpc.bench.studies.reproduce.study import find
-from diffdrive_mpc.bench.studies.reproduce.virtual_track import VirtualTrackResult, fit_line
+from studies.reproduce.study import find
+from studies.reproduce.virtual_track import VirtualTrackResult, fit_line
 
 
 def verdicts(results):

@@ -10,9 +10,9 @@ import pytest
 from reproduce_parts import made_up, report_of, write_made_up
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.contents import CONTENTS
-from diffdrive_mpc.bench.documents import REPRODUCE, sections
+from studies.documents.documents import REPRODUCE, sections
 
 runner = CliRunner()
 FIGURES = (

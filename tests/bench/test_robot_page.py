@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from diffdrive_mpc.bench import robot_page
-from diffdrive_mpc.bench.config_report import schema_rows
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc.config.described import schema_rows
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 PAGE = Path(__file__).parents[2] / "docs" / "robot.md"
@@ -14,7 +14,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "robot.md"
 
 def test_the_page_shows_the_parameters_as_they_are():
     page = PAGE.read_text(encoding="utf-8")
-    assert robot_page.with_tables(page) == page, "run: python -m diffdrive_mpc.bench.robot_page"
+    assert robot_page.with_tables(page) == page, "run: python -m studies.documents.robot_page"
 
 
 def test_every_parameter_has_its_row_with_unit_default_and_advice():

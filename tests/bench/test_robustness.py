@@ -11,23 +11,23 @@ import pytest
 from tracking_parts import metrics, recovery
 from typer.testing import CliRunner
 
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.bench.conditions import load_conditions, market_cases
 from diffdrive_mpc.bench.controllers import case_config, controller_config, run_case, settings_of
 from diffdrive_mpc.bench.outcomes import SolverShares
-from diffdrive_mpc.bench.studies.robustness.conditions import load_conditions, market_cases
-from diffdrive_mpc.bench.studies.robustness.market_tables import alarms_interval, market_tables, share_interval
-from diffdrive_mpc.bench.studies.robustness.results import (
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.load import ROBOT_NAMES
+from diffdrive_mpc.sim import make_plant
+from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
+from studies.robustness.market_tables import alarms_interval, market_tables, share_interval
+from studies.robustness.results import (
     ConditionOutcome,
     ratios,
     run_condition,
     study_tables,
 )
-from diffdrive_mpc.bench.studies.robustness.study import turns_on_the_spot
-from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.load import ROBOT_NAMES
-from diffdrive_mpc.sim import make_plant
-from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
+from studies.robustness.study import turns_on_the_spot
 
 CONDITIONS = load_conditions()
 runner = CliRunner()

@@ -117,7 +117,7 @@ def _pose():
 
 
 def test_a_shell_gets_them_by_a_command(ros_types):
-    command = [sys.executable, "-m", "diffdrive_mpc.bench.ros_types"]
+    command = [sys.executable, "-m", "diffdrive_mpc.app.ros_types"]
     script = f'eval "$({" ".join(command)})" && {sys.executable} -c "import nav2_msgs.action as a; print(a.__file__)"'
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path and path != str(ros_types))
@@ -126,7 +126,7 @@ def test_a_shell_gets_them_by_a_command(ros_types):
 
 
 def test_what_was_changed_in_the_cache_is_made_anew(ros_types, monkeypatch, tmp_path):
-    from diffdrive_mpc.bench.ros_types import build
+    from diffdrive_mpc.app.ros_types import build
 
     made = []
     monkeypatch.setattr(build, "_make", lambda package, prefix, sources, folder: made.append(_write(folder / package)))
@@ -145,7 +145,7 @@ def _write(folder):
 
 
 def test_a_machine_without_generators_says_so_in_one_line(tmp_path, monkeypatch):
-    from diffdrive_mpc.bench.ros_types import build
+    from diffdrive_mpc.app.ros_types import build
 
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
     with pytest.raises(build.TypesError, match=r"no generators .* pip install"):

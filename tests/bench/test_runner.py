@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.errors import WorkerDiedError
 from diffdrive_mpc.bench.runner import lasting_processes, run_tasks
 

@@ -13,17 +13,17 @@ from hypothesis import strategies as st
 from opened_report import check_report
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.studies.saving.drives import Driven, drive_closed, drive_open, standing_from
-from diffdrive_mpc.bench.studies.saving.outcome import PairOutcome, Saved, worse_arrival
-from diffdrive_mpc.bench.studies.saving.pairs import Pair, draw_pairs
-from diffdrive_mpc.bench.studies.saving.scenarios import gap_to_posts, loaded_costs
-from diffdrive_mpc.bench.studies.saving.settings import Drawn, SavingStudySettings, load_study, quick
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.terrain import load_vehicle
 from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.planner import Plan, plan
+from studies.saving.drives import Driven, drive_closed, drive_open, standing_from
+from studies.saving.outcome import PairOutcome, Saved, worse_arrival
+from studies.saving.pairs import Pair, draw_pairs
+from studies.saving.scenarios import gap_to_posts, loaded_costs
+from studies.saving.settings import Drawn, SavingStudySettings, load_study, quick
 
 STUDY = load_study()
 
@@ -223,7 +223,7 @@ def test_unknown_floors_and_cones_in_the_way_are_refused(tmp_path: Path) -> None
     )
     assert result.exit_code == 2 and "fsu_bot-ideal" in result.output
     scenarios = (STUDY.scenarios[0].model_copy(update={"posts": ((0.2, 0.0, 0.1),)}),)
-    from diffdrive_mpc.bench.studies.saving.study import SavingStudy
+    from studies.saving.study import SavingStudy
 
     blocked: SavingStudySettings = STUDY.model_copy(update={"scenarios": scenarios})
     with pytest.raises(ConfigError, match="a post stands where the robot's start is"):

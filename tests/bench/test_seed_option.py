@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import MOST_SEEDS, parse_seeds
-from diffdrive_mpc.bench.cli import app
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diffdrive_mpc.bench.outcomes import plain
-from diffdrive_mpc.bench.studies.reproduce.settings import ScatterFloor, load_study
-from diffdrive_mpc.bench.studies.reproduce.slip_scatter import Foresight, scatter_of
+from studies.reproduce.settings import ScatterFloor, load_study
+from studies.reproduce.slip_scatter import Foresight, scatter_of
 
 
 @given(st.integers(0, 50), st.floats(-3, 3), st.floats(0.1, 5))

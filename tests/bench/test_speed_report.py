@@ -8,17 +8,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffdrive_mpc.bench.studies.speed.results import (
+from diffdrive_mpc.bench.study import write_report
+from studies.speed.results import (
     Missing,
     SpeedRecord,
     SpeedResults,
     growth_exponent,
     time_statistics,
 )
-from diffdrive_mpc.bench.studies.speed.settings import load_speed_settings
-from diffdrive_mpc.bench.studies.speed.study import SpeedStudy
-from diffdrive_mpc.bench.studies.speed.tables import speed_tables
-from diffdrive_mpc.bench.study import write_report
+from studies.speed.settings import load_speed_settings
+from studies.speed.study import SpeedStudy
+from studies.speed.tables import speed_tables
 
 META = {
     "version": "1",

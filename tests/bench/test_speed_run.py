@@ -5,12 +5,12 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.studies.speed.process.subject import Subject, SubjectError
-from diffdrive_mpc.bench.studies.speed.settings import SubjectSettings, chosen, load_speed_settings
-from diffdrive_mpc.bench.studies.speed.study import SpeedStudy
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from studies.speed.process.subject import Subject, SubjectError
+from studies.speed.settings import SubjectSettings, chosen, load_speed_settings
+from studies.speed.study import SpeedStudy
 
 
 @pytest.fixture(scope="module")

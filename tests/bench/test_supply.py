@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from diffdrive_mpc.bench.site.licences import PAGE, with_table
-from diffdrive_mpc.bench.studies.speed.process.environment import REQUIREMENTS, pinned
-from diffdrive_mpc.bench.studies.speed.process.subject import SubjectError
+from studies.site.licences import PAGE, with_table
+from studies.speed.process.environment import REQUIREMENTS, pinned
+from studies.speed.process.subject import SubjectError
 
 ROOT = Path(__file__).parents[2]
 LISTS = (ROOT / "requirements.txt", REQUIREMENTS, ROOT / ".ci" / "colcon.txt", ROOT / ".ci" / "tools.txt")

@@ -7,7 +7,7 @@ import re
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.progress import output_console
 from diffdrive_mpc.bench.table import Table
 

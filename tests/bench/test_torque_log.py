@@ -10,12 +10,12 @@ import pytest
 from opened_report import check_report
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.studies.torque.diagnostic_log import write_diagnostic_log
-from diffdrive_mpc.bench.studies.torque.from_log import learn_log, settled
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.energy import load_drive_constants
 from diffdrive_mpc.models.turn_costs import load_turn_costs
+from studies.torque.diagnostic_log import write_diagnostic_log
+from studies.torque.from_log import learn_log, settled
 
 SLIPPERY = load_turn_costs("fsu_bot-slippery")
 

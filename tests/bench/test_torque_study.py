@@ -10,14 +10,14 @@ import pytest
 from opened_report import check_report
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.studies.torque.measurements import own_least_radius, plant_of, steady_turns, unseen_commands
-from diffdrive_mpc.bench.studies.torque.outcome import measure_floor, parts_of
-from diffdrive_mpc.bench.studies.torque.settings import load_study, quick
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.energy import load_drive_constants
 from diffdrive_mpc.models.terrain import load_vehicle
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
+from studies.torque.measurements import own_least_radius, plant_of, steady_turns, unseen_commands
+from studies.torque.outcome import measure_floor, parts_of
+from studies.torque.settings import load_study, quick
 
 STUDY = load_study()
 TRACK, LIMIT = 0.39, 4.6

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from tracking_parts import TINY
 
-from diffdrive_mpc.bench.studies.tracking.plan import BOUND, check_plan, plan_study, variants
-from diffdrive_mpc.bench.studies.tracking.settings import PARTS, load_study
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from studies.tracking.plan import BOUND, check_plan, plan_study, variants
+from studies.tracking.settings import PARTS, load_study
 
 TUNING_SEEDS = {100, 101}
 MODELS, TRAJECTORIES = ("mbm", "sm", "ssm"), ("circle", "square", "s", "cane")

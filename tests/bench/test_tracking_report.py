@@ -11,13 +11,13 @@ from opened_report import check_report
 from tracking_parts import made_up, row, tiny_study, write_made_up
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.contents import CONTENTS
-from diffdrive_mpc.bench.documents import TRACKING, copy_report, sections, with_report
-from diffdrive_mpc.bench.studies.tracking.outcome import collect
-from diffdrive_mpc.bench.studies.tracking.plan import plan_study
-from diffdrive_mpc.bench.studies.tracking.tables import study_tables
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from studies.documents.documents import TRACKING, copy_report, sections, with_report
+from studies.tracking.outcome import collect
+from studies.tracking.plan import plan_study
+from studies.tracking.tables import study_tables
 
 runner = CliRunner()
 

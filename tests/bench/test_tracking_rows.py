@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from tracking_parts import case, recovery, row
 
 from diffdrive_mpc.bench.peers.kanayama import KanayamaController
-from diffdrive_mpc.bench.studies.tracking.outcome import decompose, reduce_run
 from diffdrive_mpc.sim import simulate
+from studies.tracking.outcome import decompose, reduce_run
 
 
 @pytest.fixture(scope="module")

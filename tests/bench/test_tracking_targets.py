@@ -8,10 +8,10 @@ from dataclasses import replace
 import pytest
 from tracking_parts import recovery, row
 
-from diffdrive_mpc.bench.studies.tracking.plan import plan_study
-from diffdrive_mpc.bench.studies.tracking.settings import load_study, load_targets
-from diffdrive_mpc.bench.studies.tracking.tables import target_table
-from diffdrive_mpc.bench.studies.tracking.verdicts import judge, worst_arc
+from studies.tracking.plan import plan_study
+from studies.tracking.settings import load_study, load_targets
+from studies.tracking.tables import target_table
+from studies.tracking.verdicts import judge, worst_arc
 
 STUDY = load_study(quick=True)
 CASES = plan_study(STUDY, ["targets"]).all

@@ -10,11 +10,11 @@ from opened_report import check_report, content_of
 from tune_parts import small_plan, written
 from typer.testing import CliRunner
 
+from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.app.tune.study import tune
+from diffdrive_mpc.app.tune.tune_file import StepTime, load_plan
 from diffdrive_mpc.bench.campaign.check import check_definitions
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.cli import app
-from diffdrive_mpc.bench.tune.study import tune
-from diffdrive_mpc.bench.tune.tune_file import StepTime, load_plan
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_config
 
@@ -84,7 +84,7 @@ def test_defaults_that_are_too_slow_give_way(tmp_path: Path, monkeypatch: pytest
     def grows(stated: StepTime, _usual: Case, values: dict[str, int]) -> float:
         return stated.p99 * values.get("horizon", 30) / 30.0
 
-    monkeypatch.setattr("diffdrive_mpc.bench.tune.search.predicted_p99", grows)
+    monkeypatch.setattr("diffdrive_mpc.app.tune.search.predicted_p99", grows)
     limit = {"machine": "a small computer", "p99": 4.0e-4, "at_most": 3.8e-4}
     plan = small_plan(tmp_path, points=5, parameters={"horizon": {"low": 12, "high": 40}}, step_time=limit)
     result = tune("ssm", tmp_path / "out", plan=plan, workers=1)

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from diffdrive_mpc.app.tune.objective import broken, exceeded, in_words, score, terms_of
+from diffdrive_mpc.app.tune.points import Point, Searched
+from diffdrive_mpc.app.tune.tune_file import Constraint, Objective
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.engine import Driven
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.proof.statistics import Estimate
-from diffdrive_mpc.bench.tune.objective import broken, exceeded, in_words, score, terms_of
-from diffdrive_mpc.bench.tune.points import Point, Searched
-from diffdrive_mpc.bench.tune.tune_file import Constraint, Objective
+from diffdrive_mpc.bench.statistics import Estimate
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from tune_parts import searched, small_plan
 
+from diffdrive_mpc.app.tune.step_time import predicted_p99
+from diffdrive_mpc.app.tune.tune_file import StepTime
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.engine import Driven, drive_all
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.tune.step_time import predicted_p99
-from diffdrive_mpc.bench.tune.tune_file import StepTime
 
-DRIVE = "diffdrive_mpc.bench.tune.search.drive_all"
+DRIVE = "diffdrive_mpc.app.tune.search.drive_all"
 
 
 def test_a_seed_fixes_the_study_and_an_interruption_changes_nothing(
@@ -81,7 +81,7 @@ def test_a_horizon_that_takes_too_long_is_not_driven(tmp_path: Path, monkeypatch
         asked.append(values)
         return stated.p99 * values.get("horizon", 30) / 30.0
 
-    monkeypatch.setattr("diffdrive_mpc.bench.tune.search.predicted_p99", grows)
+    monkeypatch.setattr("diffdrive_mpc.app.tune.search.predicted_p99", grows)
     plan = small_plan(tmp_path, step_time={"machine": "a small computer", "p99": 3.0e-4, "at_most": 3.3e-4})
     found = searched(plan, tmp_path / "out")
     long = [one for one in found.points if one.values["horizon"] > 33]  # type: ignore[operator]

@@ -6,7 +6,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 

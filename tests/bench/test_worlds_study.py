@@ -12,15 +12,15 @@ from loop_parts import FeedForward
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import load_reference, run_case
 from diffdrive_mpc.bench.peers.seeing import DistanceField
-from diffdrive_mpc.bench.studies.worlds.results import collided, run_world
-from diffdrive_mpc.bench.studies.worlds.settings import cases, load_settings
-from diffdrive_mpc.bench.studies.worlds.stop_oracle import known_at, stop_was_possible
-from diffdrive_mpc.bench.studies.worlds.study import WorldsStudy
 from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.world_plant import WorldPlant
 from diffdrive_mpc.sim.worlds.sight import Eyes, Seen, SeenDisc, SeenGrid
+from studies.worlds.results import collided, run_world
+from studies.worlds.settings import cases, load_settings
+from studies.worlds.stop_oracle import known_at, stop_was_possible
+from studies.worlds.study import WorldsStudy
 
 PERSON = "description: a person on the way\ntime_limit: 12\nway: {waypoints: [[0, 0], [2, 0], [4, 0]], speed: 0.5}\n"
 

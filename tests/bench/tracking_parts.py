@@ -10,13 +10,13 @@ import numpy as np
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.outcomes import SolverShares
-from diffdrive_mpc.bench.studies.tracking.outcome import ReducedOutcome, TrackingResults, collect
-from diffdrive_mpc.bench.studies.tracking.plan import BOUND, plan_study
-from diffdrive_mpc.bench.studies.tracking.settings import PARTS, load_study
-from diffdrive_mpc.bench.studies.tracking.study import TrackingStudy
 from diffdrive_mpc.bench.study import write_report
 from diffdrive_mpc.sim import Metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery
+from studies.tracking.outcome import ReducedOutcome, TrackingResults, collect
+from studies.tracking.plan import BOUND, plan_study
+from studies.tracking.settings import PARTS, load_study
+from studies.tracking.study import TrackingStudy
 
 TINY = """
 models: [ssm]

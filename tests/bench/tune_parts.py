@@ -7,11 +7,11 @@ from pathlib import Path
 
 import yaml
 
+from diffdrive_mpc.app.tune.points import Searched
+from diffdrive_mpc.app.tune.search import Search
+from diffdrive_mpc.app.tune.tune_file import TunePlan, load_plan
 from diffdrive_mpc.bench.campaign.engine import Place
 from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.bench.tune.points import Searched
-from diffdrive_mpc.bench.tune.search import Search
-from diffdrive_mpc.bench.tune.tune_file import TunePlan, load_plan
 
 SHORT = "name: short\nsegments:\n- {v: 0.4, omega: 0.5, duration: 0.6}\n"
 PLAN = """

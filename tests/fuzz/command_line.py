@@ -101,7 +101,7 @@ def _is_long(path: tuple[str, ...]) -> bool:
 def _command() -> Any:
     from typer.main import get_command
 
-    from diffdrive_mpc.bench.cli import app
+    from diffdrive_mpc.app.cli import app
 
     return get_command(app)
 

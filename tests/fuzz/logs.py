@@ -13,8 +13,8 @@ from random import Random
 
 import numpy as np
 
-from diffdrive_mpc.bench.replay.reading import read_recording
-from diffdrive_mpc.bench.replay.study import Asked, ReplayStudy
+from diffdrive_mpc.app.replay.reading import read_recording
+from diffdrive_mpc.app.replay.study import Asked, ReplayStudy
 from diffdrive_mpc.models.logs.reading import read_log
 from fuzz import mutation, shrink
 from fuzz.case import Case, FaultError
@@ -159,7 +159,7 @@ def _own_logs(folder: Path) -> None:
     from click.testing import CliRunner
     from typer.main import get_command
 
-    from diffdrive_mpc.bench.cli import app
+    from diffdrive_mpc.app.cli import app
 
     (folder / "short.yaml").write_text(
         "segments: [{v: 0.4, omega: 0.3, duration: 2.0}, {v: 0.3, omega: -0.6, duration: 2.0}]\n"

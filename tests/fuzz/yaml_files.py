@@ -14,11 +14,11 @@ import numpy as np
 import yaml
 
 from diffdrive_mpc import Controller, load_config, load_model, load_trajectory, make_plant
+from diffdrive_mpc.app.proof.proof_file import load_proof
+from diffdrive_mpc.app.schemas.kinds import KINDS, PACKAGE
+from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.campaign.campaign_file import load_campaign
-from diffdrive_mpc.bench.proof.proof_file import load_proof
-from diffdrive_mpc.bench.schemas.kinds import KINDS, PACKAGE
-from diffdrive_mpc.bench.studies.robustness.conditions import load_conditions
-from diffdrive_mpc.bench.tune.tune_file import load_plan
+from diffdrive_mpc.bench.conditions import load_conditions
 from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.energy.drive_constants import load_drive_constants
 from diffdrive_mpc.models.logs.mapping import load_mapping

@@ -6,7 +6,7 @@ from base_effect_parts import record_of
 from identification_parts import noisy_drive, published_ssm, two_channels
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.base_effects import BaseEffects, TwistSlew
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.log_data import LogData

@@ -23,7 +23,7 @@ from sensor_msgs.msg import Imu
 
 from diffdrive_mpc.mpc.ros.conversions import pose_message, stamped_pose_message, time_message
 
-NODE = [sys.executable, "-c", "from diffdrive_mpc.bench.cli import main; main()", "node", "--autostart"]
+NODE = [sys.executable, "-c", "from diffdrive_mpc.app.cli import main; main()", "node", "--autostart"]
 PERIOD = 0.02
 ACCEPTED = 1000
 # How long a message of a million poses was read before it was looked at, with room [s].

@@ -18,14 +18,14 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive_mpc.bench.ros_types.build import built_types, search_path
+from diffdrive_mpc.app.ros_types.build import built_types, search_path
 
 # What the interpreter may take more, after it has settled [MB].
 _GROWTH = 4.0
 FOLDER = Path(__file__).parent
 TYPES = built_types()
 os.environ["PYTHONPATH"] = search_path(TYPES, os.environ.get("PYTHONPATH", ""))
-NODE = (sys.executable, "-c", "from diffdrive_mpc.bench.cli import main; main()", "node", "--autostart", "--ros-args")
+NODE = (sys.executable, "-c", "from diffdrive_mpc.app.cli import main; main()", "node", "--autostart", "--ros-args")
 
 
 def random_path(rng, start):

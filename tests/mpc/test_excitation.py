@@ -8,7 +8,7 @@ import yaml
 from typer.testing import CliRunner
 
 from diffdrive_mpc import load_trajectory
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.mpc.trajectories.excitation import slip_excitation, told_apart, write_excitation
 from diffdrive_mpc.mpc.trajectories.load import load_segments
 

@@ -80,7 +80,7 @@ def test_what_runs_has_none_of_it_loaded(what):
         "from rclpy.executors import SingleThreadedExecutor\n"
         "def end(self, timeout_sec=None): raise KeyboardInterrupt\n"
         "SingleThreadedExecutor.spin_once = end\n"
-        "from diffdrive_mpc.bench.cli import main\n"
+        "from diffdrive_mpc.app.cli import main\n"
         "sys.argv = ['diffdrive-mpc', 'monitor']\n"
         "try: main()\n"
         "except (SystemExit, KeyboardInterrupt): pass\n",

@@ -10,7 +10,7 @@ import pytest
 from test_monitor_judge import RULES, START, random_drive
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.mpc.monitor.export import export_judge, rules_texts
 from diffdrive_mpc.mpc.monitor.judge import Judge, rule_names
 

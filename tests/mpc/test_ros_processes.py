@@ -10,7 +10,7 @@ import pytest
 from ros_parts import FakeBase
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.cli import app
 
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
 
@@ -87,7 +87,7 @@ def test_a_parameter_that_cannot_be_ends_the_process_in_one_line():
 def test_without_ros_it_says_what_to_install():
     code = (
         "import sys; sys.modules['rclpy'] = None; sys.argv = ['x', 'node']; "
-        "from diffdrive_mpc.bench.cli import main; main()"
+        "from diffdrive_mpc.app.cli import main; main()"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert result.returncode == 1

@@ -5,8 +5,8 @@ import pytest
 from rclpy.parameter import Parameter
 from ros_parts import DT, stack
 
-from diffdrive_mpc.bench.replay.open_loop import replay
-from diffdrive_mpc.bench.replay.reading import read_recording
+from diffdrive_mpc.app.replay.open_loop import replay
+from diffdrive_mpc.app.replay.reading import read_recording
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log

@@ -11,8 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loop_parts import ConstantTwist, FeedForward
 
-from diffdrive_mpc.bench.studies.torque.measurements import diagnostic_commands
-from diffdrive_mpc.bench.studies.torque.power_drives import Driven, drawn, driven, record
 from diffdrive_mpc.models.energy import identify_constants, load_drive_constants, logged_energy
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.sim import make_plant, simulate
@@ -24,6 +22,8 @@ from diffdrive_mpc.sim.run import Run
 from diffdrive_mpc.sim.sensing.battery import Battery
 from diffdrive_mpc.sim.sensing.power_readings import READINGS, PowerReadings
 from diffdrive_mpc.sim.sensing.sensor_set import PowerSensor, load_sensor_set
+from studies.torque.measurements import diagnostic_commands
+from studies.torque.power_drives import Driven, drawn, driven, record
 
 EXACT = PowerSensor(**dict.fromkeys(PowerSensor.model_fields, 0.0))
 CONSTANTS = ("torque_constant", "resistance", "idle_power")

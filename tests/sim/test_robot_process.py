@@ -14,7 +14,7 @@ import pytest
 from ros_driver import BOUND, own_domain, recorded, recorded_truth
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.cli import app
+from diffdrive_mpc.app.cli import app
 
 COMMAND = str(Path(sys.executable).with_name("diffdrive-mpc"))
 
@@ -104,7 +104,7 @@ def test_it_ticks_at_the_period_of_the_node_s_configuration(tmp_path):
 def test_without_ros_it_says_what_to_install():
     code = (
         "import sys; sys.modules['rclpy'] = None; sys.argv = ['x', 'sim-robot']; "
-        "from diffdrive_mpc.bench.cli import main; main()"
+        "from diffdrive_mpc.app.cli import main; main()"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=BOUND, check=False)
     assert result.returncode == 1

@@ -18,7 +18,7 @@ from fuzz.live import references
 
 def let_types_be_found() -> str:
     """Build the types, for this process and its children; returns why that cannot be, empty where it can."""
-    from diffdrive_mpc.bench.ros_types.build import built_types, search_path
+    from diffdrive_mpc.app.ros_types.build import built_types, search_path
 
     try:
         folder = built_types()

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-_CODE = "from diffdrive_mpc.bench.cli import main; main()"
+_CODE = "from diffdrive_mpc.app.cli import main; main()"
 _ALARMING = re.compile(
     r"Traceback|\[FATAL\]|FAULT: |Segmentation|core dumped|terminate called|cannot be replayed from here"
 )

@@ -1,0 +1,119 @@
+"""A drive as a film, drawn picture by picture with a progress bar."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import typer
+
+from diffdrive_mpc.app.animation.film import Film
+from diffdrive_mpc.app.animation.film_file import STILL, WRITERS, film_path
+from diffdrive_mpc.app.animation.playback import Playback
+from diffdrive_mpc.app.animation.recording import read_recording
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.trust import only_trusted
+from diffdrive_mpc.models.whole_file import whole_file
+from diffdrive_mpc.mpc.config.config_file import load_config
+from diffdrive_mpc.sim.view.body import Body, robot_body
+from diffdrive_mpc.sim.view.offscreen import Picture
+
+
+@dataclass(frozen=True)
+class FilmFile:
+    """A film and where it is to be written."""
+
+    path: Path
+    film: Film
+
+
+def animate_log(
+    log: Path,
+    wanted: FilmFile,
+    *,
+    mapping: str | None = None,
+    plant: str | None = None,
+    surface: str | None = None,
+    config: Path | None = None,
+) -> None:
+    """Write the film of a log, and say what the log does not tell.
+
+    Parameters
+    ----------
+    log, mapping
+        As `read_recording` has them.
+    wanted
+        The film.
+    plant, surface
+        Which robot and floor it was, as `make_plant` calls them; None for what the log says.
+    config
+        Configuration of the controller, for the limits of commands.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If log or file cannot be used.
+    sim.view.offscreen.NoOpenGLError
+        If MuJoCo's picture is asked for and cannot be made.
+    """
+    limits = None if config is None else load_config(config).limits
+    with film_draft(wanted.path, "--out") as draft:
+        playback = read_recording(log, mapping, None if limits is None else (limits.v, limits.omega))
+        body = _told_body(playback, log) if plant is None else robot_body(plant)
+        film = replace(wanted.film, surface=surface or playback.surface or wanted.film.surface)
+        write_film(playback, film, body, draft)
+    for line in missing(playback, body, log.name):
+        typer.echo(line)
+
+
+def _told_body(playback: Playback, log: Path) -> Body | None:
+    """Of the robot that the log names; None where it names none, or one that does not ship."""
+    try:
+        with only_trusted(log):
+            return None if playback.plant is None else robot_body(playback.plant)
+    except ConfigError:
+        return None
+
+
+@contextmanager
+def film_draft(path: Path, option: str) -> Iterator[Path]:
+    """A place to write a film to, which then becomes `path`; raises ConfigError at once if that cannot be."""
+    with ExitStack() as stack:
+        try:
+            draft = stack.enter_context(whole_file(film_path(path)))
+        except ConfigError as error:
+            raise ConfigError(f"{option} {error}") from error
+        yield draft
+
+
+def write_film(playback: Playback, film: Film, body: Body | None, draft: Path) -> None:
+    """Write the film of `playback` to `draft`, whose ending says how; arguments and errors are those of `pictures`."""
+    from diffdrive_mpc.app.animation.pictures import pictures  # noqa: PLC0415 - matplotlib loads slowly
+
+    ending = draft.suffix.lower()
+    film = replace(film, still=ending == STILL)
+    with ProgressBar("drawing") as bar:
+        WRITERS[ending](draft, _counted(pictures(playback, film, body), len(film.times(playback)), bar), film.fps)
+
+
+def _counted(drawn: Iterator[Picture], total: int, bar: ProgressBar) -> Iterator[Picture]:
+    for count, picture in enumerate(drawn, start=1):
+        yield picture
+        bar.at(count, total)
+
+
+def missing(playback: Playback, body: Body | None, name: str) -> list[str]:
+    """Lines on what is not in the picture, and what would bring it there."""
+    lines = []
+    if not playback.plans.size:
+        lines.append(f"{name} holds no plans, so none is drawn; `simulate --animate`, or a log as .mcap, has them")
+    if not len(playback.reference):
+        lines.append(f"{name} holds no reference, so neither band nor errors are drawn")
+    if body is None:
+        lines.append(
+            "its size is not known: it is an arrow, and to MuJoCo the shipped robot; --plant mujoco:FILE says it"
+        )
+    return lines

@@ -1,0 +1,81 @@
+"""`diffdrive-mpc config`: show, check and explain controller configurations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from diffdrive_mpc.app.commands.completion import choices
+
+config_app = typer.Typer(no_args_is_help=True, help="Show, check and explain controller configurations.")
+
+
+@config_app.command(epilog="Example: diffdrive-mpc config show ssm > my_robot.yaml")
+def show(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="MODEL|FILE",
+            help="mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic, or a configuration file.",
+            autocompletion=choices("config"),
+        ),
+    ],
+) -> None:
+    """Print every value of a configuration as a commented YAML file."""
+    from diffdrive_mpc.mpc.config.config_file import load_config  # noqa: PLC0415
+    from diffdrive_mpc.mpc.config.described import commented_yaml  # noqa: PLC0415 - --help does without it
+
+    typer.echo(commented_yaml(load_config(source)), nl=False)
+
+
+@config_app.command(epilog="Example: diffdrive-mpc config check my_robot.yaml")
+def check(file: Annotated[str, typer.Argument(metavar="FILE", help="A configuration file.")]) -> None:
+    """Check a configuration file, and that a controller can be built from it."""
+    from diffdrive_mpc.app.config_report import robot_defaults  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.mpc import Controller, load_config  # noqa: PLC0415
+
+    config = load_config(file)
+    Controller(config)
+    typer.echo(
+        f"{file}: valid, horizon {config.horizon} steps of {config.sample_time:g} s "
+        f"({config.horizon * config.sample_time:.2f} s)"
+    )
+    unset = robot_defaults(config)
+    if unset:
+        typer.echo(f"note: of the papers' robot, as the file leaves them out: {', '.join(unset)}; set those of yours")
+
+
+@config_app.command(epilog="Example: diffdrive-mpc config schema weights")
+def schema(
+    part: Annotated[
+        str | None,
+        typer.Argument(metavar="KEY", help="A group or key, such as weights or limits.v.", show_default="all of them"),
+    ] = None,
+    *,
+    as_json: Annotated[bool, typer.Option("--json", help="The JSON schema, for editors.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the JSON schema here.", show_default="standard output")
+    ] = None,
+) -> None:
+    """List every key, or those of a group, with default, unit, range and meaning.
+
+    With a first line `# yaml-language-server: $schema=FILE` in a configuration, editors complete and check its keys.
+    """
+    from diffdrive_mpc.app.config_report import print_schema  # noqa: PLC0415
+    from diffdrive_mpc.app.schemas.kinds import KINDS  # noqa: PLC0415
+    from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
+    from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
+
+    if part is not None and as_json:
+        raise ConfigError(f"--json is the schema of the whole configuration; leave '{part}' out")
+    if out is not None and not as_json:
+        raise ConfigError("--out is for the JSON schema; give --json too")
+    if out is not None:
+        with whole_file(out) as draft:
+            draft.write_text(KINDS["controller"].text(), encoding="utf-8")
+    elif as_json:
+        typer.echo(KINDS["controller"].text(), nl=False)
+    else:
+        print_schema(part)

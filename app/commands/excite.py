@@ -1,0 +1,121 @@
+"""`diffdrive-mpc excite`: a drive that is worth learning from."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from diffdrive_mpc.app.commands.completion import choices
+
+EXAMPLE = "Example: diffdrive-mpc excite ssm --for model --inside 4x3 --seconds 60 --out drive.yaml"
+_SLIP, _MODEL = "slip", "model"
+_SIDE, _SLIP_SECONDS, _SECONDS = 6.0, 90.0, 60.0
+
+
+def excite(
+    *,
+    config: Annotated[
+        str | None,
+        typer.Argument(
+            help="For the model: configuration of the controller that drives it, a file, or mbm, sm, ssm.",
+            show_default="ssm",
+            autocompletion=choices("config"),
+        ),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Trajectory file to write.", show_default=False)],
+    purpose: Annotated[str, typer.Option("--for", help="What it is to tell: slip, or model.")] = _SLIP,
+    side: Annotated[
+        float | None,
+        typer.Option(
+            help="For slip: side of the square that it stays in; it begins in the middle [m].",
+            show_default=f"{_SIDE:g}",
+        ),
+    ] = None,
+    inside: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LxW",
+            help="For the model: room that it stays in [m]; it begins in the middle, the length ahead.",
+            show_default=False,
+        ),
+    ] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            help="How long it lasts, about [s].", show_default=f"{_SLIP_SECONDS:g}; {_SECONDS:g} for the model"
+        ),
+    ] = None,
+    speed: Annotated[float, typer.Option(help="Largest speed [m/s].")] = 0.6,
+    yaw_rate: Annotated[float, typer.Option(help="Largest yaw rate [rad/s].")] = 1.0,
+    log: Annotated[
+        Path | None, typer.Option(help="For the model: drive it, and write this log (.csv, .mcap).", show_default=False)
+    ] = None,
+    plant: Annotated[
+        str, typer.Option(help="With --log: the robot, as for simulate.", autocompletion=choices("plant"))
+    ] = "mujoco",
+    seed: Annotated[int, typer.Option(min=0, help="For the model: of the search, and of the noise.")] = 0,
+) -> None:
+    """Write a trajectory that is worth learning from, for `simulate --trajectory` and the node.
+
+    For slip it tells the slip's terms apart. For the model it tells most of gains, lags and dead times: of held moves
+    and of sums of sines the ones with the largest information (D-optimal), and how well these will be known.
+    """
+    from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415 - --help does without it
+
+    if purpose not in (_SLIP, _MODEL):
+        raise ConfigError(f"--for {purpose}: give {_SLIP} or {_MODEL}")
+    others = {"--side": side} if purpose == _MODEL else {"CONFIG": config, "--inside": inside, "--log": log}
+    given = [name for name, value in others.items() if value is not None]
+    if given:
+        raise ConfigError(f"{given[0]} does not go with --for {purpose}; leave it out")
+    if purpose == _SLIP:
+        _slip(out, side or _SIDE, seconds or _SLIP_SECONDS, speed, yaw_rate)
+        return
+    if inside is None:
+        raise ConfigError(f"--for {_MODEL} needs --inside, the room in metres, such as --inside 4x3")
+    _model(config or "ssm", out, read_room(inside), seconds or _SECONDS, speed, yaw_rate, log, plant, seed)
+
+
+def _slip(out: Path, side: float, seconds: float, speed: float, yaw_rate: float) -> None:
+    from diffdrive_mpc.mpc.trajectories.excitation import slip_excitation, told_apart, write_excitation  # noqa: PLC0415
+
+    segments = slip_excitation(side, seconds, speed, yaw_rate)
+    write_excitation(out, segments)
+    told = told_apart(segments)
+    typer.echo(
+        f"{out}: {len(segments)} twists, {sum(one.duration for one in segments):.0f} s without the time to change "
+        f"between them. Terms in v, omega and v omega: the two least apart correlate by {told:.2f} (1: not apart)."
+    )
+
+
+def read_room(text: str) -> tuple[float, float]:
+    """Length and width [m] of `4x3`; raises ValueError for anything else."""
+    found = re.fullmatch(r"\s*([0-9.]+)\s*[x,]\s*([0-9.]+)\s*", text)
+    try:
+        if found:
+            return float(found[1]), float(found[2])
+    except ValueError:
+        pass
+    raise ValueError(f"--inside '{text}': give length and width in metres, such as 4x3")
+
+
+def _model(
+    config: str,
+    out: Path,
+    room: tuple[float, float],
+    seconds: float,
+    speed: float,
+    yaw_rate: float,
+    log: Path | None,
+    plant: str,
+    seed: int,
+) -> None:
+    from diffdrive_mpc.app.excitation import excite_into  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.mpc.trajectories.model_excitation import Room  # noqa: PLC0415
+
+    excite_into(
+        config, Room(*room), out, seconds=seconds, speed=speed, yaw_rate=yaw_rate, seed=seed, log=log, plant=plant
+    )

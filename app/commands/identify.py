@@ -1,0 +1,90 @@
+"""`diffdrive-mpc identify`: from logs of a robot to a model that the controller loads, and how far to trust it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from diffdrive_mpc.app.commands.options import Mapping
+from diffdrive_mpc.bench.command_line.study_options import out_folder
+
+EXAMPLE = "Example: diffdrive-mpc identify drive.csv --structure sm --out my_robot"
+_DEFAULT_OUT = "identified"
+_DEFAULT_STRUCTURE = "sm"
+
+
+def identify(
+    *,
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="CSV or MCAP files, or ROS 2 bags.")],
+    structure: Annotated[
+        str | None,
+        typer.Option(
+            help="mbm, sm, ssm; p2_experimental or p2_physical, a drive; lstm, a network; hybrid, sm and network.",
+            show_default=_DEFAULT_STRUCTURE,
+        ),
+    ] = None,
+    model: Annotated[str | None, typer.Option(hidden=True, help="The old name of --structure.")] = None,
+    mapping: Mapping = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            parser=out_folder,
+            metavar="PATH",
+            help="Folder for model, configuration and report.",
+            show_default=_DEFAULT_OUT,
+        ),
+    ] = None,
+    validate: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="LOG", help="Log to try the model on; repeatable.", show_default="a share of each log"),
+    ] = None,
+    fit_share: Annotated[
+        float | None,
+        typer.Option(help="Share of each log to identify from; the rest scores it.", show_default="0.6"),
+    ] = None,
+    order: Annotated[str, typer.Option(metavar="auto|N", help="Order of an ssm, 1 to 5.")] = "auto",
+    effects: Annotated[
+        bool, typer.Option("--effects", help="Look for what the base does around an sm: slew, steps, tyres, veer.")
+    ] = False,
+    name: Annotated[str | None, typer.Option(help="Name of the model.", show_default="from the logs")] = None,
+    draft_mapping: Annotated[
+        bool, typer.Option("--draft-mapping", help="Only write a first mapping of LOG, to be corrected (mapping.yaml).")
+    ] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write model and configuration also where logs or FIT speak against it.")
+    ] = False,
+) -> None:
+    """Identify a velocity model from logs; write it with a configuration, a report and figures."""
+    if draft_mapping:
+        from diffdrive_mpc.app.identification.draft import write_draft  # noqa: PLC0415
+
+        write_draft(logs, out)
+        return
+    from diffdrive_mpc.app.identification.study import identify_into  # noqa: PLC0415 - --help does without it
+
+    identify_into(
+        logs,
+        out or Path(_DEFAULT_OUT),
+        structure=_structure(structure, model),
+        mapping=mapping,
+        validate=validate or [],
+        fit_share=fit_share,
+        order=order,
+        effects=effects,
+        name=name,
+        force=force,
+    )
+
+
+def _structure(structure: str | None, model: str | None) -> str:
+    """The option, or its old name, with a warning; raises ValueError where both are given."""
+    if model is None:
+        return _DEFAULT_STRUCTURE if structure is None else structure
+    if structure is not None:
+        raise ValueError("--model is the old name of --structure; give the new one alone")
+    typer.echo(
+        f"warning: --model is now --structure, and goes with the next release; write --structure {model}", err=True
+    )
+    return model

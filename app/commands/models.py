@@ -1,0 +1,85 @@
+"""`diffdrive-mpc models`: what velocity models there are and what they say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from diffdrive_mpc.app.commands.completion import choices
+from diffdrive_mpc.app.commands.options import Mapping
+
+models_app = typer.Typer(no_args_is_help=True, help="List, show and check velocity models.")
+
+
+@models_app.command("list", epilog="Example: diffdrive-mpc models list")
+def list_models() -> None:
+    """List the shipped models with their order, lags, gains and origin."""
+    from diffdrive_mpc.app.model_report import print_models  # noqa: PLC0415 - --help does without it
+
+    print_models()
+
+
+@models_app.command(epilog="Example: diffdrive-mpc models show ssm")
+def show(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME|FILE",
+            help="mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic, or a model file.",
+            autocompletion=choices("model"),
+        ),
+    ],
+) -> None:
+    """Show one model: matrices, poles, gains, dead times, and where the numbers come from."""
+    from diffdrive_mpc.app.model_report import print_model  # noqa: PLC0415
+
+    print_model(name)
+
+
+@models_app.command(epilog="Example: diffdrive-mpc models check my_robot.yaml")
+def check(file: Annotated[str, typer.Argument(metavar="FILE", help="A model file.")]) -> None:
+    """Check a model file: keys, stability, gains and units."""
+    from diffdrive_mpc.models.load import load_model  # noqa: PLC0415
+
+    model = load_model(file)
+    typer.echo(f"{file}: valid, {model.structure.upper()} '{model.name}' with {model.order} states")
+
+
+@models_app.command(epilog="Example: diffdrive-mpc models compare drive.csv --mapping mine.yaml")
+def compare(
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="CSV files or bags, all of one robot.")],
+    mapping: Mapping = None,
+    kinds: Annotated[
+        str,
+        typer.Option(
+            metavar="LIST",
+            help="Kinds to compare, with commas between, or all.",
+            show_default="all but hybrid and lstm",
+        ),
+    ] = "",
+    parts: Annotated[int, typer.Option(min=2, help="Parts of the log that are held out in turn.")] = 3,
+) -> None:
+    """Identify every kind of model from a log, cross-validated, and say which one it supports."""
+    from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
+    from diffdrive_mpc.bench.table import rich_table  # noqa: PLC0415
+    from diffdrive_mpc.models.identification.log_data import read_data  # noqa: PLC0415
+    from diffdrive_mpc.models.identification.model_comparison import compare_models  # noqa: PLC0415
+    from diffdrive_mpc.models.identification.settings import identification_settings  # noqa: PLC0415
+
+    settings = identification_settings()
+    with ProgressBar("comparison (minutes)") as bar:
+        data = read_data(
+            logs,
+            [],
+            mapping=mapping,
+            fit_share=settings.fit_share,
+            wheels=False,
+            on_findings=lambda _: None,
+            most_rows=settings.most_rows["effects"],
+        )
+        chosen = tuple(name.strip() for name in kinds.split(",")) if kinds else ()
+        found = compare_models(data, chosen, parts, on_progress=lambda text: bar.begin(text, 1))
+    output_console().print(rich_table(found.table()))
+    typer.echo(found.sentence())

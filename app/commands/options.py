@@ -1,0 +1,133 @@
+"""Options, each declared once."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import typer
+
+from diffdrive_mpc.app.commands.completion import Completer, choices, offers
+from diffdrive_mpc.bench.case import DIMENSIONS, Dimension
+from diffdrive_mpc.bench.command_line.study_options import file_option
+
+Command = TypeVar("Command", bound=Callable[..., None])
+
+PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True}
+"""Settings of a command that passes what follows `--ros-args` on to ROS."""
+
+
+ConfigFile = Annotated[Path | None, file_option("Controller configuration with its model", "--config")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Replace a configuration value; repeatable.",
+        autocompletion=choices("setting"),
+    ),
+]
+Sweep = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=V1,V2,...",
+        help="Sweep a configuration value; repeatable.",
+        autocompletion=choices("setting"),
+    ),
+]
+Model = Annotated[
+    str | None,
+    typer.Option(
+        help="Velocity model: mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic, or the path of a file.",
+        show_default="ssm, or --config's",
+        autocompletion=choices("model"),
+    ),
+]
+TrustedFolders = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--trust-terms",
+        metavar="FOLDER",
+        help="Open and run files of this folder where the log or run file names them; repeatable.",
+        show_default="none: only what ships",
+    ),
+]
+Scaled = Annotated[
+    bool,
+    typer.Option(
+        "--scale-to-robot", help="Fit paths of segments to wheels.encoder_track and limits of the configuration."
+    ),
+]
+Mapping = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME|FILE",
+        help="What the columns or topics are.",
+        show_default="that of simulate --log, and a bag's usual topics",
+        autocompletion=choices("mapping"),
+    ),
+]
+"""Of the columns or topics of a log."""
+
+
+def with_dimensions(*names: str, several: bool = False) -> Callable[[Command], Command]:
+    """Give a command, which takes them as `**values`, an option for each dimension of a case.
+
+    Parameters
+    ----------
+    names
+        Which dimensions; by default all of them.
+    several
+        Whether the options take lists: `values` are texts by the plural, None where one is not given. Otherwise they
+        are values by the dimension's name.
+    """
+    make = _list_option if several else _single_option
+    added = [make(one) for one in DIMENSIONS if not names or one.name in names]
+
+    def extended(command: Command) -> Command:
+        signature = inspect.signature(command, eval_str=True)
+        own = [one for one in signature.parameters.values() if one.kind is not inspect.Parameter.VAR_KEYWORD]
+        first = [one for one in own if one.kind is not inspect.Parameter.KEYWORD_ONLY]
+        rest = own[len(first) :]
+        command.__signature__ = signature.replace(parameters=[*first, *added, *rest])  # type: ignore[attr-defined]
+        return command
+
+    return extended
+
+
+def _single_option(of: Dimension) -> inspect.Parameter:
+    if of.name == "model":
+        return inspect.Parameter("model", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Model)
+    kind, least = type(of.default), 0 if isinstance(of.default, int) else None
+    option = typer.Option(of.option, help=of.help, min=least, autocompletion=_completer(of))
+    annotation = Annotated[kind, option]  # type: ignore[valid-type]
+    return inspect.Parameter(of.name, inspect.Parameter.KEYWORD_ONLY, default=of.default, annotation=annotation)
+
+
+def _list_option(of: Dimension) -> inspect.Parameter:
+    default = ",".join(map(str, of.compared))
+    option = typer.Option(
+        of.list_option,
+        metavar="LIST",
+        help=of.list_help,
+        show_default=default,
+        autocompletion=_completer(of, several=True),
+    )
+    annotation = Annotated[str | None, option]
+    return inspect.Parameter(of.several, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+
+
+def _completer(of: Dimension, *, several: bool = False) -> Completer | None:
+    return choices(of.name, several=several) if offers(of.name) else None
+
+
+def ros_arguments(context: typer.Context) -> list[str]:
+    """What follows `--ros-args`, with it; raises ValueError for words before it that no option takes."""
+    words = list(context.args)
+    ours = words[: words.index("--ros-args")] if "--ros-args" in words else words
+    if ours:
+        raise ValueError(f"unknown argument '{ours[0]}'; see --help; arguments for ROS follow --ros-args")
+    return words

@@ -1,0 +1,131 @@
+"""The commands that run ROS 2 nodes: `node`, the controller, and `sim-robot`, the simulated robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from diffdrive_mpc.app.commands.completion import choices
+from diffdrive_mpc.app.commands.options import Settings, ros_arguments, with_dimensions
+from diffdrive_mpc.bench.command_line.study_options import file_option
+
+EXAMPLES = {
+    "node": "Example: diffdrive-mpc node --config my_robot.yaml --drive --ros-args -r cmd_vel:=/base/cmd_vel",
+    "sim-robot": "Example: diffdrive-mpc sim-robot --trajectory s --lock-step --record out/drive",
+}
+
+
+def node(
+    context: typer.Context,
+    *,
+    config: Annotated[
+        str,
+        typer.Option(
+            help="mbm, sm, ssm, lstm, p2_experimental, p2_physical, kinematic, "
+            "or the configuration file that was simulated with.",
+            autocompletion=choices("config"),
+        ),
+    ] = "ssm",
+    trajectory: Annotated[
+        str,
+        typer.Option(
+            help="a shipped name such as circle, or the path of a file; empty: references come by topic.",
+            autocompletion=choices("trajectory"),
+        ),
+    ] = "circle",
+    settings: Settings = None,
+    autostart: Annotated[bool, typer.Option("--autostart", help="Configure and activate at start-up.")] = False,
+    drive: Annotated[
+        bool, typer.Option("--drive", help="The same, and drive as soon as measurements arrive: stand clear.")
+    ] = False,
+) -> None:
+    """Drive a robot through ROS 2, until interrupted. What follows `--ros-args` goes to ROS: remappings, parameters."""
+    from diffdrive_mpc.bench.sweep import single_settings  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.mpc.ros.settings import NodeSettings  # noqa: PLC0415
+
+    arguments = ros_arguments(context)
+    own = NodeSettings(config=config, trajectory=trajectory, autostart=autostart or drive, drive_on_activate=drive)
+    overrides = single_settings(settings or [])
+    from diffdrive_mpc.mpc.ros.main import run  # noqa: PLC0415 - needs rclpy
+
+    run(arguments, own, dict(overrides))
+
+
+@with_dimensions("trajectory", "plant", "surface", "sensors", "scenario", "seed")
+def robot(
+    context: typer.Context,
+    *,
+    lock_step: Annotated[
+        bool, typer.Option("--lock-step/--real-time", help="Publish /clock and wait for the command to each tick.")
+    ] = False,
+    duration: Annotated[
+        float | None, typer.Option(help="End after so many seconds on the robot's clock.", show_default="go on")
+    ] = None,
+    config: Annotated[
+        Path | None,
+        file_option("Configuration of the node that drives it: the robot takes its sample time and limits", "--config"),
+    ] = None,
+    base: Annotated[Path | None, file_option("Base settings: rates, timeouts", "--base")] = None,
+    stamped: Annotated[
+        bool | None,
+        typer.Option("--stamped/--unstamped", help="Commands are TwistStamped or Twist.", show_default="as --base"),
+    ] = None,
+    command_timeout: Annotated[
+        float | None, typer.Option(help="Stop after so many seconds without a command.", show_default="as --base")
+    ] = None,
+    answer_timeout: Annotated[
+        float | None,
+        typer.Option(
+            help="In lock step: longest wait for the command to a tick, in seconds.", show_default="as --base"
+        ),
+    ] = None,
+    odometry_pose: Annotated[
+        Literal["dead_reckoning", "pose_sensor"] | None,
+        typer.Option(help="Where the pose in odom comes from.", show_default="as --base"),
+    ] = None,
+    record: Annotated[Path | None, typer.Option(help="Folder for a bag of the drive.", show_default=False)] = None,
+    storage: Annotated[Literal["mcap", "sqlite3"], typer.Option(help="Kind of that bag.")] = "mcap",
+    **values: Any,  # noqa: ANN401 - text or number
+) -> None:
+    """Run the simulated robot as a ROS 2 node: twist in; odometry, IMU, pose, joint states and ground truth out.
+
+    It starts at the beginning of the trajectory and ends on Ctrl-C. What follows `--ros-args` goes to ROS: remappings,
+    parameters.
+    """
+    if duration is not None and not duration > 0:
+        raise ValueError(f"--duration {duration}: give a time in seconds, more than zero")
+    arguments = ros_arguments(context)
+
+    from diffdrive_mpc.bench.case import Case  # noqa: PLC0415 - --help does without it, and without ROS
+    from diffdrive_mpc.bench.controllers import build_plant, chosen_model, load_reference  # noqa: PLC0415
+    from diffdrive_mpc.sim import make_plant  # noqa: PLC0415
+    from diffdrive_mpc.sim.ros.base_settings import load_base_settings  # noqa: PLC0415
+    from diffdrive_mpc.sim.ros.run_robot import run_robot  # noqa: PLC0415
+    from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set  # noqa: PLC0415
+
+    changes = {
+        "stamped": stamped,
+        "command_timeout": command_timeout,
+        "odometry_pose": odometry_pose,
+        "lock_step.answer_timeout": answer_timeout,
+    }
+    settings = load_base_settings(base, changes)
+    case = Case(model=chosen_model(None, config), config=None if config is None else str(config), **values)
+    plant = (
+        make_plant(case.plant, case.surface, case.sensors, case.seed, scenario=case.scenario)
+        if config is None
+        else build_plant(case)
+    )
+    run_robot(
+        plant,
+        load_reference(case).sample([0.0]).pose[0],
+        settings,
+        load_sensor_set(values["sensors"]),
+        lock_step=lock_step,
+        duration=duration,
+        record=record,
+        storage=storage,
+        ros_arguments=arguments,
+    )

@@ -1,0 +1,208 @@
+"""The steps of a commissioning, each a function of a folder to write into and of what the steps before left."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from diffdrive_mpc.app.commission.ledger import Gate
+from diffdrive_mpc.app.commission.settings import DriveSettings, commission_settings
+from diffdrive_mpc.app.excitation import Excitation, check_drive, driven, excite_model, in_room
+from diffdrive_mpc.app.identification.figures import draw_identification
+from diffdrive_mpc.app.identification.first_drive import FIRST_CIRCLE, first_circle
+from diffdrive_mpc.app.identification.trial_drives import trial_doubts, trial_drives
+from diffdrive_mpc.app.proof.proof_file import Proof, load_proof
+from diffdrive_mpc.app.proof.report import Outcomes, is_unsafe, percent
+from diffdrive_mpc.app.proof.study import ProofStudy, keep
+from diffdrive_mpc.app.twin.study import twin_into
+from diffdrive_mpc.bench.campaign.engine import Place, failed
+from diffdrive_mpc.bench.campaign.stated import stated
+from diffdrive_mpc.bench.study import carry_out
+from diffdrive_mpc.models.identification import Identification, identify
+from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE, Setting
+from diffdrive_mpc.models.identification.lateral_slip import lateral_slip
+from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.velocity_model import CHANNELS
+from diffdrive_mpc.mpc import load_config
+from diffdrive_mpc.mpc.config.config_file import replace_values
+from diffdrive_mpc.mpc.trajectories.model_excitation import Room
+from diffdrive_mpc.sim.log_csv import write_log
+
+DRIVE, LOG = "drive.yaml", "log.csv"
+
+
+@dataclass(frozen=True)
+class Logs:
+    """What was recorded: logs, and the mapping of their columns or topics; None for logs of the simulation."""
+
+    files: tuple[Path, ...]
+    mapping: str | None = None
+
+
+def excite(folder: Path, config: str, room: Room, asked: DriveSettings, seed: int) -> Gate:
+    """Look for the drive; it must promise enough."""
+    found = _excitation(config, room, asked, seed)
+    found.write(folder / DRIVE)
+    print(found.table())  # noqa: T201 - into the step's own file
+    gates, expected = commission_settings().gates, found.expected
+    late = expected.derived(
+        CHANNELS, lambda values: np.array([values[1] + values[2], values[4] + values[5]])
+    ).standard_deviation
+    gain = [expected.deviation(f"{channel}.gain") for channel in CHANNELS]
+    passed = bool(max(late) <= gates.delay_deviation and max(gain) <= gates.gain_deviation)
+    words = (
+        f"a drive of {asked.seconds:g} s in {room.length:g} by {room.width:g} m, up to {asked.speed:g} m/s, will tell "
+        f"how late v and omega answer to {1e3 * late[0]:.1f} and {1e3 * late[1]:.1f} ms, and their gains to "
+        f"{100 * max(gain):.2f} %"
+    )
+    return Gate(passed, words if passed else f"{words}: too little; give more room or time")
+
+
+def record(folder: Path, config: str, room: Room, drive: Path, plant: str, seed: int) -> Gate:
+    """Drive it on a simulated robot, in the fence of the room."""
+    run = driven(replace(in_room(config, room), plant=plant, seed=seed), drive)
+    try:
+        check_drive(run, room)
+    except ValueError as error:
+        return Gate(False, f"{error}")
+    # How long a step took differs when it is driven again, and what follows would be done again, too.
+    unknown = np.full(len(run.time), np.nan)
+    write_log(run.with_step_time(unknown, unknown), folder / LOG)
+    inside = float((0.5 * np.array([room.length, room.width]) - np.abs(run.true_pose[:, :2]).max(axis=0)).min())
+    return Gate(True, f"{len(run.time)} rows; the robot stayed {inside:.2f} m inside the room")
+
+
+def take(folder: Path, logs: Logs) -> Gate:
+    """Take the logs that a person recorded."""
+    rows = 0
+    for log in logs.files:
+        read = read_log(log, logs.mapping)
+        read.require_sound()
+        rows += sum(len(one.command) for one in read.records)
+        (shutil.copytree if log.is_dir() else shutil.copy2)(log, folder / log.name)
+    return Gate(True, f"{rows} rows, sound")
+
+
+def learn(folder: Path, logs: Logs, config: str) -> Gate:
+    """From the slow log to a configuration for the full drive: its model, otherwise what the first drive had."""
+    found = identify(logs.files, logs.mapping, structure="sm")
+    found.write(folder)
+    gate = _explained(found)
+    if not gate.passed:
+        return gate
+    told = {"model": MODEL_FILE, "extra_dead_time": {}, "horizon": found.config["horizon"]}
+    changed = replace_values(load_config(config), told).model_dump(mode="json")
+    (folder / CONFIG_FILE).write_text(yaml.safe_dump(changed, sort_keys=False), encoding="utf-8")
+    return gate
+
+
+def identify_all(folder: Path, logs: Logs) -> Gate:
+    """Identify from all logs, with where the filter may begin; the configuration must drive."""
+    found = _with_slip(identify(logs.files, logs.mapping, structure="sm"), logs)
+    found.write(folder, draw_identification(found.report, folder, lambda: None))
+    gate = _explained(found)
+    if not gate.passed:
+        return gate
+    config = load_config(folder / CONFIG_FILE)
+    (folder / FIRST_CIRCLE).write_text(first_circle(config, found.model).text(), encoding="utf-8")
+    drives = trial_drives(found, config)
+    doubts = trial_doubts(drives)
+    worst = max(one.lateral_share for one in drives)
+    if doubts or worst > commission_settings().gates.lateral_share:
+        return Gate(False, f"{gate.sentence}, but its configuration does not drive: {doubts[0] if doubts else worst}")
+    return Gate(True, f"{gate.sentence}; with its configuration {len(drives)} trial drives stay on their paths")
+
+
+def twin(folder: Path, logs: Logs, robot: str | None, jobs: int | None, seconds: float) -> Gate:
+    """Fit the physics to the full log; it must explain nearly as much as the model."""
+    fitted = twin_into(logs.files, folder, jobs=jobs, mapping=logs.mapping, robot=robot, seconds=seconds)
+    gates = commission_settings().gates
+    mine, model = fitted.twin_held.fit_percent, fitted.model_held.fit_percent
+    words = "the twin explains " + " and ".join(
+        f"{mine[name]:.0f} % of {name} (the model {model[name]:.0f} %)" for name in CHANNELS
+    )
+    passed = all(mine[name] >= max(gates.fit, model[name] - gates.twin_behind) for name in CHANNELS)
+    return Gate(passed, words if passed else f"{words}: too little; say what is known of the robot with --known")
+
+
+def prove(folder: Path, config: Path, plant: Path, runs: int, jobs: int | None, *, scaled: bool) -> Gate:
+    """Drive the configuration on twins around the fitted one: no unsafe command, and all runs without faults arrive."""
+    settings = commission_settings().proof
+    study = ProofStudy(str(config), twin_proof(plant, runs, scaled=scaled), Place(folder, jobs), runs, settings.worst)
+    proven = carry_out(study, folder, jobs)
+    keep(proven, folder)
+    of = Outcomes.of(proven.driven)
+    calm = [one for one in proven.driven if one.definition.case.scenario == "none"]
+    arrived = sum(one.row["completed"] is True for one in calm)
+    words = (
+        f"{of.unsafe.count} of {of.unsafe.of} runs had an unsafe command (with 95 % confidence fewer than "
+        f"{percent(of.unsafe.bound)} % of all such runs), {arrived} of {len(calm)} without a fault arrived, "
+        f"{of.completed.count} of all"
+    )
+    wrong = failed(proven.driven)
+    passed = not any(map(is_unsafe, proven.driven)) and arrived == len(calm) and not wrong
+    return Gate(passed, f"{words}; {wrong}" if wrong else words)
+
+
+def twin_proof(plant: Path, runs: int, *, scaled: bool = False) -> Proof:
+    """The shipped proof's paths, faults and pose sensors, on robots around a twin."""
+    settings, shipped = commission_settings().proof, load_proof(None)
+    factors: dict[str, Any] = {
+        name: value for name, value in shipped.factors.items() if name.partition(".")[0] not in ("robot", "surface")
+    }
+    factors |= {"plant": f"mujoco:{plant.resolve()}", "seed": {"each": settings.first_seed}}
+    if scaled:
+        factors["scaled"] = True
+    for name, (low, high) in settings.spread.items():
+        value = stated(name, factors)
+        factors[name] = {"uniform": [low * value, high * value]}
+    told = {
+        "description": "the fitted twin, robots around it, pose sensors and faults",
+        "runs": runs,
+        "factors": factors,
+    }
+    return Proof.model_validate({"draw_seed": shipped.draw_seed, "sampler": shipped.sampler} | told)
+
+
+def _excitation(config: str, room: Room, asked: DriveSettings, seed: int) -> Excitation:
+    return excite_model(config, room, seconds=asked.seconds, speed=asked.speed, yaw_rate=asked.yaw_rate, seed=seed)
+
+
+def _explained(found: Identification) -> Gate:
+    """What the model explains of the data held out."""
+    fit, least = found.report.fitted.validation.fit_percent, commission_settings().gates.fit
+    words = "the model explains " + " and ".join(
+        f"{value:.0f} % of {name}" for name, value in zip(CHANNELS, fit, strict=True)
+    )
+    if found.refusal or not min(fit) >= least:
+        return Gate(False, f"{words} on data held out, less than {least:g} %: look at said.txt and report.md")
+    return Gate(True, f"{words} on data held out")
+
+
+def _with_slip(found: Identification, logs: Logs) -> Identification:
+    """The same, its configuration with the sideways slip that the logs show, where they do."""
+    records = [record for log in logs.files for record in read_log(log, logs.mapping).records]
+    slip = lateral_slip(records)
+    if slip is None:
+        return found
+    settings = []
+    bounds = commission_settings().most_slip
+    for name, most, unit in (("side_slip", bounds.side_slip, "s"), ("load_shift", bounds.load_shift, "s^2")):
+        value, deviation = slip.value(name), slip.deviation(name)
+        if deviation < value < most:
+            reason = f"{unit}, from poses and gyro of the log; standard deviation {deviation:.2g}"
+            settings.append(Setting(name, float(f"{value:.3g}"), reason))
+    whole = replace(found.configuration, estimator=(*found.configuration.estimator, *settings))
+    return replace(found, configuration=whole, config=whole.mapping())
+
+
+def tuned(folder: Path, config: Path, plant: Path, plan: str | None, jobs: int | None) -> Gate:
+    """Tune on the twin; what is no better leaves the configuration as it was."""
+    from diffdrive_mpc.app.tune import study  # noqa: PLC0415 - needs the extra `tune`
+
+    return Gate(True, study.tune(config, folder, plan=plan, plant=plant, workers=jobs).sentence)

@@ -1,0 +1,278 @@
+"""The whole of a commissioning: its steps in order, each done once, each gated by the one before."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from diffdrive_mpc.app.commission import chain
+from diffdrive_mpc.app.commission.chain import DRIVE, LOG, Logs
+from diffdrive_mpc.app.commission.ledger import SAID, Done, Gate, Ledger, key_of
+from diffdrive_mpc.app.commission.report import report_text
+from diffdrive_mpc.app.commission.settings import DriveSettings, commission_settings
+from diffdrive_mpc.app.identification.first_drive import FIRST_CIRCLE
+from diffdrive_mpc.app.tune.optuna_study import needs_optuna
+from diffdrive_mpc.app.tune.tune_file import load_plan
+from diffdrive_mpc.app.twin.report import PLANT
+from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc.models.errors import DiffdriveMpcError
+from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE
+from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.models.logs.mapping import load_mapping
+from diffdrive_mpc.models.named_file import named_file
+from diffdrive_mpc.mpc.trajectories.model_excitation import Room
+from diffdrive_mpc.sim.plants.simulated_robot import ROBOTS, SimulatedRobot, load_simulated_robot
+
+RESULT = "robot"
+"""Folder of what is to be used: model, configuration, twin, proof, report."""
+RECORDED = ("record-slow", "record")
+"""Steps for which the robot drives."""
+TWIN_FILE, REPORT = "twin.yaml", "report.md"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is to be commissioned, and how.
+
+    Attributes
+    ----------
+    room
+        Where it drives.
+    robot
+        Robot file of the physics, a name or a path, which stands in for the robot; None where a person drives.
+    config
+        What drives it at first: a file, or the shipped one of a model.
+    known
+        Robot file with what is known of the robot, for the twin.
+    logs, mapping
+        What a person recorded at the step that asks for it.
+    slow, full
+        The two drives.
+    runs
+        Of the proof.
+    tuned
+        Whether weights are tuned on the twin.
+    plan
+        Of the tuning; None for the shipped one.
+    twin_seconds
+        Of the log that the twin is fitted to [s].
+    scaled
+        Whether paths of the proof are scaled to the robot.
+    seed
+        Of searches and of the noise of the drives.
+    jobs
+        Processes; None for one for each core.
+    """
+
+    room: Room
+    robot: str | None = None
+    config: str = "ssm"
+    known: str | None = None
+    logs: tuple[Path, ...] = ()
+    mapping: str | None = None
+    slow: DriveSettings = field(default_factory=lambda: commission_settings().slow)
+    full: DriveSettings = field(default_factory=lambda: commission_settings().full)
+    runs: int = field(default_factory=lambda: commission_settings().proof.runs)
+    tuned: bool = True
+    plan: str | None = None
+    twin_seconds: float = field(default_factory=lambda: commission_settings().twin_seconds)
+    scaled: bool = False
+    seed: int = 0
+    jobs: int | None = None
+
+    def quick(self) -> Asked:
+        """The same in the short form, without tuning: it shows that the chain works, and proves little."""
+        short = commission_settings().quick
+        return replace(
+            self,
+            slow=self.slow.model_copy(update={"seconds": short.slow}),
+            full=self.full.model_copy(update={"seconds": short.full}),
+            twin_seconds=short.twin,
+            runs=short.runs,
+            tuned=False,
+        )
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step that is ready to be done: what its key covers, and the function of its folder."""
+
+    name: str
+    options: dict[str, Any]
+    inputs: tuple[Path, ...]
+    act: Callable[[Path], Gate]
+    kept: bool = False
+
+
+class NeedsAPersonError(DiffdriveMpcError):
+    """The robot has to be driven before the next step; the message says how."""
+
+
+def _check_known(path: Path) -> None:
+    """Refuse what is no part of a robot file; its numbers are checked with those that the log tells."""
+    known = read_yaml(path)
+    keys = list(SimulatedRobot.model_fields)
+    if not isinstance(known, Mapping) or not set(known) <= set(keys):
+        raise ConfigError(f"--known {path}: it holds something else than what is known of a robot: {', '.join(keys)}")
+
+
+def commission(
+    asked: Asked, out: Path, *, one: bool = False, on_step: Callable[[str, Done, bool], None] = lambda *_: None
+) -> bool:
+    """Do the steps that are not done, up to the first that does not pass; write `RESULT` in the end.
+
+    Parameters
+    ----------
+    asked
+        What.
+    out
+        Folder; each step has one of its own in it, and `commission.json` says what is done.
+    one
+        Whether to do only the next step that is not done.
+    on_step
+        Called with the name of each step, what came of it, and whether it was done just now.
+
+    Returns
+    -------
+    bool
+        Whether all steps passed that were looked at.
+
+    Raises
+    ------
+    NeedsAPersonError
+        Where a person has to drive.
+    models.checked_yaml.ConfigError, ValueError, OSError
+        If something that is named cannot be used; what was done before stays.
+    """
+    if asked.robot is not None:
+        load_simulated_robot(asked.robot)
+    if asked.known is not None:
+        _check_known(named_file("robot", ROBOTS, asked.known))
+    if asked.mapping is not None:
+        load_mapping(asked.mapping)
+    if asked.tuned:
+        needs_optuna()
+        if asked.plan is not None:
+            load_plan(Path(asked.plan))
+    ledger, fresh = Ledger(out), list(asked.logs)
+    for step in _steps(asked, out, ledger, fresh):
+        key = key_of(step.name, step.options | commission_settings().gates.model_dump(), step.inputs)
+        done = ledger.valid(step.name, key)
+        new = done is None
+        if done is None:
+            done = ledger.carry_out(step.name, key, step.act, kept=step.kept)
+            if step.name in RECORDED:
+                fresh.clear()  # a log is of one drive
+        on_step(step.name, done, new)
+        if not done.passed:
+            return False
+        if one and new and step.name != "prove":
+            return True
+    _finish(asked, out, ledger)
+    return True
+
+
+def _steps(asked: Asked, out: Path, ledger: Ledger, fresh: list[Path]) -> Iterator[Step]:
+    """The steps in order; each is made when those before are done."""
+    size = {"room": [asked.room.length, asked.room.width], "seed": asked.seed}
+    start = () if asked.config in MODEL_NAMES else (Path(asked.config),)
+    named = {"config": asked.config if asked.config in MODEL_NAMES else ""}
+    slow, full = out / "record-slow", out / "record"
+
+    yield Step(
+        "excite-slow",
+        size | named | asked.slow.model_dump(),
+        start,
+        partial(chain.excite, config=asked.config, room=asked.room, asked=asked.slow, seed=asked.seed),
+    )
+    yield _recorded("record-slow", asked, out / "excite-slow" / DRIVE, asked.config, start, ledger, fresh)
+    logs = _logs(slow, asked)
+    yield Step("learn", named, (slow, *start), partial(chain.learn, logs=logs, config=asked.config))
+    config = out / "learn" / CONFIG_FILE
+    yield Step(
+        "excite",
+        size | asked.full.model_dump(),
+        (out / "learn",),
+        partial(chain.excite, config=str(config), room=asked.room, asked=asked.full, seed=asked.seed),
+    )
+    yield _recorded("record", asked, out / "excite" / DRIVE, str(config), (out / "learn",), ledger, fresh)
+    whole = _logs(full, asked)
+    both = Logs((*whole.files, *logs.files), whole.mapping)
+    yield Step("identify", {}, (slow, full), partial(chain.identify_all, logs=both))
+    yield Step(
+        "twin",
+        {"seconds": asked.twin_seconds},
+        (full, *(() if asked.known is None else (named_file("robot", ROBOTS, asked.known),))),
+        partial(chain.twin, logs=whole, robot=asked.known, jobs=asked.jobs, seconds=asked.twin_seconds),
+    )
+    chosen, plant = out / "identify" / CONFIG_FILE, out / "twin" / PLANT
+    if asked.tuned:
+        plan = () if asked.plan is None else (Path(asked.plan),)
+        yield Step(
+            "tune",
+            {},
+            (out / "identify", plant, *plan),
+            partial(chain.tuned, config=chosen, plant=plant, plan=asked.plan, jobs=asked.jobs),
+            kept=True,
+        )
+        chosen = out / "tune" / CONFIG_FILE
+    yield Step(
+        "prove",
+        {"runs": asked.runs, "scaled": asked.scaled} | commission_settings().proof.model_dump(),
+        (chosen, out / "identify" / MODEL_FILE, plant),
+        partial(chain.prove, config=chosen, plant=plant, runs=asked.runs, jobs=asked.jobs, scaled=asked.scaled),
+        kept=True,
+    )
+
+
+def _recorded(
+    name: str, asked: Asked, drive: Path, config: str, inputs: tuple[Path, ...], ledger: Ledger, fresh: list[Path]
+) -> Step:
+    """The step that drives: on the simulated robot, or by a person, whose logs are taken once."""
+    if asked.robot is not None:
+        file = named_file("robot", ROBOTS, asked.robot)
+        act = partial(
+            chain.record, config=config, room=asked.room, drive=drive, plant=f"mujoco:{file}", seed=asked.seed
+        )
+        return Step(name, {"seed": asked.seed}, (drive, file, *inputs), act)
+    key_inputs = (drive,)
+    taken = ledger.valid(name, key_of(name, commission_settings().gates.model_dump(), key_inputs))
+    if taken is None and not fresh:
+        length, width = f"{asked.room.length:g}", f"{asked.room.width:g}"
+        raise NeedsAPersonError(
+            f"drive {drive} on the robot, with the configuration {config} and in it fence: {{enabled: true, length: "
+            f"{length}, width: {width}, frame: start}}; it begins in the middle of the room, its length ahead. Record "
+            "commands, encoders, gyro and poses, and call again with --log LOG"
+        )
+    logs = Logs(tuple(fresh), asked.mapping)
+    return Step(name, {}, key_inputs, partial(chain.take, logs=logs))
+
+
+def _logs(folder: Path, asked: Asked) -> Logs:
+    """What a step recorded."""
+    if asked.robot is not None:
+        return Logs((folder / LOG,))
+    files = tuple(sorted(one for one in folder.iterdir() if one.name != SAID and not one.name.startswith(".")))
+    return Logs(files, asked.mapping)
+
+
+def _finish(asked: Asked, out: Path, ledger: Ledger) -> None:
+    """Put what is to be used into one folder."""
+    config = out / ("tune" if asked.tuned else "identify") / CONFIG_FILE
+    words = re.sub(r"(?m)^model: \S+", f"model: {MODEL_FILE}", config.read_text(encoding="utf-8"), count=1)
+    with staged(out / RESULT) as folder:
+        shutil.copy2(out / "identify" / MODEL_FILE, folder / MODEL_FILE)
+        shutil.copy2(out / "identify" / FIRST_CIRCLE, folder / FIRST_CIRCLE)
+        (folder / CONFIG_FILE).write_text(words, encoding="utf-8")
+        shutil.copy2(out / "twin" / PLANT, folder / TWIN_FILE)
+        shutil.copy2(out / "prove" / "prove.md", folder / "proof.md")
+        shutil.copy2(out / "prove" / "prove.json", folder / "proof.json")
+        if (out / "prove" / "figures").is_dir():
+            shutil.copytree(out / "prove" / "figures", folder / "figures")
+        (folder / REPORT).write_text(report_text(ledger.steps, asked.tuned), encoding="utf-8")

@@ -1,0 +1,59 @@
+"""The configuration schema as a table, and what a configuration leaves to the papers' robot."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import BaseModel
+
+from diffdrive_mpc.bench.progress import output_console
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.checked_yaml import ConfigError, check
+from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.mpc.config.described import schema_rows
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+
+_OF_THE_ROBOT = {
+    "sample_time": "s",
+    "limits.v": "m/s",
+    "limits.omega": "rad/s",
+    "limits.wheel_speed": "m/s",
+    "wheels.track": "m",
+    "wheels.encoder_track": "m",
+}
+"""Keys whose default is a number of the papers' robot, with their unit."""
+
+
+def robot_defaults(config: ControllerConfig) -> list[str]:
+    """List what a configuration leaves to the papers' robot, as `key value unit`; nothing for a model that ships."""
+    if config.model in MODEL_NAMES:
+        return []
+    groups: dict[str, BaseModel] = {"": config, "limits": config.limits, "wheels": config.wheels}
+    found = []
+    for key, unit in _OF_THE_ROBOT.items():
+        group, _, name = key.rpartition(".")
+        if name not in groups[group].model_fields_set:
+            found.append(f"{key} {getattr(groups[group], name):g} {unit}")
+    return found
+
+
+def print_schema(part: str | None = None) -> None:
+    """Print the schema as a table, or only the group or key `part`; a pipe gets it wide enough that nothing is broken.
+
+    Raises ConfigError if there is no such part.
+    """
+    shown = [
+        row
+        for row in schema_rows()
+        if part is None or row.key == part or row.key.startswith((f"{part}.", f"{part}[]."))
+    ]
+    if part is not None and not shown:
+        *groups, key = part.split(".")
+        unknown: dict[str, Any] = {key: None}
+        for group in reversed(groups):
+            unknown = {group: unknown}
+        check(ControllerConfig, unknown, "config schema")
+        raise ConfigError(f"config schema: unknown key '{part}'")
+    rows = tuple((row.key, row.default, row.unit, row.range, row.help) for row in shown)
+    table = Table("Controller configuration", ("key", "default", "unit", "range", "meaning"), rows, text_columns=5)
+    output_console(width_elsewhere=240).print(table.rich())

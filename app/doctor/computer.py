@@ -1,0 +1,97 @@
+"""The computer: processor, memory, what it runs in."""
+
+from __future__ import annotations
+
+import platform
+
+from diffdrive_mpc.app.doctor.finding import Finding, doctor_settings, in_bytes
+from diffdrive_mpc.app.doctor.machine import Machine
+from diffdrive_mpc.bench.runner import available_cores
+
+_CPUS = "sys/devices/system/cpu"
+
+
+def processor(machine: Machine) -> Finding:
+    """Model, cores, frequency."""
+    said = machine.values("proc/cpuinfo")
+    name = said.get("model name") or said.get("Model") or said.get("Hardware") or platform.machine()
+    mhz = said.get("cpu MHz", "").partition(".")[0]
+    top = machine.number(f"{_CPUS}/cpu0/cpufreq/cpuinfo_max_freq")
+    speed = f", at {mhz} MHz" if mhz else ""
+    speed += f" of {top // 1000}" if top else ""
+    cores = available_cores()
+    share = _quota(machine)
+    found = f"{name}, {cores} cores{speed}"
+    if share is not None and share < cores:
+        return Finding(
+            "processor",
+            "warn",
+            f"{found}, of which this container may use {share:g}",
+            "studies take longer; raise its limit (--cpus)",
+        )
+    return Finding("processor", "ok", found, "studies use all cores, a controller one")
+
+
+def _quota(machine: Machine) -> float | None:
+    """Cores that the container's limit is worth."""
+    words = (machine.text("sys/fs/cgroup/cpu.max") or "").split()
+    return int(words[0]) / int(words[1]) if len(words) == 2 and all(word.isdigit() for word in words) else None
+
+
+def governor(machine: Machine) -> Finding:
+    """Who chooses the frequency."""
+    found = sorted(set(machine.texts(f"{_CPUS}/cpu[0-9]*/cpufreq/scaling_governor")))
+    if not found:
+        return Finding("CPU governor", "unknown", "not to be seen", "as usual in virtual machines; the host decides")
+    if found == ["performance"]:
+        return Finding("CPU governor", "ok", "performance", "full frequency at all times")
+    means = "a step may take two or three times as long after a pause: sudo cpupower frequency-set -g performance"
+    return Finding("CPU governor", "warn", ", ".join(found), means)
+
+
+def turbo(machine: Machine) -> Finding:
+    """Whether the frequency may rise for a while."""
+    off = machine.number(f"{_CPUS}/intel_pstate/no_turbo")
+    boost = machine.number(f"{_CPUS}/cpufreq/boost")
+    if off is None and boost is None:
+        return Finding("turbo", "unknown", "not to be seen", "as usual in virtual machines and on ARM")
+    on = off == 0 if off is not None else boost == 1
+    return Finding("turbo", "ok", "on" if on else "off", "step times vary with heat" if on else "step times vary less")
+
+
+def memory(machine: Machine) -> Finding:
+    """Memory that is left, for this container too."""
+    said = machine.values("proc/meminfo")
+    available = _kilobytes(said.get("MemAvailable")) or _kilobytes(said.get("MemFree"))
+    total = _kilobytes(said.get("MemTotal"))
+    limit = machine.number("sys/fs/cgroup/memory.max")
+    if available is None or total is None:
+        return Finding("memory", "unknown", "not to be seen", "a controller needs 0.2 GB, a study 0.3 GB a process")
+    left = min(available, limit) if limit is not None else available
+    found = f"{in_bytes(left)} of {in_bytes(total)} free" + (f", limit {in_bytes(limit)}" if limit is not None else "")
+    if left < doctor_settings().least_memory:
+        return Finding("memory", "warn", found, "studies may be ended by the system: fewer --jobs")
+    return Finding("memory", "ok", found, "a controller needs 0.2 GB, a study 0.3 GB a process")
+
+
+def _kilobytes(text: str | None) -> int | None:
+    number = (text or "").removesuffix("kB").strip()
+    return int(number) * 1024 if number.isdigit() else None
+
+
+def virtualisation(machine: Machine) -> Finding:
+    """What all this runs in."""
+    inside = []
+    if machine.there(".dockerenv") or machine.there("run/.containerenv") or machine.variable("container"):
+        inside.append("a container")
+    if "microsoft" in (machine.text("proc/sys/kernel/osrelease") or "").lower():
+        inside.append("WSL")
+    elif "hypervisor" in machine.values("proc/cpuinfo").get("flags", "").split():
+        inside.append("a virtual machine")
+    if not inside:
+        return Finding("virtualisation", "ok", "none to be seen", "times are the machine's own")
+    means = "ok to simulate; the host takes the processor away at times: do not judge step times here"
+    virtual = inside != ["a container"]
+    return Finding(
+        "virtualisation", "warn" if virtual else "ok", " in ".join(inside), means if virtual else "its limits count"
+    )

@@ -1,0 +1,155 @@
+"""From logs to a folder with everything that was found, for the command line."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from diffdrive_mpc.app.identification.figures import FOLDER, draw_identification, figures_of
+from diffdrive_mpc.app.identification.first_drive import FIRST_CIRCLE, first_circle, recipe
+from diffdrive_mpc.app.identification.page import identification_page
+from diffdrive_mpc.app.identification.trial_drives import (
+    PATHS,
+    TrialDrive,
+    trial_doubts,
+    trial_drives,
+    trial_table,
+)
+from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.html_report.document import REPORT, write_page
+from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.table import number, rich_table
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.identification import Identification, identify
+from diffdrive_mpc.models.identification.configuration import CONFIG_FILE
+from diffdrive_mpc.models.identification.from_logs import FILES
+from diffdrive_mpc.models.identification.log_data import OptionError
+from diffdrive_mpc.models.logs import Finding, Log
+from diffdrive_mpc.models.logs.diagnosis import summary
+from diffdrive_mpc.models.logs.record import counted
+from diffdrive_mpc.models.plain_text import plain_line
+from diffdrive_mpc.mpc import load_config
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """What was written: `drives` is None where the configuration drove nowhere, `against` says why."""
+
+    found: Identification
+    drives: list[TrialDrive] | None
+    against: str = ""
+
+
+def identify_into(logs: Sequence[Path], out: Path, *, force: bool = False, **options: Any) -> None:  # noqa: ANN401 - those of `identify`
+    """Identify a model, print what was understood of the logs and how good it is, write files and figures into `out`.
+
+    Without `force` neither model nor configuration is written where the logs or the FIT speak against it.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError, ValueError, OSError
+        If an option, a log or the folder cannot be used, or the logs allow no model; nothing is written then.
+    """
+    began = time.perf_counter()
+    files = (*FILES, FIRST_CIRCLE, REPORT)
+    with staged(out, files=files, folders=(FOLDER,), owner="identify") as folder, ProgressBar("reading", 1) as bar:
+        outcome = _write(_identified(logs, bar, force, options), folder, bar, force)
+        page = identification_page(outcome.found, folder, outcome.drives, time.perf_counter() - began)
+        write_page(page, folder / REPORT)
+    _print(outcome.found, out)
+    _print_verdict(outcome, out, force)
+
+
+def _identified(logs: Sequence[Path], bar: ProgressBar, force: bool, options: Mapping[str, Any]) -> Identification:
+    """The identification, its options named as those of the command line where one cannot be used."""
+    try:
+        return identify(
+            logs,
+            force=force,
+            on_log=_print_log,
+            on_findings=_print_findings,
+            on_progress=lambda text: bar.begin(text, 1),
+            **options,
+        )
+    except OptionError as error:
+        raise ConfigError(f"--{error.option.replace('_', '-')}{error.rest}") from error
+
+
+def _write(found: Identification, folder: Path, bar: ProgressBar, force: bool) -> _Outcome:
+    """Write files and figures; where there is a configuration, drive with it and write how, too."""
+    bar.begin("figures", len(figures_of(found.report)))
+    found.write(folder, draw_identification(found.report, folder, bar.advance), force=force)
+    if found.refusal and not force:
+        return _Outcome(found, None, found.refusal)
+    bar.begin("driving", 2 * len(PATHS))
+    config = load_config(folder / CONFIG_FILE)
+    try:
+        drives = trial_drives(found, config, bar.advance)
+    except ValueError as error:
+        if not force:
+            raise
+        return _Outcome(found, None, f"written by force, but it does not drive: {error}")
+    circle = first_circle(config, found.model)
+    (folder / FIRST_CIRCLE).write_text(circle.text(), encoding="utf-8")
+    with (folder / "report.md").open("a", encoding="utf-8") as report:
+        report.write(f"\n{trial_table(drives).markdown()}\n")
+        report.write("".join(f"* {doubt}\n" for doubt in trial_doubts(drives)))
+        report.write(f"\n{recipe(circle, config, drives, found.report.data.topics)}")
+    return _Outcome(found, drives)
+
+
+def _print_verdict(outcome: _Outcome, out: Path, force: bool) -> None:
+    """How the configuration drives; raises ConfigError where none was written."""
+    if outcome.drives is not None:
+        output_console().print(rich_table(trial_table(outcome.drives)))
+        for doubt in trial_doubts(outcome.drives):
+            _print_line(f"warning: {doubt}")
+        _print_line(outcome.found.report.next_step(out))
+        first = outcome.drives[0]
+        _print_line(
+            f"(position RMSE {number(first.metrics.position_rmse_m, 4)} m, as '{first.path}' on {first.plant} above; "
+            f"then the robot, as the end of {out / 'report.md'} says)"
+        )
+    elif force:
+        _print_line(f"warning: {outcome.against}")
+    else:
+        old = f" ({out / CONFIG_FILE} is of an earlier run)" if (out / CONFIG_FILE).exists() else ""
+        raise ConfigError(f"{outcome.against}; no model and no configuration are written{old}, --force writes them")
+
+
+def _print_log(log: Log) -> None:
+    _print_line(log.name)
+    for line in summary(log):
+        _print_line(line, indent="  ")
+
+
+def _print_findings(findings: Sequence[Finding]) -> None:
+    for severity in ("note", "warning", "error"):
+        for line in counted([finding for finding in findings if finding.severity == severity]):
+            _print_line(f"{severity}: {line}")
+
+
+def _print(found: Identification, out: Path) -> None:
+    report = found.report
+    for table in report.scores:
+        output_console().print(rich_table(table))
+    for doubt in report.doubts:
+        _print_line(f"warning: {doubt}")
+    chosen = report.fitted.orders
+    if chosen:
+        _print_line(f"order {chosen.order}: {chosen.reason}")
+    for line in report.in_short()[:-1]:
+        _print_line(line)
+    for setting in found.configuration.bounds:
+        _print_line(f"limit {setting.name}: {setting.value} {setting.reason}")
+    if found.configuration.room:
+        told = ", ".join(f"{setting.name} {setting.value:g} m" for setting in found.configuration.room)
+        _print_line(f"room, more than usual as the robot is larger or faster: {told}")
+    _print_line(f"estimated in {report.fitted.seconds:.1f} s; written to {out}")
+
+
+def _print_line(text: str, indent: str = "") -> None:
+    output_console().print(indent + plain_line(text), markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,86 @@
+"""The largest value of a factor that still holds, by bisection with repeated seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from diffdrive_mpc.app.proof.proof_file import Search
+from diffdrive_mpc.bench.campaign.definition import Definition
+from diffdrive_mpc.bench.campaign.draws import Value
+from diffdrive_mpc.bench.campaign.engine import Driven
+from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
+
+Drive = Callable[[list[Definition]], list[Driven]]
+"""Drives runs and gives them in order; each is another one."""
+
+
+@dataclass
+class Boundary:
+    """Where a factor stops to hold.
+
+    Attributes
+    ----------
+    factor
+        Its name.
+    search
+        What was asked.
+    held
+        The value nearest to the boundary that held with every seed; None where not even the first did.
+    failed
+        The nearest that did not; None where all did.
+    values
+        Every value that was tried, and with how many seeds it held.
+    """
+
+    factor: str
+    search: Search
+    held: float | None = None
+    failed: float | None = None
+    values: dict[float, int] = field(default_factory=dict)
+
+    @property
+    def next_value(self) -> float | None:
+        """What to try now; None when the boundary is known well enough."""
+        if self.held is None:
+            return self.search.holds if self.failed is None else None
+        if self.failed is None:
+            return self.search.beyond if self.held != self.search.beyond else None
+        if abs(self.failed - self.held) <= self.search.within:
+            return None
+        middle = float(f"{0.5 * (self.held + self.failed):.9g}")
+        return None if middle in self.values else middle  # no number of nine digits lies between
+
+    def take(self, value: float, held: int, seeds: int) -> None:
+        """Take what came of a value."""
+        self.values[value] = held
+        if held == seeds:
+            self.held = value
+        else:
+            self.failed = value
+
+
+def holds(driven: Driven) -> bool:
+    """Whether a run came to its end and never left the band (`band` of sim/metrics/metrics.yaml)."""
+    return driven.row["completed"] is True and driven.number("lateral_max_m") <= metric_settings().band
+
+
+def find_boundaries(
+    searches: Mapping[str, Search], probe: Definition, seeds: Sequence[int], drive: Drive
+) -> list[Boundary]:
+    """Search for the boundaries of several factors at once, each by itself from `probe`.
+
+    Between what held and what did not everything is taken to be monotone; what lies beyond is not looked at.
+    """
+    boundaries = [Boundary(factor, search) for factor, search in searches.items()]
+    while asked := [(one, value) for one in boundaries if (value := one.next_value) is not None]:
+        runs = [_with(probe, one.factor, value).with_seed(seed) for one, value in asked for seed in seeds]
+        driven = {one.definition: one for one in drive(runs)}
+        for index, (one, value) in enumerate(asked):
+            mine = runs[index * len(seeds) : (index + 1) * len(seeds)]
+            one.take(value, sum(holds(driven[run]) for run in mine), len(seeds))
+    return boundaries
+
+
+def _with(probe: Definition, factor: str, value: Value) -> Definition:
+    return probe.changed({factor: value})

@@ -1,0 +1,261 @@
+"""The tables of a proof, and the sentences above them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diffdrive_mpc.app.proof.boundaries import Boundary, holds
+from diffdrive_mpc.bench.campaign.definition import Definition
+from diffdrive_mpc.bench.campaign.engine import Driven
+from diffdrive_mpc.bench.campaign.outcome import TIME
+from diffdrive_mpc.bench.cells import millis
+from diffdrive_mpc.bench.statistics import CONFIDENCE, Estimate, Rate, cvar, mean, median
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
+
+CVAR = "CVaR 95 %"
+UNSAFE = ("not_finite", "limit", "slew", "motion", "turn")
+"""Kinds of unsafe commands, as `bench.command_check.Unsafe` names them."""
+_BY_FACTOR = (
+    "Braked: it braked or stood on the way, a false stop where every sensor is honest. Time behind: largest "
+    "of a run, mean. Rates: RMS of the commands' change, means."
+)
+_SAID = {
+    "not_finite": "not finite",
+    "limit": "beyond a limit",
+    "slew": "beyond the slew or the braking limit",
+    "motion": "motion longer than stated after poses have gone",
+    "turn": "tighter than the least commanded radius",
+}
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """How often the runs of a proof went how."""
+
+    completed: Rate
+    in_band: Rate
+    stopped: Rate
+    unsafe: Rate
+
+    @classmethod
+    def of(cls, driven: Sequence[Driven]) -> Outcomes:
+        """Count them."""
+        count = len(driven)
+        return cls(
+            Rate.of_runs(sum(one.row["completed"] is True for one in driven), count),
+            Rate.of_runs(sum(map(holds, driven)), count),
+            Rate.of_runs(sum(map(_stopped, driven)), count),
+            Rate.of_runs(sum(map(is_unsafe, driven)), count),
+        )
+
+
+def is_unsafe(one: Driven) -> bool:
+    """Whether a run had an unsafe command of any kind."""
+    return any(one.row.get(f"unsafe_{kind}") for kind in UNSAFE)
+
+
+def errors(driven: Sequence[Driven]) -> FloatArray:
+    """Position RMSE [m] of the runs that have one; of one that ended early, of what was driven."""
+    return _known(driven, "position_rmse_m")
+
+
+def error_estimates(driven: Sequence[Driven]) -> dict[str, Estimate]:
+    """Mean, median and CVaR of the position RMSE [m], of all runs and of those that came to their end."""
+    arrived = [one for one in driven if one.row["completed"] is True]
+    named = {"mean": mean, "median": median, CVAR: cvar}
+    return {
+        f"{name}, {which}": Estimate.of_runs(errors(runs), figure)
+        for which, runs in (("all runs", driven), ("completed runs", arrived))
+        for name, figure in named.items()
+    }
+
+
+def worst(driven: Sequence[Driven], count: int) -> list[Driven]:
+    """The worst runs first: unsafe, ended in an error, then by position RMSE; last those that stopped by themselves."""
+
+    def badness(one: Driven) -> tuple[bool, bool, bool, float]:
+        error = one.number("position_rmse_m")
+        return is_unsafe(one), one.row["error"] != "", not _stopped(one), error if math.isfinite(error) else math.inf
+
+    return sorted(driven, key=badness, reverse=True)[:count]
+
+
+def facts(driven: Sequence[Driven], others: int) -> list[str]:
+    """What was driven, what it cost, and what it says of unsafe commands."""
+    times = np.array([one.number(f"{TIME}processor_s") for one in driven])
+    ticks = sum(one.number("steps") for one in driven if math.isfinite(one.number("steps")))
+    failures = sum(one.row["error"] != "" for one in driven)
+    unsafe = Outcomes.of(driven).unsafe
+    seen = f"{unsafe.count} of {unsafe.of} runs had an unsafe command"
+    return [
+        f"{len(driven)} runs drawn, {others} more for maps and boundaries; {ticks:.0f} ticks were checked.",
+        f"Processor time of a run: mean {np.mean(times):.2f} s, 95th percentile {np.percentile(times, 95):.2f} s.",
+        f"{seen}: with {100 * CONFIDENCE:.0f} % confidence fewer than {percent(unsafe.bound)} % of all such runs have.",
+        *([f"{failures} runs ended in an error; errors are those of the others."] if failures else []),
+    ]
+
+
+def tables(driven: Sequence[Driven], found: Sequence[Boundary], files: Mapping[str, Driven], seeds: int) -> list[Table]:
+    """All tables of a proof; `files` are the worst runs by the name of their file."""
+    made = [_rates(driven), _errors(driven), _unsafe(driven), *_by_factor(driven)]
+    return [*made, *([_boundaries(found, seeds)] if found else []), _worst(files)]
+
+
+def percent(share: float) -> str:
+    """A share in percent with two leading digits."""
+    return f"{100 * share:.2g}" if share < 0.1 else f"{100 * share:.1f}"
+
+
+def _rates(driven: Sequence[Driven]) -> Table:
+    of = Outcomes.of(driven)
+    named = {
+        "completed": of.completed,
+        "completed and never outside the band": of.in_band,
+        "not completed: it stopped by itself": of.stopped,
+        "with an unsafe command": of.unsafe,
+    }
+    band = f"{number(1e3 * metric_settings().band, 0)} mm"
+    return Table.of(
+        "How often",
+        ("runs",),
+        {
+            "count": lambda rate: f"{rate.count} of {rate.of}",
+            "share [%]": lambda rate: number(100 * rate.share, 1),
+            "95 % interval [%]": lambda rate: f"{100 * rate.low:.2f} to {100 * rate.high:.2f}",
+        },
+        [((name,), rate) for name, rate in named.items()],
+        f"Intervals by Clopper and Pearson. The band is {band} to either side of the path.",
+    )
+
+
+def _errors(driven: Sequence[Driven]) -> Table:
+    return Table.of(
+        "Position error",
+        ("figure",),
+        {
+            "position RMSE [mm]": lambda one: millis(one.value),
+            "95 % interval [mm]": lambda one: f"{millis(one.low)} to {millis(one.high)}",
+        },
+        [((name,), one) for name, one in error_estimates(driven).items()],
+        "CVaR 95 %: mean of the worst twentieth of the runs. Intervals: bootstrap, 2000 samples. A robot that stopped "
+        "by itself counts with how far its reference has gone on.",
+    )
+
+
+def _unsafe(driven: Sequence[Driven]) -> Table:
+    def ticks(kind: str) -> int:
+        return sum(int(one.row.get(f"unsafe_{kind}") or 0) for one in driven)
+
+    def rate(kind: str) -> Rate:
+        return Rate.of_runs(sum(bool(one.row.get(f"unsafe_{kind}")) for one in driven), len(driven))
+
+    return Table.of(
+        "Unsafe commands",
+        ("command",),
+        {
+            "ticks": lambda kind: str(ticks(kind)),
+            "runs": lambda kind: f"{rate(kind).count} of {rate(kind).of}",
+            "share of all runs, at most [%]": lambda kind: percent(rate(kind).bound),
+        },
+        [((_SAID[kind],), kind) for kind in UNSAFE],
+        "Counted by a checker that shares no code with the controller. At most: 95 % confidence, one-sided; none of n "
+        "runs means fewer than 3 in n.",
+    )
+
+
+def _by_factor(driven: Sequence[Driven]) -> list[Table]:
+    """A table for each factor with a few named values, such as scenarios and paths."""
+    made = []
+    for factor in ("scenario", "trajectory", "plant", "surface", "sensors"):
+        groups: dict[str, list[Driven]] = {}
+        for one in driven:
+            groups.setdefault(str(one.definition.columns[factor]), []).append(one)
+        if 1 < len(groups) <= max(len(driven) / 2, 2):
+            columns = {
+                "runs": lambda runs: str(len(runs)),
+                "completed": lambda runs: str(sum(one.row["completed"] is True for one in runs)),
+                "in the band": lambda runs: str(sum(map(holds, runs))),
+                "braked": lambda runs: str(sum(one.row.get("stopped") is True for one in runs)),
+                "time behind [s]": lambda runs: number(_mean(runs, "behind_max_s"), 2),
+                "position RMSE, mean [mm]": lambda runs: millis(_or_nan(np.mean, errors(runs))),
+                "worst [mm]": lambda runs: millis(_or_nan(np.max, errors(runs))),
+                "largest lateral [mm]": lambda runs: millis(_largest(runs, "lateral_max_m")),
+                "v_ref rate [m/s^2]": lambda runs: number(_mean(runs, "recovery_command_rate_v"), 2),
+                "omega_ref rate [rad/s^2]": lambda runs: number(_mean(runs, "recovery_command_rate_omega"), 2),
+            }
+            entries = [((name,), groups[name]) for name in sorted(groups)]
+            made.append(Table.of(f"By {factor}", (factor,), columns, entries, _BY_FACTOR))
+    return made
+
+
+def _boundaries(found: Sequence[Boundary], seeds: int) -> Table:
+    def value(number_: float | None, of: Boundary) -> str:
+        return "-" if number_ is None else f"{number_:.4g} {of.search.unit}".strip(" -")
+
+    return Table.of(
+        "Boundaries",
+        ("factor",),
+        {
+            "still holds at": lambda one: value(one.held, one),
+            "no longer at": lambda one: value(one.failed, one),
+            "searched to": lambda one: value(one.search.beyond, one),
+            "values tried": lambda one: str(len(one.values)),
+        },
+        [((one.factor,), one) for one in found],
+        f"One factor at a time. It holds where {seeds} seeds all complete and never leave the band; by bisection, "
+        "which takes everything between to be monotone.",
+    )
+
+
+def _worst(files: Mapping[str, Driven]) -> Table:
+    def words(one: Driven) -> str:
+        said = one.row["error"] or one.row.get("ended") or one.row.get("message") or ""
+        return str(said)
+
+    return Table.of(
+        "Worst runs",
+        ("file", "what it is"),
+        {
+            "completed": lambda one: "yes" if one.row["completed"] else "no",
+            "position RMSE [mm]": lambda one: millis(one.number("position_rmse_m")),
+            "largest lateral [mm]": lambda one: millis(one.number("lateral_max_m")),
+            "what was said most": words,
+        },
+        [((name, _brief(one.definition)), one) for name, one in files.items()],
+        "Each is a file: `diffdrive-mpc simulate --from-run FILE` drives it again; where it names files of yours, with "
+        "`--trust-terms FOLDER`.",
+    )
+
+
+def _brief(definition: Definition) -> str:
+    columns = definition.columns
+    parts = [str(columns["trajectory"]), *([str(columns["scenario"])] if columns["scenario"] != "none" else [])]
+    return ", ".join([*parts, f"seed {columns['seed']}"])
+
+
+def _stopped(one: Driven) -> bool:
+    return one.row["completed"] is False and one.row.get("last_mode") in ("STOPPED", "BRAKING") and not one.row["ended"]
+
+
+def _mean(driven: Sequence[Driven], column: str) -> float:
+    """Mean of the runs that have a value."""
+    return _or_nan(np.mean, _known(driven, column))
+
+
+def _largest(driven: Sequence[Driven], column: str) -> float:
+    return _or_nan(np.max, _known(driven, column))
+
+
+def _known(driven: Sequence[Driven], column: str) -> FloatArray:
+    values = np.array([one.number(column) for one in driven])
+    return np.asarray(values[np.isfinite(values)])
+
+
+def _or_nan(figure: object, values: FloatArray) -> float:
+    return float(figure(values)) if values.size else math.nan  # type: ignore[operator]

@@ -1,0 +1,163 @@
+"""The proof of a controller as a study: its runs, maps and boundaries, and what is written of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+from diffdrive_mpc.app.proof.boundaries import Boundary, find_boundaries
+from diffdrive_mpc.app.proof.maps import Drawn, drawn_map, map_runs
+from diffdrive_mpc.app.proof.page import shown
+from diffdrive_mpc.app.proof.proof_file import Proof
+from diffdrive_mpc.app.proof.report import CVAR, Outcomes, error_estimates, errors, facts, tables, worst
+from diffdrive_mpc.bench.campaign.definition import Definition
+from diffdrive_mpc.bench.campaign.draws import Value
+from diffdrive_mpc.bench.campaign.engine import Driven, Place, drive_all
+from diffdrive_mpc.bench.campaign.parquet import needs_arrow, write_table
+from diffdrive_mpc.bench.campaign.run_file import write_run
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.outcomes import STATISTICS, plain
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.study import Report, Study
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.mpc import load_config
+
+RESULTS, WORST = "prove.parquet", "worst"
+_CONTROLLER = ("controller", "model", "config")
+
+
+@dataclass(frozen=True)
+class ProofPlan:
+    """Runs that were drawn, and the run that maps and searches change a factor of."""
+
+    drawn: list[Definition]
+    probe: Definition
+
+
+@dataclass(frozen=True)
+class Proven:
+    """What a proof found.
+
+    Attributes
+    ----------
+    driven
+        The runs that were drawn, in order.
+    maps, boundaries
+        What came of maps and searches.
+    others
+        Runs that these took.
+    worst
+        The worst runs by the name of their file.
+    """
+
+    driven: list[Driven]
+    maps: list[Drawn]
+    boundaries: list[Boundary]
+    others: int
+    worst: dict[str, Driven] = field(default_factory=dict)
+
+
+class ProofStudy(Study[ProofPlan, Proven]):
+    """Monte Carlo, maps and boundaries of one controller.
+
+    Parameters
+    ----------
+    config
+        The controller's configuration: a file, or the shipped one of a model.
+    proof
+        What is driven.
+    place
+        Where runs are driven and kept.
+    runs
+        How many are drawn, in place of what the proof says.
+    kept
+        How many of the worst are kept as files.
+    """
+
+    name = "prove"
+    title = "Proof"
+    shared = True
+
+    def __init__(self, config: str, proof: Proof, place: Place, runs: int | None = None, kept: int = 10) -> None:
+        self._config, self._proof, self._place, self._runs, self._kept = config, proof, place, runs, kept
+
+    def plan(self) -> ProofPlan:
+        """Draw the runs; raises ConfigError where the campaign names another controller."""
+        needs_arrow()
+        named = [name for name in _CONTROLLER if name in (*self._proof.factors, *self._proof.probe.factors)]
+        if named:
+            raise ConfigError(f"factors.{named[0]}: it is {self._config} that is to be proven; leave it out")
+        told = told_of(self._config)
+        probe = Definition.of(dict(self._proof.probe.factors) | dict(told), "probe")
+        return ProofPlan([one.changed(told) for one in self._proof.definitions(self._runs)], probe)
+
+    def cases(self, plan: ProofPlan) -> Iterable[Case]:
+        """The run that the maps change a factor of."""
+        return [plan.probe.case]
+
+    def run(self, plan: ProofPlan, jobs: int, bar: ProgressBar) -> Proven:
+        """Drive everything that the store of the place does not have."""
+        place, proof = replace(self._place, jobs=jobs), self._proof
+        driven = drive_all(plan.drawn, place, bar, "driving runs")
+        asked = [map_runs(of, plan.probe, proof.probe.seeds[0]) for of in proof.maps.values()]
+        mapped = drive_all([run for runs in asked for run in runs], place, bar, "driving maps")
+        maps = [drawn_map(*named, runs, mapped) for named, runs in zip(proof.maps.items(), asked, strict=True)]
+        tried: dict[str, Driven] = {one.key: one for one in mapped}
+
+        def drive(runs: list[Definition]) -> list[Driven]:
+            found = drive_all(runs, place, bar, "searching boundaries")
+            tried.update((one.key, one) for one in found)
+            return found
+
+        boundaries = find_boundaries(proof.boundaries, plan.probe, proof.probe.seeds, drive)
+        listed = worst(driven, self._kept)
+        files = {f"{k:02d}.yaml": one for k, one in enumerate(listed, start=1)}
+        return Proven(driven, maps, boundaries, len(tried), files)
+
+    def report(self, results: Proven, seconds: float) -> Report:  # noqa: ARG002 - its tables say it
+        """Tables, and a figure of the errors and of each map."""
+        from diffdrive_mpc.app.proof.figures import draw_errors, draw_map  # noqa: PLC0415 - matplotlib loads slowly
+
+        figures = {f"map-{drawn.name}.png": partial(draw_map, drawn) for drawn in results.maps}
+        estimates = error_estimates(results.driven)
+        found = errors([one for one in results.driven if one.row["completed"] is True])
+        if found.size:
+            figures = {"errors.png": partial(draw_errors, found, estimates[f"{CVAR}, completed runs"])} | figures
+        seeds = len(self._proof.probe.seeds)
+        return Report(
+            counted=f"{len(results.driven) + results.others} runs",
+            meta={"statistics": STATISTICS, "controller": Path(self._config).name, "campaign": self._proof.description},
+            content={
+                "rates": plain(Outcomes.of(results.driven)),
+                "position_rmse_m": plain(estimates),
+                "boundaries": [_boundary_row(one) for one in results.boundaries],
+            },
+            facts=[f"{Path(self._config).name}: {self._proof.description}.", *facts(results.driven, results.others)],
+            notes=[f"Errors: {STATISTICS}."],
+            tables=tables(results.driven, results.boundaries, results.worst, seeds),
+            figures=figures,
+            shown=shown(self._config, results.driven, results.maps, results.boundaries, seeds),
+        )
+
+
+def keep(proven: Proven, out: Path) -> None:
+    """Write the table of the drawn runs and the worst of them into `out`; raises ConfigError if that cannot be."""
+    write_table([one.columns for one in proven.driven], out / RESULTS)
+    for old in (out / WORST).glob("[0-9][0-9].yaml"):
+        old.unlink()
+    for name, one in proven.worst.items():
+        write_run(one, out / WORST / name)
+
+
+def told_of(config: str) -> Mapping[str, Value]:
+    """The factors that name a controller; raises ConfigError if there is no such configuration."""
+    load_config(config)
+    return {"model": config} if config in MODEL_NAMES else {"config": config, "model": load_config(config).model}
+
+
+def _boundary_row(one: Boundary) -> dict[str, object]:
+    tried = {f"{value:g}": count for value, count in one.values.items()}
+    return {"factor": one.factor, "held": one.held, "failed": one.failed, "tried": tried}

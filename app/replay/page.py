@@ -1,0 +1,240 @@
+"""What the page of a replay shows beside the tables: the drive as linked views, differences, ages and innovations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffdrive_mpc.app.replay.open_loop import Replayed
+from diffdrive_mpc.app.replay.recording import Recording
+from diffdrive_mpc.app.replay.statistics import NAMES, Difference
+from diffdrive_mpc.app.replay.verdicts import Verdict
+from diffdrive_mpc.bench.html_report.numbers import from_zero
+from diffdrive_mpc.bench.html_report.page import (
+    Axis,
+    Chart,
+    Configuration,
+    KeyFigure,
+    Mark,
+    Runs,
+    Series,
+    Shown,
+    Toggle,
+    Warned,
+)
+from diffdrive_mpc.bench.html_report.run_series import run_series
+from diffdrive_mpc.bench.table import number
+from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.models.logs.record import BoolArray
+from diffdrive_mpc.mpc import ControllerConfig
+from diffdrive_mpc.mpc.config.described import commented_yaml
+from diffdrive_mpc.sim import Run
+from diffdrive_mpc.sim.run import NO_SOLVER
+
+_POINTS = 3000
+"""Ticks of all runs of one who commands, at most."""
+_CHART_POINTS = 1200
+_LEAST_TICKS = 10
+_HINT = (
+    "Point at either view, or move the slider: the other shows the same time. The robot is drawn where the estimator "
+    "believed it to be, and “true” means that, too: the log does not hold the truth. Errors are the drive's. Time "
+    "counts from the start of a drive."
+)
+
+
+def replay_page(
+    recording: Recording,
+    replays: Mapping[str, Replayed],
+    references: Sequence[Reference],
+    counted: BoolArray,
+    found: Difference,
+    said: Sequence[Verdict],
+) -> Shown:
+    """Everything that the page shows beside the tables.
+
+    Parameters
+    ----------
+    recording, references, counted
+        The drive, what was tracked from each start on, and (n,) the ticks that count.
+    replays
+        By who commands; the first is the one that is compared with the drive by `found`.
+    said
+        What the log tells.
+    """
+    replayed = next(iter(replays.values()))
+    runs, toggles = _runs(recording, replays, references, counted)
+    return Shown(
+        key_figures=_key_figures(found, replayed, counted, said),
+        toggles=toggles,
+        views=[*([Runs(runs, _HINT)] if runs else []), *_charts(recording, replayed, counted)],
+        warnings=[Warned(one.what, one.remedy) for one in said],
+        configurations=[_configuration(who, one.config) for who, one in replays.items()],
+        pictures=not runs,
+    )
+
+
+def _key_figures(found: Difference, replayed: Replayed, counted: BoolArray, said: Sequence[Verdict]) -> list[KeyFigure]:
+    times = 1e3 * replayed.step_time[counted]
+    p50, p99 = np.percentile(times, [50, 99])
+    modes = [mode for mode, keep in zip(replayed.modes, counted, strict=True) if keep]
+    safe = sum(mode not in ("TRACKING", "FINISHED") for mode in modes)
+    return [
+        KeyFigure("the same commands", "yes" if found.same else "no", f"{found.compared} ticks compared"),
+        KeyFigure("largest difference of v", f"{found.largest[0]:.3g} m/s", f"RMS {found.rms[0]:.3g} m/s"),
+        KeyFigure("largest difference of omega", f"{found.largest[1]:.3g} rad/s", f"RMS {found.rms[1]:.3g} rad/s"),
+        KeyFigure("ticks without a fresh plan", str(safe), "", "bad" if safe else "good"),
+        KeyFigure("step time, median", f"{number(float(p50), 2)} ms", f"p99 {number(float(p99), 2)} ms, of the replay"),
+        KeyFigure("worth a look", str(len(said)), "see below"),
+    ]
+
+
+def _configuration(who: str, config: ControllerConfig) -> Configuration:
+    model = config.model if config.model in MODEL_NAMES else config.model.rsplit("/", 1)[-1]
+    text = commented_yaml(config.model_copy(update={"model": model}))
+    return Configuration(f"Configuration, {who}, every value with its meaning (YAML)", text)
+
+
+def _runs(
+    recording: Recording, replays: Mapping[str, Replayed], references: Sequence[Reference], counted: BoolArray
+) -> tuple[list[Mapping[str, object]], list[Toggle]]:
+    """The drive with the recorded commands and with those of each replay, drive by drive; and buttons for them."""
+    commands = {"recorded": recording.command} | {who: one.command for who, one in replays.items()}
+    replayed = next(iter(replays.values()))
+    begins = [number for number, tick in enumerate(recording.ticks) if tick.start is not None]
+    runs: list[Mapping[str, object]] = []
+    drives: list[str] = []
+    spans = list(zip(pairwise([*begins, len(recording.ticks)]), references, strict=True))
+    for place, ((first, stop), reference) in enumerate(spans, start=1):
+        kept = np.flatnonzero(counted & (np.arange(len(counted)) >= first) & (np.arange(len(counted)) < stop))
+        if len(kept) < _LEAST_TICKS or not np.isfinite(replayed.estimate[kept, 0]).any():
+            continue
+        drives.append(str(place))
+        start = recording.ticks[first].start
+        assert start is not None
+        for style, (who, rows) in enumerate(commands.items()):
+            of = replays.get(who, replayed)
+            run = _run(recording, of, reference, start.t0, kept, rows, recorded=who not in replays)
+            labels = {"controller": who, "drive": str(place), "path": str(place)}
+            points, name = max(200, _POINTS // len(spans)), f"{who}, drive {place}"
+            runs.append(run_series(run, name, points=points, labels=labels, style=style, config=of.config))
+    toggles = [Toggle("controller", tuple(commands), tuple(commands), styled=True)]
+    if len(drives) > 1:
+        toggles.append(Toggle("drive", tuple(drives), tuple(drives[:1])))
+    return runs, toggles if runs else []
+
+
+def _run(
+    recording: Recording,
+    replayed: Replayed,
+    reference: Reference,
+    t0: float,
+    kept: NDArray[np.intp],
+    command: FloatArray,
+    *,
+    recorded: bool,
+) -> Run:
+    """A drive as a run whose truth is what the estimator believed."""
+    ticks = [recording.ticks[k] for k in kept]
+    time = recording.time[kept] - t0
+    tracked = reference.sample(time)
+    believed = _filled(replayed.estimate[kept])
+    return Run(
+        reference=reference,
+        sample_time=replayed.config.sample_time,
+        time=time,
+        true_pose=believed[:, :3],
+        true_twist=np.column_stack([believed[:, 3], np.zeros(len(kept)), believed[:, 4]]),
+        reference_pose=tracked.pose,
+        reference_twist=tracked.twist,
+        reference_arc_length=tracked.arc_length,
+        command=np.nan_to_num(command[kept]),
+        step_time=np.full(len(kept), np.nan) if recorded else replayed.step_time[kept],
+        modes=tuple(tick.mode for tick in ticks) if recorded else tuple(replayed.modes[k] for k in kept),
+        messages=tuple(tick.message for tick in ticks) if recorded else tuple(replayed.messages[k] for k in kept),
+        measurements=tuple(tick.measurement for tick in ticks),
+        solver_paths=tuple(
+            (tick.solver_path if recorded else replayed.solver_paths[k]) or NO_SOLVER
+            for tick, k in zip(ticks, kept, strict=True)
+        ),
+        estimates=replayed.estimate[kept],
+        estimate_deviations=replayed.deviation[kept],
+    )
+
+
+def _filled(rows: FloatArray) -> FloatArray:
+    """Rows of which the ones that are not known are those before them, or the first known."""
+    known = np.flatnonzero(np.isfinite(rows).all(axis=1))
+    latest = np.clip(np.searchsorted(known, np.arange(len(rows)), side="right") - 1, 0, None)
+    return np.asarray(rows[known[latest]])
+
+
+def _charts(recording: Recording, replayed: Replayed, counted: BoolArray) -> list[Chart]:
+    """Differences of commands, ages of readings, and innovations over time."""
+    begin, apart = recording.time[counted][0], (replayed.command - recording.command)[counted]
+    time, title = from_zero(recording.time[counted])
+    when = Axis(title)
+    differences = [
+        Series(f"{name} [{unit}]", *_thinned(time, apart[:, i]), style=i, kind="line")
+        for i, (name, unit) in enumerate((("v", "m/s"), ("omega", "rad/s")))
+    ]
+    ages = [
+        Series(name, *_thinned(came - begin, age), style=i, kind="line")
+        for i, (field, name) in enumerate(NAMES.items())
+        for came, age in [_ages(recording, field, counted)]
+    ]
+    fits = [
+        Series(name, *_thinned(time, replayed.innovations[counted, column]), style=i, kind="points")
+        for i, (column, name) in enumerate(((3, "poses"), (0, "wheels, v"), (1, "wheels, omega"), (2, "gyro")))
+    ]
+    return [
+        Chart(
+            "Replayed less recorded command",
+            when,
+            Axis("difference"),
+            differences,
+            "What this controller would have commanded otherwise, while it believed that the recorded one went out.",
+            broad=True,
+        ),
+        Chart(
+            "Age of readings at the tick that got them",
+            when,
+            Axis("age [ms]"),
+            [one for one in ages if len(one.x)],
+            "From the stamp. What steps, comes late; where nothing is drawn, nothing came.",
+        ),
+        Chart(
+            "How readings fit to what was predicted",
+            when,
+            Axis("squared innovation over its variance [-]", "log"),
+            [one for one in fits if len(one.x)],
+            "1 on average where the estimator's assumptions hold. Lasting values far above tell of a wrong model, dead "
+            "time or stamp.",
+            marks=[Mark(1.0, "as assumed")],
+        ),
+    ]
+
+
+def _ages(recording: Recording, field: str, counted: BoolArray) -> tuple[FloatArray, FloatArray]:
+    came = np.array(
+        [
+            (tick.time, 1e3 * (tick.time - getattr(tick.measurement, field).time))
+            for tick, keep in zip(recording.ticks, counted, strict=True)
+            if keep and getattr(tick.measurement, field) is not None
+        ]
+    ).reshape(-1, 2)
+    return came[:, 0], came[:, 1]
+
+
+def _thinned(time: FloatArray, values: FloatArray) -> tuple[list[float], list[float | None]]:
+    """At most so many points, of neighbours the largest, so that peaks stay."""
+    known = np.isfinite(values)
+    time, values = time[known], values[known]
+    if not len(time):
+        return [], []
+    groups = np.array_split(np.arange(len(time)), min(_CHART_POINTS, len(time)))
+    chosen = np.array([ticks[np.argmax(np.abs(values[ticks]))] for ticks in groups])
+    return time[chosen].round(3).tolist(), [float(f"{value:.4g}") for value in values[chosen]]

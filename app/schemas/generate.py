@@ -1,0 +1,112 @@
+"""The JSON Schemas, made from what reads the files: `python -m diffdrive_mpc.app.schemas.generate` writes them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import reduce
+from operator import or_
+from typing import Any
+
+from pydantic import BaseModel, TypeAdapter
+
+from diffdrive_mpc.app.proof.proof_file import Proof
+from diffdrive_mpc.app.schemas.kinds import KINDS
+from diffdrive_mpc.app.schemas.variations import Schema, closed, only_what_differs, with_draws
+from diffdrive_mpc.app.tune.tune_file import TunePlan
+from diffdrive_mpc.bench.campaign.campaign_file import CONDITION, Campaign
+from diffdrive_mpc.bench.campaign.definition import FACTORS_OF_A_CASE, GROUPS
+from diffdrive_mpc.bench.campaign.draws import KINDS as DRAWS
+from diffdrive_mpc.bench.conditions import Conditions
+from diffdrive_mpc.models.drives.drive_file import DRIVE_FILES
+from diffdrive_mpc.models.energy.drive_constants import DriveConstants
+from diffdrive_mpc.models.hybrids.hybrid_file import HybridFile
+from diffdrive_mpc.models.logs.mapping import LogMapping
+from diffdrive_mpc.models.networks.network_file import NetworkFile
+from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.models.terrain.terrain_file import Terrain
+from diffdrive_mpc.models.terrain.vehicle import Vehicle
+from diffdrive_mpc.models.turn_costs import TurnCosts
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.monitor.rules import Rules
+from diffdrive_mpc.mpc.trajectories.segments import SegmentFile
+from diffdrive_mpc.mpc.trajectories.waypoints import WaypointFile
+from diffdrive_mpc.sim.disturbances.scenario import Scenario
+from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, SimulatedRobot, digital_twin
+from diffdrive_mpc.sim.plants.surface import Surface
+from diffdrive_mpc.sim.sensing.sensor_set import SensorSet, load_sensor_set
+from diffdrive_mpc.sim.worlds.settings import world_settings
+from diffdrive_mpc.sim.worlds.world import World
+
+
+def json_schema(kind: str) -> str:
+    """The JSON Schema of a kind of file as text; raises KeyError where there is no such kind."""
+    return json.dumps(closed(_MADE[kind]()), indent=2) + "\n"
+
+
+def write_all() -> None:
+    """Write every schema to its place; raises OSError where that cannot be done."""
+    for name, kind in KINDS.items():
+        kind.file.parent.mkdir(exist_ok=True)
+        kind.file.write_text(json_schema(name), encoding="utf-8")
+
+
+def _as_it_is(schema: type[BaseModel]) -> Callable[[], Schema]:
+    return schema.model_json_schema
+
+
+def _models() -> Schema:
+    files: list[Any] = [*(one.file for one in STRUCTURES.values()), NetworkFile, *DRIVE_FILES.values(), HybridFile]
+    return {"title": "Velocity model", **TypeAdapter(reduce(or_, files)).json_schema()}
+
+
+def _trajectories() -> Schema:
+    return {"title": "Trajectory", **TypeAdapter(SegmentFile | WaypointFile).json_schema()}
+
+
+def _worlds() -> Schema:
+    """What differs in sight from the shipped one is said; what movers do may be drawn, the rest is said."""
+    whole = only_what_differs(World.model_json_schema(), {"sight": world_settings().sight.model_dump()})
+    defs = whole["$defs"]
+    return {**whole, "$defs": {**defs, "Mover": with_draws({**defs["Mover"], "$defs": {}})}}
+
+
+def _with_factors(schema: type[BaseModel]) -> Callable[[], Schema]:
+    """A campaign's factors are read one by one, each by what it is."""
+
+    def made() -> Schema:
+        whole = schema.model_json_schema()
+        values = TypeAdapter(reduce(or_, (*DRAWS.values(), bool, int, float, str))).json_schema()
+        whole["$defs"] = whole.get("$defs", {}) | values.pop("$defs")
+        factors = whole["properties"]["factors"]
+        names = "|".join((*FACTORS_OF_A_CASE, CONDITION))
+        factors["propertyNames"] = {"pattern": f"^({names}|({'|'.join(GROUPS)})\\..+)$"}
+        factors["additionalProperties"] = values
+        return whole
+
+    return made
+
+
+_MADE: dict[str, Callable[[], Schema]] = {
+    "controller": _as_it_is(ControllerConfig),
+    "monitor": _as_it_is(Rules),
+    "trajectory": _trajectories,
+    "model": _models,
+    "mapping": _as_it_is(LogMapping),
+    "vehicle": _as_it_is(Vehicle),
+    "terrain": _as_it_is(Terrain),
+    "drive": _as_it_is(DriveConstants),
+    "turn-costs": _as_it_is(TurnCosts),
+    "robot": lambda: only_what_differs(SimulatedRobot.model_json_schema(), digital_twin()),
+    "surface": _as_it_is(Surface),
+    "sensors": lambda: only_what_differs(SensorSet.model_json_schema(), load_sensor_set(DEFAULT).model_dump()),
+    "scenario": lambda: with_draws(Scenario.model_json_schema()),
+    "world": _worlds,
+    "campaign": _with_factors(Campaign),
+    "proof": _with_factors(Proof),
+    "tune": _with_factors(TunePlan),
+    "conditions": _as_it_is(Conditions),
+}
+
+if __name__ == "__main__":
+    write_all()

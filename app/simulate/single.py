@@ -1,0 +1,221 @@
+"""One case for `diffdrive-mpc simulate`: run it, print a summary or its tables, draw it, log it."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
+from diffdrive_mpc.bench.comparison.tables import (
+    error_table,
+    path_table,
+    scenario_table,
+    summary_table,
+    world_table,
+)
+from diffdrive_mpc.bench.controllers import build, chosen_model, controller_config, other_robots
+from diffdrive_mpc.bench.outcomes import Outcome, by_driver, who_drives
+from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.run_log import holds_plans, run_log
+from diffdrive_mpc.bench.sweep import single_settings
+from diffdrive_mpc.bench.table import Table, duration
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc.trajectories.speed_check import sharper_than_commands, steps_beyond_slew
+from diffdrive_mpc.sim import simulate
+from diffdrive_mpc.sim.run import NO_SOLVER
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.app.animation.animate import FilmFile
+
+_MESSAGES_SHOWN = 5
+_METHODS = {
+    NO_SOLVER: "not solved",
+    "unlimited": "no active limit",
+    "active_set": "active set",
+    "osqp": "OSQP",
+    "daqp": "DAQP",
+}
+"""Words for how the solver found the solution of a tick."""
+
+
+def simulate_one(
+    values: Mapping[str, Any],
+    *,
+    config: Path | None,
+    settings: Sequence[str],
+    out: Path | None,
+    log: Path | None,
+    rerun: str | None = None,
+    scaled: bool = False,
+    film: FilmFile | None = None,
+    view: bool = False,
+    details: bool = False,
+) -> None:
+    """Run a case, print how it went, and write figures and log where asked.
+
+    Parameters
+    ----------
+    values
+        By dimension, `model` being None where it was not given.
+    config, settings, out, log, rerun, scaled
+        As typed.
+    film
+        The film to make of it.
+    view
+        Whether it is watched in MuJoCo's viewer.
+    details
+        Whether its tables are printed instead of a summary.
+
+    Raises ConfigError, ValueError or OSError if a name, a file, a value or a place to write to cannot be used; before
+    the run, and nothing is made then.
+    """
+    case = asked_case(values, config=config, settings=settings, scaled=scaled)
+    controller, plant, reference = build(case)
+    with ExitStack() as stack:
+        write_log = stack.enter_context(run_log(log))
+        if rerun is not None:
+            from diffdrive_mpc.app.rerun_view import ShownController, rerun_view  # noqa: PLC0415
+
+            shown = stack.enter_context(rerun_view(rerun, reference.name))
+            controller = ShownController(controller, plant, shown)
+        folder = None if out is None else stack.enter_context(staged(out, owner="simulate"))
+        reel = None
+        if film is not None:
+            from diffdrive_mpc.app.animation.animate import film_draft, write_film  # noqa: PLC0415
+            from diffdrive_mpc.app.animation.playback import from_columns  # noqa: PLC0415
+            from diffdrive_mpc.sim.view.body import robot_body  # noqa: PLC0415
+
+            reel = stack.enter_context(film_draft(film.path, "--animate"))
+        if view:
+            from diffdrive_mpc.app.animation.watched import watched  # noqa: PLC0415
+
+            controller = stack.enter_context(watched(controller, plant, reference, case.plant, case.surface))
+        kept = folder is not None or reel is not None or holds_plans(log)
+        began = time.perf_counter()
+        with ProgressBar("simulating") as bar:
+            run = simulate(controller, plant, reference, on_tick=bar.at, keep_plans=kept)
+        write_log(run, case)
+        if folder is not None:
+            draw(Outcome(case, run), folder, time.perf_counter() - began)
+        if film is not None and reel is not None:
+            body = robot_body(case.plant)
+            write_film(from_columns(run.columns, run.plans, command_limits(case)), film.film, body, reel)
+    report(Outcome(case, run), out, details=details)
+
+
+def asked_case(values: Mapping[str, Any], *, config: Path | None, settings: Sequence[str], scaled: bool) -> Case:
+    """The case that was typed; arguments and errors are those of `simulate_one`."""
+    name, model = values["controller"], values["model"]
+    if name in PEERS and (settings or config is not None or model is not None):
+        raise ConfigError(f"the controller '{name}' takes no --model, --config or --set")
+    model = NO_MODEL if name in PEERS else chosen_model(model, config)
+    file = None if config is None else str(config)
+    return Case(**{**values, "model": model}, config=file, overrides=single_settings(settings), scaled=scaled)
+
+
+def command_limits(case: Case) -> tuple[float, float] | None:
+    """Largest v [m/s] and omega [rad/s] that the controller of a case commands; None for a peer."""
+    if case.controller in PEERS:
+        return None
+    limits = controller_config(case.model, case.config, case.overrides).limits
+    return limits.v, limits.omega
+
+
+def report(outcome: Outcome, out: Path | None, *, details: bool = False) -> None:
+    """Print a summary of a run, or its tables, and its controller's messages; `out` is the folder of the report."""
+    console = output_console()
+    for line in _summary(outcome, out) if not details else ():
+        console.print(line, markup=False, highlight=False)
+    for table in tables(outcome) if details else ():
+        console.print(table.rich())
+    if outcome.case.controller not in PEERS:
+        config = controller_config(outcome.case.model, outcome.case.config, outcome.case.overrides)
+        for check in (steps_beyond_slew, sharper_than_commands):
+            said = check(outcome.run.reference, config.limits, config.sample_time)
+            if said:
+                console.print(said, markup=False, highlight=False)
+    for sentence in other_robots([outcome.case]):
+        console.print(f"note: {sentence}", markup=False, highlight=False)
+    if details and outcome.run.ended:
+        console.print(f"not completed: {outcome.run.ended}", markup=False, highlight=False)
+    messages = [message for message in dict.fromkeys(outcome.run.messages) if message]
+    for message in messages[:_MESSAGES_SHOWN]:
+        console.print(f"controller: {message}", markup=False, highlight=False)
+    if len(messages) > _MESSAGES_SHOWN:
+        console.print(f"and {len(messages) - _MESSAGES_SHOWN} other messages", highlight=False)
+
+
+def _summary(outcome: Outcome, out: Path | None) -> Iterator[str]:
+    """Six lines, and one more each for a scenario and a world."""
+    run, metrics, labels = outcome.run, outcome.metrics, outcome.case.labels
+    last = int(np.flatnonzero(run.counted)[-1])
+    if metrics.completed:
+        who = who_drives(outcome.case)
+        yield f"completed: {who} along {run.reference.name} on {labels['plant']}, {run.time[last]:.1f} s"
+    else:
+        away = f"{run.errors.position[last]:.3f} m from the reference at its end"
+        yield f"not completed: {run.ended or away}"
+    yield "errors: " + "; ".join(
+        f"{what} RMSE {1e3 * rmse:.1f} mm, max {1e3 * largest:.1f} mm"
+        for what, rmse, largest in (
+            ("position", metrics.position_rmse_m, metrics.position_max_m),
+            ("lateral", metrics.lateral_rmse_m, metrics.lateral_max_m),
+        )
+    )
+    times = metrics.step_time_p50_s, metrics.step_time_p99_s, metrics.step_time_max_s
+    shown = ", ".join(f"{name} {1e3 * time:.2f} ms" for name, time in zip(("p50", "p99", "max"), times, strict=True))
+    yield f"step time: {shown}; {metrics.deadline_misses} steps above {1e3 * run.sample_time:.1f} ms"
+    ticks = Counter(itertools.compress(run.solver_paths, run.counted))
+    shares = ", ".join(f"{_METHODS[name]} {100 * count / metrics.steps:.1f} %" for name, count in ticks.most_common())
+    yield f"solver: {'none' if set(ticks) == {NO_SOLVER} else shares}"
+    yield f"final mode: {run.modes[-1]}; {metrics.fallbacks} steps in a fall-back mode"
+    if outcome.case.scenario != NO_SCENARIO:
+        recovery = outcome.recovery
+        yield f"recovery: {duration(recovery.recovery_time_s)} s, overshoot {1e3 * recovery.overshoot_m:.1f} mm"
+    if run.passage:
+        arrived = "arrived" if run.passage.arrived else "not arrived"
+        yield f"world: {arrived}, {run.passage.contacts} contacts, least clearance {run.passage.clearance_m:.3f} m"
+    if out is None:
+        yield "next: --details prints the tables, --out FOLDER writes a report with figures"
+    else:
+        from diffdrive_mpc.bench.html_report.document import REPORT  # noqa: PLC0415 - only --out needs it
+
+        yield f"report: {out / REPORT}; --details prints the tables"
+
+
+def tables(outcome: Outcome) -> list[Table]:
+    """The tables of one run."""
+    shown = [summary_table, error_table, path_table]
+    made = [make([outcome]) for make in shown]
+    if outcome.case.scenario != NO_SCENARIO:
+        made.append(scenario_table([outcome]))
+    return [world_table([outcome]), *made] if outcome.run.passage else made
+
+
+def draw(outcome: Outcome, folder: Path, seconds: float) -> None:
+    """Draw a run, which took so many `seconds`, and its step times into `folder`, and write its page."""
+    from diffdrive_mpc.app.simulate.single_page import single_page  # noqa: PLC0415
+    from diffdrive_mpc.bench.html_report.document import REPORT, write_page  # noqa: PLC0415 - only --out needs it
+
+    draw_figures(outcome, folder)
+    write_page(single_page(outcome, tables(outcome), seconds), folder / REPORT)
+
+
+def draw_figures(outcome: Outcome, folder: Path) -> None:
+    """Draw a run and its step times into `folder`."""
+    from diffdrive_mpc.bench.comparison.figures import draw_case, draw_step_times  # noqa: PLC0415
+    from diffdrive_mpc.bench.figure_style import file_name  # noqa: PLC0415 - matplotlib loads slowly
+
+    (who,) = by_driver([outcome])
+    title = f"{who}, {outcome.case.labels['trajectory']}"
+    draw_case(outcome.run, f"{title}, seed {outcome.case.seed}", folder / f"{file_name(title)}.png")
+    draw_step_times([outcome], folder / f"{file_name(title)}-step-time.png")

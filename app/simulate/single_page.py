@@ -1,0 +1,127 @@
+"""The page of `diffdrive-mpc simulate`: one run, or laps, with linked views."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from diffdrive_mpc.bench.case import AS_FILED, DIMENSIONS, NO_SCENARIO, Case
+from diffdrive_mpc.bench.html_report.configuration import case_config, configuration
+from diffdrive_mpc.bench.html_report.origin import origin
+from diffdrive_mpc.bench.html_report.page import KeyFigure, Page, Runs, Shown, Toggle, View
+from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, run_series
+from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
+from diffdrive_mpc.bench.machine import describe_run
+from diffdrive_mpc.bench.outcomes import STATISTICS, Outcome, who_drives
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.sim import Run
+from diffdrive_mpc.sim.metrics.metrics import Metrics
+from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
+
+POINTS = 2000
+"""Ticks of a run that the page of one run holds at most."""
+_LAP_POINTS = 700
+
+
+def key_figures(run: Run) -> list[KeyFigure]:
+    """What one run came to, as large figures."""
+    of, band = run.metrics, f"±{1e3 * metric_settings().band:g} mm to either side of the path"
+    late = f"of {1e3 * run.sample_time:.1f} ms; {of.deadline_misses or 'none'} late"
+    step = f"{number(1e3 * of.step_time_p99_s, 2)} ms"
+    return [
+        KeyFigure("completed", "yes" if of.completed else "no", run.ended, "good" if of.completed else "bad"),
+        KeyFigure("position error, RMSE", _mm(of.position_rmse_m), f"largest {_mm(of.position_max_m)}"),
+        KeyFigure("lateral error, RMSE", _mm(of.lateral_rmse_m), f"largest {_mm(of.lateral_max_m)}"),
+        KeyFigure("inside the band", f"{number(of.in_band_percent, 1)} %", band),
+        KeyFigure("step time, p99", step, late),
+        KeyFigure("fallbacks", str(of.fallbacks), "ticks without a fresh plan", "bad" if of.fallbacks else "good"),
+        *_energy(of),
+    ]
+
+
+def _energy(of: Metrics) -> list[KeyFigure]:
+    if not math.isfinite(of.energy_j):
+        return []
+    return [KeyFigure("energy", f"{number(of.energy_j, 1)} J", f"work of the motors {number(of.motor_work_j, 1)} J")]
+
+
+def sentences(case: Case, run: Run) -> list[str]:
+    """What was driven, and whether it went as it should."""
+    of, labels, silent = run.metrics, case.labels, (NO_SCENARIO, AS_FILED)
+    where = [f"{one.name} {labels[one.name]}" for one in DIMENSIONS if one.place and labels[one.name] not in silent]
+    ending = "came to its end" if of.completed else "did not come to its end"
+    return [
+        f"{who_drives(case)} drove “{run.reference.name}” in {run.reference.duration:.1f} s ({', '.join(where)}, "
+        f"seed {case.seed}). It {ending}: the robot was {_mm(of.lateral_rmse_m)} beside its path (RMSE) and "
+        f"{_mm(of.lateral_max_m)} at most."
+    ]
+
+
+def single_page(outcome: Outcome, tables: Sequence[Table], seconds: float) -> Page:
+    """The page of one run, whose tables are given; it took so many `seconds`."""
+    case, run = outcome.case, outcome.run
+    config = case_config(case)
+    series = run_series(run, who_drives(case), points=POINTS, config=config)
+    shown = Shown(
+        summary=sentences(case, run),
+        notes=[f"Errors: {STATISTICS}. The controller does not know the true pose. Lateral: to the path."],
+        key_figures=key_figures(run),
+        views=[Runs([series], _hint(run, POINTS))],
+        warnings=run_warnings(run, config),
+        configurations=configuration(case),
+    )
+    title = f"{who_drives(case)} along {case.labels['trajectory']}"
+    return Page(
+        "diffdrive-mpc simulate", title, shown, tables, origin(describe_run(seconds), [("seed", str(case.seed))])
+    )
+
+
+def laps_page(
+    case: Case, learned: Sequence[Run], plain: Sequence[Run], table: Table, views: Sequence[View], seconds: float
+) -> Page:
+    """The page of laps with rehearsal and without: both as toggles, and each lap."""
+    names = ("with rehearsal", "without rehearsal")
+    laps = tuple(str(lap + 1) for lap in range(len(learned)))
+    config = case_config(case)
+    series = [
+        run_series(
+            run, f"{who}, lap {lap}", points=_LAP_POINTS, labels={"controller": who, "lap": lap}, style=i, config=config
+        )
+        for i, (who, runs) in enumerate(zip(names, (learned, plain), strict=True))
+        for lap, run in zip(laps, runs, strict=True)
+    ]
+    better = f"{_mm(plain[-1].metrics.position_rmse_m)} without rehearsal"
+    figures = key_figures(learned[-1])
+    figures[1] = replace(figures[1], label="position error in the last lap, RMSE", note=better)
+    shown = Shown(
+        summary=[
+            f"{who_drives(case)} drove “{learned[0].reference.name}” {len(laps)} times, learning from lap to lap. "
+            f"Position RMSE in the first lap {_mm(learned[0].metrics.position_rmse_m)}, "
+            f"in the last {_mm(learned[-1].metrics.position_rmse_m)}; {better}.",
+        ],
+        key_figures=figures,
+        toggles=[Toggle("controller", names, names, styled=True), Toggle("lap", laps, laps[-1:])],
+        views=[Runs(series, _hint(learned[-1], _LAP_POINTS)), *views],
+        warnings=[
+            one for lap, run in zip(laps, learned, strict=True) for one in run_warnings(run, config, f"lap {lap}")
+        ],
+        configurations=configuration(case),
+    )
+    title = f"{who_drives(case)} along {case.labels['trajectory']}, {len(laps)} laps"
+    return Page(
+        "diffdrive-mpc simulate --laps",
+        title,
+        shown,
+        [table],
+        origin(describe_run(seconds), [("seed", str(case.seed))]),
+    )
+
+
+def _mm(length: float) -> str:
+    return f"{number(1e3 * length, 1)} mm"
+
+
+def _hint(run: Run, points: int) -> str:
+    """How to read the views."""
+    return f"{HOW_TO_READ}." + (f" {PEAKS}." if len(run.time) > points else "")

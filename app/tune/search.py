@@ -1,0 +1,259 @@
+"""The search: Optuna asks for points, a campaign drives them, fidelity by fidelity; what promises little is pruned.
+
+Everything that is asked and told is kept in a storage, so an interrupted search goes on, and several machines may work
+on one study. With one worker a seed fixes the study bit for bit, on however many processes its runs are driven: points
+are asked for in groups of a fixed size, each with random numbers of its own, and are told in order.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import reduce
+from typing import Any
+
+from diffdrive_mpc.app.tune.objective import broken, check_usual, exceeded, in_words, score, table_of, terms_of
+from diffdrive_mpc.app.tune.optuna_study import (
+    STARTUP,
+    distribution,
+    near,
+    needs_optuna,
+    open_study,
+    sampler,
+    values_of,
+)
+from diffdrive_mpc.app.tune.points import Point, Searched, Values, importance_of
+from diffdrive_mpc.app.tune.step_time import predicted_p99, sizes_of
+from diffdrive_mpc.app.tune.tune_file import Runs, TunePlan
+from diffdrive_mpc.bench.campaign.definition import Definition
+from diffdrive_mpc.bench.campaign.draws import Value
+from diffdrive_mpc.bench.campaign.engine import Driven, Place, drive_all
+from diffdrive_mpc.bench.campaign.identity import key_of
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc import load_config
+
+_WORKER, _GROUP, _SCORE = "worker", "group", "score"
+
+
+@dataclass(frozen=True)
+class RunSet:
+    """Runs that points are judged by, and what the defaults did on them."""
+
+    runs: list[Definition]
+    usual: list[Driven] = field(default_factory=list)
+
+
+@dataclass
+class Judged:
+    """A point under way: what came of it so far."""
+
+    trial: Any
+    values: Values
+    violations: dict[str, float] = field(default_factory=dict)
+    scores: list[tuple[float, float, float]] = field(default_factory=list)
+    pruned: bool = False
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether it is worth more runs."""
+        return not self.pruned and not in_words(self.violations)
+
+
+class Search:
+    """The search for a configuration.
+
+    Parameters
+    ----------
+    plan
+        What is searched, and on which runs.
+    told
+        The factors that name the controller.
+    place
+        Where runs are driven and kept.
+    storage
+        Address of a data base for Optuna, "mysql://..."; empty for a file in the folder of `place`.
+    worker
+        Number of this worker among those of one study, from 1.
+
+    Raises ConfigError if a range or a factor has a mistake.
+    """
+
+    def __init__(
+        self, plan: TunePlan, told: Mapping[str, Value], place: Place, storage: str = "", worker: int = 1
+    ) -> None:
+        self._plan, self._told, self._place, self._storage, self._worker = plan, told, place, storage, worker
+        self._terms = terms_of(plan.objective)
+        config = load_config(str(told.get("config", told["model"])))
+        self.usual: Values = {key: _value(config, key) for key in plan.parameters}
+        self._distributions = {key: distribution(key, one, self.usual[key]) for key, one in plan.parameters.items()}
+        for end in ("low", "high"):
+            load_config(
+                str(told.get("config", told["model"])),
+                {key: getattr(one, end) for key, one in self._distributions.items()},
+            )
+        self._fidelities = [RunSet(self._runs(plan.tuning, one.runs, one.factors)) for one in plan.fidelities]
+        self._own = self.constraint_sets(plan.tuning)
+        self._study: Any = None
+
+    def verdict_runs(self, count: int) -> list[Definition]:
+        """So many runs of the verdict."""
+        return self._runs(self._plan.verdict, count, {})
+
+    def constraint_sets(self, of: Runs) -> dict[str, RunSet]:
+        """The runs of each constraint that has its own, not driven yet."""
+        listed = {name: one for name, one in self._plan.constraints.items() if one.runs}
+        return {name: RunSet(self._runs(of, one.runs, one.factors)) for name, one in listed.items()}
+
+    def run(self, bar: ProgressBar) -> Searched:
+        """Ask, drive and tell until the study has its points.
+
+        Raises ConfigError if the storage cannot be used or the objective has no value, MissingPackageError without
+        Optuna, StudyFailedError if runs could not be driven.
+        """
+        self._fidelities = [self.with_usual(one, bar) for one in self._fidelities]
+        self._own = {name: self.with_usual(one, bar) for name, one in self._own.items()}
+        for one in self._fidelities:
+            check_usual(self._terms, table_of(self._terms, one.usual))
+        study = self._study = open_study(self._name(), self._place.folder, self._storage, self._plan.keep)
+        while batch := self._next(study):
+            self._judge(study, batch, bar)
+        points = [self._point(one) for one in study.get_trials(deepcopy=False) if _SCORE in one.user_attrs]
+        return Searched(points, importance_of(points, self._distributions))
+
+    def with_usual(self, of: RunSet, bar: ProgressBar) -> RunSet:
+        """The same runs, driven with the defaults."""
+        return RunSet(of.runs, self.drive([{}], of.runs, bar, "driving the defaults")[0])
+
+    def drive(
+        self, points: Sequence[Mapping[str, Value]], runs: Sequence[Definition], bar: ProgressBar, text: str
+    ) -> list[list[Driven]]:
+        """Drive `runs` with the values of each point; what differs from the defaults is replaced in them."""
+        asked = []
+        for values in points:
+            other = {f"config.{key}": value for key, value in values.items() if value != self.usual[key]}
+            asked.append([run.changed(other) if other else run for run in runs])
+        driven = drive_all([run for mine in asked for run in mine], self._place, bar, text)
+        by_run = {one.definition: one for one in driven}
+        return [[by_run[run] for run in mine] for mine in asked]
+
+    def step_time(self, values: Mapping[str, Value]) -> dict[str, float]:
+        """By which share of its limit the step time of a point is beyond it; empty without a limit."""
+        stated, study = self._plan.step_time, self._study
+        if stated is None:
+            return {}
+        # Kept in the storage: a measurement is another one each time.
+        other = {key: value for key, value in sizes_of(values).items() if value != self.usual[key]}
+        key = f"p99 [s] with {json.dumps(other, sort_keys=True)}"
+        if key not in study.user_attrs:
+            case = self._fidelities[0].runs[0].case
+            study.set_user_attr(key, predicted_p99(stated, case, other))
+        return {"step_time": study.user_attrs[key] / stated.at_most - 1.0}
+
+    def _runs(self, of: Runs, count: int, factors: Mapping[str, object]) -> list[Definition]:
+        return self._plan.runs(of, count, self._told, factors)
+
+    def _name(self) -> str:
+        """Of the study: another one for every plan, configuration, plant and version of the product."""
+        sets = [*self._fidelities, *self._own.values()]
+        plan = self._plan.model_dump(mode="json", exclude={"factors", "description", "verdict", "points"})
+        text = json.dumps([plan, self.usual, [key_of(run) for one in sets for run in one.runs]], sort_keys=True)
+        return f"tune {hashlib.sha256(text.encode()).hexdigest()[:16]}"
+
+    def _next(self, study: Any) -> list[Any]:  # noqa: ANN401 - has no types
+        """The points to judge now: what is left of a group that was interrupted, or a new one; none in the end."""
+        trials = study.get_trials(deepcopy=False)
+        mine = [one for one in trials if one.user_attrs.get(_WORKER) == self._worker]
+        left = [one for one in mine if not one.state.is_finished()]
+        if not trials:
+            study.enqueue_trial(dict(self.usual))
+        size = 1 if not trials else min(self._plan.at_once, self._plan.points - len(trials))
+        group = left[0].user_attrs[_GROUP] if left else [len(mine), size]
+        begun = sum(one.user_attrs[_GROUP] == group for one in mine)
+        batch = [needs_optuna().trial.Trial(study, one._trial_id) for one in left]
+        for k in range(group[1] - begun):
+            seeds = (self._plan.search_seed, self._worker, len(mine) + k)
+            study.sampler = sampler(*seeds)
+            if 0 < len(trials) + k < STARTUP:
+                study.enqueue_trial(near(self._distributions, self.usual, *seeds))
+            trial = study.ask(dict(self._distributions))
+            trial.set_user_attr(_GROUP, group)
+            trial.set_user_attr(_WORKER, self._worker)
+            batch.append(trial)
+        return batch
+
+    def _judge(self, study: Any, batch: Sequence[Any], bar: ProgressBar) -> None:  # noqa: ANN401
+        """Drive points fidelity by fidelity, prune, and tell in the end."""
+        judged = [Judged(trial, self._values(trial.params)) for trial in batch]
+        for one in judged:
+            one.violations |= self.step_time(one.values)
+        for k, of in enumerate(self._fidelities):
+            left = [one for one in judged if one.goes_on]
+            text = f"points {batch[0].number} to {batch[-1].number} of {self._plan.points}, fidelity {k + 1}"
+            found = self.drive([one.values for one in left], of.runs, bar, text)
+            for one, driven in zip(left, found, strict=True):
+                self._take(one, k, driven, of.usual)
+        left = [one for one in judged if one.goes_on]
+        for name, of in self._own.items():
+            found = self.drive([one.values for one in left], of.runs, bar, f"constraint {name}")
+            for one, driven in zip(left, found, strict=True):
+                one.violations |= broken(driven, of.usual, self._terms)
+                one.violations[name] = exceeded(self._plan.constraints[name], driven, of.usual, name)
+            left = [one for one in left if one.goes_on]
+        state = needs_optuna().trial.TrialState
+        for one in judged:
+            for name, value in one.violations.items():
+                one.trial.set_constraint(name, value)
+            one.trial.set_user_attr(_SCORE, {"scores": one.scores, "broken": in_words(one.violations)})
+        for one in judged:
+            usable = one.goes_on
+            study.tell(
+                one.trial.number,
+                one.scores[-1][0] if usable else None,
+                state=state.COMPLETE if usable else state.PRUNED,
+                skip_if_finished=True,
+            )
+
+    def _take(self, one: Judged, fidelity: int, driven: Sequence[Driven], usual: Sequence[Driven]) -> None:
+        """Take what came of a point with one fidelity, and decide whether it goes on."""
+        one.violations |= broken(driven, usual, self._terms)
+        for name, constraint in self._plan.constraints.items():
+            if not constraint.runs:
+                one.violations[name] = exceeded(constraint, driven, usual, name)
+        if one.violations["not_driven"] > 0.0:
+            return
+        found = score(self._terms, table_of(self._terms, driven), table_of(self._terms, usual))
+        one.scores.append((float(found.value), float(found.error), float(found.effort)))
+        if in_words(one.violations) or fidelity == len(self._fidelities) - 1:
+            return
+        choice = f"pruned after fidelity {fidelity + 1}"
+        if choice not in one.trial.user_attrs:
+            # Successive halving counts a resource, which grows by its factor.
+            one.trial.report(one.scores[-1][0], self._plan.keep**fidelity)
+            one.trial.set_user_attr(choice, one.trial.should_prune())
+        # The defaults are what everything else is held against.
+        one.pruned = one.trial.user_attrs[choice] and one.trial.number > 0
+
+    def _values(self, params: Mapping[str, Value]) -> Values:
+        return values_of(params, self.usual)
+
+    def _point(self, trial: Any) -> Point:  # noqa: ANN401
+        said = trial.user_attrs[_SCORE]
+        values = self._values(trial.params)
+        usable = trial.state == needs_optuna().trial.TrialState.COMPLETE
+        if not said["scores"]:
+            return Point(trial.number, values, broken=said["broken"])
+        value, error, effort = said["scores"][-1]
+        first = said["scores"][0][0]
+        return Point(
+            trial.number, values, len(said["scores"]), value, error, effort, first, said["broken"], usable=usable
+        )
+
+
+def _value(config: object, key: str) -> Any:  # noqa: ANN401 - whatever the configuration holds
+    try:
+        return reduce(getattr, key.split("."), config)
+    except AttributeError as error:
+        raise ConfigError(f"parameters.{key}: the configuration has no such key; see `config schema`") from error

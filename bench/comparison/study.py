@@ -1,0 +1,101 @@
+"""The comparison as a study: run in parallel for the motion, then serially for the step times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+from diffdrive_mpc.bench.case import DIMENSIONS, Case
+from diffdrive_mpc.bench.comparison.page import shown
+from diffdrive_mpc.bench.comparison.plan import CasePlan, ComparisonSettings, plan_cases
+from diffdrive_mpc.bench.comparison.properties import measure_properties
+from diffdrive_mpc.bench.comparison.results import (
+    TIMING,
+    ComparisonResults,
+    chosen_configuration,
+    describe,
+    labelled,
+)
+from diffdrive_mpc.bench.comparison.tables import report_tables, scenario_table, screen_table
+from diffdrive_mpc.bench.outcomes import STATISTICS, Score, run_cases
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.study import Report, Study
+from diffdrive_mpc.bench.timing import TimingPass, time_outcomes
+
+
+class ComparisonStudy(Study[CasePlan, ComparisonResults]):
+    """What `settings` ask for."""
+
+    name = "bench"
+    title = "Bench"
+
+    def __init__(self, settings: ComparisonSettings) -> None:
+        self.settings = settings
+
+    def plan(self) -> CasePlan:
+        """The cases; raises ConfigError or ValueError if one of them cannot be run."""
+        return plan_cases(self.settings)
+
+    def cases(self, plan: CasePlan) -> Iterable[Case]:
+        """All of them, where a configuration was given; else plants are compared on purpose."""
+        return [case for case in plan.all if case.config is not None]
+
+    def run(self, plan: CasePlan, jobs: int, bar: ProgressBar) -> ComparisonResults:
+        """Run every case, and time the controllers' steps; raises NotReproducibleError where a replay differs."""
+        bar.begin(f"running, {jobs} at a time", len(plan.all) + len(plan.beyond))
+        recorded, others = run_cases(plan.all, jobs, bar.advance, plan.beyond)
+        bar.begin("timing, in turns", len(recorded))
+        timed, timing = time_outcomes(recorded, bar.advance)
+        outcomes = {outcome.case: outcome for outcome in timed}
+        main, horizon = (tuple(outcomes[case] for case in cases) for cases in (plan.main, plan.horizon))
+        results = ComparisonResults(self.settings, main, horizon, timing)
+        if not self.settings.beyond:
+            return results
+        scores = {score.case: score for score in others}
+        scores |= {case: Score.of_outcome(outcome) for case, outcome in outcomes.items()}
+        speed, dead_time, other_seeds = (
+            tuple(scores[case] for case in cases) for cases in (plan.speed, plan.dead_time, plan.other_seeds)
+        )
+        # In one process: another pool takes longer to start.
+        properties = tuple(measure_properties(plan.main, 1))
+        return replace(results, properties=properties, speed=speed, dead_time=dead_time, other_seeds=other_seeds)
+
+    def report(self, results: ComparisonResults, seconds: float) -> Report:
+        """The overview above the tables, the runs of the first seed one by one below."""
+        from diffdrive_mpc.bench.comparison.figures import drawings  # noqa: PLC0415 - matplotlib loads slowly
+
+        named = [one for one in DIMENSIONS if (one.place or one.name == "seed") and one.name not in results.silent]
+        asked = [
+            f"{one.name if one.place and len(values) == 1 else one.several} {', '.join(map(str, values))}"
+            for one in named
+            if (values := labelled(self.settings, one.several))
+        ]
+        chosen = chosen_configuration(self.settings)
+        return Report(
+            counted=f"{len(results.all)} runs",
+            meta=describe(self.settings, results.timing),
+            content=results.content(),
+            facts=[
+                f"{len(results.all)} runs in {seconds} s; {', '.join(asked)}.",
+                *([f"Configuration: {chosen}."] if chosen else []),
+            ],
+            notes=[
+                f"Errors: {STATISTICS}.",
+                f"Times: {TIMING}. {_undisturbed(results.timing)}",
+            ],
+            tables=report_tables(results),
+            figures=drawings(results),
+            figures_first=3 if results.speed else 1,
+            shown=shown(results),
+            screen=[
+                *([scenario_table(results.main)] if "scenario" not in results.silent else []),
+                screen_table(results.main),
+            ],
+        )
+
+
+def _undisturbed(timing: TimingPass) -> str:
+    return (
+        f"In the end {100 * timing.clean_share:.1f} % of the ticks were undisturbed; other programs had the core for "
+        f"{100 * timing.others_share:.0f} % of the time, and the yardstick took {1e6 * timing.yardstick:.1f} us."
+    )

@@ -1,0 +1,87 @@
+"""The keys of a configuration as text, from the schema: rows of a table, and YAML with its meaning as comments."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal, get_args, get_origin
+
+import yaml
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+
+_BOUNDS = {Gt: ("gt", ">"), Ge: ("ge", ">="), Lt: ("lt", "<"), Le: ("le", "<=")}
+"""Attribute and sign of each kind of bound."""
+
+
+@dataclass(frozen=True)
+class FieldRow:
+    """One key of the schema as text."""
+
+    key: str
+    default: str
+    unit: str
+    range: str
+    help: str
+
+
+def schema_rows(schema: type[BaseModel] = ControllerConfig, prefix: str = "") -> list[FieldRow]:
+    """Every key of `schema`, groups resolved into dotted keys; NAME[].KEY is a key of each item of a list."""
+    rows = []
+    for name, field in schema.model_fields.items():
+        group = _group(field.annotation)
+        if group is not None:
+            rows += schema_rows(group, f"{prefix}{name}.")
+            continue
+        text, unit = _help_and_unit(field)
+        default = "required" if field.is_required() else _scalar(field.default)
+        rows.append(FieldRow(prefix + name, default, unit, _range(field), text))
+        for item in filter(None, map(_group, get_args(field.annotation))):
+            rows += schema_rows(item, f"{prefix}{name}[].")
+    return rows
+
+
+def commented_yaml(config: BaseModel, notes: Mapping[str, str] | None = None) -> str:
+    """A configuration with all its values as YAML, each with its meaning as a comment, and before it a note by key."""
+    return "\n".join(_yaml_lines(config, "", notes or {})) + "\n"
+
+
+def _yaml_lines(config: BaseModel, prefix: str, notes: Mapping[str, str]) -> Iterator[str]:
+    indent = "  " * prefix.count(".")
+    for name, field in type(config).model_fields.items():
+        value, key = getattr(config, name), f"{prefix}{name}"
+        if isinstance(value, BaseModel):
+            yield f"{indent}{name}:"
+            yield from _yaml_lines(value, f"{key}.", notes)
+        else:
+            comment = "; ".join(filter(None, (notes.get(key, ""), field.description)))
+            yield f"{indent}{name}: {_scalar(value)}" + (f"  # {comment}" if comment else "")
+
+
+def _scalar(value: object) -> str:
+    """A value as YAML writes it, on one line."""
+    if isinstance(value, list):
+        value = [item.model_dump() if isinstance(item, BaseModel) else item for item in value]
+    text = yaml.safe_dump(value, default_flow_style=True, width=10_000, allow_unicode=True)
+    return text.removesuffix("\n").removesuffix("\n...")
+
+
+def _group(kind: object) -> type[BaseModel] | None:
+    return kind if isinstance(kind, type) and issubclass(kind, BaseModel) else None
+
+
+def _help_and_unit(field: FieldInfo) -> tuple[str, str]:
+    """Split "what it is [unit]"; without brackets at the end there is no unit."""
+    found = re.fullmatch(r"(.*?)\s*\[([^\[\]]*)\]", field.description or "", flags=re.DOTALL)
+    return (found[1], found[2]) if found else (field.description or "", "")
+
+
+def _range(field: FieldInfo) -> str:
+    if get_origin(field.annotation) is Literal:
+        return ", ".join(get_args(field.annotation))
+    bounds = [(_BOUNDS[type(m)], m) for m in field.metadata if type(m) in _BOUNDS]
+    return ", ".join(f"{sign} {getattr(bound, name):g}" for (name, sign), bound in bounds)

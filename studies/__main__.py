@@ -1,0 +1,5 @@
+"""`python -m studies NAME`, in the folder of a clone."""
+
+from studies.cli import main
+
+main()

@@ -1,0 +1,31 @@
+"""The command line of the studies, `python -m studies NAME` in a clone."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from diffdrive_mpc.bench.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
+from studies.commands import monitor, real_logs, studies
+from studies.commands.shipped_models import shipped_models_app
+
+app = typer.Typer(
+    cls=OneLineErrors,
+    no_args_is_help=True,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Repeat a study: the evidence for this project's own claims.",
+)
+for _name, _study in studies.STUDIES.items():
+    app.command(_name, epilog=studies.EXAMPLES[_name])(_study)
+app.command("real-logs", epilog=real_logs.EXAMPLE)(real_logs.real_logs)
+app.command("monitor", epilog=monitor.EXAMPLE)(monitor.monitor)
+app.add_typer(shipped_models_app, name="models")
+
+
+def main() -> None:
+    """Entry point of `python -m studies`."""
+    leave_on_sigterm()
+    build_only_named(app, sys.argv[1:])
+    app(prog_name="python -m studies")

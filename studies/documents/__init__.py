@@ -1,0 +1,1 @@
+"""Tables and figures of reports, as the documents show them."""

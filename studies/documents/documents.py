@@ -1,0 +1,190 @@
+"""Copy tables and figures of reports into the documents, so that they show what was produced.
+
+Run as ``python -m studies.documents.documents OUT ...``, from the top of the repository.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+
+_NOT_RUN = "This part was not run."
+
+
+@dataclass(frozen=True)
+class ShownReport:
+    """What the documents show of the report `NAME.md` that `make NAME` writes.
+
+    Attributes
+    ----------
+    name
+        Of the study.
+    figures, records
+        Names of figures, and of files that are committed beside them.
+    page
+        The document with tables between markers, below the folder `docs`.
+    brief
+        Whether it has the first table and the facts between markers of the study's own name, beside what others name.
+    study
+        The study whose report it is, where one study writes several: then `name` is that of its folder.
+    """
+
+    name: str
+    figures: tuple[str, ...]
+    records: tuple[str, ...]
+    page: str
+    brief: bool = False
+    study: str = ""
+
+    @property
+    def made_by(self) -> str:
+        """The target of make that writes all of it."""
+        return "bench-full" if self.name == "bench" else self.name
+
+    @property
+    def file(self) -> str:
+        """Name of the report."""
+        return f"{self.study or self.name}.md"
+
+
+BENCH = ShownReport(
+    "bench",
+    ("overview.png", "speed.png", "dead-time.png", "horizon.png"),
+    ("bench.json",),
+    "../README.md",
+    brief=True,
+)
+TRACKING = ShownReport("tracking", ("ablation.png", "error-sources.png"), (), "tracking.md")
+REPRODUCE = ShownReport(
+    "reproduce",
+    (
+        *("odometry.png", "orders.png", "virtual-track.png", "slip-scatter.png"),
+        *("turn-torques.png", "turn-power.png", "turn-learning.png", "turn-energy.png"),
+    ),
+    (),
+    "reproduce.md",
+)
+SPEED = ShownReport("speed", ("horizon.png", "tail.png"), ("speed.json",), "performance.md")
+PEERS = ShownReport("peers", (), (), "peers.md")
+EDGE = ShownReport("edge", ("overview.png",), (), "peers.md", study="bench")
+ROBUSTNESS = ShownReport("robustness", ("ratios.png",), (), "robustness.md")
+MARKET = ShownReport("market", (), (), "robustness.md", study="robustness")
+PROVE = ShownReport(
+    "prove", ("errors.png", "map-dead-time-and-friction.png", "map-mass-and-latency.png"), (), "prove.md"
+)
+TUNE = ShownReport("tune", ("front.png", "search.png"), (), "tune.md")
+LOOP_SPEED = ShownReport("loop-speed", (), (), "performance.md")
+TORQUE = ShownReport(
+    "torque",
+    ("torque-default.png", "learned-default.png", "power.png", "learning.png", "payloads.png", "energy.png"),
+    (),
+    "energy.md",
+)
+SAVING = ShownReport(
+    "saving",
+    (
+        "saving.png",
+        "paths-default.png",
+        "prediction.png",
+        "scenario-1.png",
+        "scenario-2.png",
+        "scenario-3.png",
+        "scenario-4.png",
+    ),
+    (),
+    "saving.md",
+)
+ENERGY_FRONT = ShownReport("energy-front", ("front.png",), (), "energy.md")
+SHOWN = (
+    BENCH,
+    TRACKING,
+    REPRODUCE,
+    SPEED,
+    LOOP_SPEED,
+    PEERS,
+    EDGE,
+    ROBUSTNESS,
+    MARKET,
+    PROVE,
+    TUNE,
+    TORQUE,
+    ENERGY_FRONT,
+    SAVING,
+)
+
+
+def copy_report(shown: ShownReport, out: Path, documents: Path) -> None:
+    """Copy the report in `out` to `documents`, links to figures that are not shown left out; old figures go.
+
+    Raises ConfigError if `out` holds no report.
+    """
+    if not (out / shown.file).is_file():
+        raise ConfigError(f"{out}: no {shown.file}; run `make {shown.made_by}` first")
+    documents.mkdir(parents=True, exist_ok=True)
+    report = (out / shown.file).read_text(encoding="utf-8")
+    for figure in shown.figures:
+        (documents / figure).unlink(missing_ok=True)
+        if f"](figures/{figure})" in report:
+            shutil.copyfile(out / "figures" / figure, documents / figure)
+    for record in shown.records:
+        shutil.copyfile(out / record, documents / record)
+    lines = report.replace("](figures/", "](").splitlines()
+    kept = [line for line in lines if not line.startswith("![") or line.split("](")[1].rstrip(")") in shown.figures]
+    (documents / f"{shown.name}.md").write_text("\n".join(kept) + "\n", encoding="utf-8")
+
+
+def sections(shown: ShownReport, report: str) -> dict[str, str]:
+    """Parts of a report by the names of their markers: facts, figures and tables."""
+    head, *tables = report.split("\n## ")
+    lines = head.splitlines()
+    facts = "\n".join(line for line in lines if line.startswith("* "))
+    parts = {f"{shown.name}-runs": facts}
+    if shown.brief:
+        first = tables[0].partition("\n")[2].strip()
+        parts[shown.name] = f"{first}\n\n{facts}"
+    for line in lines:
+        if line.startswith("!["):
+            name = line[2:].partition("]")[0]
+            parts[f"{shown.name}-figure-{name}"] = line.replace("](", f"]({shown.name}/")
+    for table in tables:
+        title, _, body = table.partition("\n")
+        parts[f"{shown.name}-{title.lower().replace(' ', '-')}"] = body.strip()
+    return parts
+
+
+def insert(document: str, text: str, name: str) -> str:
+    """`document` with `text` between the markers of that name."""
+    begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
+    before, rest = document.split(begin, 1)
+    return f"{before}{begin}\n{text}\n{end}{rest.split(end, 1)[1]}"
+
+
+def with_report(shown: ShownReport, document: str, report: str) -> str:
+    """`document` with every part of the report between its markers; parts that were not run say so."""
+    parts = sections(shown, report)
+    for name in re.findall(rf"<!-- ({shown.name}(?:-[a-z-]+)?):begin -->", document):
+        document = insert(document, parts.get(name, _NOT_RUN), name)
+    return document
+
+
+def update(out: Path) -> None:
+    """Update docs/NAME and the page of the report in `out`; raises ConfigError if there is none."""
+    found = [one for one in SHOWN if (out / one.file).is_file()]
+    if not found:
+        raise ConfigError(f"{out}: no report of {', '.join(one.name for one in SHOWN)}")
+    # The folder's name says which, where one study writes several.
+    shown = next((one for one in found if one.name == out.name), found[0])
+    folder = Path("docs") / shown.name
+    copy_report(shown, out, folder)
+    report, page = (folder / f"{shown.name}.md").read_text(encoding="utf-8"), Path("docs") / shown.page
+    page.write_text(with_report(shown, page.read_text(encoding="utf-8"), report), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    for argument in sys.argv[1:]:
+        update(Path(argument))

@@ -1,0 +1,147 @@
+"""Table and figure of docs/nav2.md: one simulated robot, the same paths, Nav2's law and this project's controller.
+
+`python -m studies.documents.nav2_page` writes both. Judged as paths, without times: what a FollowPath goal asks for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive_mpc.bench.figure_style import colour, line_style, new_figure
+from diffdrive_mpc.bench.peers.rpp import RegulatedPurePursuit, load_parameters, path_of
+from diffdrive_mpc.models.interface import FloatArray, Reference, TrackingController
+from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
+from diffdrive_mpc.sim import make_plant, simulate
+from studies.documents.documents import insert
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "nav2.md"
+FIGURE = PAGE.parent / "nav2" / "paths.png"
+MARKER = "side-by-side"
+PATHS = ("circle", "s", "square", "cane")
+SEEDS = range(5)
+_EXTRA_TIME = 15.0
+"""A path without times may take longer [s]."""
+_AT_REST = 0.01
+_SPACING = 0.002
+
+
+@dataclass(frozen=True)
+class Followed:
+    """How a path was followed: distances of the true position from it at each tick while it drove [m].
+
+    Attributes
+    ----------
+    away
+        (n,) distances from the path.
+    end, turned
+        Distance [m] and heading error [rad] at the end, once it stands.
+    time, speed
+        Until it stands [s], and on the average over that [m/s].
+    position
+        (n, 2) where it was [m].
+    """
+
+    away: FloatArray
+    end: float
+    turned: float
+    time: float
+    speed: float
+    position: FloatArray
+
+
+def short_carrot() -> TrackingController:
+    """Nav2's law with its carrot at half the distance."""
+    return RegulatedPurePursuit(parameters=load_parameters().model_copy(update={"lookahead_dist": 0.3}))
+
+
+CONTROLLERS: dict[str, Callable[[], TrackingController]] = {
+    "regulated pure pursuit, Nav2's defaults": RegulatedPurePursuit,
+    "the same, `lookahead_dist: 0.3`": short_carrot,
+    "this project, `ssm`": lambda: Controller(load_config("ssm")),
+}
+
+
+def follow(make: Callable[[], TrackingController], reference: Reference, seed: int) -> Followed:
+    """Drive one path once, on the simulated skid-steer with its default floor and sensors."""
+    plant = make_plant("mujoco", surface="default", sensors="default", seed=seed)
+    run = simulate(make(), plant, reference, extra_time=_EXTRA_TIME)
+    path = path_of(reference, _SPACING)
+    moving = np.flatnonzero(np.abs(run.true_twist).max(axis=1) > _AT_REST)
+    last = int(moving[-1]) + 1
+    position = run.true_pose[: last + 1, :2]
+    end = run.true_pose[min(last, len(run.true_pose) - 1)]
+    travelled = float(np.hypot(*np.diff(position, axis=0).T).sum())
+    return Followed(
+        _distances(position, path[:, :2]),
+        float(np.hypot(*(end - path[-1])[:2])),
+        abs(float(np.angle(np.exp(1j * (end[2] - path[-1, 2]))))),
+        last * run.sample_time,
+        travelled / (last * run.sample_time),
+        position,
+    )
+
+
+def _distances(points: FloatArray, path: FloatArray) -> FloatArray:
+    return np.array([np.hypot(*(path - point).T).min() for point in points])
+
+
+def study() -> dict[tuple[str, str], list[Followed]]:
+    """Every controller on every path, each seed."""
+    found = {}
+    for path in PATHS:
+        reference = load_trajectory(path)
+        for name, make in CONTROLLERS.items():
+            found[path, name] = [follow(make, reference, seed) for seed in SEEDS]
+    return found
+
+
+def table(found: dict[tuple[str, str], list[Followed]]) -> str:
+    """Means over the seeds; the largest distance is that of all."""
+    lines = [
+        "| path | controller | off the path RMS [mm] | largest [mm] | end [mm] | end [rad] | time [s] | speed [m/s] |",
+        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    for (path, name), runs in found.items():
+        away = 1e3 * float(np.sqrt(np.mean(np.concatenate([run.away for run in runs]) ** 2)))
+        worst = 1e3 * max(float(run.away.max()) for run in runs)
+        mean = [float(np.mean([getattr(run, each) for run in runs])) for each in ("end", "turned", "time", "speed")]
+        lines.append(
+            f"| {path} | {name} | {away:.1f} | {worst:.0f} | {1e3 * mean[0]:.0f} | {mean[1]:.3f} | {mean[2]:.1f} "
+            f"| {mean[3]:.2f} |"
+        )
+    return "\n".join(lines)
+
+
+def draw(found: dict[tuple[str, str], list[Followed]], path: Path = FIGURE) -> None:
+    """The ways of the first seed on the paths."""
+    path.parent.mkdir(exist_ok=True)
+    with new_figure(path, 11.0, 3.2) as figure:
+        axes = figure.subplots(1, len(PATHS))
+        for axis, name in zip(axes, PATHS, strict=True):
+            line = path_of(load_trajectory(name), 0.02)
+            axis.plot(line[:, 0], line[:, 1], color="0.8", linewidth=4.0, label="path")
+            for index, controller in enumerate(CONTROLLERS):
+                way = found[name, controller][0].position
+                words = controller.replace("`", "")
+                axis.plot(way[:, 0], way[:, 1], line_style(index), color=colour(index), linewidth=1.0, label=words)
+            axis.set_title(name)
+            axis.set_aspect("equal")
+            axis.set_xlabel("x [m]")
+        axes[0].set_ylabel("y [m]")
+        handles, labels = axes[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=4)
+
+
+def main() -> None:
+    """Write table and figure."""
+    found = study()
+    PAGE.write_text(insert(PAGE.read_text(encoding="utf-8"), table(found), MARKER), encoding="utf-8")
+    draw(found)
+
+
+if __name__ == "__main__":
+    main()

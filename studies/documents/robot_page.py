@@ -1,0 +1,100 @@
+"""Write the table of the node's parameters into docs/robot.md.
+
+Run as ``python -m studies.documents.robot_page``, from the top of the repository.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc.mpc.config.described import FieldRow, schema_rows
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from studies.documents.documents import insert
+
+PAGE = Path("docs/robot.md")
+MARKER = "parameters"
+_ADVICE = Path(__file__).parent / "parameter_advice.yaml"
+_HEAD = (
+    "| parameter | unit | default | range | what it does | when to change it |\n| --- | --- | --- | --- | --- | --- |"
+)
+_TITLES = {
+    "": "The controller as a whole",
+    "extra_dead_time": "Dead time that the model file does not carry",
+    "weights": "Weights, also while driving",
+    "limits": "Limits, also while driving",
+    "wheels": "Wheels",
+    "solver": "Solver",
+    "compensation": "Compensation",
+    "estimator": "Estimator",
+    "monitor": "Sensors that contradict each other",
+    "failure": "Failure",
+    "fence": "Fence",
+    "free_space": "Corridors and obstacles",
+    "energy": "What turns cost",
+    "reentry": "Re-entry",
+    "finish": "Finish",
+    "rehearsal": "Rehearsal, when the same reference is started again",
+    "drivable": "The path that can be driven, for rehearsal by floor",
+    "online_dead_time": "Dead time learned while driving",
+}
+
+
+def parameter_tables() -> str:
+    """Every parameter of the node in a table for each group, from the schemas and the advice file.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If a parameter has no advice, or an advice no parameter.
+    """
+    advice: dict[str, str] = read_yaml(_ADVICE)
+    keys = [row.key for row in schema_rows(NodeSettings) + _controller_rows()]
+    known = {*keys, *(key.partition(".")[0] for key in keys)}
+    for name in advice:
+        if name not in known:
+            raise ConfigError(f"{_ADVICE.name}: '{name}' is no parameter and no group; remove it")
+    return f"{node_table()}\n\n{configuration_tables()}"
+
+
+def node_table() -> str:
+    """The parameters that only the node has."""
+    return _table("The node", schema_rows(NodeSettings), read_yaml(_ADVICE))
+
+
+def configuration_tables() -> str:
+    """The keys of the controller's configuration in a table for each group."""
+    advice: dict[str, str] = read_yaml(_ADVICE)
+    groups: dict[str, list[FieldRow]] = {}
+    for row in _controller_rows():
+        groups.setdefault(row.key.rpartition(".")[0], []).append(row)
+    return "\n\n".join(_table(_TITLES[group], rows, advice) for group, rows in groups.items())
+
+
+def _controller_rows() -> list[FieldRow]:
+    """Keys of the configuration that are parameters: a list comes by file only, and its items with it."""
+    return [row for row in schema_rows(ControllerConfig) if not row.key.startswith("terms")]
+
+
+def with_tables(page: str) -> str:
+    """`page` with the tables as they are now."""
+    return insert(page, parameter_tables(), MARKER)
+
+
+def _table(title: str, rows: list[FieldRow], advice: dict[str, str]) -> str:
+    return "\n".join([f"### {title}\n", _HEAD, *(_line(row, advice) for row in rows)])
+
+
+def _line(row: FieldRow, advice: dict[str, str]) -> str:
+    when = advice.get(row.key) or advice.get(row.key.partition(".")[0])
+    if when is None:
+        raise ConfigError(f"{_ADVICE.name}: no advice on '{row.key}'; add when to change it")
+    # A ROS parameter cannot be null.
+    default = "0 (none)" if row.default == "null" else row.default
+    cells = (f"`{row.key}`", row.unit, default, row.range, row.help, when)
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,0 +1,190 @@
+"""The front: energy against tracking error, as the weight of energy grows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive_mpc.bench.case import Case, label
+from diffdrive_mpc.bench.controllers import check_cases, run_case
+from diffdrive_mpc.bench.html_report.page import KeyFigure, Shown
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.runner import run_tasks
+from diffdrive_mpc.bench.statistics import Estimate, mean
+from diffdrive_mpc.bench.study import Report, Study
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.interface import FloatArray
+from studies.energy_front.settings import HERE, FrontSettings
+
+
+@dataclass(frozen=True)
+class Driven:
+    """One run: energy from the battery [J], errors [m], and whether it came to its end."""
+
+    surface: str
+    trajectory: str
+    weight: float
+    seed: int
+    energy: float
+    error: float
+    lateral: float
+    completed: bool
+
+
+@dataclass(frozen=True)
+class Point:
+    """One weight on one path and floor, over seeds; `saved` is over the same seeds without [-]."""
+
+    weight: float
+    energy: Estimate
+    error: Estimate
+    lateral: Estimate
+    saved: Estimate
+    completed: int
+    of: int
+
+
+# Of the error without a weight [-].
+_FACTORS = (1.0, 1.5, 2.0, 5.0)
+
+Fronts = dict[tuple[str, str], list[Point]]
+
+
+def drive(case: Case) -> Driven:
+    """Drive one case."""
+    run = run_case(case)
+    metrics, weight = run.metrics, dict(case.overrides)["energy.weight"]
+    assert isinstance(weight, float)
+    found = (metrics.energy_j, metrics.position_rmse_m, metrics.lateral_rmse_m)
+    return Driven(case.surface, label(case.trajectory), weight, case.seed, *found, metrics.completed)
+
+
+def fronts(driven: Sequence[Driven]) -> Fronts:
+    """The front of each floor and path, weights ascending; the first is none."""
+    found: Fronts = {}
+    for floor, path in dict.fromkeys((one.surface, one.trajectory) for one in driven):
+        there = [one for one in driven if (one.surface, one.trajectory) == (floor, path)]
+        without = {one.seed: one.energy for one in there if one.weight == 0.0}
+        found[floor, path] = []
+        for weight in sorted({one.weight for one in there}):
+            here = [one for one in there if one.weight == weight]
+
+            def over(values: Sequence[float] | FloatArray) -> Estimate:
+                return Estimate.of_runs(np.asarray(values, dtype=float), mean)
+
+            found[floor, path].append(
+                Point(
+                    weight,
+                    over([one.energy for one in here]),
+                    over([one.error for one in here]),
+                    over([one.lateral for one in here]),
+                    over([1.0 - one.energy / without[one.seed] for one in here]),
+                    sum(one.completed for one in here),
+                    len(here),
+                )
+            )
+    return found
+
+
+class EnergyFrontStudy(Study[list[Case], list[Driven]]):
+    """Paths with corners, driven with one weight of energy after the other.
+
+    Parameters
+    ----------
+    settings
+        What to do.
+    folder
+        From where it names files.
+    """
+
+    name = "energy-front"
+    title = "What a cost of energy saves, and what it costs"
+
+    def __init__(self, settings: FrontSettings, folder: Path = HERE) -> None:
+        self._settings, self._folder = settings, folder
+
+    def plan(self) -> list[Case]:
+        """Every run; raises ConfigError if something that is named does not exist."""
+        cases = self._settings.cases(self._folder)
+        check_cases(cases)
+        return cases
+
+    def run(self, plan: list[Case], jobs: int, bar: ProgressBar) -> list[Driven]:
+        """Drive all of them."""
+        bar.begin("driving", len(plan))
+        return run_tasks([partial(drive, case) for case in plan], jobs, bar.advance)
+
+    def report(self, results: list[Driven], seconds: float) -> Report:
+        """A table and a figure."""
+        from studies.energy_front.figures import draw_front  # noqa: PLC0415 - matplotlib
+
+        found = fronts(results)
+        best = max((_best(points, 2.0) for points in found.values()), key=lambda one: one.saved.value)
+        brief = Table.of(
+            "Saved within an error",
+            ("floor", "path"),
+            {
+                "energy without [J]": lambda points: number(points[0].energy.value, 1),
+                "error without [mm]": lambda points: number(1e3 * points[0].error.value, 1),
+                **{
+                    f"saved at {factor:g} times the error [%]": partial(_saved_at, factor=factor) for factor in _FACTORS
+                },
+            },
+            list(found.items()),
+            "The most that a weight saves at which every run arrives and the mean position RMSE is no more than that, "
+            "with the bootstrap interval over seeds, 95 %, and in the last brackets the weight [1/W].",
+        )
+        table = Table.of(
+            "Energy against error",
+            ("floor", "path"),
+            {
+                "weight [1/W]": lambda one: f"{one.weight:g}",
+                "energy [J]": lambda one: number(one.energy.value, 1),
+                "saved [%]": lambda one: _interval(one.saved, 100.0, 1),
+                "position RMSE [mm]": lambda one: _interval(one.error, 1e3, 1),
+                "across the path, RMSE [mm]": lambda one: number(1e3 * one.lateral.value, 1),
+                "arrived": lambda one: f"{one.completed} of {one.of}",
+            },
+            [((floor, path), point) for (floor, path), points in found.items() for point in points],
+            "Energy: from the battery, by the true torques of the motors and the robot's drive constants. Saved: over "
+            "the same seeds with no weight. In brackets: bootstrap interval over seeds, 95 %.",
+        )
+        return Report(
+            counted=f"{len(results)} runs",
+            meta={"plant": self._settings.plant, "weights_per_w": list(self._settings.weights)},
+            content={"runs": [vars(one) for one in results]},
+            facts=[
+                f"{len(results)} runs of '{self._settings.plant}' in {seconds} s, {len(self._settings.seeds)} seeds of "
+                "each weight, path and floor."
+            ],
+            tables=[brief, table],
+            figures={"front.png": partial(draw_front, found)},
+            shown=Shown(
+                key_figures=[
+                    KeyFigure(
+                        "most that is saved", f"{number(100 * best.saved.value, 1)} %", "at less than twice the error"
+                    )
+                ]
+            ),
+        )
+
+
+def _best(points: Sequence[Point], factor: float) -> Point:
+    """The one that saves most of those that arrived always with no more than `factor` times the error of no weight."""
+    most = factor * points[0].error.value
+    good = [one for one in points if one.completed == one.of and one.error.value <= most]
+    return max(good or points[:1], key=lambda one: one.saved.value)
+
+
+def _saved_at(points: Sequence[Point], factor: float) -> str:
+    best = _best(points, factor)
+    return f"{_interval(best.saved, 100.0, 1)} ({best.weight:g})"
+
+
+def _interval(of: Estimate, scale: float, places: int) -> str:
+    value, low, high = (number(scale * part, places) for part in (of.value, of.low, of.high))
+    return f"{value} ({low} to {high})"

@@ -1,0 +1,179 @@
+"""The monitor as a study: every fault on many drives, and hours of drives in which nothing is wrong."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import count
+
+from diffdrive_mpc.bench.controllers import load_reference
+from diffdrive_mpc.bench.outcomes import plain
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.runner import run_tasks
+from diffdrive_mpc.bench.study import Report, Study
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.mpc.monitor.rules import Rules, load_rules
+from studies.monitor.drives import nominal_case
+from studies.monitor.faults import FAULTS, Held
+from studies.monitor.trial import AFTER, HARM, Trial, faulty_trial, nominal_trial
+
+FIRST_SEED = {True: (0, 0), False: (10_000, 20_000)}
+"""Of faulty and of nominal drives: those that rules were tuned on, and those that are reported."""
+_TOGETHER = 8
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What came of all drives."""
+
+    faulty: dict[str, list[Trial]]
+    nominal: list[Trial]
+
+    @property
+    def hours(self) -> float:
+        """Of nominal driving [h]."""
+        return sum(one.driven for one in self.nominal) / 3600.0
+
+    @property
+    def alarms(self) -> list[Trial]:
+        """Nominal drives that were stopped."""
+        return [one for one in self.nominal if one.rule]
+
+
+class MonitorStudy(Study[list[partial[list[Trial]]], Watched]):
+    """Faults and nominal drives.
+
+    Parameters
+    ----------
+    rules
+        Name or path.
+    seeds
+        Drives of each fault.
+    hours
+        Of nominal drives, at least [h].
+    tuning
+        Whether on the seeds that the rules were tuned on.
+    """
+
+    name, title = "monitor", "What the monitor catches, and how soon"
+
+    def __init__(self, rules: str, seeds: int, hours: float, *, tuning: bool = False) -> None:
+        self._rules, self._seeds, self._hours, self._first = rules, seeds, hours, FIRST_SEED[tuning]
+
+    def plan(self) -> list[partial[list[Trial]]]:
+        """Every drive, some to a task; raises ConfigError if there are no such rules."""
+        rules = load_rules(self._rules)
+        seeds = range(self._first[0], self._first[0] + self._seeds)
+        faulty = [partial(_each, partial(faulty_trial, name), seeds, rules) for name in FAULTS]
+        nominal = self._nominal_seeds()
+        chunks = (nominal[k : k + _TOGETHER] for k in range(0, len(nominal), _TOGETHER))
+        return [*faulty, *(partial(_each, nominal_trial, chunk, rules) for chunk in chunks)]
+
+    def _nominal_seeds(self) -> list[int]:
+        """As many as it takes to drive for so long."""
+        left = 3600.0 * self._hours
+        found: list[int] = []
+        for seed in count(self._first[1]):
+            if left <= 0.0:
+                return found
+            left -= load_reference(nominal_case(seed)).duration + AFTER
+            found.append(seed)
+        return found
+
+    def run(self, plan: list[partial[list[Trial]]], jobs: int, bar: ProgressBar) -> Watched:
+        """Drive them all."""
+        bar.begin("driving", len(plan))
+        done = [one for some in run_tasks(plan, jobs, bar.advance) for one in some]
+        faulty = {name: [one for one in done if one.fault == name] for name in FAULTS}
+        return Watched(faulty, [one for one in done if not one.fault])
+
+    def report(self, results: Watched, seconds: float) -> Report:
+        """A row for each fault, and what the nominal drives were."""
+        rows = [_row(name, held, results.faulty[name]) for name, held in FAULTS.items()]
+        columns = ("fault", "of", "stopped by", "stated [s]", "median [s]", "latest [s]", "farthest [m]", "caught")
+        note = (
+            f"From the fault to the verdict, over {self._seeds} drives each; farthest: true distance from the path"
+            f" until the robot stands. Harm is {HARM:g} m, or a robot that commands do not stop (-)."
+        )
+        table = Table("Faults", columns, tuple(rows), text_columns=3, note=note)
+        tables = [table, _nominal_table(results)]
+        if results.alarms:
+            tables.append(_alarm_table(results.alarms))
+        caught = sum(_is_caught(FAULTS[one.fault], one) for some in results.faulty.values() for one in some)
+        faulty = sum(map(len, results.faulty.values()))
+        facts = [
+            f"{len(FAULTS)} faults on {self._seeds} drives each: {caught} of {faulty} caught in time.",
+            f"{results.hours:.1f} nominal hours, {len(results.nominal)} drives: {len(results.alarms)} alarms.",
+            f"Seeds of faults from {self._first[0]} on, of nominal drives from {self._first[1]} on.",
+            f"Rules `{self._rules}`, in {seconds:.0f} s.",
+        ]
+        trials = [*(one for some in results.faulty.values() for one in some), *results.nominal]
+        content: dict[str, object] = {"trials": [_plain_trial(one) for one in trials]}
+        meta: dict[str, object] = {"rules": self._rules, "first_seed": self._first}
+        return Report(f"{len(trials)} drives", meta, content, facts, tables, {})
+
+
+def complaint(results: Watched) -> str:
+    """What is not as it should be; empty where everything is."""
+    late = Counter(
+        one.fault for some in results.faulty.values() for one in some if not _is_caught(FAULTS[one.fault], one)
+    )
+    missed = ", ".join(f"{name} ({many})" for name, many in late.items())
+    alarms = f"{len(results.alarms)} nominal drives alarmed" if results.alarms else ""
+    return "; ".join(filter(None, [f"missed or late: {missed}" if missed else "", alarms]))
+
+
+def _each(drive: Callable[[int, Rules], Trial], seeds: Sequence[int], rules: Rules) -> list[Trial]:
+    return [drive(seed, rules) for seed in seeds]
+
+
+def _is_caught(held: Held, one: Trial) -> bool:
+    """In time, and before harm."""
+    in_time = bool(one.rule) and one.after <= held.stated
+    return in_time and (not held.stoppable or (one.farthest <= HARM and one.at_rest))
+
+
+def _row(name: str, held: Held, trials: Sequence[Trial]) -> tuple[str, ...]:
+    after = sorted(one.after if one.rule else math.inf for one in trials)
+    rules = Counter(one.rule for one in trials if one.rule)
+    farthest = max(one.farthest for one in trials)
+    return (
+        name,
+        held.of,
+        ", ".join(rule.replace("_", " ") for rule, _ in rules.most_common()),
+        number(held.stated, 2),
+        number(after[len(after) // 2], 2),
+        number(after[-1], 2),
+        number(farthest, 2) if held.stoppable else "-",
+        f"{sum(_is_caught(held, one) for one in trials)}/{len(trials)}",
+    )
+
+
+def _nominal_table(results: Watched) -> Table:
+    """Hours and alarms by controller, place and sensors."""
+    rows = []
+    for name in ("controller", "model", "surface", "scenario", "sensors"):
+        for value in sorted({getattr(one.case, name) for one in results.nominal}):
+            some = [one for one in results.nominal if getattr(one.case, name) == value]
+            hours = sum(one.driven for one in some) / 3600.0
+            farthest = max(one.farthest for one in some)
+            rows.append((name, value, number(hours, 2), str(sum(bool(one.rule) for one in some)), number(farthest, 2)))
+    columns = ("what", "which", "driven [h]", "alarms", "farthest [m]")
+    return Table("Nominal driving", columns, tuple(rows), text_columns=2)
+
+
+def _alarm_table(alarms: Sequence[Trial]) -> Table:
+    rows = []
+    for one in alarms:
+        case = one.case
+        drive = f"{case.controller} {case.model}, {case.trajectory}, {case.surface}, {case.scenario}, {case.sensors}"
+        rows.append((drive, one.words, str(case.seed), number(one.after, 2), number(one.farthest, 2)))
+    return Table("Alarms", ("drive", "words", "seed", "at [s]", "farthest [m]"), tuple(rows), text_columns=2)
+
+
+def _plain_trial(one: Trial) -> dict[str, object]:
+    kept = {name: value for name, value in vars(one).items() if name != "case"}
+    return plain(one.case.as_row() | kept)  # type: ignore[no-any-return]

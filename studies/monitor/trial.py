@@ -1,0 +1,119 @@
+"""One drive with the monitor behind its controller, and what came of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diffdrive_mpc.bench.case import NO_MODEL, Case
+from diffdrive_mpc.bench.controllers import build
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc.monitor.rules import Rules
+from diffdrive_mpc.sim import Run, simulate
+from studies.monitor.drives import nominal_case
+from studies.monitor.faults import AT_START, FAULTS, Fault
+from studies.monitor.watched import WatchedController
+
+FAULTY_PATHS = ("s", "square", "cane", "figure8", "slalom", "spline-0", "spline-1", "spline-2")
+"""Paths that faulty controllers drive: they bend, or what goes on as before would be right."""
+AFTER, _AFTER_FAULT = 3.0, 8.0
+"""So long a drive goes on after the end of its reference [s]."""
+_FIRST, _LAST = 2.5, 5.0
+"""A fault begins between these [s]."""
+HARM = 1.0
+"""A robot does harm that comes so far from the stretch of path around its reference [m], or cannot be stopped."""
+_AT_REST = 0.05
+"""A robot slower than this stands [m/s, rad/s]."""
+_NEAR = (6.0, 1.0)
+"""Harm is measured to where the reference was up to so long ago, and will be up to so much later [s]."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What came of one drive.
+
+    Attributes
+    ----------
+    case
+        What was driven.
+    fault
+        Name of the fault; empty without one.
+    driven
+        How long [s].
+    rule, words
+        Of the verdict; empty without one.
+    after
+        From the fault, or else the start, to the verdict [s]; NaN without one.
+    farthest
+        From the stretch of path around the reference, of the true pose, until the robot stands for good [m].
+    fastest
+        True speed meanwhile [m/s].
+    at_rest
+        Whether the robot stands at the end.
+    """
+
+    case: Case
+    fault: str
+    driven: float
+    rule: str
+    words: str
+    after: float
+    farthest: float
+    fastest: float
+    at_rest: bool
+
+
+def nominal_trial(seed: int, rules: Rules) -> Trial:
+    """A drive in which nothing is wrong."""
+    return _drive(nominal_case(seed), "", 0.0, rules)
+
+
+def faulty_trial(fault: str, seed: int, rules: Rules) -> Trial:
+    """A drive of the MPC that breaks on its way; path and instant are drawn."""
+    draw = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1972,)))
+    path = FAULTY_PATHS[int(draw.integers(len(FAULTY_PATHS)))]
+    begins = 0.0 if fault in AT_START else float(draw.uniform(_FIRST, _LAST))
+    controller = FAULTS[fault].controller
+    model = Case().model if controller == "mpc" else NO_MODEL
+    return _drive(Case(controller=controller, model=model, trajectory=path, seed=seed), fault, begins, rules)
+
+
+def _drive(case: Case, fault: str, begins: float, rules: Rules) -> Trial:
+    controller, plant, reference = build(case)
+    broken = FAULTS[fault].make(begins) if fault else Fault()
+    watched = WatchedController(controller, rules, broken)
+    run = simulate(watched, plant, reference, extra_time=_AFTER_FAULT if fault else AFTER)
+    found = watched.verdict
+    since = next((float(t) for t in run.time if broken.active(float(t))), 0.0) if fault else 0.0
+    after = (run.time >= since) & ~_rests_for_good(run)
+    return Trial(
+        case=case,
+        fault=fault,
+        driven=float(run.time[-1]),
+        rule=found.rule,
+        words=found.words,
+        after=found.at - since if found else math.nan,
+        farthest=float(distances(run)[after].max(initial=0.0)),
+        fastest=float(np.abs(run.true_twist[after, 0]).max(initial=0.0)),
+        at_rest=bool(_rests_for_good(run)[-25:].all()),
+    )
+
+
+def _rests_for_good(run: Run) -> NDArray[np.bool_]:
+    """(n,) whether the robot stands from an instant on; the reference may go on alone."""
+    moves = np.abs(run.true_twist[:, [0, 2]]).max(axis=1) > _AT_REST
+    return ~np.logical_or.accumulate(moves[::-1])[::-1]
+
+
+def distances(run: Run) -> FloatArray:
+    """(n,) from the true position to the nearest place of the reference around each instant [m]."""
+    times = np.arange(-_NEAR[0], run.time[-1] + _NEAR[1], 0.05)
+    places = run.reference.sample(times).pose[:, :2]
+    first = np.searchsorted(times, run.time - _NEAR[0])
+    last = np.searchsorted(times, run.time + _NEAR[1])
+    poses = run.true_pose[:, :2]
+    near = [np.hypot(*(places[a:b] - pose).T).min() for a, b, pose in zip(first, last, poses, strict=True)]
+    return np.array(near)

@@ -1,0 +1,208 @@
+"""Tunes the peers, and shows that their neighbours are no better."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import yaml
+from pydantic import Field
+
+from diffdrive_mpc.bench.case import MOST_CASES
+from diffdrive_mpc.bench.peers import LAWS
+from diffdrive_mpc.bench.peers.tracking_peer import law_kind, make_tracking_peer
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.runner import run_tasks
+from diffdrive_mpc.bench.study import Report, Study
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.mpc import load_trajectory
+from diffdrive_mpc.sim import make_plant, simulate
+from studies.peers.search import Search, Values
+
+GAINS_FILE = "gains.yaml"
+_FOLDER = Path(__file__).parent
+_LOST = 1.0
+"""Error that counts for a run that does not complete [m]."""
+Count = Annotated[int, Field(ge=1, le=MOST_CASES)]
+
+
+class PeersSettings(StrictModel):
+    """How peers are tuned."""
+
+    plant: str
+    runs: dict[str, tuple[Annotated[int, Field(ge=0)], ...]]
+    evaluations: Count
+    scan: Count
+    first_factor: Annotated[float, Field(gt=1)]
+    search_seed: int
+    proof: tuple[float, ...]
+    ranges: dict[str, dict[str, tuple[float, float]]]
+
+
+def load_settings(path: Path | None = None, *, quick: bool = False) -> PeersSettings:
+    """Read the settings; raises ConfigError when their file has a mistake."""
+    return load_checked(PeersSettings, path or _FOLDER / ("quick.yaml" if quick else "settings.yaml"))
+
+
+@dataclass(frozen=True)
+class Neighbour:
+    """A gain times a factor, and position RMSE less that of the best setting on each run (runs,) [m]."""
+
+    gain: str
+    factor: float
+    worse: FloatArray
+
+    @property
+    def spread(self) -> float:
+        """Standard error of the mean difference [m]."""
+        return float(np.std(self.worse, ddof=1) / np.sqrt(len(self.worse))) if len(self.worse) > 1 else 0.0
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """A peer's best gains, what was tried, and what its neighbours do."""
+
+    peer: str
+    gains: Values
+    rmse: float
+    tried: Sequence[tuple[Values, float]]
+    neighbours: Sequence[Neighbour]
+
+
+def position_errors(settings: PeersSettings, peer: str, values: Values) -> FloatArray:
+    """(runs,) position RMSE of a peer with these gains on every run [m]."""
+    gains, found = law_kind(peer).gains(**values), []
+    for trajectory, seeds in settings.runs.items():
+        reference = load_trajectory(trajectory)
+        for seed in seeds:
+            run = simulate(make_tracking_peer(peer, gains), make_plant(settings.plant, seed=seed), reference)
+            gap = (run.true_pose - run.reference_pose)[run.counted, :2]
+            found.append(_LOST if run.ended else float(np.sqrt(np.mean(np.sum(gap * gap, axis=1)))))
+    return np.array(found)
+
+
+def tune(settings: PeersSettings, peer: str) -> Tuned:
+    """Search a peer's gains within the budget, then look at their neighbours."""
+    errors = partial(position_errors, settings, peer)
+    search = Search(
+        lambda values: float(errors(values).mean()), settings.ranges[peer.partition("+")[0]], settings.evaluations
+    )
+    search.scan(settings.scan, settings.search_seed)
+    search.refine(settings.first_factor)
+    gains, rmse = search.best
+    here = errors(gains)
+    neighbours = [
+        Neighbour(name, factor, errors(gains | {name: value * factor}) - here)
+        for name, value in gains.items()
+        for factor in settings.proof
+    ]
+    return Tuned(peer, gains, rmse, search.tried, neighbours)
+
+
+class PeersStudy(Study[list[str], list[Tuned]]):
+    """Tunes peers.
+
+    Parameters
+    ----------
+    settings
+        How.
+    only
+        Names of peers; by default all whose law has ranges.
+    """
+
+    name, title = "peers", "Tuning of the peers"
+
+    def __init__(self, settings: PeersSettings, only: Sequence[str] | None = None) -> None:
+        self._settings, self._only = settings, only
+
+    def plan(self) -> list[str]:
+        """Names of the peers, the slowest first."""
+        known = [name for name in LAWS if name.partition("+")[0] in self._settings.ranges]
+        asked = known if self._only is None else list(self._only)
+        for name in asked:
+            if name not in known:
+                raise ConfigError(f"--peers: unknown peer '{name}'; known: {', '.join(known)}")
+        return sorted(asked, key=lambda name: not name.startswith("mppi"))
+
+    def run(self, plan: list[str], jobs: int, bar: ProgressBar) -> list[Tuned]:
+        """Tune each peer; a peer is one task."""
+        bar.begin("tuning", len(plan))
+        return run_tasks([partial(tune, self._settings, name) for name in plan], jobs, bar.advance)
+
+    def report(self, results: list[Tuned], seconds: float) -> Report:
+        """Gains, and the proof."""
+        settings = self._settings
+        runs = ", ".join(f"{Path(name).stem} ({', '.join(map(str, seeds))})" for name, seeds in settings.runs.items())
+        facts = [
+            f"{len(results)} peers, {settings.evaluations} settings each, {settings.scan} of them a Sobol scan; "
+            f"plant {settings.plant}; trajectories (seeds): {runs}; in {seconds:.0f} s."
+        ]
+        rows = [
+            {"peer": one.peer, "gains": one.gains, "position_rmse_m": one.rmse, "tried": list(one.tried)}
+            for one in results
+        ]
+        proof = [
+            {
+                "peer": one.peer,
+                "gain": it.gain,
+                "factor": it.factor,
+                "worse_m": float(it.worse.mean()),
+                "se_m": it.spread,
+            }
+            for one in results
+            for it in one.neighbours
+        ]
+        meta: dict[str, object] = {"settings": settings.model_dump(mode="json")}
+        tables = [_summary(results, settings.scan), *(_proof(one) for one in results)]
+        return Report(f"{len(rows)} peers", meta, {"peers": rows, "proof": proof}, facts, tables, {})
+
+
+def _summary(results: Sequence[Tuned], scan: int) -> Table:
+    columns = ("peer", "after the scan [mm]", "tuned [mm]", "settings", "better neighbours", "beyond spread")
+    rows = []
+    for one in results:
+        better = [it for it in one.neighbours if it.worse.mean() < 0]
+        beyond = [it for it in better if -it.worse.mean() > 2 * it.spread]
+        counts = (str(len(one.tried)), str(len(better)), str(len(beyond)))
+        rows.append(
+            (one.peer, number(1e3 * min(rmse for _, rmse in one.tried[:scan]), 2), number(1e3 * one.rmse, 2), *counts)
+        )
+    note = (
+        "Mean position RMSE of the runs. Neighbours: each gain alone times the factors of the settings; beyond spread: "
+        "better by more than two standard errors of the difference over the runs."
+    )
+    return Table("Tuning", columns, tuple(rows), 1, note)
+
+
+def _proof(one: Tuned) -> Table:
+    factors = sorted({it.factor for it in one.neighbours})
+    fields = law_kind(one.peer).gains.model_fields
+    columns = ("gain", "what it acts on", "value", *(f"x {factor:g} [mm]" for factor in factors))
+    rows = []
+    for name, value in one.gains.items():
+        at = {it.factor: it for it in one.neighbours if it.gain == name}
+        cells = [f"{1e3 * at[f].worse.mean():+.2f} ± {1e3 * at[f].spread:.2f}" for f in factors]
+        rows.append((name, str(fields[name].description), f"{value:g}", *cells))
+    note = f"Change of the mean position RMSE of {1e3 * one.rmse:.2f} mm, ± its standard error over the runs."
+    return Table(f"Neighbours of {one.peer}", columns, tuple(rows), 2, note)
+
+
+def gains_text(results: Sequence[Tuned], settings: PeersSettings) -> str:
+    """The file of gains for `bench/peers`."""
+    head = (
+        "# Gains of the peers; units stand at the fields of each law. Written by `python -m studies peers`: a\n"
+        f"# search of {settings.evaluations} settings for each, see studies/peers/settings.yaml. Beside each:\n"
+        "# its mean position RMSE on the tuning runs.\n"
+    )
+    lines: list[str] = []
+    for one in sorted(results, key=lambda it: list(LAWS).index(it.peer)):
+        flow: Mapping[str, float] = one.gains
+        text = yaml.safe_dump({one.peer: dict(flow)}, sort_keys=False, default_flow_style=False)
+        lines.append(text.replace(":\n", f":  # {1e3 * one.rmse:.2f} mm\n", 1))
+    return head + "".join(lines)

@@ -1,0 +1,188 @@
+"""What simulating a model costs: time per step and memory (P0, Table 3; P1, Table 5); the rules on it, its table."""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.bench.timing import quiet_core
+from diffdrive_mpc.models.discrete_model import DiscreteModel
+from diffdrive_mpc.models.load import load_linear_model, load_model
+from diffdrive_mpc.models.networks.network import NETWORK
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.sim.plants.open_loop import random_commands
+from studies.reproduce.drives import predict_path
+from studies.reproduce.published import Finding, Published, PublishedCost
+from studies.reproduce.settings import CostStudy
+
+_SEED = 0
+_BYTES_PER_MB = 1e6
+_ROUNDING = 1e-9
+
+
+Sampled = DiscreteModel | NonlinearModel
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Mean and standard deviation over runs.
+
+    Attributes
+    ----------
+    order
+        Number of states.
+    simulation_time
+        Of the processor for a whole simulation: sampling the model, and as many steps as the paper's had [s].
+    time_per_step
+        Of the processor [s].
+    memory
+        Most that a run held at a time beyond what was there before it [MB].
+    """
+
+    order: int
+    simulation_time: tuple[float, float]
+    time_per_step: tuple[float, float]
+    memory: tuple[float, float]
+
+
+def measure_cost(study: CostStudy, on_done: Callable[[], None] = lambda: None) -> dict[str, Cost]:
+    """Simulate the shipped models from commands to poses, one after the other, on one core with one BLAS thread.
+
+    The numbers in a model do not change what it costs. Time is processor time: on an idle machine it is the time that
+    passes, and what else runs does not count. Memory is measured in runs of its own, since watching it takes time.
+
+    Parameters
+    ----------
+    study
+        How many runs of how many steps.
+    on_done
+        Called after each run.
+    """
+    dt = load_robot().sample_time
+    commands = random_commands(_SEED, duration=study.steps * dt)
+    ready: dict[str, Callable[[], Sampled]] = {
+        name: partial(load_linear_model(name).discretise, dt) for name in STRUCTURES
+    }
+    network = load_model(NETWORK)
+    assert isinstance(network, NonlinearModel)
+    ready[NETWORK] = lambda: network
+    models = {name: get() for name, get in ready.items()}
+    whole = {name: random_commands(_SEED, duration=steps * dt) for name, steps in study.simulation_steps.items()}
+
+    def run(model: Sampled) -> None:
+        predict_path(model, commands, np.zeros(3))
+
+    simulated: dict[str, list[float]] = {name: [] for name in models}
+    took: dict[str, list[float]] = {name: [] for name in models}
+    held: dict[str, list[float]] = {name: [] for name in models}
+    with quiet_core():
+        for model in models.values():
+            run(model)
+        for _ in range(study.runs):
+            for name, model in models.items():
+                began = time.thread_time()
+                run(model)
+                took[name].append((time.thread_time() - began) / study.steps)
+                began = time.thread_time()
+                predict_path(ready[name](), whole[name], np.zeros(3))
+                simulated[name].append(time.thread_time() - began)
+            on_done()
+        for _ in range(study.runs):
+            for name, model in models.items():
+                tracemalloc.start()
+                run(model)
+                held[name].append(tracemalloc.get_traced_memory()[1] / _BYTES_PER_MB)
+                tracemalloc.stop()
+            on_done()
+    return {
+        name: Cost(model.order, *(_mean_and_std(values[name]) for values in (simulated, took, held)))
+        for name, model in models.items()
+    }
+
+
+def _mean_and_std(values: list[float]) -> tuple[float, float]:
+    return float(np.mean(values)), float(np.std(values, ddof=1))
+
+
+def cost_findings(cost: Mapping[str, Cost], published: Published) -> list[Finding]:
+    """Means decide; times differ from machine to machine."""
+    took = {name: one.time_per_step[0] for name, one in cost.items()}
+    held = {name: one.memory[0] for name, one in cost.items()}
+    simulated = {name: one.simulation_time[0] for name, one in cost.items()}
+    printed, rules = published.cost, published.rules
+    return [
+        Finding(
+            f"a whole simulation of SM takes less than {rules.quicker:g} of the time of one of MBM",
+            "P0, Table 3",
+            f"{printed['sm'].simulation_time[0] / printed['mbm'].simulation_time[0]:.2f}",
+            f"{simulated['sm'] / simulated['mbm']:.2f}",
+            (simulated["sm"] < rules.quicker * simulated["mbm"],),
+        ),
+        Finding(
+            f"a step of SM takes less than {rules.quicker:g} of the time of one of MBM",
+            "P0, Table 3",
+            f"{printed['sm'].time_per_step[0] / printed['mbm'].time_per_step[0]:.2f}",
+            f"{took['sm'] / took['mbm']:.2f}",
+            (took["sm"] < rules.quicker * took["mbm"],),
+        ),
+        Finding(
+            "simulating SM takes less memory than simulating MBM",
+            "P0, Table 3",
+            f"{printed['sm'].memory[0] / printed['mbm'].memory[0]:.2f} of it",
+            f"{held['sm'] / held['mbm']:.2f} of it",
+            (held["sm"] < held["mbm"],),
+        ),
+        Finding(
+            f"a step of SSM is more than {rules.much_quicker:g} times as quick as one of SM",
+            "P0, Table 3 and P1, Table 5",
+            f"{printed['sm'].time_per_step[0] / printed['ssm'].time_per_step[0]:.0f} times",
+            f"{took['sm'] / took['ssm']:.1f} times",
+            (took["sm"] > rules.much_quicker * took["ssm"],),
+        ),
+        *([_network(took, printed, rules.much_quicker)] if NETWORK in took else []),
+    ]
+
+
+def _network(took: Mapping[str, float], printed: Mapping[str, PublishedCost], much: float) -> Finding:
+    return Finding(
+        f"a step of SSM is more than {much:g} times as quick as one of LSTM",
+        "P1, Table 5",
+        f"{printed[NETWORK].time_per_step[0] / printed['ssm'].time_per_step[0]:.0f} times",
+        f"{took[NETWORK] / took['ssm']:.1f} times",
+        (took[NETWORK] > much * took["ssm"],),
+    )
+
+
+def cost_table(cost: Mapping[str, Cost], published: Published) -> Table:
+    """Mean and standard deviation over runs, in microseconds and kilobytes."""
+    rows = []
+    for name, ours in cost.items():
+        paper = published.cost[name]
+        cells = [_pair(paper.simulation_time, 1e3), _pair(ours.simulation_time, 1e3)]
+        cells += [_pair(paper.time_per_step, 1e6), _pair(ours.time_per_step, 1e6)]
+        cells += [_pair(paper.memory, 1e3), _pair(ours.memory, 1e3)]
+        rows.append((name.upper(), str(ours.order), *cells))
+    quantities = ("simulation [ms]", "time per step [us]", "memory [kB]")
+    values = [column for quantity in quantities for column in (f"published {quantity}", quantity)]
+    note = (
+        "Mean ± standard deviation over runs. Published: P0, Table 3 (MBM and SM in Simulink; its Table 4 prints 32 MB "
+        "and 5.3 MB for what Table 3 gives as 0.032 and 0.0053 MB); P1, Table 5 (SSM and "
+        "LSTM, whose windows are worked out all at once here). Ours: from commands "
+        "to poses, one process, one BLAS thread, processor time; a simulation has as many steps as the paper's, and "
+        "samples the model first; memory is the most held at a time."
+    )
+    return Table("Cost of a simulation", ("model", "states", *values), tuple(rows), note=note)
+
+
+def _pair(values: tuple[float, float], factor: float) -> str:
+    mean, deviation = (factor * value for value in values)
+    # Runs that hold the same amount differ by rounding of the mean only.
+    return f"{mean:.3g} ± {deviation:.2g}" if deviation > _ROUNDING * mean else f"{mean:.3g} ± 0"

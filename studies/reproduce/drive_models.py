@@ -1,0 +1,234 @@
+"""P2's comparison: velocities by no model, by its two drive models and by SM, against what was measured.
+
+P2: Ivanjko et al., Modelling of Mobile Robot Dynamics. Mean and largest error of a free run, on drives of the simulated
+robot with changes of direction, and on logs of real robots by the protocol of `bench.studies.real_logs`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.drives.drive_model import Kind
+from diffdrive_mpc.models.drives.fitting import DriveFit, fit_drive
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs import Record, read_log
+from diffdrive_mpc.models.output_error.experiment import twist_experiments
+from diffdrive_mpc.models.output_error.validation import simulate_records
+from diffdrive_mpc.models.structures.sm import identify_sm
+from diffdrive_mpc.sim.plants.open_loop import load_command_parameters, random_commands
+from studies.real_logs.protocol import divide, load_protocol
+from studies.reproduce.drives import record_of
+from studies.reproduce.published import Finding, Published, PublishedDriveErrors
+from studies.reproduce.settings import DriveStudy
+
+NO_MODEL, PHYSICAL, EXPERIMENTAL, SM = "no model", "physical", "experimental", "SM"
+KINDS: Mapping[str, Kind] = {PHYSICAL: "drive_physical", EXPERIMENTAL: "drive_experimental"}
+SHARP = ", sharp"
+"""Of the same numbers without what rounds the model off for its derivatives."""
+TWIN = "simulated robot"
+_SEEDS_EACH, _FIRST_SEED = 1000, 500
+"""Seeds of a repetition, and where this part's begin in it: beyond those of every other drive."""
+
+
+@dataclass(frozen=True)
+class VelocityErrors:
+    """(mean, largest) error of v [mm/s] and of omega [degrees per second]."""
+
+    v: tuple[float, float]
+    omega: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class DriveModelsResult:
+    """What came of one source.
+
+    Attributes
+    ----------
+    source
+        The simulated robot or a log.
+    repetition
+        Of the simulated robot; 0 for a log.
+    errors
+        By model.
+    values
+        Numbers of v and omega by drive model, units as in `models/drives/settings.yaml`.
+    dead_time
+        (2,) of v and omega [s], by drive model.
+    at_bound
+        By drive model, the numbers that lie on a bound of the search.
+    """
+
+    source: str
+    repetition: int
+    errors: Mapping[str, VelocityErrors]
+    values: Mapping[str, tuple[dict[str, float], dict[str, float]]]
+    dead_time: Mapping[str, tuple[float, float]]
+    at_bound: Mapping[str, tuple[str, ...]]
+
+
+def reversing_commands(study: DriveStudy, seed: int, *, smooth: bool) -> FloatArray:
+    """(K, 2) random set-points up to the speeds of P2's second data set, forwards as often as backwards."""
+    given = load_command_parameters().random
+    ends = np.array([given.v_range, given.omega_range])
+    middle, reach = ends.mean(axis=1), np.diff(ends, axis=1)[:, 0] / 2
+    fastest = np.array([study.v, study.omega])
+    return np.asarray((random_commands(seed, smooth, study.duration) - middle) / reach * fastest)
+
+
+def twin_records(study: DriveStudy, repetition: int) -> tuple[list[Record], list[Record]]:
+    """Drives to fit and drives to score, set-points smoothed and in steps in turn."""
+    seed = _SEEDS_EACH * repetition + _FIRST_SEED
+    records = [
+        record_of(f"reversals, seed {seed + k}", seed + k, reversing_commands(study, seed + k, smooth=k % 2 == 0))
+        for k in range(2 * study.drives)
+    ]
+    return records[: study.drives], records[study.drives :]
+
+
+def compare_on_twin(study: DriveStudy, repetition: int) -> DriveModelsResult:
+    """Fit and score on drives of the simulated robot."""
+    return compare(TWIN, repetition, *twin_records(study, repetition))
+
+
+def compare_on_log(name: str, data: Path) -> DriveModelsResult:
+    """Fit on the first rows of a log in the folder `data` and score on the others; raises ConfigError without it."""
+    protocol = load_protocol()
+    read = read_log(data / protocol.log(name).file, protocol.log(name).mapping)
+    read.require_sound()
+    return compare(name, 0, *divide(read.records, protocol.share))
+
+
+def compare(source: str, repetition: int, train: Sequence[Record], held_out: Sequence[Record]) -> DriveModelsResult:
+    """Fit on some records, score on others."""
+    fits = {name: fit_drive(kind, train) for name, kind in KINDS.items()}
+    said = {NO_MODEL: [record.command for record in held_out]}
+    for name, fit in fits.items():
+        said[name] = fit.simulate(held_out)
+        said[name + SHARP] = fit.simulate(held_out, sharp=True)
+    said[SM] = simulate_records(identify_sm(train).system, held_out)
+    return DriveModelsResult(
+        source,
+        repetition,
+        {name: velocity_errors(simulated, held_out) for name, simulated in said.items()},
+        {name: fit.values for name, fit in fits.items()},
+        {name: _dead_time(fit) for name, fit in fits.items()},
+        {name: fit.at_bound for name, fit in fits.items()},
+    )
+
+
+def _dead_time(fit: DriveFit) -> tuple[float, float]:
+    return fit.dead_samples[0] * fit.dt, fit.dead_samples[1] * fit.dt
+
+
+def velocity_errors(simulated: Sequence[FloatArray], records: Sequence[Record]) -> VelocityErrors:
+    """Of simulated v [m/s] and omega [rad/s] (K, 2), at every reading of the records."""
+    units = (1e3, np.degrees(1.0))
+    experiments = twist_experiments(records)
+    pairs = []
+    for row, unit in enumerate(units):
+        size = np.concatenate(
+            [
+                unit * np.abs(y[:, row] - one.outputs[:, row])[one.counts[:, row]]
+                for y, one in zip(simulated, experiments, strict=True)
+            ]
+        )
+        pairs.append((float(size.mean()), float(size.max())))
+    return VelocityErrors(*pairs)
+
+
+def drive_model_tables(results: Sequence[DriveModelsResult], published: Published) -> list[Table]:
+    """Errors beside the paper's, and the numbers that were found."""
+    paper = published.drive_models
+    rows = [
+        (f"P2, {data}", name, *(f"{value:.2f}" for value in (*errors.v, *errors.omega)))
+        for data, models in paper.items()
+        for name, errors in models.items()
+    ]
+    numbers = []
+    for source, group in _by_source(results).items():
+        for name in group[0].errors:
+            mean = np.mean([[*one.errors[name].v, *one.errors[name].omega] for one in group], axis=0)
+            rows.append((source, name, *(f"{value:.2f}" for value in mean)))
+        for name in KINDS:
+            numbers.append((source, name, *(_numbers(group, name, row) for row in (0, 1))))
+    errors = Table(
+        "Drive models",
+        ("data", "model", "v, mean [mm/s]", "v, largest [mm/s]", "omega, mean [deg/s]", "omega, largest [deg/s]"),
+        tuple(rows),
+        text_columns=2,
+        note="Published: P2, Tables 3 to 7; it has no gain, and its omega is that of the wheels; ours is the gyro's. "
+        "On parts that nothing was fitted to: of logs the last 40 % of the rows. No model: the command itself. "
+        "'sharp': the same numbers without rounding. Of the simulated robot, means over repetitions.",
+    )
+    found = Table(
+        "Numbers of the drive models",
+        ("data", "model", "v", "omega"),
+        tuple(numbers),
+        text_columns=4,
+        note="SI units, of the first repetition; the actuator lag is the paper's 1.1 ms. * lies on a bound of the "
+        "search: the data do not determine it.",
+    )
+    return [errors, found]
+
+
+def _numbers(group: Sequence[DriveModelsResult], name: str, row: int) -> str:
+    one, channel = group[0], ("v", "omega")[row]
+    words = [f"dead time {one.dead_time[name][row]:.3f}"]
+    for key, value in one.values[name][row].items():
+        mark = "*" if f"{channel} {key}" in one.at_bound[name] else ""
+        words.append(f"{key.replace('_', ' ')} {value:.3g}{mark}")
+    return ", ".join(words)
+
+
+def _by_source(results: Sequence[DriveModelsResult]) -> dict[str, list[DriveModelsResult]]:
+    groups: dict[str, list[DriveModelsResult]] = {}
+    for one in results:
+        groups.setdefault(one.source, []).append(one)
+    return groups
+
+
+def drive_model_findings(results: Sequence[DriveModelsResult], published: Published) -> list[Finding]:
+    """Whether what P2 finds holds: on the simulated robot in each repetition, on the logs in each log."""
+    second = published.drive_models["second data set"]
+    findings = []
+    for where, group in (
+        ("drives of the simulated robot", [one for one in results if one.repetition]),
+        ("real logs", [one for one in results if not one.repetition]),
+    ):
+        if not group:
+            continue
+        for claim, better, worse in (
+            ("both drive models predict v and omega better than no model", (PHYSICAL, EXPERIMENTAL), NO_MODEL),
+            ("the experimental model predicts v and omega better than the physical one", (EXPERIMENTAL,), PHYSICAL),
+            ("SM predicts v and omega better than the experimental model", (SM,), EXPERIMENTAL),
+        ):
+            holds = tuple(
+                all(
+                    one.errors[name].v[0] < one.errors[worse].v[0]
+                    and one.errors[name].omega[0] < one.errors[worse].omega[0]
+                    for name in better
+                )
+                for one in group
+            )
+            paper = "-" if SM in better else "; ".join(_means(second[name]) for name in (*better, worse))
+            ours = "; ".join(
+                _means(
+                    VelocityErrors(
+                        (float(np.mean([one.errors[name].v[0] for one in group])), 0.0),
+                        (float(np.mean([one.errors[name].omega[0] for one in group])), 0.0),
+                    )
+                )
+                for name in (*better, worse)
+            )
+            source = "ours" if SM in better else "P2, Tables 5 to 7"
+            findings.append(Finding(f"{claim} (mean error, {where})", source, paper, ours, holds))
+    return findings
+
+
+def _means(errors: VelocityErrors | PublishedDriveErrors) -> str:
+    return f"{errors.v[0]:.2f} mm/s, {errors.omega[0]:.2f} deg/s"

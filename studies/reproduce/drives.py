@@ -1,0 +1,170 @@
+"""Drives of the simulated robot as records, and the pose that a model predicts from their commands alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from diffdrive_mpc.models.discrete_model import DiscreteModel, zero_order_hold
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.pose import integrate_pose
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.mpc.trajectories import load_segments
+from diffdrive_mpc.sim import make_plant
+from diffdrive_mpc.sim.plants.open_loop import (
+    drive_open_loop,
+    load_command_parameters,
+    random_commands,
+    step_commands,
+)
+from studies.reproduce.settings import PaperRange
+
+StepKind = Literal["wheels", "v", "omega"]
+STEP_KINDS: tuple[StepKind, ...] = ("wheels", "v", "omega")
+STATISTICS = {"RMSE": "rmse", "mean": "mean", "standard deviation": "std", "max": "max"}
+"""Names of the papers' statistics, in the order of their tables."""
+QUANTITIES = {"position": "m", "heading": "rad"}
+"""Parts of a pose error, and their units."""
+_SEEDS_EACH = 1000
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Statistics of the size of an error over a run, as the papers print them."""
+
+    rmse: float
+    mean: float
+    std: float
+    max: float
+
+    @classmethod
+    def of(cls, error: ArrayLike) -> Spread:
+        """Of errors (K,) of any sign."""
+        size = np.abs(np.asarray(error, dtype=float))
+        return cls(
+            float(np.sqrt(np.mean(size**2))),
+            float(np.mean(size)),
+            float(np.std(size)),
+            float(np.max(size, initial=0.0)),
+        )
+
+    @property
+    def statistics(self) -> list[float]:
+        """In the order of `STATISTICS`."""
+        return [getattr(self, field) for field in STATISTICS.values()]
+
+
+@dataclass(frozen=True)
+class PoseError:
+    """Errors of a predicted path against the driven one, at the same times.
+
+    Attributes
+    ----------
+    position
+        Distance [m].
+    heading
+        Difference of the unwrapped headings [rad].
+    """
+
+    position: Spread
+    heading: Spread
+
+
+def dead_reckon(twist: FloatArray, start: ArrayLike, dt: float) -> FloatArray:
+    """Poses (K, 3) that a twist (K, 2) v [m/s], omega [rad/s] leads through from `start` (3,).
+
+    Exact arcs of the mean twist between two samples, without side-slip (Guffanti et al., Sensors 2025, 25(11), 3553).
+    """
+    start = np.asarray(start, dtype=float)
+    v, omega = (0.5 * (twist[1:] + twist[:-1])).T
+    theta = start[2] + np.concatenate([[0.0], np.cumsum(omega * dt)])
+    there = np.column_stack([np.zeros((len(v), 2)), theta[:-1]])
+    legs = integrate_pose(there, v, omega, dt)[:, :2]
+    return np.column_stack([np.vstack([start[:2], start[:2] + np.cumsum(legs, axis=0)]), theta])
+
+
+def sampled(system: LinearSystem, dt: float) -> DiscreteModel:
+    """An identified system without its sensor offsets, sampled with `dt` [s].
+
+    It need not be a robot's: an identification may place a pole that the data do not determine further out than
+    `VelocityModel` accepts.
+    """
+    return zero_order_hold(system.A, system.B, system.C, system.dead_time, dt)
+
+
+def predict_path(model: DiscreteModel | NonlinearModel, commands: FloatArray, start: ArrayLike) -> FloatArray:
+    """Poses (K, 3) from commands (K, 2) alone, from rest at `start` (3,)."""
+    return dead_reckon(model.simulate(commands), start, model.dt)
+
+
+def pose_error(predicted: FloatArray, driven: FloatArray) -> PoseError:
+    """Statistics of predicted poses (K, 3) against driven ones (K, 3), headings unwrapped."""
+    error = predicted - driven
+    return PoseError(Spread.of(np.hypot(error[:, 0], error[:, 1])), Spread.of(error[:, 2]))
+
+
+class RobotLogs:
+    """The drives of one repetition; each has a seed of its own, in the order in which they are asked for.
+
+    Poses of the records are true ones: the papers hold predictions against a localisation, whose own error is small
+    beside theirs.
+
+    Parameters
+    ----------
+    repetition
+        Number from which the seeds are counted.
+    """
+
+    def __init__(self, repetition: int) -> None:
+        self._seeds: Iterator[int] = iter(range(_SEEDS_EACH * repetition, _SEEDS_EACH * (repetition + 1)))
+
+    def steps(self, kind: StepKind) -> list[Record]:
+        """The steps of "wheels", "v" or "omega"; see `sim.plants.open_loop.step_commands`."""
+        return self._driven(f"step of {kind}", step_commands(kind))
+
+    def free(self, drives: int, duration: float, largest: PaperRange | None = None) -> list[Record]:
+        """Free drives of `duration` [s] each: smoothed random set-points, stretched to end at `largest` if given."""
+        own = load_command_parameters().random
+        ends = np.array([own.v_range[1], own.omega_range[1]])
+        stretch = np.array([largest.v, largest.omega]) / ends if largest else np.ones(2)
+        return [
+            record_of(f"free drive, seed {seed}", seed, stretch * random_commands(seed, duration=duration))
+            for seed in (next(self._seeds) for _ in range(drives))
+        ]
+
+    def trajectory(self, name: str) -> Record:
+        """A trajectory's commands in open loop, from rest at the origin."""
+        return self._driven(name, [trajectory_commands(name)])[0]
+
+    def _driven(self, name: str, commands: Iterable[FloatArray]) -> list[Record]:
+        return [record_of(name, next(self._seeds), rows) for rows in commands]
+
+
+def trajectory_commands(name: str) -> FloatArray:
+    """(K, 2) v [m/s], omega [rad/s] of a trajectory's segments, one row per sample, without slopes between them."""
+    segments, dt = load_segments(name), load_robot().sample_time
+    ends = np.cumsum([segment.duration for segment in segments])
+    rows = np.searchsorted(ends, dt * np.arange(round(ends[-1] / dt)), side="right")
+    return np.array([(segment.v, segment.omega) for segment in segments])[np.minimum(rows, len(segments) - 1)]
+
+
+def record_of(name: str, seed: int, commands: FloatArray) -> Record:
+    """Drive the simulated robot on the default surface and record it."""
+    log = drive_open_loop(make_plant("mujoco", seed=seed), commands)
+    return Record(
+        name,
+        0.0,
+        load_robot().sample_time,
+        log.command,
+        twist=log.wheel_twist,
+        yaw_rate=log.yaw_rate,
+        pose=log.true_pose,
+        wheel_speeds=log.wheel_speeds,
+    )

@@ -1,0 +1,163 @@
+"""The figures of `reproduce`: odometry of MBM and SM, FIT of SSM by order, the virtual track, the scatter of P4."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.velocity_model import CHANNELS
+from studies.reproduce.drives import QUANTITIES
+from studies.reproduce.mbm_and_sm import COMPARED, SM, MbmSmResult
+from studies.reproduce.published import load_published
+from studies.reproduce.slip_scatter import LEARNED, NOMINAL, TRUE, Foresight, SlipScatter, pooled
+from studies.reproduce.state_space import PAPERS_ORDER, SsmResult
+from studies.reproduce.virtual_track import TrackLine, VirtualTrackResult
+
+_BAR = 0.16
+
+
+def draw_odometry(results: Sequence[MbmSmResult], path: Path) -> None:
+    """Draw the paths of the first repetition, and the mean RMSE over all of them."""
+    first = results[0]
+    with new_figure(path, 10.0, 6.2) as figure:
+        halves = figure.add_gridspec(2, 1)
+        upper, lower = (figure.add_subfigure(halves[row]) for row in (0, 1))
+        upper.suptitle("Driven on the simulated robot, and predicted from commands alone")
+        for axes, (name, paths) in zip(
+            upper.subplots(1, len(first.paths), squeeze=False)[0], first.paths.items(), strict=True
+        ):
+            _paths(axes, paths)
+            axes.set_title(name)
+            if name == next(iter(first.paths)):
+                axes.legend(loc="center", fontsize=7.0)
+        for axes, quantity in zip(lower.subplots(1, 2), QUANTITIES, strict=True):
+            _bars(axes, results, quantity)
+        lower.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=5)
+
+
+def _paths(axes: Axes, paths: Mapping[str, FloatArray]) -> None:
+    axes.plot(*paths["driven"][:, :2].T, color=REFERENCE_COLOUR, linewidth=3.0, label="driven")
+    for k, model in enumerate(COMPARED):
+        axes.plot(*paths[model][:, :2].T, color=colour(k), linestyle=line_style(k), linewidth=1.1, label=model)
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+
+
+def _bars(axes: Axes, results: Sequence[MbmSmResult], quantity: str) -> None:
+    names = list(results[0].errors[SM])
+    printed = load_published().odometry
+    bars: dict[str, tuple[list[float], str, str]] = {
+        f"published {model.upper()}": (
+            [getattr(printed[model][name], quantity)[0] for name in names],
+            colour(0 if model == "mbm" else 2),
+            "//",
+        )
+        for model in ("mbm", "sm")
+    }
+    for k, model in enumerate(COMPARED):
+        values = [
+            float(np.mean([getattr(result.errors[model][name], quantity).rmse for result in results])) for name in names
+        ]
+        bars[model] = (values, colour(k), "")
+    for k, (label, (values, shade, hatch)) in enumerate(bars.items()):
+        places = np.arange(len(names)) + (k - 2) * _BAR
+        axes.bar(places, values, _BAR, color=shade, hatch=hatch, edgecolor="white", linewidth=0.4, label=label)
+    axes.set(yscale="log", ylabel=f"{quantity} RMSE [{QUANTITIES[quantity]}]", title=quantity)
+    axes.set_xticks(range(len(names)), names)
+    axes.grid(axis="x", visible=False)
+
+
+def draw_orders(results: Sequence[SsmResult], path: Path) -> None:
+    """Draw what each order brings over order 2, in v and in omega; bars reach over the repetitions."""
+    printed = load_published().orders
+    tested = [row.order for row in results[0].orders if row.order >= PAPERS_ORDER]
+    with new_figure(path, 9.0, 3.4) as figure:
+        for row, (channel, axes) in enumerate(zip(CHANNELS, figure.subplots(1, 2), strict=True)):
+            paper = {order: getattr(fit.fit_percent, channel) for order, fit in printed.items()}
+            axes.plot(
+                list(paper),
+                [value - paper[PAPERS_ORDER] for value in paper.values()],
+                "s--",
+                color=colour(1),
+                label=f"published; order 2: {paper[PAPERS_ORDER]:.2f} %",
+            )
+            fits = np.array(
+                [[result.orders[order - 1].test.fit_percent[row] for order in tested] for result in results]
+            )
+            gains = fits - fits[:, :1]
+            mean = gains.mean(axis=0)
+            reach = np.abs(np.array([gains.min(axis=0), gains.max(axis=0)]) - mean)
+            label = f"our plant; order 2: {fits[:, 0].mean():.2f} %"
+            axes.errorbar(tested, mean, yerr=reach, fmt="o-", color=colour(0), capsize=3.0, label=label)
+            axes.axhline(0.0, color="black", linewidth=0.6)
+            axes.set(title=channel, xlabel="order", xticks=tested, ylabel="test FIT over order 2 [points]")
+            axes.legend(loc="best")
+
+
+def draw_virtual_track(result: VirtualTrackResult, path: Path) -> None:
+    """Draw the tests as printed and with tracks exchanged, each with the printed line and the one fitted to it."""
+    with new_figure(path, 9.0, 3.6) as figure:
+        left, right = figure.subplots(1, 2, sharey=True)
+        _draw(left, result.tests, result.printed, result.fitted)
+        _draw(right, result.exchanged, result.printed, result.fitted_exchanged)
+        left.set(title="tests as printed", ylabel="virtual track [m]")
+        right.set_title("tracks of tests 1, 2 and 7, 8 exchanged")
+
+
+def _draw(axes: Axes, tests: FloatArray, printed: TrackLine, fitted: TrackLine) -> None:
+    rates = np.array([0.0, 1.1])
+    for k, (name, line) in enumerate({"printed": printed, "least squares": fitted}.items()):
+        label = f"{name}: {line.p1:.3f} |yaw rate| + {line.p0:.3f}"
+        axes.plot(rates, line.p1 * rates + line.p0, color=colour(k), linestyle=line_style(k), label=label)
+    axes.plot(*tests.T, "o", color="black", markersize=4.0)
+    for number, (rate, track) in enumerate(tests, start=1):
+        axes.annotate(str(number), (rate, track), (4, 3), textcoords="offset points", fontsize=7.0)
+    axes.axhline(printed.p0, color=REFERENCE_COLOUR, linewidth=0.8)
+    axes.annotate("true track", (1.1, printed.p0), (-36, -9), textcoords="offset points", fontsize=7.0)
+    axes.set_xlabel("yaw rate [rad/s]")
+    axes.legend(loc="lower center")
+    axes.margins(y=0.15)
+
+
+def draw_slip_scatter(results: Sequence[SlipScatter], path: Path) -> None:
+    """Draw paths by commands alone, and errors of poses with their ellipses; for the first setting of the drifts."""
+    shown = [one for one in results if one.drifts == results[0].drifts]
+    floors = list(dict.fromkeys(one.floor for one in shown))
+    with new_figure(path, 2.0 * len(floors) + 0.6, 6.6) as figure:
+        rows = figure.subplots(3, len(floors), squeeze=False)
+        for column, floor in enumerate(floors):
+            group = [one for one in shown if one.floor == floor]
+            driven, without, learned = rows[:, column]
+            for k, name in enumerate((TRUE, NOMINAL, LEARNED)):
+                shade = REFERENCE_COLOUR if name == TRUE else colour(k)
+                width = 3.0 if name == TRUE else 1.2
+                driven.plot(*group[0].paths[name].T, color=shade, linestyle=line_style(k), linewidth=width, label=name)
+            driven.set(title=floor, xlabel="x [m]", aspect="equal", adjustable="datalim")
+            _scatter(without, pooled(group, "nominal"), {})
+            ellipses = {"foreseen": pooled(group, "learned"), "foreseen, scaled": pooled(group, "scaled")}
+            _scatter(learned, pooled(group, "learned"), ellipses)
+            learned.set_xlabel("along [mm]")
+        for axes, label in zip(rows[:, 0], ("y [m]", "no slip: left [mm]", "learned: left [mm]"), strict=True):
+            axes.set_ylabel(label)
+        figure.legend(*rows[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+        figure.legend(*rows[2, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+
+
+def _scatter(axes: Axes, errors: Foresight, foreseen: Mapping[str, Foresight]) -> None:
+    """Errors along and to the left, with ellipses of three deviations: of the errors, and as they were foreseen."""
+    places = 1e3 * errors.errors[:, :2]
+    axes.plot(*places.T, ".", color="black", markersize=3.0, label="errors of poses")
+    _ellipse(axes, places.mean(axis=0), np.cov(places.T), 1, "errors, three deviations")
+    for k, (name, one) in enumerate(foreseen.items(), start=2):
+        _ellipse(axes, np.zeros(2), 1e6 * one.covariances[:, :2, :2].mean(axis=0), k, name)
+    axes.set(aspect="equal", adjustable="datalim")
+
+
+def _ellipse(axes: Axes, centre: FloatArray, covariance: FloatArray, k: int, label: str) -> None:
+    angles = np.linspace(0.0, 2 * np.pi, 100)
+    line = centre[:, None] + 3.0 * np.linalg.cholesky(covariance) @ np.stack([np.cos(angles), np.sin(angles)])
+    axes.plot(*line, color=colour(k), linestyle=line_style(k - 1), linewidth=1.3, label=label)

@@ -1,0 +1,257 @@
+"""MBM and SM from steps, held against each other on trajectories (Guffanti et al., Sensors 2025, 25(11), 3553)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.doubt import lines
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.experiment import wheel_experiments
+from diffdrive_mpc.models.output_error.validation import pooled_fit_percent, simulate_experiment, validate
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.structures.identified import IdentifiedModel
+from diffdrive_mpc.models.structures.mbm import identify_mbm
+from diffdrive_mpc.models.structures.sm import identify_sm
+from diffdrive_mpc.models.velocity_model import CHANNELS
+from studies.reproduce.drives import (
+    QUANTITIES,
+    STATISTICS,
+    STEP_KINDS,
+    PoseError,
+    RobotLogs,
+    pose_error,
+    predict_path,
+    sampled,
+)
+from studies.reproduce.published import Finding, Published, each
+from studies.reproduce.settings import MbmSmStudy
+
+MBM, MBM_TRACKS, SM = "MBM", "MBM, own tracks", "SM"
+COMPARED = (MBM, MBM_TRACKS, SM)
+"""MBM as the paper has it, MBM with identified tracks, SM."""
+DATA = ("steps used", "steps held out", "free drives")
+_HELD_OUT = DATA[1]
+_CIRCLE = "circle"
+_MOTORS = ("front left", "front right", "rear left", "rear right")
+
+
+@dataclass(frozen=True)
+class MbmSmResult:
+    """One repetition.
+
+    Attributes
+    ----------
+    repetition
+        Its number.
+    motor_fit
+        By data, FIT of the motors front left, front right, rear left, rear right [%].
+    sm_fit
+        By data, FIT of v and omega [%].
+    errors
+        By model and trajectory.
+    paths
+        By trajectory, the driven poses (K, 3) under the name "driven" and those that the models predict.
+    parameters
+        By model, what the identification found.
+    warnings
+        By model, what it did not trust.
+    """
+
+    repetition: int
+    motor_fit: Mapping[str, tuple[float, ...]]
+    sm_fit: Mapping[str, tuple[float, float]]
+    errors: Mapping[str, Mapping[str, PoseError]]
+    paths: Mapping[str, Mapping[str, FloatArray]]
+    parameters: Mapping[str, Mapping[str, Any]]
+    warnings: Mapping[str, tuple[str, ...]]
+
+
+def compare_mbm_and_sm(study: MbmSmStudy, repetition: int) -> MbmSmResult:
+    """Identify MBM and SM from the paper's steps and predict the paper's trajectories.
+
+    The paper turns commands into wheel speeds, and these into twists, with the robot's geometric track: that is "MBM".
+    "MBM, own tracks" has the track of the firmware and the one that the gyro asks for, both identified.
+    """
+    logs, robot = RobotLogs(repetition), load_robot()
+    used, held_out = ({kind: logs.steps(kind) for kind in STEP_KINDS} for _ in range(2))
+    free = logs.free(study.free_drives, study.free_duration)
+    own_tracks = identify_mbm([*used["wheels"], *used["omega"]], robot.wheel_radius)
+    sm = identify_sm([*used["v"], *used["omega"]], limits=False)
+    geometric = {"firmware_track": robot.track, "effective_track": robot.track}
+    mbm = replace(own_tracks, content={**own_tracks.content, **geometric})
+    models = {MBM: mbm, MBM_TRACKS: own_tracks, SM: sm}
+    paths = {name: _paths(models, logs.trajectory(name)) for name in study.trajectories}
+    of_motors = dict(zip(DATA, (used["wheels"], held_out["wheels"], free), strict=True))
+    # Each channel has steps of its own, as in the paper.
+    of_v = dict(zip(DATA, (used["v"], held_out["v"], free), strict=True))
+    of_omega = dict(zip(DATA, (used["omega"], held_out["omega"], free), strict=True))
+    return MbmSmResult(
+        repetition,
+        motor_fit={name: motor_fit(own_tracks, records) for name, records in of_motors.items()},
+        sm_fit={name: (_fit(sm, of_v[name], 0), _fit(sm, of_omega[name], 1)) for name in DATA},
+        errors={
+            model: {name: pose_error(found[model], found["driven"]) for name, found in paths.items()}
+            for model in models
+        },
+        paths=paths,
+        parameters={MBM: own_tracks.content, SM: sm.content},
+        warnings={MBM: lines(own_tracks.warnings), SM: lines(sm.warnings)},
+    )
+
+
+def motor_fit(mbm: IdentifiedModel, records: Sequence[Record]) -> tuple[float, ...]:
+    """FIT of each motor's speed, simulated from the commands [%], pooled over records."""
+    stretches = wheel_experiments(records)
+    simulated = [simulate_experiment(mbm.fits[0].system, stretch) for stretch in stretches]
+    return tuple(
+        pooled_fit_percent([stretch.outputs[:, motor] for stretch in stretches], [y[:, motor] for y in simulated])
+        for motor in range(stretches[0].outputs.shape[1])
+    )
+
+
+def _fit(sm: IdentifiedModel, records: Sequence[Record], channel: int) -> float:
+    return float(validate(sm.system, records).fit_percent[channel])
+
+
+def _paths(models: Mapping[str, IdentifiedModel], driven: Record) -> dict[str, FloatArray]:
+    pose = np.asarray(driven.pose)
+    predicted = {
+        name: predict_path(sampled(identified.system, driven.dt), driven.command, pose[0])
+        for name, identified in models.items()
+    }
+    return {"driven": pose, **predicted}
+
+
+def mbm_sm_findings(results: Sequence[MbmSmResult], published: Published) -> list[Finding]:
+    """FIT of motors and channels, and who predicts paths better."""
+    least, fit = published.motor_fit_percent, published.sm_fit_percent
+    motors = np.array([result.motor_fit[_HELD_OUT] for result in results])
+    channels = np.array([result.sm_fit[_HELD_OUT] for result in results])
+    v, omega = channels.mean(axis=0)
+    return [
+        Finding(
+            f"two poles without zeros explain every motor with a FIT above {least:g} % (steps held out)",
+            "P0, section on MBM",
+            f"all four > {least:g} %",
+            f"{motors.mean(axis=0).min():.1f} to {motors.mean(axis=0).max():.1f} %",
+            each((motors > least).all(axis=1)),
+        ),
+        Finding(
+            "SM explains v better than omega (steps held out)",
+            "P0, section on SM",
+            f"{fit.v:.2f} against {fit.omega:.2f} %",
+            f"{v:.2f} against {omega:.2f} %",
+            each(channels[:, 0] > channels[:, 1]),
+        ),
+        *(_beats_sm(results, published, MBM, "MBM", quantity) for quantity in QUANTITIES),
+        *(_beats_sm(results, published, MBM_TRACKS, "MBM with identified tracks", quantity) for quantity in QUANTITIES),
+        *([_circle_is_worst(results, published)] if _CIRCLE in results[0].errors[SM] else []),
+    ]
+
+
+def _beats_sm(results: Sequence[MbmSmResult], published: Published, model: str, words: str, quantity: str) -> Finding:
+    ours, theirs = _rmse(results, model, quantity), _rmse(results, SM, quantity)
+    printed = [_printed(published, of, list(results[0].errors[SM]), quantity) for of in ("mbm", "sm")]
+    return Finding(
+        f"{words} predicts the {quantity} better than SM on every trajectory (RMSE)",
+        "P0, Table 2" if model == MBM else "P0, Table 2; the tracks are ours",
+        _compared(printed[0], printed[1], QUANTITIES[quantity]),
+        _compared(ours.mean(axis=0), theirs.mean(axis=0), QUANTITIES[quantity]),
+        each((ours < theirs).all(axis=1)),
+    )
+
+
+def _circle_is_worst(results: Sequence[MbmSmResult], published: Published) -> Finding:
+    names = list(results[0].errors[SM])
+    circle = names.index(_CIRCLE)
+    printed = {of.upper(): _printed(published, of, names, "position") for of in ("mbm", "sm")}
+    ours = {of: _rmse(results, of, "position") for of in (MBM, SM)}
+    worst = np.array([table.argmax(axis=1) for table in ours.values()])
+    return Finding(
+        "the circle has the largest position RMSE, for MBM and for SM",
+        "P0, Table 2",
+        ", ".join(f"{of}: {names[int(values.argmax())]}" for of, values in printed.items()),
+        ", ".join(f"{of}: {names[int(table.mean(axis=0).argmax())]}" for of, table in ours.items()),
+        each((worst == circle).all(axis=0)),
+    )
+
+
+def _rmse(results: Sequence[MbmSmResult], model: str, quantity: str) -> FloatArray:
+    """(repetitions, trajectories)."""
+    return np.array([[getattr(error, quantity).rmse for error in result.errors[model].values()] for result in results])
+
+
+def _printed(published: Published, model: str, names: Sequence[str], quantity: str) -> FloatArray:
+    """(trajectories,) printed RMSE, which is the first of the printed statistics."""
+    return np.array([getattr(published.odometry[model][name], quantity)[0] for name in names])
+
+
+def _compared(ours: FloatArray, theirs: FloatArray, unit: str) -> str:
+    a, b = float(ours.mean()), float(theirs.mean())
+    return f"{np.sum(ours < theirs)} of {len(ours)}; mean {a:.3f} against {b:.3f} {unit} ({100 * (a / b - 1):+.0f} %)"
+
+
+def fit_table(results: Sequence[MbmSmResult], published: Published) -> Table:
+    """FIT of the four motors and of both channels of SM."""
+    motors = {name: np.mean([result.motor_fit[name] for result in results], axis=0) for name in DATA}
+    channels = {name: np.mean([result.sm_fit[name] for result in results], axis=0) for name in DATA}
+    printed = published.sm_fit_percent.model_dump()
+    rows = [
+        ("MBM", motor, f"> {published.motor_fit_percent:g}", *(number(float(motors[name][i]), 2) for name in DATA))
+        for i, motor in enumerate(_MOTORS)
+    ]
+    rows += [
+        ("SM", channel, number(printed[channel], 2), *(number(float(channels[name][i]), 2) for name in DATA))
+        for i, channel in enumerate(CHANNELS)
+    ]
+    note = (
+        "FIT [%] of a free simulation from commands, mean over repetitions. The paper does not say which part of its "
+        "data its figures belong to. Steps of its own for each: wheels for the motors, v and omega for SM."
+    )
+    columns = ("model", "output", "published", *DATA)
+    return Table("FIT of motors and of SM", columns, tuple(rows), text_columns=2, note=note)
+
+
+def odometry_tables(results: Sequence[MbmSmResult], published: Published) -> list[Table]:
+    """Position and heading errors by trajectory and statistic."""
+    return [_odometry(results, published, quantity) for quantity in QUANTITIES]
+
+
+def _odometry(results: Sequence[MbmSmResult], published: Published, quantity: str) -> Table:
+    names = list(results[0].errors[SM])
+    ours = {model: _errors(results, model, quantity) for model in COMPARED}
+    printed = {
+        model: np.array([getattr(published.odometry[model][name], quantity) for name in names])
+        for model in ("mbm", "sm")
+    }
+    rows = []
+    for i, statistic in enumerate(STATISTICS):
+        for k, name in enumerate((*names, "average")):
+            of_paper = [_cell(printed[model], k, i) for model in printed]
+            of_plant = [_cell(ours[model], k, i) for model in COMPARED]
+            rows.append((statistic, name, *of_paper, *of_plant))
+    columns = (f"error [{QUANTITIES[quantity]}]", "trajectory", "published MBM", "published SM", *COMPARED)
+    note = (
+        "Predicted from commands alone, against the true pose; mean over repetitions. Published: P0, Table 2, "
+        "averages from its rows. The paper's twists and durations are not in its text: the paths are of one shape, "
+        "not of one size."
+    )
+    title = f"{quantity.capitalize()} errors of open-loop odometry"
+    return Table(title, columns, tuple(rows), text_columns=2, note=note)
+
+
+def _errors(results: Sequence[MbmSmResult], model: str, quantity: str) -> FloatArray:
+    """(trajectories, statistics), mean over repetitions."""
+    every = [[getattr(error, quantity).statistics for error in result.errors[model].values()] for result in results]
+    return np.asarray(np.mean(every, axis=0))
+
+
+def _cell(table: FloatArray, row: int, column: int) -> str:
+    values = table[:, column]
+    return number(float(values[row] if row < len(values) else values.mean()), 3)

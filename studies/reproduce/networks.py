@@ -1,0 +1,248 @@
+"""LSTM beside SSM from one long free drive, and the nine networks of Table 2 (P1).
+
+P1: Guffanti, Pavon, Sensors 2025, 25(18), 5821.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.identification.network import simulate_records
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.networks.network import Architecture, Network
+from diffdrive_mpc.models.networks.training import train
+from diffdrive_mpc.models.networks.training_settings import training_settings
+from diffdrive_mpc.models.networks.windows import divided, fit_percent, rmse, windows_of
+from diffdrive_mpc.models.output_error.experiment import twist_experiments
+from diffdrive_mpc.models.output_error.validation import score
+from diffdrive_mpc.models.structures.ssm import identify_ssm
+from studies.reproduce.drives import (
+    QUANTITIES,
+    STATISTICS,
+    RobotLogs,
+    dead_reckon,
+    pose_error,
+)
+from studies.reproduce.published import Finding, Published, PublishedNetwork, each
+from studies.reproduce.settings import NetworkStudy
+from studies.reproduce.state_space import (
+    FIT_COLUMNS,
+    PAPERS_ORDER,
+    FreeDrive,
+    VelocityFit,
+    free_drive,
+)
+
+SSM, LSTM, LONGER = "SSM", "LSTM", "LSTM, trained longer"
+PAPERS_ROW = 2
+"""The row of Table 2 that the paper settles on."""
+_OTHER_SEEDS = 100
+_TABLE_2, _TABLE_3, _TABLE_4 = "P1, Table 2", "P1, Table 3", "P1, Table 4"
+
+
+@dataclass(frozen=True)
+class NetworkRow:
+    """One row of Table 2: FIT and RMSE on the validation and test parts of the drive, and what it took."""
+
+    row: int
+    parameters: int
+    steps: int
+    validation: VelocityFit
+    test: VelocityFit
+
+
+@dataclass(frozen=True)
+class NetworkRows:
+    """Some rows of Table 2, all from one drive."""
+
+    rows: tuple[NetworkRow, ...]
+
+
+@dataclass(frozen=True)
+class NetworkResult:
+    """One repetition: free drives by model; all were identified from the same drive, as fast as the paper's."""
+
+    repetition: int
+    free_drives: Mapping[str, tuple[FreeDrive, ...]]
+
+
+def compare_with_ssm(study: NetworkStudy, repetition: int) -> NetworkResult:
+    """An SSM and networks from one drive, held against others."""
+    logs = RobotLogs(_OTHER_SEEDS + repetition)
+    drive = logs.free(1, study.train_duration, study.paper_range)
+    drives = logs.free(study.free_drives, study.free_duration, study.paper_range)
+    ssm = identify_ssm(drive, PAPERS_ORDER, limits=False)
+    found = {SSM: tuple(free_drive(ssm.system, one) for one in drives)}
+    kind, usual = Architecture(), training_settings()
+    for name, settings in ((LSTM, usual), (LONGER, usual.model_copy(update=study.longer.model_dump()))):
+        training, validation, _ = divided(windows_of(twist_experiments(drive), kind.window), settings.shares)
+        network = train(kind, training, validation, settings).network
+        found[name] = tuple(_network_drive(network, one) for one in drives)
+    return NetworkResult(repetition, found)
+
+
+def _network_drive(network: Network, drive: Record) -> FreeDrive:
+    (twist,) = simulate_records(network, [drive], "gyro")
+    found, pose = score([twist], twist_experiments([drive])), np.asarray(drive.pose)
+    path = dead_reckon(twist - network.at_rest, pose[0], drive.dt)
+    return FreeDrive(_velocity(found.fit_percent, found.rmse), pose_error(path, pose))
+
+
+def train_rows(study: NetworkStudy, published: Mapping[int, PublishedNetwork], repetition: int) -> NetworkRows:
+    """Train networks as these rows of Table 2 say, from the drive of `compare_with_ssm`."""
+    drive = RobotLogs(_OTHER_SEEDS + repetition).free(1, study.train_duration, study.paper_range)
+    experiments, found = twist_experiments(drive), []
+    for row, said in published.items():
+        kind = Architecture(window=said.window, units=said.units, layers=said.layers, activation=said.activation)
+        settings = training_settings().model_copy(
+            update={
+                "optimiser": said.optimiser,
+                "batch": said.batch,
+                "validation_every": said.validation_every,
+                "patience": said.patience,
+            }
+        )
+        training, validation, test = divided(windows_of(experiments, kind.window), settings.shares)
+        done = train(kind, training, validation, settings)
+        scores = [_velocity(fit_percent(done.network, part), rmse(done.network, part)) for part in (validation, test)]
+        found.append(NetworkRow(row, kind.parameters, done.steps, *scores))
+    return NetworkRows(tuple(found))
+
+
+def _velocity(fit: FloatArray, error: FloatArray) -> VelocityFit:
+    return VelocityFit((float(fit[0]), float(fit[1])), (float(error[0]), float(error[1])))
+
+
+def network_findings(
+    results: Sequence[NetworkResult], rows: Sequence[NetworkRow], published: Published
+) -> list[Finding]:
+    """What P1 says of LSTM beside SSM, and of the nine networks where all of them were trained."""
+    findings = [_better_fit(results, published), _better_odometry(results, published)] if results else []
+    if len(rows) == len(published.networks):
+        findings.append(_best_row(rows, published))
+    return findings
+
+
+def _better_fit(results: Sequence[NetworkResult], published: Published) -> Finding:
+    ssm, lstm = (
+        np.array(
+            [np.mean([drive.velocity.fit_percent for drive in result.free_drives[name]], axis=0) for result in results]
+        )
+        for name in (SSM, LSTM)
+    )
+    pair = "SSM {:.2f} and {:.2f}, LSTM {:.2f} and {:.2f} %"
+    paper = [*published.free_drives_average.values[:2], *published.lstm_drives_average.values[:2]]
+    return Finding(
+        "on free drives SSM explains v and omega better than LSTM (FIT)",
+        _TABLE_3,
+        pair.format(*paper),
+        pair.format(*ssm.mean(axis=0), *lstm.mean(axis=0)),
+        each((ssm > lstm).all(axis=1)),
+    )
+
+
+def _better_odometry(results: Sequence[NetworkResult], published: Published) -> Finding:
+    def errors(name: str) -> FloatArray:
+        return np.array(
+            [
+                np.mean(
+                    [(one.odometry.position.rmse, one.odometry.heading.rmse) for one in result.free_drives[name]],
+                    axis=0,
+                )
+                for result in results
+            ]
+        )
+
+    ssm, lstm = errors(SSM), errors(LSTM)
+    pair = "SSM {:.2f} m and {:.2f} rad, LSTM {:.2f} m and {:.2f} rad"
+    paper = [
+        value
+        for drive in (published.free_drives_average, published.lstm_drives_average)
+        for value in (drive.odometry.position[0], drive.odometry.heading[0])
+    ]
+    return Finding(
+        "open-loop odometry of SSM has the smaller errors, in position and in heading (RMSE)",
+        _TABLE_4,
+        pair.format(*paper),
+        pair.format(*ssm.mean(axis=0), *lstm.mean(axis=0)),
+        each((ssm < lstm).all(axis=1)),
+    )
+
+
+def _best_row(rows: Sequence[NetworkRow], published: Published) -> Finding:
+    ours = {one.row: float(np.mean(one.test.fit_percent)) for one in rows}
+    printed = {row: float(np.mean(said.test.values[:2])) for row, said in published.networks.items()}
+    words = []
+    for means in (printed, ours):
+        best = max(means, key=means.__getitem__)
+        words.append(f"row {best} with {means[best]:.2f} %, row {PAPERS_ROW} with {means[PAPERS_ROW]:.2f} %")
+    return Finding(
+        f"the network of row {PAPERS_ROW} has the best test FIT of the nine (mean of v and omega)",
+        f"{_TABLE_2}; its text, its numbers say otherwise",
+        words[0],
+        words[1],
+        (max(ours, key=ours.__getitem__) == PAPERS_ROW,),
+    )
+
+
+def row_table(rows: Sequence[NetworkRow], published: Published) -> Table:
+    """The nine networks, the paper's figures beside ours."""
+    lines = []
+    for one in sorted(rows, key=lambda one: one.row):
+        said = published.networks[one.row]
+        what = f"{said.layers} x {said.units}, {said.activation}, {said.optimiser}"
+        numbers = f"{said.window}, {said.batch}, {said.validation_every}, {said.patience}"
+        paper = [number(value, 2) for value in said.test.values]
+        ours = [number(value, 2 if k < 2 else 4) for k, value in enumerate(one.test.values)]
+        seen = [number(value, 2) for value in one.validation.fit_percent]
+        lines.append((str(one.row), what, numbers, *paper, *ours, *seen, str(one.parameters), str(one.steps)))
+    columns = (
+        "row",
+        "layers x units, dense layer, optimiser",
+        "window, batch, validation every, patience",
+        *(f"published {name}" for name in FIT_COLUMNS),
+        *FIT_COLUMNS,
+        "FIT v, validation [%]",
+        "FIT omega, validation [%]",
+        "parameters",
+        "steps",
+    )
+    note = (
+        "Published: P1, Table 2, test. Ours: the last 10 % of one drive in time; one training each, one seed. Rate of "
+        "the optimiser 0.001, weights of the best look at the validation part: the paper says neither."
+    )
+    return Table("The nine networks", columns, tuple(lines), 3, note)
+
+
+def beside_tables(results: Sequence[NetworkResult], published: Published) -> list[Table]:
+    """Velocity and odometry of SSM and LSTM on free drives, the paper's experiments beside ours."""
+    lines: list[tuple[str, str, FloatArray, bool]] = []
+    paper = {SSM: (published.free_drives, published.free_drives_average)}
+    paper[LSTM] = (published.lstm_drives, published.lstm_drives_average)
+    for name, (drives, average) in paper.items():
+        experiments = [(f"experiment {k}", one) for k, one in enumerate(drives, start=1)]
+        for label, drive in [*experiments, ("average", average)]:
+            values = np.array([*drive.values, *drive.odometry.position, *drive.odometry.heading])
+            lines.append((f"published {name}", label, values, True))
+    for name in results[0].free_drives:
+        ours = np.array([drive.values for result in results for drive in result.free_drives[name]])
+        lines.append((name, f"average of {len(ours)}", ours.mean(axis=0), False))
+    errors = [f"{name} [{unit}], {of}" for name, unit in QUANTITIES.items() for of in STATISTICS]
+    fits = [
+        (name, label, *(number(float(v), 2 if k < 2 or printed else 4) for k, v in enumerate(values[:4])))
+        for name, label, values, printed in lines
+    ]
+    paths = [(name, label, *(number(float(v), 2) for v in values[4:])) for name, label, values, _ in lines]
+    note = (
+        "Ours: identified from one drive of five minutes, held against others of 30 s, all with set-points up to "
+        f"1.5 m/s and 2.0 rad/s; mean over repetitions. '{LONGER}': without dropout, with less decay and more patience."
+    )
+    return [
+        Table("SSM and LSTM velocity", ("model", "drive", *FIT_COLUMNS), tuple(fits), 2, f"P1, Table 3. {note}"),
+        Table("SSM and LSTM odometry", ("model", "drive", *errors), tuple(paths), 2, f"P1, Table 4. {note}"),
+    ]

@@ -1,0 +1,311 @@
+"""SSM of several orders from one long free drive (Guffanti, Pavon, Sensors 2025, 25(18), 5821)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.doubt import lines
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.load import load_linear_model
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.output_error.validation import validate
+from diffdrive_mpc.models.structures.identified import IdentifiedModel
+from diffdrive_mpc.models.structures.orders import OrderRow
+from diffdrive_mpc.models.structures.ssm import choose_order, identify_ssm
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from studies.reproduce.drives import (
+    QUANTITIES,
+    STATISTICS,
+    PoseError,
+    RobotLogs,
+    pose_error,
+    predict_path,
+    sampled,
+)
+from studies.reproduce.published import Finding, Published, each
+from studies.reproduce.settings import SsmStudy
+
+PAPERS_ORDER = 2
+"""The order that the paper settles on."""
+IDENTIFIED, PRINTED = "identified", "as printed"
+"""SSM of that order from our drive, and the paper's own matrices."""
+
+_TABLE = "P1, Table 1"
+_SLIGHTLY_HIGHER = (3, 4)
+_HIGHEST = 5
+FIT_COLUMNS = ("FIT v [%]", "FIT omega [%]", "RMSE v [m/s]", "RMSE omega [rad/s]")
+"""Headings of `VelocityFit.values`."""
+_PUBLISHED = "published"
+_FAST = "fast free drives"
+_DIGITS = {True: (2, 2, 2, 2), False: (2, 2, 4, 4)}
+"""Of FIT and RMSE: the paper's, ours."""
+
+Pair = tuple[float, float]
+"""Of v and omega."""
+
+
+@dataclass(frozen=True)
+class VelocityFit:
+    """FIT [%] and RMSE [m/s, rad/s] of a free simulation."""
+
+    fit_percent: Pair
+    rmse: Pair
+
+    @property
+    def values(self) -> list[float]:
+        """FIT of v and omega, RMSE of v and omega."""
+        return [*self.fit_percent, *self.rmse]
+
+
+@dataclass(frozen=True)
+class OrderResult:
+    """One order; the information criterion is Schwarz's, over the lowest of all orders."""
+
+    order: int
+    train: VelocityFit
+    test: VelocityFit
+    bic: float
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class FreeDrive:
+    """One held-out drive."""
+
+    velocity: VelocityFit
+    odometry: PoseError
+
+    @property
+    def values(self) -> list[float]:
+        """(12,) FIT and RMSE of v and omega, then the statistics of position and heading."""
+        return [*self.velocity.values, *self.odometry.position.statistics, *self.odometry.heading.statistics]
+
+
+@dataclass(frozen=True)
+class SsmResult:
+    """One repetition: all orders, the one our own rule chooses and why, and the free drives by model.
+
+    `full_range` are free drives as fast as the paper's, and an SSM identified from such a drive.
+    """
+
+    repetition: int
+    orders: tuple[OrderResult, ...]
+    chosen: int
+    reason: str
+    free_drives: Mapping[str, tuple[FreeDrive, ...]]
+    full_range: Mapping[str, tuple[FreeDrive, ...]]
+
+
+def compare_orders(study: SsmStudy, repetition: int) -> SsmResult:
+    """Identify every order from one free drive, and predict others."""
+    logs = RobotLogs(repetition)
+    train = logs.free(1, study.train_duration)
+    test = logs.free(study.test_drives, study.free_duration)
+    choice = choose_order(train, test, largest=study.largest_order, limits=False)
+    drives = logs.free(study.free_drives, study.free_duration)
+    identified = choice.rows[PAPERS_ORDER - 1].identified
+    fast = identify_ssm(logs.free(1, study.train_duration, study.paper_range), PAPERS_ORDER, limits=False)
+    fast_drives = logs.free(study.free_drives, study.free_duration, study.paper_range)
+    return SsmResult(
+        repetition,
+        tuple(_order(number, row, train, test) for number, row in enumerate(choice.rows, start=1)),
+        choice.order,
+        choice.reason,
+        _predicted(identified, drives),
+        _predicted(fast, fast_drives),
+    )
+
+
+def _predicted(identified: IdentifiedModel, drives: Sequence[Record]) -> dict[str, tuple[FreeDrive, ...]]:
+    systems = {IDENTIFIED: identified.system, PRINTED: _as_printed(load_linear_model("ssm"))}
+    return {name: tuple(free_drive(system, drive) for drive in drives) for name, system in systems.items()}
+
+
+def _order(number: int, row: OrderRow, train: Sequence[Record], test: Sequence[Record]) -> OrderResult:
+    found: IdentifiedModel = row.identified
+    return OrderResult(
+        number, _velocity(found.system, train), _velocity(found.system, test), row.bic, lines(found.warnings)
+    )
+
+
+def free_drive(system: LinearSystem, drive: Record) -> FreeDrive:
+    """A linear model held against a drive."""
+    pose = np.asarray(drive.pose)
+    path = predict_path(sampled(system, drive.dt), drive.command, pose[0])
+    return FreeDrive(_velocity(system, [drive]), pose_error(path, pose))
+
+
+def _velocity(system: LinearSystem, records: Sequence[Record]) -> VelocityFit:
+    found = validate(system, records)
+    return VelocityFit(_pair(found.fit_percent), _pair(found.rmse))
+
+
+def _pair(values: Sequence[float] | np.ndarray) -> Pair:
+    v, omega = (float(value) for value in values)
+    return v, omega
+
+
+def _as_printed(model: VelocityModel) -> LinearSystem:
+    """A published model held against logs as it stands: no sensor offset, no limit."""
+    return LinearSystem(model.A, model.B, model.C, model.dead_time, np.zeros(2), np.full(2, np.inf))
+
+
+def ssm_findings(results: Sequence[SsmResult], published: Published) -> list[Finding]:
+    """Which order, and how good the paper's is on free drives. Rules on orders that were not run are left out."""
+    fits = {
+        order: np.array([result.orders[order - 1].test.fit_percent for result in results])
+        for order in range(PAPERS_ORDER, len(results[0].orders) + 1)
+    }
+    printed = {order: np.array(row.values[:2]) for order, row in published.orders.items()}
+    every, rules = set(printed) <= set(fits), published.rules
+    findings = (
+        [_worthwhile(fits, printed, rules.worthwhile_fit_percent), _best(fits, printed, rules.told_apart_fit_percent)]
+        if every
+        else []
+    )
+    if _HIGHEST in fits:
+        findings.append(_overfits(fits, printed, rules.told_apart_fit_percent))
+    return [
+        *findings,
+        _chosen(results),
+        _free_drives("on free drives", [result.free_drives[IDENTIFIED] for result in results], published),
+        _free_drives(f"on {_FAST}", [result.full_range[IDENTIFIED] for result in results], published),
+    ]
+
+
+def _worthwhile(fits: dict[int, FloatArray], printed: dict[int, FloatArray], least: float) -> Finding:
+    gains = np.array([fits[order] - fits[PAPERS_ORDER] for order in _SLIGHTLY_HIGHER])
+    published = np.array([printed[order] - printed[PAPERS_ORDER] for order in _SLIGHTLY_HIGHER])
+    most = gains.mean(axis=1).max(axis=0)
+    return Finding(
+        f"orders 3 and 4 bring less than {least:g} points of test FIT over order 2, in v and in omega",
+        _TABLE,
+        "at most {:+.2f} and {:+.2f}".format(*published.max(axis=0)),
+        "at most {:+.3f} and {:+.3f}".format(*most),
+        each((gains < least).all(axis=(0, 2))),
+    )
+
+
+def _best(fits: dict[int, FloatArray], printed: dict[int, FloatArray], margin: float) -> Finding:
+    orders = list(fits)
+    ours = np.array([fits[order].mean(axis=1) for order in orders])
+    paper = np.array([printed[order].mean() for order in orders])
+    winner = orders[int(paper.argmax())]
+    spread = float(np.ptp(ours.mean(axis=1)))
+    return Finding(
+        f"order {winner} has the best test FIT by {margin:g} points or more (mean of v and omega, orders 2 to 5)",
+        _TABLE,
+        f"order {winner}; orders differ by {np.ptp(paper):.3f} points",
+        f"order {', '.join(str(orders[i]) for i in ours.argmax(axis=0))} by repetition; "
+        f"orders differ by {spread:.3f} points",
+        each(ours[orders.index(winner)] >= np.delete(ours, orders.index(winner), axis=0).max(axis=0) + margin),
+    )
+
+
+def _overfits(fits: dict[int, FloatArray], printed: dict[int, FloatArray], margin: float) -> Finding:
+    fall = fits[_HIGHEST][:, 1] - fits[PAPERS_ORDER][:, 1]
+    return Finding(
+        f"order 5 explains omega worse than order 2 by {margin:g} points or more (test FIT)",
+        _TABLE,
+        f"{printed[_HIGHEST][1] - printed[PAPERS_ORDER][1]:+.2f} points",
+        f"{fall.mean():+.3f} points",
+        each(fall <= -margin),
+    )
+
+
+def _chosen(results: Sequence[SsmResult]) -> Finding:
+    return Finding(
+        f"order {PAPERS_ORDER} is the choice (ours: the lowest order within a quarter point of the best mean test FIT)",
+        "P1, text on Table 1",
+        f"order {PAPERS_ORDER}",
+        f"order {', '.join(str(result.chosen) for result in results)} by repetition",
+        tuple(result.chosen == PAPERS_ORDER for result in results),
+    )
+
+
+def _free_drives(where: str, results: Sequence[Sequence[FreeDrive]], published: Published) -> Finding:
+    # (repetitions, drives, 2)
+    fit = np.array([[drive.velocity.fit_percent for drive in drives] for drives in results])
+    least = published.rules.good_fit_percent
+    good = (fit > least).all(axis=(1, 2)) & (fit[:, :, 0] > fit[:, :, 1]).all(axis=1)
+    return Finding(
+        f"{where} order 2 explains v and omega above {least:g} % each, and v better than omega",
+        "P1, Table 3",
+        "{:.2f} and {:.2f} %".format(*published.free_drives_average.values[:2]),
+        "{:.2f} and {:.2f} %".format(*fit.mean(axis=(0, 1))),
+        each(good),
+    )
+
+
+def order_table(results: Sequence[SsmResult], published: Published) -> Table:
+    """FIT and RMSE by order, on drives held out."""
+    rows = []
+    for k, first in enumerate(results[0].orders):
+        printed = published.orders.get(first.order)
+        paper = _cells(np.array(printed.values)) if printed else ["-"] * 4
+        test = _cells(np.mean([result.orders[k].test.values for result in results], axis=0), 4)
+        train = np.mean([result.orders[k].train.fit_percent for result in results], axis=0)
+        bic = float(np.mean([result.orders[k].bic for result in results]))
+        rows.append((str(first.order), *paper, *test, *_cells(train), number(bic, 0)))
+    on_test = (*(f"published {name}" for name in FIT_COLUMNS), *FIT_COLUMNS)
+    on_train = ("FIT v, train [%]", "FIT omega, train [%]", "Schwarz criterion [-]")
+    note = (
+        "Published: P1, Table 1, test. Ours: drives held out, pooled; mean over repetitions. Order 1 is a floor: one "
+        "state cannot follow both channels. Schwarz's criterion (train) over the lowest of all orders."
+    )
+    return Table("SSM by order", ("order", *on_test, *on_train), tuple(rows), note=note)
+
+
+def free_drive_tables(results: Sequence[SsmResult], published: Published) -> list[Table]:
+    """Velocity and odometry on free drives, ours and such as fast as the paper's: its experiments beside ours."""
+    return [
+        *_drive_tables("free drives", [result.free_drives for result in results], published),
+        *_drive_tables(_FAST, [result.full_range for result in results], published),
+    ]
+
+
+def _drive_tables(
+    where: str, results: Sequence[Mapping[str, tuple[FreeDrive, ...]]], published: Published
+) -> list[Table]:
+    *paper, average = (
+        np.array([*drive.values, *drive.odometry.position, *drive.odometry.heading])
+        for drive in (*published.free_drives, published.free_drives_average)
+    )
+    lines = [(_PUBLISHED, f"experiment {k}", row) for k, row in enumerate(paper, start=1)]
+    lines.append((_PUBLISHED, "average", average))
+    for name in results[0]:
+        drives = np.array([one.values for result in results for one in result[name]])
+        lines += [(name, f"experiment {k}", row) for k, row in enumerate(drives[: len(paper)], start=1)]
+        lines.append((name, f"average of {len(drives)}", drives.mean(axis=0)))
+        if len(drives) > 1:
+            lines.append((name, "least to largest", np.array([drives.min(axis=0), drives.max(axis=0)])))
+    note = f"SSM of order 2. '{PRINTED}': the paper's matrices; our plant's firmware was calibrated to them."
+    if where == _FAST:
+        note += " Set-points up to 1.5 m/s and 2.0 rad/s, as in P1; identified from such a drive, too."
+    names, errors = (
+        ("model", "drive"),
+        [f"{name} [{unit}], {of}" for name, unit in QUANTITIES.items() for of in STATISTICS],
+    )
+    fits = [(name, drive, *_ranges(row[..., :4], _DIGITS[name == _PUBLISHED])) for name, drive, row in lines]
+    paths = [(name, drive, *_ranges(row[..., 4:], (2,) * len(errors))) for name, drive, row in lines]
+    velocity = f"Published: P1, Table 3. {note}"
+    odometry = f"Published: P1, Table 4. From commands alone, against the true pose. {note}"
+    return [
+        Table(f"SSM velocity on {where}", (*names, *FIT_COLUMNS), tuple(fits), len(names), velocity),
+        Table(f"SSM odometry on {where}", (*names, *errors), tuple(paths), len(names), odometry),
+    ]
+
+
+def _cells(values: FloatArray, rmse_digits: int = 2) -> list[str]:
+    return [number(float(value), 2 if k < 2 else rmse_digits) for k, value in enumerate(values)]
+
+
+def _ranges(values: FloatArray, digits: tuple[int, ...]) -> list[str]:
+    """Cells of one row (k,), or of two (2, k) with "to" between them."""
+    rows = np.atleast_2d(values)
+    return [" to ".join(number(float(row[k]), d) for row in rows) for k, d in enumerate(digits)]

@@ -1,0 +1,150 @@
+"""The robustness study: every controller under every condition."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+import numpy as np
+
+from diffdrive_mpc.bench.case import Case, check_count
+from diffdrive_mpc.bench.conditions import MARKET, Condition, market_cases
+from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases
+from diffdrive_mpc.bench.outcomes import STATISTICS
+from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.runner import run_tasks
+from diffdrive_mpc.bench.study import Report, Study
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.mpc import load_trajectory
+from diffdrive_mpc.mpc.config.thresholds import STANDING, TURNING
+from studies.robustness.market_tables import FALSE_ALARM_RATE, market_tables
+from studies.robustness.results import Rows, run_condition, study_tables
+
+OURS = "mpc"
+"""The predictive controller, as `bench.case.Case` names it."""
+_LOOKS = 1000
+"""Samples at which a path is looked at."""
+Plan = list[tuple[str, Case]]
+"""Name of the condition and what to run under it."""
+
+
+def turns_on_the_spot(trajectory: str) -> bool:
+    """Whether a path asks to turn where it stands."""
+    reference = load_trajectory(trajectory)
+    twist = reference.sample(np.linspace(0.0, reference.duration, _LOOKS)).twist
+    return bool(((np.abs(twist[:, 0]) < STANDING) & (np.abs(twist[:, 1]) > TURNING)).any())
+
+
+class RobustnessStudy(Study[Plan, Rows]):
+    """Conditions x controllers x trajectories x seeds; models vary for the predictive controller only.
+
+    Parameters
+    ----------
+    conditions
+        By name.
+    settled
+        Time from which on the largest lateral error counts [s].
+    controllers, models, trajectories, seeds
+        Names as in `bench.case.Case`.
+    robots
+        How many robots of the population to drive beside the conditions, along each trajectory.
+    tuning
+        Whether those are robots to tune on, and not the reserved ones.
+    rates
+        False alarms per hour at which the predictive controller drives these robots again [1/h].
+    """
+
+    name = "robustness"
+    title = "Robustness"
+
+    def __init__(
+        self,
+        conditions: Mapping[str, Condition],
+        settled: float,
+        *,
+        controllers: Sequence[str],
+        models: Sequence[str],
+        trajectories: Sequence[str],
+        seeds: Sequence[int],
+        robots: int = 0,
+        tuning: bool = False,
+        rates: Sequence[float] = (),
+    ) -> None:
+        self._robots, self._tuning, self._rates = robots, tuning, rates
+        self._conditions, self._settled = conditions, settled
+        self._controllers, self._models = controllers, models
+        self._trajectories, self._seeds = trajectories, seeds
+
+    def plan(self) -> Plan:
+        """The cases; raises ConfigError or ValueError if one of them cannot be run."""
+        drives = len(self._controllers) * len(self._models) + len(self._rates)
+        check_count(self._robots * drives * len(self._trajectories))
+        several = (self._conditions, self._controllers, self._models, self._trajectories, self._seeds)
+        check_count(math.prod(map(len, several)))
+        unknown = [name for name in self._controllers if name not in CONTROLLERS]
+        if unknown:
+            raise ConfigError(f"--controllers: unknown controller '{unknown[0]}'; known: {', '.join(CONTROLLERS)}")
+        plan = [
+            (name, condition.case(controller, model, trajectory, seed))
+            for name, condition in self._conditions.items()
+            for controller in self._controllers
+            for model in (self._models if controller not in PEERS else self._models[:1])
+            for trajectory in self._trajectories
+            for seed in self._seeds
+        ]
+        check_cases([case for _, case in plan])
+        market = self._market()
+        check_cases([case for _, case in market[:1]])
+        return plan + market
+
+    def _market(self) -> Plan:
+        """Robots of the population: at the configured rate of false alarms by every controller, at others by ours."""
+        if not self._robots:
+            return []
+        drivers = [
+            (controller, model)
+            for controller in self._controllers
+            for model in (self._models if controller not in PEERS else self._models[:1])
+        ]
+        asked: list[tuple[str, str, str, dict[str, float]]] = [(MARKET, *driver, {}) for driver in drivers]
+        asked += [(f"{MARKET}, {rate:g}/h", OURS, self._models[0], {FALSE_ALARM_RATE: rate}) for rate in self._rates]
+        return [
+            (name, case)
+            for name, controller, model, settings in asked
+            for trajectory in self._trajectories
+            for case in market_cases(
+                self._robots,
+                controller,
+                model,
+                trajectory,
+                turns_on_the_spot(trajectory),
+                tuning=self._tuning,
+                settings=settings,
+            )
+        ]
+
+    def run(self, plan: Plan, jobs: int, bar: ProgressBar) -> Rows:
+        """Run every case; each process keeps only what the study needs."""
+        bar.begin(f"running, {jobs} at a time", len(plan))
+        return run_tasks([partial(run_condition, name, case, self._settled) for name, case in plan], jobs, bar.advance)
+
+    def report(self, results: Rows, seconds: float) -> Report:
+        """Tables, and the figure where there are several controllers to compare."""
+        from studies.robustness.figures import draw_ratios  # noqa: PLC0415
+
+        several = len({one.driver for one in results}) > 1
+        return Report(
+            counted=f"{len(results)} runs",
+            meta={"statistics": STATISTICS, "settled_s": self._settled},
+            content={"runs": [one.as_json() for one in results]},
+            facts=[
+                f"{len(results)} runs in {seconds} s: {len(self._conditions)} conditions along "
+                f"{', '.join(self._trajectories)} with the seeds {', '.join(map(str, self._seeds))}"
+                + (f", and {self._robots} robots of the market along each path." if self._robots else ".")
+            ],
+            notes=[f"Errors: {STATISTICS}. Late: from {self._settled:g} s on."],
+            tables=[*study_tables(results), *market_tables(results)],
+            figures={"ratios.png": partial(draw_ratios, results)} if several else {},
+        )

@@ -1,0 +1,149 @@
+"""Drive the simulated robot with the node, each a process of its own, over DDS."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.models.errors import DiffdriveMpcError
+
+_COMMAND = (sys.executable, "-c", "from diffdrive_mpc.app.cli import main; main()")
+# More ROS domains than this need ports that systems give to others.
+_DOMAINS = 101
+# How long a process may take to end after it was asked to [s].
+_LAST_WORDS = 20.0
+# Robot time before the start, while the node gets its first measurements, and after the end [s].
+_MARGIN = 2.0
+_LOOKS_EVERY = 0.05
+_WORDS_SHOWN = 1000
+# In lock step, a busy machine may hold up a command [s]; going on without it would change the drive.
+_PATIENCE = 20.0
+
+
+class DriveFailedError(DiffdriveMpcError, RuntimeError):
+    """One of the two processes failed or took too long; says which, with its last words."""
+
+
+def drive_over_dds(
+    case: Case, duration: float, bag: Path, *, lock_step: bool, timeout: float, settings: Path | None = None
+) -> None:
+    """Let the node drive `case` and record it.
+
+    Parameters
+    ----------
+    case
+        Controller "mpc"; model and overrides are passed on to the node.
+    duration
+        Of the reference [s].
+    bag
+        Folder for the recording.
+    lock_step
+        Whether clock and commands take turns; otherwise in real time.
+    timeout
+        Longest time that it may take [s].
+    settings
+        Of the simulated base, in place of the shipped ones.
+
+    Raises DriveFailedError if a process fails or takes too long.
+    """
+    robot = [
+        *("sim-robot", "--plant", case.plant, "--surface", case.surface, "--sensors", case.sensors),
+        *("--scenario", case.scenario, "--seed", str(case.seed), "--trajectory", case.trajectory),
+        *("--answer-timeout", str(_PATIENCE)),
+        *("--lock-step" if lock_step else "--real-time", "--duration", str(duration + _MARGIN), "--record", str(bag)),
+        *(("--base", str(settings)) if settings else ()),
+    ]
+    node = ["node", "--config", case.config or case.model, "--trajectory", case.trajectory, "--drive"]
+    for key, value in case.overrides:
+        node += ["--set", f"{key}={value}"]
+    node += ["--ros-args", "-p", "use_pose_topic:=true", "-p", "start_at_robot:=false"]
+    node += ["-p", f"use_sim_time:={str(lock_step).lower()}"]
+    with tempfile.TemporaryDirectory() as folder:
+        environment = own_domain(Path(folder))
+        with (
+            running("node", node, environment, Path(folder)) as controller,
+            running("robot", robot, environment, Path(folder)) as base,
+        ):
+            _wait(base, controller, time.monotonic() + timeout)
+
+
+def own_domain(folder: Path) -> dict[str, str]:
+    """An environment in which the two meet nobody else, and leave no logs behind."""
+    return os.environ | {
+        "ROS_DOMAIN_ID": str(1 + os.getpid() % _DOMAINS),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOG_DIR": str(folder / "log"),
+    }
+
+
+class Process:
+    """One command of `diffdrive-mpc`, running.
+
+    Parameters
+    ----------
+    name
+        For messages.
+    words
+        Command and options.
+    environment
+        Of the process.
+    folder
+        Where its output is kept.
+    """
+
+    def __init__(self, name: str, words: Sequence[str], environment: dict[str, str], folder: Path) -> None:
+        self.name = name
+        self._path = folder / name
+        self._said = self._path.open("w", encoding="utf-8")
+        self.popen = subprocess.Popen([*_COMMAND, *words], env=environment, stdout=self._said, stderr=self._said)
+
+    @property
+    def output(self) -> str:
+        """What it has printed so far."""
+        return self._path.read_text(encoding="utf-8")
+
+    def failure(self, what: str) -> DriveFailedError:
+        """An error with the last words of this process."""
+        words = " ".join(self.output.split())[-_WORDS_SHOWN:]
+        return DriveFailedError(f"{self.name}: {what}; it said: {words or 'nothing'}")
+
+    def end(self) -> None:
+        """Ask it to end, as Ctrl-C does, and if it does not, make it."""
+        if self.popen.poll() is None:
+            self.popen.send_signal(signal.SIGINT)
+            try:
+                self.popen.wait(_LAST_WORDS)
+            except subprocess.TimeoutExpired:
+                self.popen.kill()
+                self.popen.wait()
+        self._said.close()
+
+
+@contextmanager
+def running(name: str, words: Sequence[str], environment: dict[str, str], folder: Path) -> Iterator[Process]:
+    """A process that does not outlive the context; parameters as for `Process`."""
+    process = Process(name, words, environment, folder)
+    try:
+        yield process
+    finally:
+        process.end()
+
+
+def _wait(robot: Process, controller: Process, end: float) -> None:
+    """Until the robot ends by itself."""
+    while robot.popen.poll() is None:
+        if controller.popen.poll() is not None:
+            raise controller.failure(f"ended with code {controller.popen.returncode} while the robot was driving")
+        if time.monotonic() > end:
+            raise controller.failure("the drive took too long")
+        time.sleep(_LOOKS_EVERY)
+    if robot.popen.returncode:
+        raise robot.failure(f"ended with code {robot.popen.returncode}")

@@ -1,0 +1,34 @@
+"""What MkDocs calls while it builds the site (`hooks` of mkdocs.yml)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+from studies.site.formulas import with_mathml
+from studies.site.reference import reference_pages
+from studies.site.repository_links import pages_outside, with_site_links
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages that do not lie in `docs`: those of the repository's top, and the reference."""
+    root = Path(config.config_file_path).parent
+    documents = {f"docs/{file.src_uri}": file.content_string for file in files.documentation_pages()}
+    for place, text in {**pages_outside(root, documents), **reference_pages(documents)}.items():
+        files.append(File.generated(config, place, content=text))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
+    """Turn links to files of the repository into links of the site; generated pages have them already."""
+    if page.file.generated_by is not None:
+        return markdown
+    return with_site_links(markdown, f"docs/{page.file.src_uri}")
+
+
+def on_page_content(html: str, **_: object) -> str:
+    """Render formulas."""
+    return with_mathml(html)

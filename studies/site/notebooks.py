@@ -1,0 +1,87 @@
+"""Tutorials as notebooks: the Markdown is the source, and what it shows is what the notebook drew.
+
+Run as ``python -m studies.site.notebooks``, from the top of the repository: it writes the notebooks without
+outputs beside the tutorials, executes them, and writes the pictures of their pages.
+"""
+
+from __future__ import annotations
+
+import base64
+import re
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import jupytext
+from nbclient import NotebookClient
+
+TUTORIALS = Path("docs/tutorials")
+
+# What a notebook does not need: its own pictures as files, and that it can be downloaded.
+_PICTURE = re.compile(r"^!\[[^\]]*\]\((?P<file>[\w-]+\.png)\)\n\n?", re.MULTILINE)
+_DOWNLOAD = re.compile(r" The \[notebook of this page\]\([^)]*\)[^.]*\.")
+_FILE = re.compile(r"^```yaml\n# file: (\S+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+# The first cell of a notebook with commands.
+_SETUP = """```python
+# The commands below are those of this notebook's Python; their tables come as plain text.
+import os
+import sys
+
+path = os.pathsep.join([os.path.dirname(sys.executable), os.environ["PATH"]])
+os.environ.update(PATH=path, FORCE_COLOR="", COLUMNS="110")
+```
+"""
+
+
+def notebook_text(markdown: str) -> str:
+    """The notebook of a tutorial as JSON: Python and shell run, and files that the page shows are written."""
+    source = _FILE.sub(r"```python\n%%writefile \1\n\2```", _DOWNLOAD.sub("", _PICTURE.sub("", markdown)))
+    if "```sh\n" in source:
+        title, _, rest = source.partition("\n")
+        source = f"{title}\n\n{_SETUP}{rest}"
+    notebook = jupytext.reads(source, fmt="md")
+    for number, cell in enumerate(notebook.cells):
+        cell.id, cell.metadata = f"cell-{number}", {}
+    kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
+    notebook.metadata = {"kernelspec": kernel, "language_info": {"name": "python"}}
+    return str(jupytext.writes(notebook, fmt="ipynb")) + "\n"
+
+
+def executed(notebook: str, folder: Path) -> list[bytes]:
+    """The pictures (PNG) that a notebook draws when it runs in `folder`.
+
+    Raises
+    ------
+    nbclient.exceptions.CellExecutionError
+        If a cell fails; says which, and how.
+    """
+    read = jupytext.reads(notebook, fmt="ipynb")
+    client = NotebookClient(read, timeout=600, resources={"metadata": {"path": folder}})
+    done: Any = client.execute()
+    outputs = [output.get("data", {}) for cell in done.cells for output in cell.get("outputs", [])]
+    return [base64.b64decode(data["image/png"]) for data in outputs if "image/png" in data]
+
+
+def pictures(markdown: str) -> list[str]:
+    """Files of the pictures that a tutorial shows, in its order, which is that in which its notebook draws them."""
+    return [found["file"] for found in _PICTURE.finditer(markdown)]
+
+
+def write_all(folder: Path) -> None:
+    """Write notebook and pictures of every tutorial in `folder`."""
+    for page in sorted(folder.glob("*.md")):
+        markdown = page.read_text(encoding="utf-8")
+        if "```python" not in markdown:
+            continue
+        notebook = notebook_text(markdown)
+        page.with_suffix(".ipynb").write_text(notebook, encoding="utf-8")
+        with TemporaryDirectory() as scratch:
+            drawn = executed(notebook, Path(scratch))
+        for name, picture in zip(pictures(markdown), drawn, strict=True):
+            (folder / name).write_bytes(picture)
+
+
+if __name__ == "__main__":
+    write_all(TUTORIALS)

@@ -1,0 +1,91 @@
+"""Pages of the reference, which are made from the code when the site is built."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import diffdrive_mpc as package
+from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from studies.documents.robot_page import configuration_tables, node_table
+from studies.site.command_line import command_line_page
+from studies.site.file_formats import file_formats_page
+
+_NAMES = Path(__file__).with_name("public_names.yaml")
+_PACKAGE = package.__name__
+
+_API = """# Which classes and functions are public?
+
+Those of this page: they keep their names and meanings from one release to the next, or the [changelog](../changelog.md)
+says so. Units are SI: metres, radians, seconds; angles count counter-clockwise; arrays are NumPy's, with their shapes
+in brackets. Each group begins with the lines that import it.
+"""
+_CONFIGURATION = """# What may stand in a configuration file?
+
+These keys, in one YAML file; what is left out has its default. A key with a point lies in a group:
+`weights.across: 300.0` is written as `weights: {across: 300.0}`, and `--set weights.across=300` replaces it for one
+command. `diffdrive-mpc config check FILE` checks a file, `diffdrive-mpc config show ssm` prints a shipped one with all
+its values, and `diffdrive-mpc schema controller` has the JSON Schema with which an editor completes and checks while
+you type ([how](../install.md#editors)).
+Under ROS the same keys are the node's parameters. What a symptom asks for is in [tuning](../tuning.md).
+"""
+_ROS = """# Which topics, services and parameters does the ROS 2 node have?
+
+The ones of this page. How to bring the node onto a robot is in [the guide](../robot.md); the parameters of the
+controller, which are also the node's, are in [the configuration](configuration.md).
+"""
+
+
+def reference_pages(documents: Mapping[str, str]) -> dict[str, str]:
+    """The pages as Markdown by place on the site; `documents` are those of the repository, text by path."""
+    pages: dict[str, Callable[[], str]] = {
+        "api": api_page,
+        "command-line": command_line_page,
+        "configuration": lambda: f"{_CONFIGURATION}\n{_one_up(configuration_tables())}\n",
+        "files": file_formats_page,
+        "ros": lambda: ros_page(documents["docs/robot.md"]),
+    }
+    return {f"reference/{name}.md": page() for name, page in pages.items()}
+
+
+def api_page() -> str:
+    """The public names by what they are for, as directives of mkdocstrings."""
+    parts = [_API]
+    for title, names in public_names().items():
+        imports = "\n".join(_imports(names))
+        parts += [f"## {title}\n", f"```python\n{imports}\n```\n", *(f"::: {_PACKAGE}.{name}\n" for name in names)]
+    return "\n".join(parts)
+
+
+def _imports(names: list[str]) -> list[str]:
+    """Lines that import the names, those of the package itself first."""
+    homes: dict[str, list[str]] = {}
+    for module, name in (name.rsplit(".", 1) for name in names):
+        homes.setdefault("" if name in package.__all__ else f".{module}", []).append(name)
+    return [f"from {_PACKAGE}{home} import {', '.join(homes[home])}" for home in sorted(homes)]
+
+
+def public_names() -> dict[str, list[str]]:
+    """Dotted names below the package by title of their group."""
+    groups: dict[str, list[str]] = read_yaml(_NAMES)
+    return groups
+
+
+def ros_page(guide: str) -> str:
+    """Topics, services, frames and states, as the guide of the node has them, and its own parameters."""
+    shown = [section(guide, title) for title in ("Topics, services, frames", "States", "The safety ladder")]
+    # They have links of the guide, which lies one folder further up.
+    return "\n".join([_ROS, *(part.replace("](", "](../") for part in [*shown, _one_up(node_table())]), ""])
+
+
+def section(page: str, title: str) -> str:
+    """The section of that title; raises ConfigError if the page has none."""
+    found = re.search(rf"^## {re.escape(title)}\n.*?(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
+    if not found:
+        raise ConfigError(f"no section '{title}' in the page that the site takes it from; name it so again")
+    return found[0]
+
+
+def _one_up(tables: str) -> str:
+    return re.sub(r"^###", "##", tables, flags=re.MULTILINE)

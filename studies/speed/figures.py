@@ -1,0 +1,54 @@
+"""How long a step takes: against the horizon, and how often longer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.ticker import NullFormatter
+
+from diffdrive_mpc.bench.figure_style import MARKERS, colour, draw_tail, line_style, new_figure
+from studies.speed.results import ACADOS, SpeedResults
+
+
+def draw_horizons(results: SpeedResults, path: Path) -> None:
+    """Median of the whole step against the horizon, all solvers, a panel per model, both axes logarithmic."""
+    models, horizons = results.models, results.horizons
+    with new_figure(path, 3.2 * len(models) + 1.6, 3.8) as figure:
+        panels = figure.subplots(1, len(models), sharey=True, squeeze=False)[0]
+        for axes, model in zip(panels, models, strict=True):
+            for i, solver in enumerate(results.solvers):
+                times = [1e3 * results.value(solver, model, n, lambda r: r.step_p50_s) for n in horizons]
+                axes.plot(
+                    horizons,
+                    times,
+                    color=colour(i),
+                    linestyle=line_style(i // 7),
+                    marker=MARKERS[i % len(MARKERS)],
+                    markersize=4,
+                    label=solver,
+                )
+            if ACADOS in results.solvers:
+                inside = [1e3 * results.value(ACADOS, model, n, lambda r: r.solver_p50_s) for n in horizons]
+                axes.plot(horizons, inside, color="black", linestyle=":", label="acados, inside its solver")
+            axes.set(xscale="log", yscale="log", xlabel="horizon [steps]", title=model.upper())
+            axes.set_xticks(horizons, [str(n) for n in horizons])
+            axes.xaxis.set_minor_formatter(NullFormatter())
+        panels[0].set_ylabel("whole step, median [ms]")
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside right center")
+
+
+def draw_tails(results: SpeedResults, horizon: int, path: Path) -> None:
+    """Share of steps that took longer than a given time, both axes logarithmic, for the last model at one horizon."""
+    model = results.models[-1]
+    with new_figure(path, 6.4, 4.0) as figure:
+        axes = figure.add_subplot()
+        shown = [one for one in results.records if (one.model, one.horizon) == (model, horizon)]
+        for one in shown:
+            i = results.solvers.index(one.solver)
+            draw_tail(axes, one.whole[np.isfinite(one.whole)], one.solver, colour(i), line_style(i // 7))
+        axes.axhline(0.01, color="black", linewidth=0.5, alpha=0.5)
+        axes.set_xlabel("whole step [ms]")
+        axes.set_title(f"{model.upper()}, N = {horizon}")
+        figure.legend(loc="outside right center")

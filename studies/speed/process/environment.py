@@ -1,0 +1,97 @@
+"""The environment of the peers that cannot share ours: made once, kept in the user's cache folder."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from diffdrive_mpc.models.compiled.cache import user_folder
+from studies.speed.process.subject import SubjectError
+
+REQUIREMENTS = Path(__file__).parents[1] / "subjects" / "requirements.txt"
+_READY = ".ready"
+_FIRST = "comma-deps-acados"
+"""It brings parts of an older CasADi, over which ours is installed."""
+
+
+@dataclass(frozen=True)
+class PeerEnvironment:
+    """An interpreter and the variables that a process in it needs."""
+
+    python: str
+    variables: dict[str, str]
+
+
+def peer_environment(folder: Path | None = None) -> PeerEnvironment:
+    """The environment in `folder`, by default below the cache folder; made if it is not there.
+
+    Raises SubjectError if it cannot be made: no package index within reach, or no wheel for this system.
+    """
+    digest = hashlib.sha256(REQUIREMENTS.read_bytes() + sys.version.encode()).hexdigest()[:16]
+    folder = (folder or user_folder() / "peers" / digest).resolve()
+    if not (folder / _READY).is_file():
+        _make(folder)
+    package = next(folder.glob("lib/python*/site-packages/acados"))
+    _reachable(package)
+    return PeerEnvironment(
+        python=str(folder / "bin" / "python"),
+        variables={
+            "ACADOS_SOURCE_DIR": str(package / "install"),
+            "TERA_PATH": str(package / "install" / "bin" / "t_renderer"),
+            "LD_LIBRARY_PATH": str(package / "install" / "lib"),
+            "PYTHONPATH": str(package),
+        },
+    )
+
+
+def _make(folder: Path) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    _run(sys.executable, "-m", "venv", str(folder))
+    pip = (
+        str(folder / "bin" / "python"),
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+        "--no-deps",
+        "--require-hashes",
+    )
+    first = folder / "first.txt"
+    first.write_text(pinned(_FIRST, REQUIREMENTS.read_text(encoding="utf-8")), encoding="utf-8")
+    _run(*pip, "--requirement", str(first))
+    _run(*pip, "--requirement", str(REQUIREMENTS))
+    (folder / _READY).touch()
+
+
+def pinned(name: str, requirements: str) -> str:
+    """The part of a list of requirements that is of one package: its version and the hashes of its files.
+
+    Raises SubjectError where the list does not have it.
+    """
+    found = re.search(rf"^{re.escape(name)}==(?:.*\\\n)*.*\n", requirements, re.MULTILINE)
+    if found is None:
+        raise SubjectError(f"its environment cannot be made: {name} is not in {REQUIREMENTS.name}")
+    return found[0]
+
+
+def _run(*command: str) -> None:
+    variables = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "LD_LIBRARY_PATH")}
+    done = subprocess.run(command, capture_output=True, text=True, env=variables, check=False)
+    if done.returncode:
+        said = [line.strip().removeprefix("ERROR: ") for line in done.stderr.splitlines() if line.strip()]
+        raise SubjectError(f"its environment cannot be made: {said[-1] if said else 'no reason given'}")
+
+
+def _reachable(package: Path) -> None:
+    """Its generator looks for its templates where a checkout of acados has them."""
+    place = package / "install" / "interfaces" / "acados_template"
+    place.mkdir(parents=True, exist_ok=True)
+    if not (place / "acados_template").exists():
+        (place / "acados_template").symlink_to(package / "acados_template", target_is_directory=True)

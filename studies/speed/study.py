@@ -1,0 +1,104 @@
+"""How fast a step is, beside peers on the same problem."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.study import Report, Study
+from studies.speed.measure import SpeedProblem, load_problem, measure
+from studies.speed.process.environment import REQUIREMENTS, PeerEnvironment, peer_environment
+from studies.speed.process.subject import SubjectError
+from studies.speed.results import Missing, SpeedRecord, SpeedResults
+from studies.speed.settings import SpeedSettings
+from studies.speed.tables import detailed_horizon, speed_tables
+
+
+class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):
+    """What `settings` ask for.
+
+    Parameters
+    ----------
+    settings
+        What to run.
+    peer_folder
+        Where the peers' environment is or will be; by default below the user's cache folder.
+    """
+
+    name = "speed"
+    title = "Speed"
+
+    def __init__(self, settings: SpeedSettings, peer_folder: Path | None = None) -> None:
+        self.settings = settings
+        self._peer_folder = peer_folder
+
+    def plan(self) -> list[list[SpeedProblem]]:
+        """A problem for each horizon and model; raises ConfigError or ValueError if one cannot be used."""
+        s = self.settings
+        return [[load_problem(s, model, n) for model in s.models] for n in s.horizons]
+
+    def run(self, plan: list[list[SpeedProblem]], jobs: int, bar: ProgressBar) -> SpeedResults:
+        """One after the other on one core, whatever `jobs` is; raises ValueError if no subject could be run."""
+        del jobs
+        load = os.getloadavg()[0]
+        core = max(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
+        records: list[SpeedRecord] = []
+        missing: list[Missing] = []
+        bar.begin("preparing the peers", 1)
+        environment = self._environment()
+        bar.begin("driving", len(plan) * self.settings.ticks)
+        with tempfile.TemporaryDirectory() as scratch:
+            for problems in plan:
+                place = Path(scratch) / str(problems[0].horizon)
+                found, lost = measure(self.settings, problems, environment, place, core, bar.advance)
+                records += found
+                missing += lost
+        if not records:
+            raise ValueError(f"no subject could be run; {missing[0].solver}: {missing[0].reason}")
+        return SpeedResults(tuple(records), tuple(missing), core, (load, os.getloadavg()[0]))
+
+    def _environment(self) -> PeerEnvironment | SubjectError | None:
+        """The peers' environment where it is needed, or why it cannot be had."""
+        if not any(subject.foreign for subject in self.settings.subjects.values()):
+            return None
+        try:
+            return peer_environment(self._peer_folder)
+        except SubjectError as error:
+            return error
+
+    def report(self, results: SpeedResults, seconds: float) -> Report:
+        """What was driven, how it was timed and who took part."""
+        from studies.speed.figures import draw_horizons, draw_tails  # noqa: PLC0415
+
+        s, (before, after) = self.settings, results.load
+        core = "one core for all" if results.core is not None else "no core of their own"
+        missing = "; ".join(dict.fromkeys(f"{one.solver} ({one.reason})" for one in results.missing)) or "none"
+        lines = REQUIREMENTS.read_text(encoding="utf-8").splitlines()
+        shown = ("comma-deps-acados", "casadi", "do-mpc")
+        peers = [line.replace("==", " ") for line in lines if line.partition("==")[0] in shown]
+        clean = float(np.mean([record.clean_share for record in results.records]))
+        load = {"before": before, "after": after}
+        return Report(
+            counted=f"{len(results.records)} records",
+            meta={"load": load, "core": results.core, "peers": peers, "settings": s},
+            content=results.as_json(),
+            facts=[
+                f"{s.ticks} ticks of {s.trajectory}, {s.repetitions} replays in blocks of {s.block} ticks, {core}, one "
+                f"BLAS thread, in {seconds} s; {before:.1f} processes ran on the machine before, {after:.1f} after."
+            ],
+            notes=[
+                f"{100 * clean:.1f} % of the steps were undisturbed: no other process, no slower machine. The others "
+                "are left out, and medians of rows that have some are marked *.",
+                f"Peers: {', '.join(peers)}. Missing: {missing}.",
+            ],
+            tables=speed_tables(results),
+            figures={
+                "horizon.png": partial(draw_horizons, results),
+                "tail.png": partial(draw_tails, results, detailed_horizon(results)),
+            },
+        )

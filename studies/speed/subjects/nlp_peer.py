@@ -1,0 +1,57 @@
+"""CasADi's `nlpsol` with the solvers that come with it: IPOPT, fatrop, sqpmethod; see docs/performance.md."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from studies.speed.subjects import SolveReport
+from studies.speed.subjects.shooting import shooting_program
+
+
+class NlpPeer:
+    """The whole problem by multiple shooting, started from the last solution one stage later, multipliers included.
+
+    Parameters
+    ----------
+    problem
+        The fields of a `bench.studies.speed.stage.StageProblem`.
+    settings
+        `plugin`, and `options` of it.
+    folder
+        Not used: nothing is compiled.
+    """
+
+    def __init__(self, problem: dict[str, Any], settings: dict[str, Any], folder: Path) -> None:
+        del folder
+        self._program = shooting_program(problem)
+        self._step = ca.Function.deserialize(problem["step"])
+        options = {"print_time": False, "record_time": True, **settings["options"]}
+        if settings["plugin"] == "fatrop":
+            options |= {"structure_detection": "auto", "equality": self._program.equality}
+        self._solver = ca.nlpsol("tracking", settings["plugin"], self._program.nlp, options)
+        self._guess: dict[str, Any] = {}
+
+    def reset(self, state: np.ndarray, parameters: np.ndarray) -> None:
+        """Start anew along the feed-forward."""
+        commands, states = parameters[:-1, 4:6], [state]
+        for u, p in zip(commands, parameters[:-1], strict=True):
+            states.append(np.array(self._step(states[-1], u, p)).ravel())
+        self._guess = {"x0": self._program.guess(np.array(states), commands)}
+
+    def solve(self, state: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """The command (2,) for the first state and the parameters of all stages."""
+        data = np.concatenate([state, parameters.ravel()])
+        solution = self._solver(p=data, **self._guess, **self._program.bounds)
+        x = np.array(solution["x"]).ravel()
+        multipliers = {"lam_x0": solution["lam_x"], "lam_g0": solution["lam_g"]}
+        self._guess = {"x0": self._program.shifted(x), **multipliers}
+        return self._program.command(x)
+
+    def report(self) -> SolveReport:
+        """Of the last solve."""
+        stats = self._solver.stats()
+        return SolveReport(float(stats["t_wall_total"]), int(stats["iter_count"]), bool(stats["success"]))

@@ -1,0 +1,49 @@
+"""Our controller as a subject: the whole step from measurement to command, and what of it is the solve."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from diffdrive_mpc.models.interface import FloatArray, Measurement
+from diffdrive_mpc.mpc import Controller, StepResult, load_trajectory
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.step_result import Mode
+from studies.speed.subjects import SolveReport
+
+
+class OurSubject:
+    """The controller. The time inside the solver is that of linearising, condensing and solving, the backend included.
+
+    Parameters
+    ----------
+    config
+        The configuration.
+    settings
+        `trajectory` by name.
+    folder
+        Not used: the core keeps its own.
+    """
+
+    def __init__(self, config: ControllerConfig, settings: dict[str, Any], folder: Path) -> None:
+        del folder
+        self._controller = Controller(config)
+        self._reference = load_trajectory(settings["trajectory"])
+        self._step: StepResult | None = None
+
+    def reset(self, t: float, measurement: Measurement) -> None:
+        """Be as new at the first tick, which is at `t`."""
+        del measurement
+        self._controller.reset()
+        self._controller.start(self._reference, t)
+
+    def solve(self, t: float, measurement: Measurement) -> FloatArray:
+        """The command (2,) for the measurement at `t` [s]."""
+        self._step = self._controller.step(t, measurement)
+        return self._step.command
+
+    def report(self) -> SolveReport:
+        """Of the last step."""
+        step = self._step
+        assert step is not None
+        return SolveReport(step.solve_time, step.solver.iterations, step.mode is Mode.TRACKING)

@@ -1,0 +1,165 @@
+"""Torques of the simulated robot in steady turns and on the diagnostic drive, and its own least radius."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.terrain.least_radius import LIMIT_SHARE
+from diffdrive_mpc.sim.disturbances.scenario import Scenario
+from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
+from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop
+from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
+from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from studies.torque.settings import Diagnostic, Measured, Unseen
+
+KEPT_SHARE = 0.90
+"""Below this share of the commanded curvature a turn is not kept; whole pulses a second make up to 0.05."""
+
+_BISECTIONS = 9
+_WIDEST = 60.0
+# A ball in the middle of the body, so that the payload changes the weight alone.
+_BALL = 0.03
+
+
+class Steady(NamedTuple):
+    """Steady turns, n radii; means over left and right turns."""
+
+    radius: FloatArray
+    """(n,) commanded [m]"""
+    outer: FloatArray
+    """(n,) [N m]"""
+    inner: FloatArray
+    """(n,) [N m]"""
+    kept: FloatArray
+    """(n,) curvature by the wheels over the commanded one [-]"""
+    power: FloatArray
+    """(n, 2) mechanical power outer, inner [W]"""
+
+
+def sides(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Sums of motor rows (n, 4) over the left and over the right side."""
+    return rows[:, 0] + rows[:, 2], rows[:, 1] + rows[:, 3]
+
+
+def plant_of(robot: str, surface: str, payload: float = 0.0, seed: int = 0, sensors: str = "default") -> MujocoPlant:
+    """The robot on a floor, with a payload [kg] in the middle of its body.
+
+    Raises ConfigError if robot or floor do not exist, or the floor has no friction.
+    """
+    build, floor = load_simulated_robot(robot), load_surface(surface)
+    if floor.friction is None:
+        raise ConfigError(f"surface '{surface}' has no friction; give one for the physics, such as 'grippy'")
+    load = None
+    if payload:
+        ahead, left = build.twin.chassis.centre_of_mass
+        ball = {"mass": payload, "x": ahead, "y": left, "z": build.twin.chassis.body_height, "radius": _BALL}
+        load = Scenario.model_validate({"description": "payload", "payload": ball})
+    return MujocoPlant(
+        floor.friction,
+        load_sensor_set(sensors),
+        seed,
+        robot=build.robot,
+        twin=build.twin,
+        firmware=build.firmware,
+        base=build.base,
+        drive=build.drive,
+        battery=build.battery,
+        scenario=load,
+        sideways=floor.sideways,
+    )
+
+
+def diagnostic_drive(plant: MujocoPlant, asked: Diagnostic) -> Drive:
+    """The spiral of P4: each radius held, to the left and to the right, the speeds in turn."""
+    return drive_open_loop(plant, diagnostic_commands(asked.radii, asked.speeds, round(asked.hold / plant.sample_time)))
+
+
+def diagnostic_commands(radii: Sequence[float], speeds: Sequence[float], hold: int, rest: int = 0) -> FloatArray:
+    """(n, 2) turns held one after the other for `hold` samples, the speeds in turn, with rest before and after."""
+    each = np.resize(speeds, len(radii))
+    rows = np.repeat(np.stack([each, each / np.array(radii)], axis=-1), hold, axis=0)
+    still = np.zeros((rest, 2))
+    return np.concatenate([still, rows, still])
+
+
+def steady_turns(plant: MujocoPlant, radii: Sequence[float], speed: float, asked: Measured, track: float) -> Steady:
+    """Steady turns of these radii, each to both sides from rest.
+
+    Parameters
+    ----------
+    plant
+        The robot.
+    radii
+        (n,) [m].
+    speed
+        [m/s].
+    asked
+        How long each settles and is measured.
+    track
+        By which the base makes wheel speeds of commands [m].
+    """
+    before, after = (round(time / plant.sample_time) for time in (asked.settling, asked.hold))
+    found = []
+    for radius in radii:
+        both = []
+        for sign in (1, -1):
+            drive = drive_open_loop(plant, np.tile([speed, sign * speed / radius], (before + after, 1)))
+            torque, power, wheels = (
+                np.array([one[before:].mean() for one in sides(rows)])
+                for rows in (drive.motor_torque, drive.motor_power, 0.5 * drive.motor_speed)
+            )
+            # Outer first: to the left it is the right side.
+            torque, power, wheels = torque[::-sign], power[::-sign], wheels[::-sign]
+            by_wheels = 2 * (wheels[0] - wheels[1]) / (wheels[0] + wheels[1]) / track
+            both.append([*torque, by_wheels * radius, *power])
+        found.append(np.mean(both, axis=0))
+    rows = np.array(found)
+    return Steady(np.array(radii), rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3:])
+
+
+def own_least_radius(
+    plant: MujocoPlant, speed: float, asked: Measured, limit: float, track: float
+) -> tuple[float, float]:
+    """The robot's own least radius [m], by bisection: by torque, and by the turn that is no longer kept.
+
+    By torque: the largest at which the outer side gives 95 % of its limit. Zero where there is none.
+    """
+    sharpest = 1.05 * 0.5 * track
+
+    def bisected(fails: int) -> float:
+        def failed(radius: float) -> bool:
+            turn = steady_turns(plant, [radius], speed, asked, track)
+            return bool((turn.outer[0] > LIMIT_SHARE * limit, turn.kept[0] < KEPT_SHARE)[fails])
+
+        low, high = sharpest, _WIDEST
+        if not failed(low):
+            return 0.0
+        for _ in range(_BISECTIONS):
+            middle = math.sqrt(low * high)
+            low, high = (middle, high) if failed(middle) else (low, middle)
+        return math.sqrt(low * high)
+
+    return bisected(0), bisected(1)
+
+
+def unseen_commands(asked: Unseen, seed: int, sample_time: float, least: float) -> FloatArray:
+    """(n, 2) turns drawn from `seed`, none sharper than 1.2 times the `least` radius [m] at its own speed."""
+    rng = np.random.default_rng(seed)
+    count, rows = round(asked.hold / sample_time), []
+    for _ in range(asked.turns):
+        speed = rng.uniform(*asked.speeds)
+        low = max(asked.radii[0], 1.2 * least)
+        radius = math.exp(rng.uniform(math.log(low), math.log(max(asked.radii[1], 2 * low)))) * rng.choice([-1, 1])
+        rows.append([speed, speed / radius])
+    levels, since = np.array([[0.0, 0.0], *rows]), np.tile((np.arange(count) + 1) * sample_time, asked.turns)
+    # Gently from each to the next, as who saves energy drives.
+    share = np.minimum(since / asked.ramp, 1.0)[:, None] if asked.ramp else np.ones((len(since), 1))
+    before, after = (np.repeat(part, count, axis=0) for part in (levels[:-1], levels[1:]))
+    return np.asarray(before + share * (after - before))
