@@ -10,6 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
+from studies.cli import app as studies_app
 from studies.documents.documents import SHOWN, with_report
 
 ROOT = Path(__file__).parents[1]
@@ -72,6 +73,8 @@ def test_every_command_and_example_runs(document, tmp_path, monkeypatch):
                     continue
                 elif "$DIFFDRIVE_MPC_DATA" in line or "real-logs" in line:
                     raise AssertionError(f"{named(document)}: .ci/run does not have `{line}`")
+                elif words[:3] == ["python", "-m", "studies"]:
+                    invoked(studies_app, words[3:], "python -m studies")
                 else:
                     assert words[0] == "diffdrive-mpc"
                     command(words[1:], tmp_path)
@@ -84,7 +87,11 @@ def command(words, folder):
     if words[0] in OWN_PROCESS:
         run([str(COMMAND), *words], folder)
         return
-    result = CliRunner().invoke(app, words, prog_name="diffdrive-mpc")
+    invoked(app, words, "diffdrive-mpc")
+
+
+def invoked(program, words, name):
+    result = CliRunner().invoke(program, words, prog_name=name)
     assert result.exit_code == 0, f"{words}: {result.output}\n{result.exception!r}"
 
 
@@ -111,7 +118,7 @@ def test_ci_runs_what_the_documents_leave_to_it():
 
 @pytest.mark.parametrize(("line", "file"), RUN_IN_TESTS.items())
 def test_what_a_test_runs_is_run_there_as_the_documents_say(line, file):
-    command, *options = line.removeprefix("diffdrive-mpc ").partition(" --out ")[0].split(" --")
+    command, *options = line.removeprefix("python -m studies ").partition(" --out ")[0].split(" --")
     test = (ROOT / "tests" / file).read_text(encoding="utf-8")
     assert f'["{command.split()[0]}", "' in test
     assert all('", "'.join(f"--{option}".split()) in test for option in options)

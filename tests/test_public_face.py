@@ -82,7 +82,7 @@ print(step.mode, step.command[0] > 0.1)
 
 
 def test_a_script_runs_beside_files_that_are_called_as_the_rooms_are(tmp_path):
-    for room in ("models", "mpc", "sim", "bench"):
+    for room in ("models", "mpc", "sim", "bench", "app"):
         (tmp_path / f"{room}.py").write_text("'of the user'\n")
     (tmp_path / "script.py").write_text(SCRIPT)
     assert python(tmp_path, "script.py") == "TRACKING True"

@@ -11,6 +11,8 @@ ALLOWED = {
     "mpc": {"mpc", "models"},
     "sim": {"sim", "models"},
     "bench": {"bench", "mpc", "sim", "models"},
+    "app": {"app", "bench", "mpc", "sim", "models"},
+    "studies": {"studies", "bench", "mpc", "sim", "models"},
 }
 
 

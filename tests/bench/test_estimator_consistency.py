@@ -20,7 +20,7 @@ from diffdrive_mpc.mpc.step_result import StepResult
 from diffdrive_mpc.sim import make_plant, simulate
 
 TRAJECTORIES = ["circle", "square", "s", "cane"]
-MINUTE = Path(__file__).parents[2] / "bench" / "studies" / "ros" / "minute.yaml"
+MINUTE = Path(__file__).parents[2] / "studies" / "ros" / "minute.yaml"
 SETTLED = 10
 """Ticks after which the first poses have been weighed."""
 

@@ -136,7 +136,7 @@ def test_every_shipped_file_fits_its_schema_and_names_it(kind: str, path: Path) 
 
 def test_no_shipped_file_of_a_kind_is_left_out() -> None:
     """What names a schema in its first line is a file of a kind, and no file of a user's kind is without."""
-    named = {path for room in ("models", "mpc", "sim", "bench") for path in (ROOT / room).rglob("*.yaml")}
+    named = {path for room in ("models", "mpc", "sim", "bench", "app") for path in (ROOT / room).rglob("*.yaml")}
     named = {path for path in named if kept_editor_line(path)}
     assert named == {path.resolve() for _, path in FILES}
     folders = {path.resolve().parent for kind, path in FILES if kind not in ("proof", "tune", "conditions")}

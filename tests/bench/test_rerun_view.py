@@ -5,8 +5,8 @@ import sys
 import pytest
 from typer.testing import CliRunner
 
+from diffdrive_mpc.app import rerun_view
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.bench import rerun_view
 
 ENTITIES = {
     *(f"/path/{name}" for name in ("reference", "plan", "true", "estimate", "pose")),

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from diffdrive_mpc.bench import robot_page
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.described import schema_rows
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
+from studies.documents import robot_page
 
 PAGE = Path(__file__).parents[2] / "docs" / "robot.md"
 

@@ -111,7 +111,7 @@ def test_a_dead_link_a_dead_anchor_and_a_lost_page_fail_the_build(tmp_path):
     for name in ("mkdocs.yml", "README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff"):
         shutil.copy(ROOT / name, tmp_path)
     shutil.copytree(ROOT / "docs", tmp_path / "docs")
-    for name in ("examples", "src", "bench"):
+    for name in ("examples", "src", "bench", "app", "studies"):
         (tmp_path / name).symlink_to(ROOT / name)
     lost = tmp_path / "docs" / "lost.md"
     lost.write_text("# Where?\n\n[a](nowhere.md) [b](why.md#nowhere) [c](../examples/nothing.py)\n", encoding="utf-8")

@@ -30,7 +30,7 @@ def check_refusal(error: Exception) -> None:
     innermost = frames[-1].filename
     ours = "diffdrive_mpc" in innermost or (
         innermost.startswith("/")
-        and any(f"/{room}/" in innermost for room in ("models", "mpc", "sim", "bench"))
+        and any(f"/{room}/" in innermost for room in ("models", "mpc", "sim", "bench", "app", "studies"))
         and "site-packages" not in innermost
         and not innermost.startswith(_TESTS)
     )

@@ -93,9 +93,9 @@ def seeds(kind: str) -> list[str]:
     if kind == "base":
         found = [PACKAGE / "sim" / "ros" / "base.yaml"]
     elif kind == "campaign":
-        found = [PACKAGE / "bench" / "proof" / "default.yaml"]
+        found = [PACKAGE / "app" / "proof" / "default.yaml"]
     else:
-        found = KINDS[kind].files or [PACKAGE / "bench" / "proof" / "default.yaml"]
+        found = KINDS[kind].files or [PACKAGE / "app" / "proof" / "default.yaml"]
     return [str(path.relative_to(PACKAGE)) for path in found]
 
 

@@ -17,7 +17,7 @@ from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.structures.two_poles import identify_channel
 
 ROOM = Path(models.__file__).parent
-TRIALS = ROOM.parent / "bench" / "studies" / "identification"
+TRIALS = ROOM.parent / "studies" / "shipped_models"
 
 
 def kinds_in_the_sources() -> set[str]:

@@ -556,7 +556,7 @@ def wheel(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wheel")
     tree = folder / "tree"
     tree.mkdir()
-    for name in ("models", "mpc", "sim", "bench", "src"):
+    for name in ("models", "mpc", "sim", "bench", "app", "src"):
         skipped = shutil.ignore_patterns("__pycache__", "*.egg-info")
         shutil.copytree(ROOT / name, tree / name, symlinks=True, ignore=skipped)
     for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
@@ -582,7 +582,7 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     assert {Path(name).parts[0] for name in names if ".dist-info/" not in name} == {"diffdrive_mpc"}
     rooms = {Path(name).parts[1] for name in names if ".dist-info/" not in name}
-    assert rooms == {"__init__.py", "py.typed", "models", "mpc", "sim", "bench"}
+    assert rooms == {"__init__.py", "py.typed", "models", "mpc", "sim", "bench", "app"}
     for name in ("ddmpc_core-baseline.so", "ddmpc_core.json", "core.h", "real.h"):
         assert f"diffdrive_mpc/mpc/core/{name}" in names
     for name in ("ddmpc_twin-baseline.so", "ddmpc_twin.json", "twin.c", "twin.h"):
