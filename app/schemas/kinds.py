@@ -87,14 +87,14 @@ KINDS: dict[str, Kind] = {
         Kind("scenario", "sim", "what happens to the robot", "--scenario", ("disturbances/scenarios/*.yaml",)),
         Kind("world", "sim", "what stands and moves around the robot", "--world", ("worlds/shipped/*.yaml",)),
         Kind("campaign", "bench", "runs drawn from distributions", "campaign FILE"),
-        Kind("proof", "bench", "campaign with maps and boundaries", "prove --campaign", ("proof/*.yaml",)),
-        Kind("tune", "bench", "what is tuned, and on which runs", "tune --plan", ("tune/default.yaml",)),
+        Kind("proof", "app", "campaign with maps and boundaries", "prove --campaign", ("proof/*.yaml",)),
+        Kind("tune", "app", "what is tuned, and on which runs", "tune --plan", ("tune/default.yaml",)),
         Kind(
             "conditions",
             "bench",
             "robots, floors and faults by name",
             "robustness --conditions",
-            ("studies/robustness/conditions.yaml",),
+            ("conditions.yaml",),
         ),
     )
 }

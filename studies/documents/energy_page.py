@@ -26,7 +26,7 @@ from studies.torque.power_drives import drawn, driven, record
 from studies.torque.settings import load_study
 from studies.torque.study import radius_text
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "energy.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "energy.md"
 ROBOT, FLOORS, SEED = "fsu_bot", ("slippery", "default", "carpet", "grippy"), 5
 PLACES = (("fsu_bot", "default"), ("fsu_bot", "slippery"), ("default", "default"), ("default", "slippery"))
 # Of the logs whose constants are drawn; none was looked at while the identification was built.

@@ -18,7 +18,7 @@ from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
 from studies.documents.documents import insert
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "nav2.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "nav2.md"
 FIGURE = PAGE.parent / "nav2" / "paths.png"
 MARKER = "side-by-side"
 PATHS = ("circle", "s", "square", "cane")

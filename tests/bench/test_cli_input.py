@@ -18,20 +18,18 @@ from diffdrive_mpc import MissingPackageError, NotCompiledError
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.errors import NotReproducibleError
 from diffdrive_mpc.sim import Run, simulate
+from studies.cli import app as studies_app
 
 COMMANDS = [
     ["simulate"],
     ["bench"],
     ["identify"],
-    ["study", "tracking"],
-    ["study", "speed"],
     ["config", "show"],
     ["config", "check"],
     ["config", "schema"],
     ["models", "list"],
     ["models", "show"],
     ["models", "check"],
-    ["models", "truths"],
 ]
 
 runner = CliRunner()
@@ -194,6 +192,20 @@ def test_every_command_has_help_with_an_example(command: list[str]) -> None:
     result = runner.invoke(app, [*command, "--help"])
     assert result.exit_code == 0
     assert f"Example: diffdrive-mpc {' '.join(command)}".rstrip() in " ".join(result.stdout.split())
+
+
+@pytest.mark.parametrize("command", ["tracking", "speed", "monitor", "real-logs", "models truths"])
+def test_every_study_has_help_with_an_example(command: str) -> None:
+    result = runner.invoke(studies_app, [*command.split(), "--help"])
+    assert result.exit_code == 0
+    assert f"Example: python -m studies {command}" in " ".join(result.stdout.split())
+
+
+@pytest.mark.parametrize("former", ["study robustness --quick", "tracking --out x"])
+def test_a_study_s_former_name_says_where_it_is(former: str) -> None:
+    result = runner.invoke(app, former.split())
+    assert result.exit_code == 2
+    assert "`python -m studies" in result.stderr and len(result.stderr.splitlines()) == 1
 
 
 @pytest.mark.parametrize("group", [[], ["config"], ["models"]], ids=" ".join)

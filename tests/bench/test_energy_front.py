@@ -6,7 +6,7 @@ import pytest
 from opened_report import check_report
 from typer.testing import CliRunner
 
-from diffdrive_mpc.app.cli import app
+from studies.cli import app
 from studies.energy_front.settings import HERE, load_study
 from studies.energy_front.study import Driven, fronts
 
@@ -14,7 +14,7 @@ from studies.energy_front.study import Driven, fronts
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
     out = tmp_path_factory.mktemp("front")
-    result = CliRunner().invoke(app, ["study", "energy-front", "--quick", "--jobs", "1", "--out", str(out)])
+    result = CliRunner().invoke(app, ["energy-front", "--quick", "--jobs", "1", "--out", str(out)])
     assert result.exit_code == 0, result.output
     return out
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.model_report import model_text
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop
+from studies.cli import app
 from studies.shipped_models.model_fitting import IDENTIFICATIONS, PaperExperiments, fit_models
 
 runner = CliRunner()

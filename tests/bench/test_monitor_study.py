@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.mpc.monitor.judge import rule_names
 from diffdrive_mpc.mpc.monitor.rules import load_rules
+from studies.cli import app
 from studies.monitor.drives import nominal_case
 from studies.monitor.faults import FAULTS, Fault, Sent
 from studies.monitor.study import MonitorStudy, Watched, complaint
@@ -80,7 +80,7 @@ def test_the_study_says_what_was_missed(monkeypatch, tmp_path):
     rules.write_text(json.dumps(values), encoding="utf-8")
     few = {name: FAULTS[name] for name in ("not a number", "wrong sign")}
     monkeypatch.setattr("studies.monitor.study.FAULTS", few)
-    words = ["study", "monitor-study", "--rules", str(rules), "--seeds", "1", "--hours", "0.01", "--jobs", "1"]
+    words = ["monitor", "--rules", str(rules), "--seeds", "1", "--hours", "0.01", "--jobs", "1"]
     result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out")])
     assert result.exit_code == 1 and "error: missed or late: wrong sign (1)" in result.stderr
     content = json.loads((tmp_path / "out" / "monitor.json").read_text(encoding="utf-8"))
@@ -99,6 +99,6 @@ def test_an_alarm_in_a_sound_drive_is_a_complaint():
 
 
 def test_unknown_rules_are_one_line():
-    result = CliRunner().invoke(app, ["study", "monitor-study", "--rules", "defalt", "--out", "x"])
+    result = CliRunner().invoke(app, ["monitor", "--rules", "defalt", "--out", "x"])
     assert result.exit_code == 2 and "did you mean 'default'" in result.stderr
     assert MonitorStudy.title

@@ -10,8 +10,8 @@ import pytest
 from reproduce_parts import made_up, report_of, write_made_up
 from typer.testing import CliRunner
 
-from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.contents import CONTENTS
+from studies.cli import app
 from studies.documents.documents import REPRODUCE, sections
 
 runner = CliRunner()
@@ -114,7 +114,7 @@ def test_parts_that_were_not_run_leave_nothing(tmp_path: Path):
 
 def test_the_command_writes_its_report(tmp_path: Path):
     out = tmp_path / "out"
-    result = runner.invoke(app, ["study", "reproduce", "--out", str(out), "--quick", "--only", "virtual_track"])
+    result = runner.invoke(app, ["reproduce", "--out", str(out), "--quick", "--only", "virtual_track"])
     assert result.exit_code == 0, result.stderr
     assert sorted(path.name for path in out.iterdir() if path.name != CONTENTS) == [
         "figures",
@@ -126,7 +126,7 @@ def test_the_command_writes_its_report(tmp_path: Path):
 
 
 def test_an_unknown_part_is_one_line_and_nothing_is_made(tmp_path: Path):
-    result = runner.invoke(app, ["study", "reproduce", "--out", str(tmp_path / "out"), "--only", "ssm,costs"])
+    result = runner.invoke(app, ["reproduce", "--out", str(tmp_path / "out"), "--only", "ssm,costs"])
     assert result.exit_code == 2
     known = "mbm_sm, ssm, lstm, cost, virtual_track, drive_models, slip_scatter, turning"
     assert result.stderr == f"error: --only: unknown part 'costs'; known: {known}\n"

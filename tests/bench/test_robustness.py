@@ -11,7 +11,6 @@ import pytest
 from tracking_parts import metrics, recovery
 from typer.testing import CliRunner
 
-from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.conditions import load_conditions, market_cases
 from diffdrive_mpc.bench.controllers import case_config, controller_config, run_case, settings_of
@@ -20,6 +19,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.load import ROBOT_NAMES
 from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
+from studies.cli import app
 from studies.robustness.market_tables import alarms_interval, market_tables, share_interval
 from studies.robustness.results import (
     ConditionOutcome,
@@ -140,7 +140,7 @@ def test_a_study_of_the_market_repeats_and_drives_at_every_rate(tmp_path: Path) 
     runs = []
     for out in (tmp_path / "1", tmp_path / "2"):
         words = ["--robots", "2", "--rates", "10,100", "--controllers", "mpc", "--trajectories", "circle"]
-        result = runner.invoke(app, ["study", "robustness", "--out", str(out), *words])
+        result = runner.invoke(app, ["robustness", "--out", str(out), *words])
         assert result.exit_code == 0, result.output
         runs.append(json.loads((out / "robustness.json").read_text())["runs"])
     assert runs[0] == runs[1]
@@ -194,7 +194,7 @@ def test_a_small_study_runs_and_repeats(tmp_path: Path) -> None:
     for jobs in ("1", "2"):
         out = tmp_path / jobs
         words = ["--only", "mass_left,noise_2cm", "--trajectories", str(path), "--seeds", "7,", "--jobs", jobs]
-        result = runner.invoke(app, ["study", "robustness", "--out", str(out), *words])
+        result = runner.invoke(app, ["robustness", "--out", str(out), *words])
         assert result.exit_code == 0, result.output
         runs.append(json.loads((out / "robustness.json").read_text())["runs"])
         assert (out / "figures" / "ratios.png").stat().st_size > 0
@@ -213,7 +213,7 @@ def test_a_small_study_runs_and_repeats(tmp_path: Path) -> None:
     ],
 )
 def test_a_mistake_gives_one_line(words: list[str], line: str, tmp_path: Path) -> None:
-    result = runner.invoke(app, ["study", "robustness", "--quick", "--out", str(tmp_path / "out"), *words])
+    result = runner.invoke(app, ["robustness", "--quick", "--out", str(tmp_path / "out"), *words])
     assert result.exit_code == 2
     assert line in result.output
     assert not (tmp_path / "out").exists()

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from opened_report import check_report
 from typer.testing import CliRunner
 
-from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.terrain import load_vehicle
 from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.planner import Plan, plan
+from studies.cli import app
 from studies.saving.drives import Driven, drive_closed, drive_open, standing_from
 from studies.saving.outcome import PairOutcome, Saved, worse_arrival
 from studies.saving.pairs import Pair, draw_pairs
@@ -50,7 +50,7 @@ def pairs_of(*rows: tuple[float, float]) -> list[PairOutcome]:
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The quick study by the command line."""
     out = tmp_path_factory.mktemp("saving")
-    result = CliRunner().invoke(app, ["study", "saving", "--quick", "--jobs", "1", "--out", str(out)])
+    result = CliRunner().invoke(app, ["saving", "--quick", "--jobs", "1", "--out", str(out)])
     assert result.exit_code == 0, result.output
     return out
 
@@ -218,9 +218,7 @@ def test_where_all_tyres_slide_a_payload_asks_for_torque_as_it_weighs() -> None:
 
 
 def test_unknown_floors_and_cones_in_the_way_are_refused(tmp_path: Path) -> None:
-    result = CliRunner().invoke(
-        app, ["study", "saving", "--quick", "--surfaces", "ideal", "--out", str(tmp_path / "x")]
-    )
+    result = CliRunner().invoke(app, ["saving", "--quick", "--surfaces", "ideal", "--out", str(tmp_path / "x")])
     assert result.exit_code == 2 and "fsu_bot-ideal" in result.output
     scenarios = (STUDY.scenarios[0].model_copy(update={"posts": ((0.2, 0.0, 0.1),)}),)
     from studies.saving.study import SavingStudy

@@ -10,10 +10,10 @@ import pytest
 from opened_report import check_report
 from typer.testing import CliRunner
 
-from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.energy import load_drive_constants
 from diffdrive_mpc.models.turn_costs import load_turn_costs
+from studies.cli import app
 from studies.torque.diagnostic_log import write_diagnostic_log
 from studies.torque.from_log import learn_log, settled
 
@@ -29,7 +29,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def asked(*words: object) -> tuple[int, str]:
-    result = CliRunner().invoke(app, ["study", "torque", *map(str, words)])
+    result = CliRunner().invoke(app, ["torque", *map(str, words)])
     return result.exit_code, " ".join(result.output.split())
 
 

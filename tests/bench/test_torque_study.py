@@ -10,11 +10,11 @@ import pytest
 from opened_report import check_report
 from typer.testing import CliRunner
 
-from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.energy import load_drive_constants
 from diffdrive_mpc.models.terrain import load_vehicle
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
+from studies.cli import app
 from studies.torque.measurements import own_least_radius, plant_of, steady_turns, unseen_commands
 from studies.torque.outcome import measure_floor, parts_of
 from studies.torque.settings import load_study, quick
@@ -27,7 +27,7 @@ TRACK, LIMIT = 0.39, 4.6
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The quick study by the command line."""
     out = tmp_path_factory.mktemp("torque")
-    result = CliRunner().invoke(app, ["study", "torque", "--quick", "--jobs", "1", "--out", str(out)])
+    result = CliRunner().invoke(app, ["torque", "--quick", "--jobs", "1", "--out", str(out)])
     assert result.exit_code == 0, result.output
     return out
 
@@ -94,9 +94,7 @@ def test_unseen_drives_are_gentle_repeatable_and_no_tighter_than_allowed() -> No
 def test_a_floor_without_friction_and_a_robot_without_a_vehicle_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no friction"):
         plant_of("fsu_bot", "ideal")
-    result = CliRunner().invoke(
-        app, ["study", "torque", "--quick", "--surfaces", "ideal", "--out", str(tmp_path / "x")]
-    )
+    result = CliRunner().invoke(app, ["torque", "--quick", "--surfaces", "ideal", "--out", str(tmp_path / "x")])
     assert result.exit_code == 2
     assert "no friction" in result.output
     assert not (tmp_path / "x").exists()

@@ -11,9 +11,9 @@ from opened_report import check_report
 from tracking_parts import made_up, row, tiny_study, write_made_up
 from typer.testing import CliRunner
 
-from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.contents import CONTENTS
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from studies.cli import app
 from studies.documents.documents import TRACKING, copy_report, sections, with_report
 from studies.tracking.outcome import collect
 from studies.tracking.plan import plan_study
@@ -153,7 +153,7 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The folder of a small study, and what the command printed."""
     folder = tmp_path_factory.mktemp("driven")
     words = ["--study", str(tiny_study(folder)), "--only", "ablation,cross,bound", "--jobs", "1"]
-    result = runner.invoke(app, ["study", "tracking", "--out", str(folder / "out"), *words])
+    result = runner.invoke(app, ["tracking", "--out", str(folder / "out"), *words])
     assert result.exit_code == 0, result.stderr
     return folder / "out", result.stdout
 
@@ -188,7 +188,7 @@ def test_the_command_drives_a_small_study_and_writes_its_report(driven: tuple[Pa
     ],
 )
 def test_bad_input_is_one_line_and_nothing_is_made(arguments: list[str], message: str, tmp_path: Path):
-    result = runner.invoke(app, ["study", "tracking", "--out", str(tmp_path / "out"), *arguments])
+    result = runner.invoke(app, ["tracking", "--out", str(tmp_path / "out"), *arguments])
     assert result.exit_code == 2
     assert result.stderr.startswith("error: ")
     assert message in result.stderr

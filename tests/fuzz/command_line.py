@@ -24,12 +24,10 @@ _LONG = {
     "node",
     "prove",
     "sim-robot",
-    "study",
     "tune",
     "twin",
     "monitor",
 }
-_LONG_MODELS = {"fit", "calibrate", "train"}
 _CODES = {0, 1, 2}
 _FOR = 8.0
 FILES = ("own.csv", "mapped.csv", "mapping.yaml", "own.mcap", "bag", "short.yaml")
@@ -94,7 +92,7 @@ class CommandLineFuzzer:
 
 
 def _is_long(path: tuple[str, ...]) -> bool:
-    return path[0] in _LONG or (path[0] == "models" and bool(set(path) & _LONG_MODELS))
+    return path[0] in _LONG
 
 
 @cache
