@@ -1,1 +1,1 @@
-"""What compares: the command line, experiments, peers, tables, figures and the report."""
+"""What compares: cases, runs, peers, tables, and the report."""
