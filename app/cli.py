@@ -19,7 +19,6 @@ from diffdrive_mpc.app.commands import (
     export,
     identify,
     monitor,
-    plan,
     prove,
     replay,
     ros,
@@ -32,6 +31,7 @@ from diffdrive_mpc.app.commands.log import log_app
 from diffdrive_mpc.app.commands.models import models_app
 from diffdrive_mpc.app.commands.options import PASSED_ON
 from diffdrive_mpc.bench.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
+from diffdrive_mpc.models.plug_ins import plug_ins
 
 MOVED = {
     "robot": "`diffdrive-mpc sim-robot`",
@@ -45,7 +45,6 @@ MOVED = {
         "worlds",
         "peers",
         "reproduce",
-        "torque",
         "saving",
         "energy-front",
         "speed",
@@ -94,8 +93,9 @@ _add("Robot", "sim-robot", ros.robot, ros.EXAMPLES["sim-robot"], context_setting
 _add("Robot", "monitor", monitor.monitor, monitor.EXAMPLE, context_settings=PASSED_ON)
 _add("Robot", "export", export.export, export.EXAMPLE)
 _add("Robot", "doctor", doctor.doctor, doctor.EXAMPLE)
-_add("Files", "plan", plan.plan, plan.EXAMPLE)
 _add("Files", "schema", schema.schema, schema.EXAMPLE)
+for plugged in plug_ins("commands"):
+    _add(plugged.panel, plugged.name, plugged.run, plugged.example)
 app.add_typer(models_app, name="models", rich_help_panel="Files")
 app.add_typer(config_app, name="config", rich_help_panel="Files")
 app.add_typer(log_app, name="log", rich_help_panel="Files")

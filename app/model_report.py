@@ -11,7 +11,6 @@ from diffdrive_mpc.bench.progress import output_console
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import MODEL_NAMES, load_model
-from diffdrive_mpc.models.networks.network_model import NetworkModel
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.sim.plants.calibration import validate_calibration
@@ -74,13 +73,7 @@ def _function_lines(model: NonlinearModel) -> list[str]:
         f"lag at rest [s]    v {model.lag[0]:.4g}, omega {model.lag[1]:.4g}",
         *_matrix_lines("dc gain at rest", model.dc_gain, width=140),
     ]
-    if isinstance(model, NetworkModel):
-        kind = model.network.architecture
-        words = (
-            f"{kind.window} commands, {kind.layers} x LSTM of {kind.units}, dense {kind.dense} with {kind.activation}"
-        )
-        lines.append(f"network            {words}: {kind.parameters} parameters")
-    return lines
+    return [*lines, *(f"{label:<18} {words}" for label, words in model.details)]
 
 
 def _matrix_lines(label: str, matrix: FloatArray, width: int) -> list[str]:

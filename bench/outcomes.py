@@ -16,8 +16,8 @@ from pydantic import BaseModel
 from diffdrive_mpc.bench.case import DIMENSIONS, Case
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.runner import OnDone, run_tasks
+from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.networks.network import NETWORK
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.mpc import Trajectory
 from diffdrive_mpc.sim import Metrics, Run
@@ -271,7 +271,8 @@ def who_drives(case: Case) -> str:
 
 def model_name(name: str) -> str:
     """Name of a model as the papers write it, or that of the user's file."""
-    return name.upper() if name in (*STRUCTURES, NETWORK) else name
+    titles = {one.name: one.title for one in function_structures().values()}
+    return name.upper() if name in STRUCTURES else titles.get(name, name)
 
 
 def metrics_row(outcome: Scored, *, timed: bool = True) -> dict[str, object]:

@@ -4,29 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
 
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.errors import wrong_type
+from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.named_file import named_file, shipped_names
-from diffdrive_mpc.models.networks.network import NETWORK
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 
-DRIVES: Mapping[str, Literal["drive_experimental", "drive_physical"]] = {
-    "p2_experimental": "drive_experimental",
-    "p2_physical": "drive_physical",
-}
-"""Shipped drive models, and their structures."""
-HYBRID = "hybrid"
-"""Structure of a linear model with a network on what it leaves; none ships."""
-_FUNCTIONS = (NETWORK, *DRIVES.values(), HYBRID)
 PARAMETERS = Path(__file__).parent / "parameters"
-MODEL_NAMES = (*(name for name in STRUCTURES if (PARAMETERS / f"{name}.yaml").is_file()), NETWORK, *DRIVES, "kinematic")
-"""Shipped models: one of each structure that ships one, the network, the drives, the one to hold them against."""
+_LINEAR = {name: path for name in (*STRUCTURES, "kinematic") if (path := PARAMETERS / f"{name}.yaml").is_file()}
+_FUNCTIONS = {one.name: one.shipped for one in function_structures().values() if one.shipped}
+_SHIPPED = _LINEAR | _FUNCTIONS
+MODEL_NAMES = tuple(_SHIPPED)
+"""Shipped models: one of each structure that ships one, and the one to hold them against."""
 ROBOTS = PARAMETERS / "robots"
 ROBOT_NAMES = shipped_names(ROBOTS)
 """Real robots that were identified from public logs."""
@@ -60,26 +54,10 @@ def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
     path = model_path(name)
     data = read_yaml(path)
     try:
-        if _structure(data) in _FUNCTIONS:
-            return _load_function(path, data)
-        return build_model(_checked(path, data))
+        function = function_structures().get(_structure(data))
+        return build_model(_checked(path, data)) if function is None else function.load(path, data)
     except ModelError as error:
         raise ModelError(f"{path.name}: {error}") from error
-
-
-def _load_function(path: Path, data: Any) -> NonlinearModel:  # noqa: ANN401 - what a YAML file may hold
-    """As the `load_...` of its kind; imported late: CasADi's graphs are not for who only loads a few matrices."""
-    if data["structure"] == NETWORK:
-        from diffdrive_mpc.models.networks.network_file import load_network  # noqa: PLC0415
-
-        return load_network(path, data)
-    if data["structure"] == HYBRID:
-        from diffdrive_mpc.models.hybrids.hybrid_file import load_hybrid  # noqa: PLC0415
-
-        return load_hybrid(path, data)
-    from diffdrive_mpc.models.drives.drive_file import load_drive  # noqa: PLC0415
-
-    return load_drive(path, data)
 
 
 def load_linear_model(name: str | Path) -> VelocityModel:
@@ -94,14 +72,14 @@ def load_base_effects(name: str | Path) -> BaseEffects:
     """Load what a model file says about the base around its model; raises ConfigError as `load_model`."""
     path = model_path(name)
     data = read_yaml(path)
-    return BaseEffects() if _structure(data) in _FUNCTIONS else _checked(path, data).base_effects
+    return BaseEffects() if _structure(data) in function_structures() else _checked(path, data).base_effects
 
 
 def model_path(name: str | Path) -> Path:
     """The parameter file behind `name`; raises ConfigError when there is none."""
     if str(name) in ROBOT_NAMES:
         return ROBOTS / f"{name}.yaml"
-    return named_file("model", PARAMETERS, name, MODEL_NAMES)
+    return _SHIPPED.get(str(name)) or named_file("model", PARAMETERS, name, MODEL_NAMES)
 
 
 def read_model_file(path: str | Path) -> ModelFile:
@@ -109,14 +87,16 @@ def read_model_file(path: str | Path) -> ModelFile:
     return _checked(path, read_yaml(path))
 
 
-def _structure(data: object) -> object:
-    return data.get("structure") if isinstance(data, Mapping) else None
+def _structure(data: object) -> str:
+    """Empty where it says none."""
+    said = data.get("structure") if isinstance(data, Mapping) else None
+    return said if isinstance(said, str) else ""
 
 
 def _checked(path: str | Path, data: object) -> ModelFile:
-    name = _structure(data)
-    structure = STRUCTURES.get(name) if isinstance(name, str) else None
+    structure = STRUCTURES.get(_structure(data))
     if structure is None:
-        known = ", ".join((*STRUCTURES, *_FUNCTIONS))
-        raise ConfigError(f"{path}: structure: expected one of {known}, found {name!r}")
+        known = ", ".join((*STRUCTURES, *function_structures()))
+        said = data.get("structure") if isinstance(data, Mapping) else None
+        raise ConfigError(f"{path}: structure: expected one of {known}, found {said!r}")
     return check(structure.file, data, str(path))

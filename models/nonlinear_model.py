@@ -15,6 +15,26 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.velocity_model import CHANNELS, ModelError
 
 
+@dataclass(frozen=True)
+class CompiledStep:
+    """Functions in C that the core brings for a model, so that a controller compiles nothing.
+
+    Attributes
+    ----------
+    step, output
+        Names of its functions in C.
+    parameters
+        (Q,) numbers that they take.
+    work
+        Reals of memory that the step needs.
+    """
+
+    step: str
+    output: str
+    parameters: FloatArray
+    work: int
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class NonlinearModel:
     """x[k+1] = step(x[k], window), y[k] = output(x[k]); window = (u[k - memory], ..., u[k]), oldest first.
@@ -115,6 +135,16 @@ class NonlinearModel:
     def structure(self) -> str:
         """Name of its kind for tables."""
         return "function"
+
+    @property
+    def compiled_step(self) -> CompiledStep | None:
+        """What the core has for it; None for the user's own functions. Raises ModelError for a kind it cannot do."""
+        return None
+
+    @property
+    def details(self) -> tuple[tuple[str, str], ...]:
+        """Label and words of what else `models show` says of its kind."""
+        return ()
 
     @property
     def plant_step(self) -> ca.Function:

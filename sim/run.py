@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from diffdrive_mpc.models.energy.drive_constants import DriveConstants
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, ReferenceSample, Stamped
 from diffdrive_mpc.models.pandas_package import load_pandas
 from diffdrive_mpc.models.results import ReadOnlyArrays
+from diffdrive_mpc.models.turn_costs.drive_constants import DriveConstants
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE, Metrics, compute_metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings, tracking_errors

@@ -13,7 +13,9 @@ ALLOWED = {
     "sim": {"sim", "models"},
     "bench": {"bench", "mpc", "sim", "models"},
     "app": {"app", "bench", "mpc", "sim", "models"},
-    "studies": {"studies", "bench", "mpc", "sim", "models"},
+    # Pages and tables of the commands that extras add come from bench.
+    "extras": {"extras", "bench", "mpc", "sim", "models"},
+    "studies": {"studies", "extras", "bench", "mpc", "sim", "models"},
 }
 
 

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.app.commands.completion import choices
 from diffdrive_mpc.app.commands.excite import read_room
 from diffdrive_mpc.app.commands.options import Mapping
+from diffdrive_mpc.bench.command_line.completion import choices
 from diffdrive_mpc.bench.command_line.one_line_errors import FAILED
 from diffdrive_mpc.bench.command_line.study_options import Jobs, file_option, out_option
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.app.commands.completion import choices
+from diffdrive_mpc.bench.command_line.completion import choices
 
 EXAMPLE = "Example: diffdrive-mpc excite ssm --for model --inside 4x3 --seconds 60 --out drive.yaml"
 _SLIP, _MODEL = "slip", "model"

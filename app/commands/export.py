@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.app.commands.completion import choices
 from diffdrive_mpc.app.commands.options import ConfigFile, Model, Settings
+from diffdrive_mpc.bench.command_line.completion import choices
 from diffdrive_mpc.bench.command_line.study_options import out_option
 
 EXAMPLE = "Example: diffdrive-mpc export --model ssm --set horizon=15 --precision float --out firmware"

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from diffdrive_mpc.app.commands.completion import choices
 from diffdrive_mpc.app.commands.options import Mapping
+from diffdrive_mpc.bench.command_line.completion import choices
 
 models_app = typer.Typer(no_args_is_help=True, help="List, show and check velocity models.")
 

@@ -9,8 +9,8 @@ from typing import Annotated, TypeVar
 
 import typer
 
-from diffdrive_mpc.app.commands.completion import Completer, choices, offers
 from diffdrive_mpc.bench.case import DIMENSIONS, Dimension
+from diffdrive_mpc.bench.command_line.completion import Completer, choices, offers
 from diffdrive_mpc.bench.command_line.study_options import file_option
 
 Command = TypeVar("Command", bound=Callable[..., None])

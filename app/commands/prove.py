@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from diffdrive_mpc.app.commands.campaign import Runs, Scheduler
-from diffdrive_mpc.app.commands.completion import choices
+from diffdrive_mpc.bench.command_line.completion import choices
 from diffdrive_mpc.bench.command_line.one_line_errors import FAILED
 from diffdrive_mpc.bench.command_line.study_options import Jobs, out_option
 

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from diffdrive_mpc.app.commands.completion import choices
 from diffdrive_mpc.app.commands.options import Settings, ros_arguments, with_dimensions
+from diffdrive_mpc.bench.command_line.completion import choices
 from diffdrive_mpc.bench.command_line.study_options import file_option
 
 EXAMPLES = {

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from diffdrive_mpc.app.commands.campaign import Scheduler
-from diffdrive_mpc.app.commands.completion import choices
+from diffdrive_mpc.bench.command_line.completion import choices
 from diffdrive_mpc.bench.command_line.study_options import Jobs, file_option, out_option
 
 EXAMPLE = "Example: diffdrive-mpc tune ssm --out tuned"

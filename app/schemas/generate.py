@@ -11,22 +11,19 @@ from typing import Any
 from pydantic import BaseModel, TypeAdapter
 
 from diffdrive_mpc.app.proof.proof_file import Proof
-from diffdrive_mpc.app.schemas.kinds import KINDS
 from diffdrive_mpc.app.schemas.variations import Schema, closed, only_what_differs, with_draws
 from diffdrive_mpc.app.tune.tune_file import TunePlan
 from diffdrive_mpc.bench.campaign.campaign_file import CONDITION, Campaign
 from diffdrive_mpc.bench.campaign.definition import FACTORS_OF_A_CASE, GROUPS
 from diffdrive_mpc.bench.campaign.draws import KINDS as DRAWS
+from diffdrive_mpc.bench.command_line.file_kinds import KINDS
 from diffdrive_mpc.bench.conditions import Conditions
-from diffdrive_mpc.models.drives.drive_file import DRIVE_FILES
-from diffdrive_mpc.models.energy.drive_constants import DriveConstants
-from diffdrive_mpc.models.hybrids.hybrid_file import HybridFile
+from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.logs.mapping import LogMapping
-from diffdrive_mpc.models.networks.network_file import NetworkFile
 from diffdrive_mpc.models.structures.registry import STRUCTURES
-from diffdrive_mpc.models.terrain.terrain_file import Terrain
-from diffdrive_mpc.models.terrain.vehicle import Vehicle
 from diffdrive_mpc.models.turn_costs import TurnCosts
+from diffdrive_mpc.models.turn_costs.drive_constants import DriveConstants
+from diffdrive_mpc.models.turn_costs.vehicle import Vehicle
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.monitor.rules import Rules
 from diffdrive_mpc.mpc.trajectories.segments import SegmentFile
@@ -41,7 +38,9 @@ from diffdrive_mpc.sim.worlds.world import World
 
 def json_schema(kind: str) -> str:
     """The JSON Schema of a kind of file as text; raises KeyError where there is no such kind."""
-    return json.dumps(closed(_MADE[kind]()), indent=2) + "\n"
+    reader = KINDS[kind].reader
+    made = _MADE[kind]() if reader is None else reader().model_json_schema()
+    return json.dumps(closed(made), indent=2) + "\n"
 
 
 def write_all() -> None:
@@ -56,7 +55,8 @@ def _as_it_is(schema: type[BaseModel]) -> Callable[[], Schema]:
 
 
 def _models() -> Schema:
-    files: list[Any] = [*(one.file for one in STRUCTURES.values()), NetworkFile, *DRIVE_FILES.values(), HybridFile]
+    functions = (one.schema() for one in function_structures().values())
+    files: list[Any] = [*(one.file for one in STRUCTURES.values()), *functions]
     return {"title": "Velocity model", **TypeAdapter(reduce(or_, files)).json_schema()}
 
 
@@ -94,7 +94,6 @@ _MADE: dict[str, Callable[[], Schema]] = {
     "model": _models,
     "mapping": _as_it_is(LogMapping),
     "vehicle": _as_it_is(Vehicle),
-    "terrain": _as_it_is(Terrain),
     "drive": _as_it_is(DriveConstants),
     "turn-costs": _as_it_is(TurnCosts),
     "robot": lambda: only_what_differs(SimulatedRobot.model_json_schema(), digital_twin()),

@@ -191,7 +191,7 @@ def identify(
     paths = [Path(path) for path in listed]
     if not paths:
         raise ConfigError("no logs: give at least one")
-    predictor = structure if structure in finders else None
+    predictor = structure if structure in finders() else None
     chosen = _structure(BESIDE if predictor else structure)
     wanted = _order(chosen, order)
     if validate and fit_share is not None:
@@ -200,7 +200,7 @@ def identify(
         able = " or ".join(other.name for other in STRUCTURES.values() if other.takes_effects)
         raise OptionError("effects", f": they stand around an {able}, not an {structure}; choose that structure")
     if predictor:
-        finders[predictor]()  # refuses what is not installed before anything is read
+        finders()[predictor]()  # refuses what is not installed before anything is read
     if name is not None and not name.strip():
         raise OptionError("name", ": it is empty; give the model a name, or leave the option out")
     if on_progress:
@@ -260,7 +260,7 @@ def identify_data(
     )
     if predictor:
         announce(f"{predictor} (a minute or more)")
-        fitted = with_predictor(data, fitted, finders[predictor]())
+        fitted = with_predictor(data, fitted, finders()[predictor]())
     report = IdentificationReport(name, data, fitted, from_poses(data, fitted), date.today())
     configuration = configure(
         name,
@@ -321,7 +321,7 @@ def _fields(report: IdentificationReport, predictor: Predictor) -> dict[str, Any
 
 def _structure(name: str) -> Structure:
     if name not in STRUCTURES:
-        raise OptionError("structure", f" '{name}': give one of {', '.join((*STRUCTURES, *finders))}")
+        raise OptionError("structure", f" '{name}': give one of {', '.join((*STRUCTURES, *finders()))}")
     return STRUCTURES[name]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import MissingPackageError
+from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.identification.fitting import Fitted, fit
 from diffdrive_mpc.models.identification.log_data import LogData, divide
 from diffdrive_mpc.models.identification.poses import from_poses
@@ -40,15 +41,19 @@ class Kind(NamedTuple):
     """Compared only where it is named, or all are asked for"""
 
 
+def _functions(*, slow: bool) -> Iterator[Kind]:
+    for one in function_structures().values():
+        if one.slow == slow:
+            yield Kind(one.name, predictor=one.name, slow=slow)
+
+
 KINDS = (
     Kind("sm"),
     Kind("ssm", "ssm"),
     Kind("mbm", "mbm"),
-    Kind("p2_physical", predictor="p2_physical"),
-    Kind("p2_experimental", predictor="p2_experimental"),
+    *_functions(slow=False),
     Kind("sm+effects", effects=True),
-    Kind("hybrid", predictor="hybrid", slow=True),
-    Kind("lstm", predictor="lstm", slow=True),
+    *_functions(slow=True),
 )
 """What is compared, the simplest first. A later one has to predict better by more than chance."""
 ALL = "all"
@@ -250,7 +255,7 @@ def _score(
         announce(f"{kind.name}, part {k + 1} of {len(folds)}")
         fold = replace(data, train=tuple(rest), validation=tuple(part))
         try:
-            find = finders[kind.predictor]() if kind.predictor else None
+            find = finders()[kind.predictor]() if kind.predictor else None
             key = (kind.structure, kind.effects, k)
             if key not in linear:
                 linear[key] = fit(fold, STRUCTURES[kind.structure], effects=kind.effects)

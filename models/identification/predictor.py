@@ -1,7 +1,7 @@
 """Models that predict in place of the linear one: functions of a log's samples, found beside it.
 
-Limits, tracks and the poses' calibration stay those of the linear model. To add a kind: its module with a `Predictor`
-and a function as in `finders`, and its line there; `models/load.py` reads its file.
+Limits, tracks and the poses' calibration stay those of the linear model. To add a kind: a
+`models.function_structure.FunctionStructure`, registered as `models.plug_ins` says.
 """
 
 from __future__ import annotations
@@ -13,10 +13,9 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any, Protocol
 
 from diffdrive_mpc.models.doubt import Doubt
+from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.load import DRIVES, HYBRID
 from diffdrive_mpc.models.logs import Record
-from diffdrive_mpc.models.networks.network import NETWORK
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.output_error.experiment import YawSource
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
@@ -89,37 +88,9 @@ Finder = Callable[["LogData", "Fitted"], Predictor]
 """From the training records, and the linear model of them, to a predictor."""
 
 
-def _network() -> Finder:
-    from diffdrive_mpc.models.identification.network import find_network  # noqa: PLC0415 - others do without it
-    from diffdrive_mpc.models.networks.training import check_installed  # noqa: PLC0415
-
-    check_installed()
-    return find_network
-
-
-def _hybrid() -> Finder:
-    from diffdrive_mpc.models.hybrids.training import libraries  # noqa: PLC0415 - as above
-    from diffdrive_mpc.models.identification.hybrid import find_hybrid  # noqa: PLC0415
-
-    libraries()
-    return find_hybrid
-
-
-def _drive(structure: str) -> Callable[[], Finder]:
-    def finder() -> Finder:
-        from diffdrive_mpc.models.identification.drive import drive_finder  # noqa: PLC0415 - loads CasADi
-
-        return drive_finder(structure)
-
-    return finder
-
-
-finders: Mapping[str, Callable[[], Finder]] = {
-    NETWORK: _network,
-    HYBRID: _hybrid,
-    **{name: _drive(name) for name in DRIVES},
-}
-"""By what `--structure` calls them. Each raises MissingPackageError where what it needs is not installed."""
+def finders() -> Mapping[str, Callable[[], Finder]]:
+    """By what `--structure` calls them. Each raises MissingPackageError where what it needs is not installed."""
+    return {one.name: one.finder for one in function_structures().values()}
 
 
 def with_predictor(data: LogData, fitted: Fitted, find: Finder) -> Fitted:

@@ -1,21 +1,39 @@
-"""What one robot on one floor does and pays in a turn: slip law, torque curves, power, least radius, in one file."""
+"""What one robot on one floor does and pays in a turn: slip law, torques, power, least radius, in one file."""
 
-from diffdrive_mpc.models.turn_costs.slip import IdentifiedSlip, identify_slip, identify_slip_from_poses
-from diffdrive_mpc.models.turn_costs.turn_costs import (
-    SlipCoefficients,
-    TorqueTable,
-    TurnCosts,
-    load_turn_costs,
-    turn_costs_text,
-)
+from typing import TYPE_CHECKING
+
+from diffdrive_mpc.models.lazy_names import on_first_use
+from diffdrive_mpc.models.turn_costs.drive_constants import DriveConstants, NamedDrive, load_drive_constants
+from diffdrive_mpc.models.turn_costs.least_radius import LIMIT_SHARE, least_radius
+from diffdrive_mpc.models.turn_costs.vehicle import Vehicle, load_vehicle
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.models.turn_costs.slip import IdentifiedSlip, identify_slip, identify_slip_from_poses
+    from diffdrive_mpc.models.turn_costs.turn_costs import (
+        SlipCoefficients,
+        TorqueTable,
+        TurnCosts,
+        load_turn_costs,
+        turn_costs_text,
+    )
 
 __all__ = [
+    "LIMIT_SHARE",
+    "DriveConstants",
     "IdentifiedSlip",
+    "NamedDrive",
     "SlipCoefficients",
     "TorqueTable",
     "TurnCosts",
+    "Vehicle",
     "identify_slip",
     "identify_slip_from_poses",
+    "least_radius",
+    "load_drive_constants",
     "load_turn_costs",
+    "load_vehicle",
     "turn_costs_text",
 ]
+_SLIP = ("IdentifiedSlip", "identify_slip", "identify_slip_from_poses")
+_COSTS = ("SlipCoefficients", "TorqueTable", "TurnCosts", "load_turn_costs", "turn_costs_text")
+__getattr__ = on_first_use(__name__, dict.fromkeys(_SLIP, "slip") | dict.fromkeys(_COSTS, "turn_costs"))

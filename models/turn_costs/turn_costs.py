@@ -13,19 +13,16 @@ from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
-from diffdrive_mpc.models.energy.drive_constants import DRIVES, DriveConstants, NamedDrive, load_drive_constants
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.slip_laws import POLYNOMIAL, polynomial_twist
-from diffdrive_mpc.models.terrain.least_radius import LIMIT_SHARE, least_radius
-from diffdrive_mpc.models.terrain.vehicle import VEHICLES, Vehicle, load_vehicle
-from diffdrive_mpc.models.torque.settings import load_torque_settings
-from diffdrive_mpc.models.torque.torque_curves import TorqueCurves
+from diffdrive_mpc.models.turn_costs.drive_constants import DRIVES, NamedDrive, load_drive_constants
+from diffdrive_mpc.models.turn_costs.least_radius import LIMIT_SHARE, least_radius
 from diffdrive_mpc.models.turn_costs.torque_spline import TorqueSpline
+from diffdrive_mpc.models.turn_costs.vehicle import VEHICLES, Vehicle, load_vehicle
 
 FLOORS = Path(__file__).parent / "floors"
-_ROWS = 36
 # Over which the sign of a speed goes from one to the other in a symbolic expression [m/s], and powers [W].
 _SOFT_SPEED, _SOFT_POWER = 0.01, 0.05
 _RADII = (0.05, 1000.0)
@@ -100,53 +97,6 @@ class TurnCosts(StrictModel):
     slip: SlipCoefficients = Field(default_factory=SlipCoefficients, description="without: none")
     curve: TorqueTable
     provenance: str = Field(min_length=1, description="where these values come from")
-
-    @classmethod
-    def from_curves(
-        cls,
-        name: str,
-        vehicle: Vehicle,
-        drive: DriveConstants,
-        curves: TorqueCurves,
-        slip: ArrayLike,
-        provenance: str,
-        radii: tuple[float, float] | None = None,
-    ) -> Self:
-        """From learned curves and slip (3, 3) or nine coefficients.
-
-        Parameters
-        ----------
-        name, vehicle, drive, curves, slip, provenance
-            What the file holds.
-        radii
-            Over which the curves are tabled, from and to, at the speed at which they stand [m]: those of the drive; by
-            default all that were shown to the curves, their prior's too.
-
-        Raises
-        ------
-        models.checked_yaml.ConfigError
-            If nothing was shown to the curves or a value cannot be used.
-        """
-        low, high = radii or curves.shown
-        if not high > low:
-            raise ConfigError(f"turn costs '{name}': the torque curves were shown no two radii; learn a drive first")
-        settings = load_torque_settings().curves
-        asked = np.geomspace(low, high, _ROWS)
-        table = TorqueTable(
-            radius=tuple(asked.tolist()),
-            outer=tuple(curves.outer(asked).tolist()),
-            inner=tuple(curves.inner(asked).tolist()),
-            speed=settings.speed,
-            speed_exponent=settings.speed_exponent,
-        )
-        return cls(
-            name=name,
-            vehicle=vehicle,
-            drive=drive,
-            slip=SlipCoefficients.of(slip),
-            curve=table,
-            provenance=provenance,
-        )
 
     def with_idle_power(self, power: float) -> Self:
         """The same robot with so much drawn at rest, by computer, sensors and drivers [W], in place of its own.

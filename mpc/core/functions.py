@@ -9,7 +9,6 @@ import casadi as ca
 
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
-from diffdrive_mpc.mpc.core.built_in import built_in
 from diffdrive_mpc.mpc.core.generate import GeneratedC, generate
 from diffdrive_mpc.mpc.core.library import load_core, load_functions
 from diffdrive_mpc.mpc.problem.terms import Term, parameter_places
@@ -36,7 +35,7 @@ def generated_functions(model: VelocityModel | NonlinearModel, terms: Sequence[T
         If a function cannot be written as C.
     """
     functions: list[ca.Function] = []
-    if isinstance(model, NonlinearModel) and built_in(model) is None:
+    if isinstance(model, NonlinearModel) and model.compiled_step is None:
         functions += [user_step(model.step, STEP), user_output(model.output, OUTPUT, model.order)]
     functions += [
         user_term(term.function, term_name(index)) for index, term in enumerate(terms) if not _symbol_of(term)
@@ -59,7 +58,8 @@ def compile_functions(
         If there is something to compile, and no compiler.
     """
     ffi, core = load_core()
-    generated, own = generated_functions(model, terms), built_in(model)
+    generated = generated_functions(model, terms)
+    own = model.compiled_step if isinstance(model, NonlinearModel) else None
     library = load_functions(generated) if generated else None
 
     def address(name: str) -> Any:  # noqa: ANN401 - cffi has no types

@@ -108,8 +108,8 @@ def generate_formulas() -> GeneratedC:
 
 
 def generate_network_formulas() -> GeneratedC:
-    """C of the formulas of a network's units, `models/networks/equations.py`."""
-    return generate_inline(network_formulas(), "ddmpc_network_formulas", "models/networks/equations.py")
+    """C of the formulas of a network's units, `models/lstm_cell.py`."""
+    return generate_inline(network_formulas(), "ddmpc_network_formulas", "models/lstm_cell.py")
 
 
 def generate_half_space() -> GeneratedC:

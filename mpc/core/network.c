@@ -1,7 +1,7 @@
 /* A network on past commands as velocity model: forward through the window, and back for the gradient of its outputs.
  *
  * Only algebra stands here; the equations of the units and their derivatives are generated from
- * models/networks/equations.py. Inner loops run over units, which lie side by side. */
+ * models/lstm_cell.py. Inner loops run over units, which lie side by side. */
 #include "network.h"
 
 #include <string.h>

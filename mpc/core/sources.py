@@ -19,7 +19,7 @@ _PACKAGE = CORE.parents[1]
 _FORMULAS = (
     "models/pose.py",
     "models/slip_laws.py",
-    "models/networks/equations.py",
+    "models/lstm_cell.py",
     "mpc/problem/formulas.py",
     "mpc/problem/half_space.py",
     "mpc/problem/network_formulas.py",

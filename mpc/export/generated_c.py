@@ -46,8 +46,8 @@ def constants_text(problem: Problem, functions: str | None) -> str:
     places = parameter_places(problem.terms)
     terms = ",\n".join(_term(index, term, places[term.name].start) for index, term in enumerate(problem.terms))
     step, output = (STEP, OUTPUT) if problem.prediction is None else ("0", "0")
-    if problem.built_in is not None:
-        step, output = problem.built_in.step, problem.built_in.output
+    if problem.compiled_step is not None:
+        step, output = problem.compiled_step.step, problem.compiled_step.output
     members = [("step", step), ("output", output)]
     defaults = np.array([value for term in problem.terms for value in term.defaults])
     return "\n\n".join(

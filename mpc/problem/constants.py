@@ -15,10 +15,9 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.nonlinear_model import CompiledStep, NonlinearModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.config.thresholds import AHEAD, BEHIND, STANDING, TURNING
-from diffdrive_mpc.mpc.core.built_in import BuiltIn, built_in
 from diffdrive_mpc.mpc.estimation.slip import CURVED_SLIPS, FLAT_SLIPS, PRIORS, SLIPS, Slip
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem.prediction import Prediction, build_prediction
@@ -69,9 +68,9 @@ class Problem:
         object.__setattr__(self, "prediction", prediction)
 
     @cached_property
-    def built_in(self) -> BuiltIn | None:
-        """What the core has for the model, if that is one of its own."""
-        return built_in(self.model)
+    def compiled_step(self) -> CompiledStep | None:
+        """What the core has for the model, if it has something."""
+        return self.model.compiled_step if isinstance(self.model, NonlinearModel) else None
 
     @property
     def history(self) -> int:
@@ -120,8 +119,8 @@ class Problem:
             "nonlinear": int(self.prediction is None),
             "turns": self._turns,
             "slips": len(SLIPS if self.curved else FLAT_SLIPS),
-            "model_parameters": len(self.built_in.parameters) if self.built_in else 0,
-            "work": self.built_in.work if self.built_in else 0,
+            "model_parameters": len(self.compiled_step.parameters) if self.compiled_step else 0,
+            "work": self.compiled_step.work if self.compiled_step else 0,
             "command_turns": self._command_turns,
         }
 
@@ -140,7 +139,7 @@ class Problem:
         if isinstance(model, NonlinearModel):
             n = model.order
             empty = {"A": (n, n), "B0": (n, 2), "B1": (n, 2), "C": (2, n), "mean_output": (2, n)}
-            numbers = self.built_in.parameters if self.built_in else np.zeros(0)
+            numbers = self.compiled_step.parameters if self.compiled_step else np.zeros(0)
             return {
                 **{name: np.zeros(shape) for name, shape in empty.items()},
                 "settled": model.settled,

@@ -6,7 +6,7 @@ from functools import cache
 
 import casadi as ca
 
-from diffdrive_mpc.models.networks.equations import hidden, next_cell
+from diffdrive_mpc.models.lstm_cell import hidden, next_cell
 from diffdrive_mpc.mpc.problem.formulas import differentiated
 
 

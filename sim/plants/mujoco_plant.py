@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.energy.drive_constants import DriveConstants, papers_drive
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.robot import Robot, load_robot
+from diffdrive_mpc.models.turn_costs.drive_constants import DriveConstants, papers_drive
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.disturbances.disturbance_types import Span
 from diffdrive_mpc.sim.disturbances.scenario import Scenario

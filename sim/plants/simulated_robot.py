@@ -7,9 +7,9 @@ from pathlib import Path
 from pydantic import Field, model_validator
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_variation
-from diffdrive_mpc.models.energy.drive_constants import NamedDrive, papers_drive
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.robot import Positive, Robot, load_robot
+from diffdrive_mpc.models.turn_costs.drive_constants import NamedDrive, papers_drive
 from diffdrive_mpc.sim.plants.base_commands import BaseCommands
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
 from diffdrive_mpc.sim.sensing.battery import Battery
@@ -33,7 +33,7 @@ class SimulatedRobot(StrictModel):
     )
     drive: NamedDrive = Field(
         default_factory=papers_drive,
-        description="motors and drivers as models/energy/drives, by name or written out: what energy is counted with",
+        description="motors and drivers as models/turn_costs/drives, by name or written out: energy is counted so",
     )
     battery: Battery = Field(default_factory=Battery, description="that sensors of power read")
     sensors: SensorSet = Field(description="those that are its default ones, as sim/sensing/sensor_sets")

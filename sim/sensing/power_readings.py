@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from diffdrive_mpc.models.energy.drive_constants import DriveConstants
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.turn_costs.drive_constants import DriveConstants
 from diffdrive_mpc.sim.sensing.battery import Battery
 from diffdrive_mpc.sim.sensing.sensor_set import PowerSensor
 

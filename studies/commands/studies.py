@@ -249,43 +249,13 @@ def torque(
         str | None,
         typer.Option(metavar="NAMES", help="Floors, with commas between.", show_default="those of the study"),
     ] = None,
-    log: Annotated[Path | None, typer.Option(help="Log of a robot, in place of the study.", show_default=False)] = None,
-    mapping: Annotated[
-        str | None, typer.Option(help="With --log: what its columns or topics are.", show_default=False)
-    ] = None,
-    vehicle: Annotated[
-        str | None, typer.Option(help="With --log: vehicle, shipped or a file.", show_default=False)
-    ] = None,
-    drive: Annotated[
-        str | None,
-        typer.Option(help="With --log: drive constants to begin with, shipped or a file.", show_default=False),
-    ] = None,
     jobs: Jobs = None,
 ) -> None:
-    """What a turn costs: torque, least radius and energy, measured, learned and predicted; minutes on two cores.
-
-    With --log of a robot whose battery and motors are logged: its drive constants, torque curves and slip law, as
-    drive.yaml and turn-costs.yaml.
-    """
+    """What a turn costs: torque, least radius and energy, measured, learned and predicted; minutes on two cores."""
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
-    from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
     from studies.torque import settings  # noqa: PLC0415 - --help does without it
     from studies.torque.study import TorqueStudy  # noqa: PLC0415
 
-    of_log = {"--mapping": mapping, "--vehicle": vehicle, "--drive": drive}
-    of_study = {"--quick": quick or None, "--study": study, "--surfaces": surfaces}
-    alone = [name for name, value in (of_log if log is None else of_study).items() if value is not None]
-    if alone:
-        raise ConfigError(f"{alone[0]} {'needs' if log is None else 'does not go with'} --log")
-    if log is not None:
-        from studies.torque.log_study import TorqueLogStudy  # noqa: PLC0415
-
-        if vehicle is None:
-            raise ConfigError(
-                "--log needs --vehicle: its weight, lengths and torque limit (default, fsu_bot or a file)"
-            )
-        carry_out(TorqueLogStudy(log, mapping, vehicle, drive), out, jobs)
-        return
     asked = settings.load_study(study)
     asked = settings.quick(asked) if quick else asked
     if surfaces is not None:

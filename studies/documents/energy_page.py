@@ -14,13 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive_mpc.bench.table import number
+from diffdrive_mpc.extras.energy import identify_constants
+from diffdrive_mpc.extras.torque.from_log import learn_log
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.energy import identify_constants, load_drive_constants
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.turn_costs import load_turn_costs
+from diffdrive_mpc.models.turn_costs import load_drive_constants, load_turn_costs
 from studies.documents.documents import insert
 from studies.torque.diagnostic_log import write_diagnostic_log
-from studies.torque.from_log import learn_log
 from studies.torque.measurements import diagnostic_commands, plant_of
 from studies.torque.power_drives import drawn, driven, record
 from studies.torque.settings import load_study

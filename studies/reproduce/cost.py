@@ -12,9 +12,9 @@ import numpy as np
 
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.bench.timing import quiet_core
+from diffdrive_mpc.extras.networks.network import NETWORK
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.load import load_linear_model, load_model
-from diffdrive_mpc.models.networks.network import NETWORK
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures.registry import STRUCTURES

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.bench.table import Table
-from diffdrive_mpc.models.drives.drive_model import Kind
-from diffdrive_mpc.models.drives.fitting import DriveFit, fit_drive
+from diffdrive_mpc.extras.drives.drive_model import Kind
+from diffdrive_mpc.extras.drives.fitting import DriveFit, fit_drive
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Record, read_log
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
@@ -56,7 +56,7 @@ class DriveModelsResult:
     errors
         By model.
     values
-        Numbers of v and omega by drive model, units as in `models/drives/settings.yaml`.
+        Numbers of v and omega by drive model, units as in `extras/drives/settings.yaml`.
     dead_time
         (2,) of v and omega [s], by drive model.
     at_bound

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive_mpc.bench.table import Table, number
-from diffdrive_mpc.models.identification.network import simulate_records
+from diffdrive_mpc.extras.networks.finding import simulate_records
+from diffdrive_mpc.extras.networks.network import Architecture, Network
+from diffdrive_mpc.extras.networks.training import train
+from diffdrive_mpc.extras.networks.training_settings import training_settings
+from diffdrive_mpc.extras.networks.windows import divided, fit_percent, rmse, windows_of
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.networks.network import Architecture, Network
-from diffdrive_mpc.models.networks.training import train
-from diffdrive_mpc.models.networks.training_settings import training_settings
-from diffdrive_mpc.models.networks.windows import divided, fit_percent, rmse, windows_of
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.validation import score
 from diffdrive_mpc.models.structures.ssm import identify_ssm

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive_mpc.bench.table import Table, number
-from diffdrive_mpc.models.energy import predict_energy
+from diffdrive_mpc.extras.energy import predict_energy
+from diffdrive_mpc.extras.terrain import load_terrain
+from diffdrive_mpc.extras.torque import TorqueCurves, load_torque_settings
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.terrain import LIMIT_SHARE, load_terrain
-from diffdrive_mpc.models.torque import TorqueCurves, load_torque_settings
+from diffdrive_mpc.models.turn_costs import LIMIT_SHARE
 from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop
 from studies.reproduce.published import Finding, Published
 from studies.reproduce.settings import TurningStudy

@@ -8,8 +8,8 @@ import time
 
 import numpy as np
 
+from diffdrive_mpc.extras.planner import PlanError, plan
 from diffdrive_mpc.models.turn_costs import load_turn_costs
-from diffdrive_mpc.mpc.planner import PlanError, plan
 
 _AREA, _SPEED, _FROM = 10.0, 0.6, 6.0
 

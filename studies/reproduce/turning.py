@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.extras.terrain import load_terrain, side_torques
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.terrain import load_terrain, side_torques
 from studies.reproduce.published import Finding, Published
 from studies.reproduce.settings import TurningStudy
 from studies.torque.measurements import plant_of, steady_turns

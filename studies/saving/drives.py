@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from diffdrive_mpc.models.energy import load_drive_constants
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
-from diffdrive_mpc.models.terrain import load_vehicle
+from diffdrive_mpc.models.turn_costs import load_drive_constants, load_vehicle
 from diffdrive_mpc.mpc import Controller, load_config
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.metrics.tracking_errors import tracking_errors
@@ -18,7 +17,7 @@ from studies.saving.settings import SavingStudySettings, Standing
 from studies.torque.measurements import plant_of
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.mpc.planner import Plan
+    from diffdrive_mpc.extras.planner import Plan
 
 _KEPT = 400
 _ARRIVED = 0.1

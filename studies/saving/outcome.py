@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive_mpc.bench.statistics import Estimate, mean
+from diffdrive_mpc.extras.planner import Objective, PlanError, plan, plan_each
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.turn_costs import load_turn_costs
-from diffdrive_mpc.mpc.planner import Objective, PlanError, plan, plan_each
 from studies.saving.drives import Driven, drive_closed
 from studies.saving.pairs import Pair
 from studies.saving.settings import SavingStudySettings

@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from diffdrive_mpc.extras.planner import plan_each
+from diffdrive_mpc.extras.terrain import Terrain, load_terrain, side_torques
+from diffdrive_mpc.extras.torque import TorqueCurves
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.terrain import Terrain, load_terrain, side_torques
-from diffdrive_mpc.models.torque import TorqueCurves
 from diffdrive_mpc.models.turn_costs import SlipCoefficients, TurnCosts, load_turn_costs
 from diffdrive_mpc.mpc.free_space import MovingDisc, Surroundings
-from diffdrive_mpc.mpc.planner import plan_each
 from diffdrive_mpc.sim.plants.make import plant_outline
 from studies.saving.drives import Driven, drive_closed, drive_open
 from studies.saving.pairs import Pose

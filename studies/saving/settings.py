@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from diffdrive_mpc.extras.planner import PlanSettings, load_plan_settings
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.robot import NotNegative, Positive, Share
-from diffdrive_mpc.mpc.planner import PlanSettings, load_plan_settings
 
 FOLDER = Path(__file__).parent
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.bench.table import Table
-from diffdrive_mpc.models.drives.content import drive_content
-from diffdrive_mpc.models.drives.drive_file import write_drive
-from diffdrive_mpc.models.drives.fitting import fit_drive
-from diffdrive_mpc.models.load import DRIVES
+from diffdrive_mpc.extras.drives.content import drive_content
+from diffdrive_mpc.extras.drives.drive_file import write_drive
+from diffdrive_mpc.extras.drives.fitting import fit_drive
+from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.output_error.validation import score
 from studies.reproduce.drive_models import EXPERIMENTAL, KINDS, PHYSICAL, twin_records
@@ -44,7 +44,7 @@ def fit_drives(folder: Path) -> Table:
     for name, kind in KINDS.items():
         fit = fit_drive(kind, train)
         scores = [score(fit.simulate(part), twist_experiments(part)).fit_percent for part in (train, held_out)]
-        file = next(file for file, structure in DRIVES.items() if structure == kind)
+        file = function_structures()[kind].name
         fields = {
             "name": f"P2 {name}",
             "provenance": {

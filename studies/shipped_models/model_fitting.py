@@ -254,7 +254,7 @@ def _rounded(channel: ParameterEstimate) -> dict[str, float]:
 
 
 def _yaml(name: str, data: dict[str, Any]) -> str:
-    head = "# Written by `python -m studies models fit`. Gains and damping [-], frequencies [rad/s], times [s], lengths [m].\n"
+    head = "# By `python -m studies models fit`. Gains and damping [-], frequencies [rad/s], times [s], lengths [m].\n"
     body: dict[str, Any] = {
         "name": name.upper(),
         "structure": name,

@@ -10,12 +10,12 @@ from datetime import date
 from pathlib import Path
 
 from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.extras.networks.network import Architecture
+from diffdrive_mpc.extras.networks.network_file import network_content, write_network
+from diffdrive_mpc.extras.networks.training import method, train
+from diffdrive_mpc.extras.networks.training_settings import training_settings
+from diffdrive_mpc.extras.networks.windows import divided, fit_percent, windows_of
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.networks.network import Architecture
-from diffdrive_mpc.models.networks.network_file import network_content, write_network
-from diffdrive_mpc.models.networks.training import method, train
-from diffdrive_mpc.models.networks.training_settings import training_settings
-from diffdrive_mpc.models.networks.windows import divided, fit_percent, windows_of
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from studies.reproduce.drives import RobotLogs
 from studies.reproduce.settings import load_study

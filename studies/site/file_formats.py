@@ -6,7 +6,8 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from diffdrive_mpc.app.schemas.kinds import KINDS, Kind
+from diffdrive_mpc.bench.command_line.file_kinds import KINDS
+from diffdrive_mpc.models.file_kind import FileKind
 
 _HEAD = """# What may stand in a file for a model, a path, a log, a floor, a campaign?
 
@@ -27,7 +28,7 @@ def file_formats_page() -> str:
     return "\n\n".join([_HEAD, *(_section(kind) for name, kind in KINDS.items() if name != "controller")]) + "\n"
 
 
-def _section(kind: Kind) -> str:
+def _section(kind: FileKind) -> str:
     schema: Schema = json.loads(kind.text())
     names = ", ".join(f"`{path.stem}`" for path in kind.files)
     facts = f"For `{kind.given}`." + (f" Shipped: {names}." if names else "")

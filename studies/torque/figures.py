@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from diffdrive_mpc.bench.figure_style import MARKERS, REFERENCE_COLOUR, colour, line_style, new_figure
-from diffdrive_mpc.models.energy import DriveConstants
+from diffdrive_mpc.extras.terrain import Terrain, side_torques
+from diffdrive_mpc.extras.torque.log_figures import torque_axes
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.terrain import Terrain, Vehicle, side_torques
-from studies.torque.from_log import LogOutcome
+from diffdrive_mpc.models.turn_costs import DriveConstants, Vehicle
 from studies.torque.measurements import sides
 from studies.torque.outcome import CLOSE, FloorOutcome, PayloadOutcome
 
@@ -32,7 +31,7 @@ def draw_torques(floor: FloorOutcome, vehicle: Vehicle, path: Path) -> None:
         found = side_torques(vehicle, ground, _RADII, 0.4)
         axes.plot(_RADII, found.outer, color=REFERENCE_COLOUR, label="shear law")
         axes.plot(_RADII, found.inner, "--", color=REFERENCE_COLOUR)
-        _limits(axes, vehicle, f"Torques in steady turns on '{floor.surface}' (as figure 6)")
+        torque_axes(axes, vehicle, f"Torques in steady turns on '{floor.surface}' (as figure 6)")
         axes.legend(ncols=2)
 
 
@@ -54,24 +53,8 @@ def draw_learned(floor: FloorOutcome, vehicle: Vehicle, speed: float, path: Path
         if 0 < floor.learned_radius < np.inf:
             label = f"least radius {floor.learned_radius:.2f} m"
             axes.axvline(floor.learned_radius, color=colour(2), linestyle="-.", label=label)
-        _limits(axes, vehicle, f"Learned on '{floor.surface}' (as figures 16 to 18)")
+        torque_axes(axes, vehicle, f"Learned on '{floor.surface}' (as figures 16 to 18)")
         axes.legend(ncols=2)
-
-
-def draw_log(outcome: LogOutcome, path: Path) -> None:
-    """Torques by the currents of a log, and the curves learned from them."""
-    with new_figure(path, 6.4, 3.8) as figure:
-        axes = figure.subplots()
-        radii, outer, inner = outcome.samples.T
-        pairs = ((outer, outcome.curves.outer, "outer"), (inner, outcome.curves.inner, "inner"))
-        for side, (values, said, name) in enumerate(pairs):
-            axes.plot(radii, values, ".", color=colour(side), markersize=1.5, alpha=0.25, rasterized=True)
-            axes.plot(_RADII, said(_RADII), color=colour(side), label=name)
-        least = outcome.curves.least_radius()
-        if 0 < least < np.inf:
-            axes.axvline(least, color=colour(2), linestyle="-.", label=f"least radius {least:.2f} m")
-        _limits(axes, outcome.vehicle, f"Torques by the motors' currents in {outcome.log.name}")
-        axes.legend()
 
 
 def draw_power(
@@ -148,10 +131,3 @@ def _driven(floor: FloorOutcome) -> tuple[FloatArray, FloatArray, FloatArray]:
     v, omega = floor.drive.command.T
     turning_right = v * omega < 0
     return np.where(turning_right, left, right), np.where(turning_right, right, left), np.abs(v / omega)
-
-
-def _limits(axes: Axes, vehicle: Vehicle, title: str) -> None:
-    for sign in (1, -1):
-        axes.axhline(sign * vehicle.torque_limit, color=REFERENCE_COLOUR, linewidth=0.8, linestyle="--")
-    axes.axhline(0.0, color=REFERENCE_COLOUR, linewidth=0.8)
-    axes.set(xscale="log", xlabel="commanded turn radius [m]", ylabel="torque [N m]", title=title)

@@ -10,7 +10,7 @@ import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.terrain.least_radius import LIMIT_SHARE
+from diffdrive_mpc.models.turn_costs.least_radius import LIMIT_SHARE
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop

@@ -7,20 +7,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive_mpc.models.energy import DriveConstants, predict_energy
+from diffdrive_mpc.extras.energy import predict_energy
+from diffdrive_mpc.extras.terrain import FittedShear, Terrain, fit_shear, load_terrain, side_torques
+from diffdrive_mpc.extras.torque import TorqueCurves, TorqueSettings, load_torque_settings
+from diffdrive_mpc.extras.torque.costs_of_curves import costs_of_curves
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.terrain import (
-    FittedShear,
-    Terrain,
+from diffdrive_mpc.models.turn_costs import (
+    DriveConstants,
+    IdentifiedSlip,
+    TurnCosts,
     Vehicle,
-    fit_shear,
+    identify_slip,
     least_radius,
-    load_terrain,
     load_vehicle,
-    side_torques,
 )
-from diffdrive_mpc.models.torque import TorqueCurves, TorqueSettings, load_torque_settings
-from diffdrive_mpc.models.turn_costs import IdentifiedSlip, TurnCosts, identify_slip
 from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from studies.torque.measurements import (
@@ -195,7 +195,10 @@ def turn_costs_of(
     )
     radii = (float(same.min()), float(min(same.max(), settings.radii[1])))
     name = f"{study.robot}-{surface}"
-    return TurnCosts.from_curves(name, vehicle, constants, learned, slip.coefficients, words, radii), slip
+    costs = costs_of_curves(
+        learned, slip.coefficients, name=name, vehicle=vehicle, drive=constants, provenance=words, radii=radii
+    )
+    return costs, slip
 
 
 def true_energy(drive: Drive, constants: DriveConstants, sample_time: float) -> float:

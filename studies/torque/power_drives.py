@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive_mpc.models.energy import DriveConstants
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.turn_costs import DriveConstants
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.sensing.battery import Battery
 from diffdrive_mpc.sim.sensing.power_readings import PowerReadings

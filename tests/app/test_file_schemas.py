@@ -18,17 +18,16 @@ from typer.testing import CliRunner
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.proof.proof_file import load_proof
 from diffdrive_mpc.app.schemas.generate import json_schema
-from diffdrive_mpc.app.schemas.kinds import KINDS
 from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.campaign.campaign_file import load_campaign
+from diffdrive_mpc.bench.command_line.file_kinds import KINDS
 from diffdrive_mpc.bench.conditions import load_conditions
+from diffdrive_mpc.extras.terrain import load_terrain
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.editor_line import EDITOR_LINE, kept_editor_line
-from diffdrive_mpc.models.energy import load_drive_constants
 from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.logs.mapping import load_mapping
-from diffdrive_mpc.models.terrain import load_terrain, load_vehicle
-from diffdrive_mpc.models.turn_costs import load_turn_costs
+from diffdrive_mpc.models.turn_costs import load_drive_constants, load_turn_costs, load_vehicle
 from diffdrive_mpc.models.velocity_model import ModelError
 from diffdrive_mpc.mpc import load_config, load_trajectory
 from diffdrive_mpc.mpc.monitor.rules import load_rules

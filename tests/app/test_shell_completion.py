@@ -63,7 +63,7 @@ def test_other_shells_are_told_what_words_mean() -> None:
 def test_completing_imports_nothing_heavy() -> None:
     code = (
         "import sys\n"
-        "from diffdrive_mpc.app.commands.completion import choices\n"
+        "from diffdrive_mpc.bench.command_line.completion import choices\n"
         "import diffdrive_mpc.app.cli\n"
         "assert choices('setting')('horizon') and choices('model')('s')\n"
         "print(*sorted({'casadi', 'numpy', 'pydantic', 'yaml', 'mujoco'} & set(sys.modules)))"

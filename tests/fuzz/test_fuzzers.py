@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from diffdrive_mpc import ConfigError, load_config
-from diffdrive_mpc.app.schemas.kinds import KINDS
+from diffdrive_mpc.bench.command_line.file_kinds import KINDS
 from fuzz import configs, runner, yaml_files
 from fuzz.case import FaultError, draw, load_case, saved_findings
 from fuzz.fuzzers import FUZZERS

@@ -15,16 +15,16 @@ import yaml
 
 from diffdrive_mpc import Controller, load_config, load_model, load_trajectory, make_plant
 from diffdrive_mpc.app.proof.proof_file import load_proof
-from diffdrive_mpc.app.schemas.kinds import KINDS, PACKAGE
 from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.campaign.campaign_file import load_campaign
+from diffdrive_mpc.bench.command_line.file_kinds import KINDS, PACKAGE
 from diffdrive_mpc.bench.conditions import load_conditions
+from diffdrive_mpc.extras.terrain.terrain_file import load_terrain
 from diffdrive_mpc.models.checked_yaml import read_yaml
-from diffdrive_mpc.models.energy.drive_constants import load_drive_constants
 from diffdrive_mpc.models.logs.mapping import load_mapping
-from diffdrive_mpc.models.terrain.terrain_file import load_terrain
-from diffdrive_mpc.models.terrain.vehicle import load_vehicle
 from diffdrive_mpc.models.turn_costs import load_turn_costs
+from diffdrive_mpc.models.turn_costs.drive_constants import load_drive_constants
+from diffdrive_mpc.models.turn_costs.vehicle import load_vehicle
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.monitor.judge import Judge
 from diffdrive_mpc.mpc.monitor.rules import load_rules

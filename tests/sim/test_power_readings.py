@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loop_parts import ConstantTwist, FeedForward
 
-from diffdrive_mpc.models.energy import identify_constants, load_drive_constants, logged_energy
+from diffdrive_mpc.extras.energy import identify_constants, logged_energy
 from diffdrive_mpc.models.logs import read_log
+from diffdrive_mpc.models.turn_costs import load_drive_constants
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.log_csv import write_log as write_csv
 from diffdrive_mpc.sim.log_mcap import write_log as write_mcap

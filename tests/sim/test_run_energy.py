@@ -11,7 +11,7 @@ import pytest
 from loop_parts import ConstantTwist, FeedForward, KinematicPlant
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.energy import load_drive_constants
+from diffdrive_mpc.models.turn_costs import load_drive_constants
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc.sim.run import Run

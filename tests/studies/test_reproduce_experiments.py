@@ -14,7 +14,7 @@ from diffdrive_mpc.bench.outcomes import plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.models.terrain import load_vehicle
+from diffdrive_mpc.models.turn_costs import load_vehicle
 from diffdrive_mpc.mpc import load_trajectory
 from studies.reproduce.cost import measure_cost
 from studies.reproduce.driven_track import drive_tests

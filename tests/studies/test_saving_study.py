@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 from opened_report import check_report
 from typer.testing import CliRunner
 
+from diffdrive_mpc.extras.planner import Plan, plan
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.terrain import load_vehicle
-from diffdrive_mpc.models.turn_costs import load_turn_costs
+from diffdrive_mpc.models.turn_costs import load_turn_costs, load_vehicle
 from diffdrive_mpc.mpc import load_config
-from diffdrive_mpc.mpc.planner import Plan, plan
 from studies.cli import app
 from studies.saving.drives import Driven, drive_closed, drive_open, standing_from
 from studies.saving.outcome import PairOutcome, Saved, worse_arrival

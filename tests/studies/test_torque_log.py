@@ -10,12 +10,11 @@ import pytest
 from opened_report import check_report
 from typer.testing import CliRunner
 
+from diffdrive_mpc.extras.torque.from_log import learn_log, settled
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.energy import load_drive_constants
-from diffdrive_mpc.models.turn_costs import load_turn_costs
+from diffdrive_mpc.models.turn_costs import load_drive_constants, load_turn_costs
 from studies.cli import app
 from studies.torque.diagnostic_log import write_diagnostic_log
-from studies.torque.from_log import learn_log, settled
 
 SLIPPERY = load_turn_costs("fsu_bot-slippery")
 

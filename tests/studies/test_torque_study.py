@@ -11,8 +11,7 @@ from opened_report import check_report
 from typer.testing import CliRunner
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.energy import load_drive_constants
-from diffdrive_mpc.models.terrain import load_vehicle
+from diffdrive_mpc.models.turn_costs import load_drive_constants, load_vehicle
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from studies.cli import app
 from studies.torque.measurements import own_least_radius, plant_of, steady_turns, unseen_commands

@@ -1,0 +1,114 @@
+"""What a shell completes after an option: names of shipped files and keys of the configuration.
+
+A key press waits for it: files are listed and one JSON file is read, nothing else is imported.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from diffdrive_mpc.bench.case import AS_FILED
+from diffdrive_mpc.bench.command_line.file_kinds import KINDS
+from diffdrive_mpc.bench.peers import PEERS
+
+Offered = Iterator[tuple[str, str]]
+"""Words, each with what it means, or nothing."""
+Completer = Callable[[str], list[tuple[str, str]]]
+_DESCRIPTION = re.compile(r"^description: (.*)$", re.MULTILINE)
+
+
+def choices(what: str, *, several: bool = False) -> Completer:
+    """What completes a word of the kind `what`; with `several` the last one of a list with commas."""
+
+    def complete(incomplete: str) -> list[tuple[str, str]]:
+        before, comma, last = incomplete.rpartition(",") if several else ("", "", incomplete)
+        taken = set(before.split(","))
+        offered = [(word, said) for word, said in _OFFERS[what]() if word.startswith(last) and word not in taken]
+        return [(f"{before}{comma}{word}", said) for word, said in offered]
+
+    return complete
+
+
+def offers(what: str) -> bool:
+    """Whether there is something to complete words of the kind `what` with."""
+    return what in _OFFERS
+
+
+def _shipped(kind: str) -> Callable[[], Offered]:
+    def offered() -> Offered:
+        for path in KINDS[kind].files:
+            said = _DESCRIPTION.search(path.read_text(encoding="utf-8"))
+            yield path.stem, said[1] if said else ""
+
+    return offered
+
+
+def _plants() -> Offered:
+    yield "mujoco", "the physics"
+    for name, said in _shipped("robot")():
+        yield f"mujoco:{name}", said
+    for name, _ in _shipped("model")():
+        yield f"model:{name}", "a velocity model"
+
+
+def _controllers() -> Offered:
+    yield "mpc", "the predictive controller"
+    for name in PEERS:
+        yield name, "a peer"
+
+
+def _timings() -> Offered:
+    timing = _schema("trajectory")["$defs"]["SegmentFile"]["properties"]["timing"]
+    yield from ((word, "") for word in timing["enum"])
+    yield AS_FILED, "what the file says"
+
+
+def _settings() -> Offered:
+    """KEY=VALUE with the default, or with each of the words that a key takes."""
+    schema = _schema("controller")
+    yield from _keys(schema, schema["$defs"], "")
+
+
+def _keys(group: Mapping[str, Any], defs: Mapping[str, Any], prefix: str) -> Offered:
+    for name, field in group["properties"].items():
+        if "$ref" in field:
+            yield from _keys(defs[field["$ref"].rpartition("/")[2]], defs, f"{prefix}{name}.")
+        elif field.get("type") != "array":
+            for value in field.get("enum", [field.get("default")]):
+                yield f"{prefix}{name}={_written(value)}", field.get("description", "")
+
+
+def _written(value: object) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _schema(kind: str) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(KINDS[kind].text())
+    return found
+
+
+def _kinds() -> Offered:
+    yield from ((kind.name, kind.what) for kind in KINDS.values())
+
+
+_OFFERS: dict[str, Callable[[], Offered]] = {
+    "config": _shipped("controller"),
+    "controller": _controllers,
+    "drive": _shipped("drive"),
+    "mapping": _shipped("mapping"),
+    "model": _shipped("model"),
+    "plant": _plants,
+    "schema": _kinds,
+    "scenario": _shipped("scenario"),
+    "sensors": _shipped("sensors"),
+    "setting": _settings,
+    "surface": _shipped("surface"),
+    "timing": _timings,
+    "trajectory": _shipped("trajectory"),
+    "turn-costs": _shipped("turn-costs"),
+    "vehicle": _shipped("vehicle"),
+    "world": _shipped("world"),
+}

@@ -1,0 +1,120 @@
+"""A network on past commands: architecture, weights, and evaluation with NumPy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from diffdrive_mpc.models.checked_yaml import StrictModel
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.lstm_cell import hidden, next_cell
+
+NETWORK = "lstm"
+"""By which files and options call such a network."""
+GATES = ("enter", "keep", "candidate", "leave")
+"""Gates of a unit, in the order of their columns."""
+_CHUNK = 4096
+
+
+class Architecture(StrictModel):
+    """Window, layers and activation of a network of Guffanti, Pavon, Sensors 2025, 25(18), 5821, section 3.5.
+
+    The last `window` commands (v_ref [m/s], omega_ref [rad/s]) go through `layers` layers of long short-term memory
+    with `units` units each; what the last one says after the newest command goes through a dense layer of `dense` units
+    with `activation`, and through a linear one to (v [m/s], omega [rad/s]) one sample later. Nothing is fed back.
+    """
+
+    window: int = 20
+    units: int = 30
+    dense: int = 32
+    layers: int = 1
+    activation: Literal["tanh", "relu"] = "tanh"
+
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of the weights by name; columns of gates lie in the order of `GATES`, a block of `units` for each."""
+        shapes: dict[str, tuple[int, ...]] = {}
+        for layer in range(self.layers):
+            given = 2 if layer == 0 else self.units
+            shapes |= {
+                f"input_{layer}": (given, 4 * self.units),
+                f"recurrent_{layer}": (self.units, 4 * self.units),
+                f"gate_offset_{layer}": (4 * self.units,),
+            }
+        dense = {"dense": (self.units, self.dense), "dense_offset": (self.dense,)}
+        return shapes | dense | {"output": (self.dense, 2), "output_offset": (2,)}
+
+    @property
+    def parameters(self) -> int:
+        """Number of weights and offsets."""
+        return sum(int(np.prod(shape)) for shape in self.shapes.values())
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """An architecture with its weights by name, see `Architecture.shapes`.
+
+    Raises
+    ------
+    ValueError
+        If a weight is missing, of another shape, or not finite.
+    """
+
+    architecture: Architecture
+    weights: Mapping[str, FloatArray]
+
+    def __post_init__(self) -> None:
+        """Check shapes and numbers."""
+        shapes = self.architecture.shapes
+        odd = set(shapes) ^ set(self.weights)
+        if odd:
+            raise ValueError(f"weights {', '.join(sorted(odd))} are missing or unknown; train the network again")
+        kept = {name: np.asarray(self.weights[name], dtype=float) for name in shapes}
+        for name, shape in shapes.items():
+            if kept[name].shape != shape:
+                raise ValueError(f"weights {name} have shape {kept[name].shape}, expected {shape}")
+            if not np.isfinite(kept[name]).all():
+                raise ValueError(f"weights {name} hold a value that is not finite; train the network again")
+        object.__setattr__(self, "weights", kept)
+
+    def __call__(self, windows: ArrayLike) -> FloatArray:
+        """Outputs (K, 2) after windows (K, window, 2) of commands, oldest first."""
+        windows = np.asarray(windows, dtype=float)
+        chunks = [self._evaluated(windows[k : k + _CHUNK]) for k in range(0, len(windows), _CHUNK)]
+        return np.vstack(chunks) if chunks else np.zeros((0, 2))
+
+    def _evaluated(self, windows: FloatArray) -> FloatArray:
+        units, w = self.architecture.units, self.weights
+        said = [windows[:, t] for t in range(windows.shape[1])]
+        for layer in range(self.architecture.layers):
+            out = cell = np.zeros((len(windows), units))
+            for t, given in enumerate(said):
+                sums = given @ w[f"input_{layer}"] + out @ w[f"recurrent_{layer}"] + w[f"gate_offset_{layer}"]
+                enter, keep, candidate, leave = np.split(sums, 4, axis=1)
+                cell = next_cell(enter, keep, candidate, cell, np.tanh)
+                out = said[t] = hidden(leave, cell, np.tanh)
+        dense = said[-1] @ w["dense"] + w["dense_offset"]
+        dense = np.tanh(dense) if self.architecture.activation == "tanh" else np.maximum(dense, 0.0)
+        return np.asarray(dense @ w["output"] + w["output_offset"])
+
+    @property
+    def at_rest(self) -> FloatArray:
+        """(2,) output after commands of zero."""
+        return np.asarray(self(np.zeros((1, self.architecture.window, 2)))[0])
+
+    def simulate(self, commands: ArrayLike, past: ArrayLike | None = None) -> FloatArray:
+        """Outputs (K, 2) at the samples 0 to K - 1 under `commands` (K, 2), after `past` (window, 2), else zero."""
+        window = self.architecture.window
+        before = np.zeros((window, 2)) if past is None else np.asarray(past, dtype=float)
+        line = np.vstack([before, np.asarray(commands, dtype=float)])
+        windows = np.lib.stride_tricks.sliding_window_view(line, window, axis=0)[: len(line) - window]
+        return self(windows.transpose(0, 2, 1))
+
+
+def gate_blocks(columns: FloatArray) -> Iterator[FloatArray]:
+    """The columns (..., 4 units) of each gate."""
+    yield from np.split(columns, 4, axis=-1)

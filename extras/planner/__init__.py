@@ -1,0 +1,21 @@
+"""References from pose to pose that take the least energy, time or distance: search, polish, proof."""
+
+from diffdrive_mpc.extras.planner.checks import PlanError
+from diffdrive_mpc.extras.planner.inputs import OBJECTIVES, Objective
+from diffdrive_mpc.extras.planner.planner import plan, plan_each
+from diffdrive_mpc.extras.planner.result import Plan
+from diffdrive_mpc.extras.planner.search import Found, Piece
+from diffdrive_mpc.extras.planner.settings import PlanSettings, load_plan_settings
+
+__all__ = [
+    "OBJECTIVES",
+    "Found",
+    "Objective",
+    "Piece",
+    "Plan",
+    "PlanError",
+    "PlanSettings",
+    "load_plan_settings",
+    "plan",
+    "plan_each",
+]
