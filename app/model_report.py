@@ -1,9 +1,9 @@
-"""Velocity models as text for the terminal, and how well the published one predicts the simulated robot."""
+"""Velocity models as text for the terminal."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -13,8 +13,6 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import MODEL_NAMES, load_model
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
-from diffdrive_mpc.sim.plants.calibration import validate_calibration
-from diffdrive_mpc.sim.plants.twin_parameters import Firmware
 
 _LABEL = 19
 """Characters of the labels on the left of a model's text, with the space after them."""
@@ -83,26 +81,6 @@ def _matrix_lines(label: str, matrix: FloatArray, width: int) -> list[str]:
 
 def _provenance_lines(provenance: Mapping[str, object]) -> list[str]:
     return [f"{key:<18} {_text(value)}" for key, value in provenance.items() if value]
-
-
-def calibration_table(firmware: Firmware) -> Table:
-    """FIT of the target model, run free from commands alone, on the held-out drives."""
-    fits = validate_calibration(firmware)
-    rows = [
-        (str(fit.seed), "smoothed" if fit.smooth else "in steps", f"{fit.v:.2f}", f"{fit.omega:.2f}")
-        for fit in sorted(fits, key=lambda fit: not fit.smooth)
-    ]
-    title = "The published SSM against the simulated robot, drives held out from calibration"
-    return Table(title, ("seed", "set-points", "FIT v [%]", "FIT omega [%]"), tuple(rows), text_columns=2)
-
-
-def neighbours_table(errors: Mapping[str, Sequence[float]]) -> Table:
-    """What `neighbour_errors` found."""
-    rows = [(name, *(f"{error:.3f}" for error in around)) for name, around in errors.items()]
-    title = "Error on the drives of the calibration with one parameter moved either way, over that without [-]"
-    return Table(
-        title, ("parameter", "less", "more"), tuple((*row, "at its bound")[:3] for row in rows), text_columns=1
-    )
 
 
 def _pole(pole: complex) -> str:

@@ -52,6 +52,6 @@ def test_ros_is_imported_where_the_nodes_are_and_nowhere_else(package):
             assert not {name for name in imported(path) if name == "rclpy" or name.endswith("_msgs")}, path
 
 
-@pytest.mark.parametrize("package", ALLOWED)
+@pytest.mark.parametrize("package", sorted(ALLOWED.keys() - {"studies"}))
 def test_types_and_parameters_ship(package):
     assert (ROOT / package / "py.typed").exists()

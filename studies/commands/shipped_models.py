@@ -87,11 +87,11 @@ def calibrate(
     ] = False,
 ) -> None:
     """Fit the simulated robot's firmware so that the published SSM predicts what it measures."""
-    from diffdrive_mpc.app.model_report import calibration_table, neighbours_table  # noqa: PLC0415
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
-    from diffdrive_mpc.sim.plants.calibration import calibrate as fit_firmware  # noqa: PLC0415
-    from diffdrive_mpc.sim.plants.calibration import neighbour_errors  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.twin_parameters import FIRMWARE_FILE, load_firmware  # noqa: PLC0415
+    from studies.shipped_models.calibration import calibrate as fit_firmware  # noqa: PLC0415
+    from studies.shipped_models.calibration import neighbour_errors  # noqa: PLC0415
+    from studies.shipped_models.calibration_tables import calibration_table, neighbours_table  # noqa: PLC0415
 
     if check and out is not None:
         raise ValueError(f"--out {out}: --check writes nothing; give one of them")

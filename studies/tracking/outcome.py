@@ -12,13 +12,13 @@ from diffdrive_mpc.bench.case import NO_SCENARIO, Case
 from diffdrive_mpc.bench.controllers import controller_config, load_reference, run_case
 from diffdrive_mpc.bench.html_report.run_series import run_series
 from diffdrive_mpc.bench.outcomes import SolverShares, metrics_row, plain, who_drives
-from diffdrive_mpc.bench.peers.clairvoyant import ClairvoyantController
-from diffdrive_mpc.bench.peers.known_plant import know_plant
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import ahead_and_left
 from diffdrive_mpc.sim import Metrics, Run, make_plant, simulate
 from diffdrive_mpc.sim.metrics.metrics import steady_arc_lateral, steady_arcs
 from diffdrive_mpc.sim.metrics.recovery import Recovery
+from studies.tracking.clairvoyant import ClairvoyantController
+from studies.tracking.known_plant import know_plant
 from studies.tracking.plan import BOUND, TrackingPlan
 from studies.tracking.settings import TrackingSettings, load_targets
 

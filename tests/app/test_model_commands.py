@@ -47,7 +47,7 @@ def no_long_work(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("the long work began")
 
     monkeypatch.setattr(f"{FITTING}.run_experiments", fails)
-    monkeypatch.setattr("diffdrive_mpc.sim.plants.calibration._drive", fails)
+    monkeypatch.setattr("studies.shipped_models.calibration._drive", fails)
 
 
 @pytest.mark.usefixtures("quick_parts")

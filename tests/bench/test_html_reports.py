@@ -13,7 +13,6 @@ from opened_report import check_page, check_report, content_of, opened
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.bench.html_report.browser import opened_browser
 from diffdrive_mpc.bench.html_report.configuration import case_config
 from diffdrive_mpc.bench.html_report.document import json_text, page_text
 from diffdrive_mpc.bench.html_report.page import (
@@ -36,6 +35,7 @@ from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.outcomes import Outcome
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
+from studies.documents.browser import opened_browser
 from studies.documents.screenshots import screenshot
 
 QUICK = ("--plant", "model:ssm", "--surface", "ideal", "--sensors", "perfect", "--trajectory", "cane")

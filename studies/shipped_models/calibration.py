@@ -25,7 +25,7 @@ from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.surface import load_surface
-from diffdrive_mpc.sim.plants.twin_parameters import FIRMWARE_FILE, PARAMETERS, Firmware, load_firmware
+from diffdrive_mpc.sim.plants.twin_parameters import FIRMWARE_FILE, Firmware, load_firmware
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 _SIGNIFICANT_DIGITS = 4
@@ -72,7 +72,7 @@ class DriveFit(NamedTuple):
 @cache
 def load_calibration_parameters() -> CalibrationParameters:
     """Read the calibration's parameter file; raises ConfigError on a mistake in it."""
-    return load_checked(CalibrationParameters, PARAMETERS / "calibration.yaml")
+    return load_checked(CalibrationParameters, Path(__file__).with_name("calibration.yaml"))
 
 
 def validate_calibration(firmware: Firmware | None = None, seeds: list[int] | None = None) -> list[DriveFit]:

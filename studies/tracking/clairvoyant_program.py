@@ -12,11 +12,11 @@ import numpy as np
 from pydantic import Field
 
 from diffdrive_mpc.bench.peers.command_limits import slew_step
-from diffdrive_mpc.bench.peers.known_plant import KnownPlant
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
+from studies.tracking.known_plant import KnownPlant
 
 
 class ClairvoyantSettings(StrictModel):

@@ -13,16 +13,16 @@ import time
 import numpy as np
 
 from diffdrive_mpc.bench.peers import PeerStep
-from diffdrive_mpc.bench.peers.clairvoyant_program import (
+from diffdrive_mpc.bench.peers.command_limits import nearest_command
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from studies.tracking.clairvoyant_program import (
     ClairvoyantProgram,
     ClairvoyantSettings,
     Present,
     load_clairvoyant_settings,
 )
-from diffdrive_mpc.bench.peers.command_limits import nearest_command
-from diffdrive_mpc.bench.peers.known_plant import KnownPlant
-from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
-from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from studies.tracking.known_plant import KnownPlant
 
 
 class ClairvoyantController:

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.sim.plants.calibration import (
+from diffdrive_mpc.sim.plants.make import make_plant
+from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, random_commands
+from diffdrive_mpc.sim.plants.twin_parameters import Firmware, load_firmware
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+from studies.shipped_models.calibration import (
     DriveFit,
     calibrate,
     load_calibration_parameters,
     validate_calibration,
     write_firmware,
 )
-from diffdrive_mpc.sim.plants.make import make_plant
-from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, random_commands
-from diffdrive_mpc.sim.plants.twin_parameters import Firmware, load_firmware
-from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +82,7 @@ def drives(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         plant = make_plant(f"model:ssm+{firmware.lag_v}", surface="ideal", sensors="perfect")
         return drive_open_loop(plant, random_commands(seed, smooth, duration=1.0))
 
-    monkeypatch.setattr("diffdrive_mpc.sim.plants.calibration._drive", drive)
+    monkeypatch.setattr("studies.shipped_models.calibration._drive", drive)
     return driven
 
 

@@ -8,13 +8,13 @@ import pytest
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import make_controller
 from diffdrive_mpc.bench.peers import PEERS
-from diffdrive_mpc.bench.peers.clairvoyant import ClairvoyantController
-from diffdrive_mpc.bench.peers.clairvoyant_program import load_clairvoyant_settings
-from diffdrive_mpc.bench.peers.known_plant import know_plant
 from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.mpc import load_config, load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.metrics.metrics import steady_arc_lateral
+from studies.tracking.clairvoyant import ClairvoyantController
+from studies.tracking.clairvoyant_program import load_clairvoyant_settings
+from studies.tracking.known_plant import know_plant
 
 
 @pytest.fixture(scope="module")
