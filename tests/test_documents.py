@@ -25,9 +25,9 @@ CI_SCRIPT = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 RUN_IN_CI = {line.strip() for line in CI_SCRIPT.splitlines()}
 # Commands that a test of their own runs with the same options, to look at what they leave.
 RUN_IN_TESTS = {
-    "python -m studies energy-front --quick --out front": "bench/test_energy_front.py",
-    "python -m studies saving --quick --out saved": "bench/test_saving_study.py",
-    "python -m studies torque --quick --out turn": "bench/test_torque_study.py",
+    "python -m studies energy-front --quick --out front": "studies/test_energy_front.py",
+    "python -m studies saving --quick --out saved": "studies/test_saving_study.py",
+    "python -m studies torque --quick --out turn": "studies/test_torque_study.py",
 }
 OWN_PROCESS = ("node", "sim-robot", "monitor")
 # These say how to install it: .ci/tour.py runs them as they stand, where only a wheel is installed.

@@ -85,7 +85,7 @@ def test_only_what_is_registered_is_known(log, tmp_path):
     (tmp_path / "lags.yaml").write_text(yaml.safe_dump(content))
     with pytest.raises(
         ConfigError,
-        match="structure: expected one of mbm, sm, ssm, lstm, drive_experimental, drive_physical, hybrid, found 'lags'",
+        match="structure: expected one of mbm, sm, ssm.*, found 'lags'",
     ):
         load_model(tmp_path / "lags.yaml")
 
