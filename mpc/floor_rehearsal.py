@@ -2,7 +2,7 @@
 
 The estimate of slip is taken from each tick of a lap, weighted by how certain it is. At the next start, of any
 reference, the estimate begins with it, and the motion nearest to the reference that the floor allows is tracked in its
-place (`problem/drivable.py`); errors still count against the reference as it was given.
+place (`trajectories/drivable.py`); errors still count against the reference as it was given.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.pose import ahead_and_left
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.estimation.slip import SLIPS, Slip
 from diffdrive_mpc.mpc.problem.constants import configured_slip
-from diffdrive_mpc.mpc.problem.drivable import Drivable, NotDrivableError, nearest_drivable
+from diffdrive_mpc.mpc.problem.slip import SLIPS, Slip
 from diffdrive_mpc.mpc.rehearsal import same_motion
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
+from diffdrive_mpc.mpc.trajectories.drivable import Drivable, NotDrivableError, nearest_drivable
 
 _DRIVING = (Mode.TRACKING, Mode.REUSED_PLAN)
 _AS_GIVEN = "the reference is tracked as it is given"

@@ -52,6 +52,63 @@ def test_ros_is_imported_where_the_nodes_are_and_nowhere_else(package):
             assert not {name for name in imported(path) if name == "rclpy" or name.endswith("_msgs")}, path
 
 
+def module_name(path):
+    """Dotted, from the room; a package has its own name."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module_name(path): path for room in ALLOWED for path in (ROOT / room).rglob("*.py")}
+
+
+def of_types_alone(tree):
+    """Nodes under `if TYPE_CHECKING`: they import nothing when the program runs."""
+    guarded = (
+        node for node in ast.walk(tree) if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+    )
+    return {id(inner) for node in guarded for inner in ast.walk(node)}
+
+
+def imported_modules(path):
+    """Our modules that a file imports, at its head or in a function."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    types = of_types_alone(tree)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module and not node.level and id(node) not in types:
+            module = node.module.removeprefix("diffdrive_mpc.")
+            for alias in node.names:
+                inner = f"{module}.{alias.name}"
+                if inner in MODULES or module in MODULES:
+                    yield inner if inner in MODULES else module
+
+
+IMPORTS = [(name, other) for name, path in MODULES.items() for other in imported_modules(path)]
+
+
+@pytest.mark.parametrize("folder", sorted(name for name, path in MODULES.items() if path.name == "__init__.py"))
+def test_folders_inside_a_folder_form_no_circle(folder):
+    """Files beside each other may know each other; a folder and what imports it may not."""
+    inside = f"{folder}."
+    imports = {}
+    for name, other in IMPORTS:
+        if name.startswith(inside) and other.startswith(inside):
+            ours, theirs = (one.removeprefix(inside).partition(".")[0] for one in (name, other))
+            if ours != theirs:
+                imports.setdefault(ours, set()).add(theirs)
+    folders = [entry for entry in imports if (ROOT / inside.replace(".", "/") / entry).is_dir()]
+    assert [entry for entry in folders if entry in reached_from(imports, entry)] == []
+
+
+def reached_from(imports, start):
+    """What `start` imports, directly and through others."""
+    reached, ahead = set(), [start]
+    while ahead:
+        new = imports.get(ahead.pop(), set()) - reached
+        reached |= new
+        ahead += new
+    return reached
+
+
 @pytest.mark.parametrize("package", sorted(ALLOWED.keys() - {"studies"}))
 def test_types_and_parameters_ship(package):
     assert (ROOT / package / "py.typed").exists()

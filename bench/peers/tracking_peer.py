@@ -23,8 +23,8 @@ from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
 from diffdrive_mpc.mpc import ControllerConfig, load_config
 from diffdrive_mpc.mpc.config.schema import Limits
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
-from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.problem.formulas import formula
+from diffdrive_mpc.mpc.problem.slip import Slip
 
 GAINS = Path(__file__).parent / "gains.yaml"
 """Gains of every peer by its name, as the study `peers` found them."""

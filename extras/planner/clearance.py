@@ -11,9 +11,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.polygons import convex_pieces
 from diffdrive_mpc.models.turn_costs.vehicle import Vehicle
 from diffdrive_mpc.mpc.free_space import Footprint, Surroundings
-from diffdrive_mpc.mpc.free_space.planar import convex_pieces
 from diffdrive_mpc.mpc.free_space.surroundings import check_disc, checked_polygon
 
 # By which a way over eight neighbours is longer than the straight one, at most.

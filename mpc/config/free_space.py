@@ -7,8 +7,8 @@ from typing import Annotated, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from diffdrive_mpc.mpc.config.footprint import Footprint
 from diffdrive_mpc.mpc.config.group import Group, NotNegative, Positive
-from diffdrive_mpc.mpc.free_space.footprint import Footprint
 
 
 class FreeSpace(Group):

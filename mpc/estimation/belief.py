@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.estimation.slip import SLIPS, Slip
+from diffdrive_mpc.mpc.problem.slip import SLIPS, Slip
 
 
 @dataclass(frozen=True, slots=True, eq=False)

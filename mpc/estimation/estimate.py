@@ -8,7 +8,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.core.tick import ResultLayout
-from diffdrive_mpc.mpc.estimation.slip import SLIPS, Slip
+from diffdrive_mpc.mpc.problem.slip import SLIPS, Slip
 
 SENSORS = ("wheel_speed", "wheel_yaw_rate", "yaw_rate", "pose")
 """Names of the sensors, in the order in which the filter counts them."""

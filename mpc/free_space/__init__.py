@@ -1,6 +1,6 @@
 """Where the robot may drive: what lies around it, its outline, a way round things, and the check of its way to rest."""
 
-from diffdrive_mpc.mpc.free_space.footprint import Footprint
+from diffdrive_mpc.mpc.config.footprint import Footprint
 from diffdrive_mpc.mpc.free_space.surroundings import (
     Corridor,
     MovingDisc,

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.models.polygons import convex_pieces
+from diffdrive_mpc.mpc.config.footprint import Footprint
 from diffdrive_mpc.mpc.config.free_space import FreeSpace
 from diffdrive_mpc.mpc.core.library import load_core
-from diffdrive_mpc.mpc.free_space.footprint import Footprint
-from diffdrive_mpc.mpc.free_space.planar import convex_pieces
 from diffdrive_mpc.mpc.free_space.surroundings import (
     Corridor,
     OccupancyGrid,

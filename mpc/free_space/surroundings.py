@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.free_space.planar import area, cleaned, crosses_itself
+from diffdrive_mpc.models.polygons import area, cleaned, crosses_itself
 
 _MOST_CORNERS = 200
 _FARTHEST = 1e6

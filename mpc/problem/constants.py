@@ -18,9 +18,9 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import CompiledStep, NonlinearModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.config.thresholds import AHEAD, BEHIND, STANDING, TURNING
-from diffdrive_mpc.mpc.estimation.slip import CURVED_SLIPS, FLAT_SLIPS, PRIORS, SLIPS, Slip
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem.prediction import Prediction, build_prediction
+from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, FLAT_SLIPS, PRIORS, SLIPS, Slip
 from diffdrive_mpc.mpc.problem.terms import Term
 
 Constants = dict[str, object]

@@ -4,7 +4,7 @@ Symbols, the same everywhere. They are columns.
 
 =============  ====  ============================================================================================
 y              2     v [m/s], omega [rad/s]: what the velocity model says, before slip
-slip           10    see estimation/slip.py; 15 of a formula that ends in `_curved`
+slip           10    see slip.py beside this; 15 of a formula that ends in `_curved`
 pose           3     x, y [m], theta [rad] of the body in the frame of the reference
 twist          2     v [m/s], omega [rad/s] of the body, slip included
 command        2     v_ref [m/s], omega_ref [rad/s]
@@ -27,7 +27,7 @@ import casadi as ca
 
 from diffdrive_mpc.models.pose import arc_displacement
 from diffdrive_mpc.models.slip_laws import track_widening
-from diffdrive_mpc.mpc.estimation.slip import FLAT_SLIPS, SLIPS
+from diffdrive_mpc.mpc.problem.slip import FLAT_SLIPS, SLIPS
 
 TERM_INPUTS: Mapping[str, int] = {"pose": 3, "twist": 2, "command": 2, "reference": 4}
 """Inputs of a term and their lengths; a column `parameters` of the term's own length is the last one."""

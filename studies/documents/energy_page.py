@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive_mpc.bench.table import number
+from diffdrive_mpc.extras.costs_from_log.costs_from_log import learn_log
 from diffdrive_mpc.extras.energy import identify_constants
-from diffdrive_mpc.extras.torque.from_log import learn_log
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.turn_costs import load_drive_constants, load_turn_costs

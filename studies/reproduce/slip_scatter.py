@@ -20,7 +20,7 @@ from diffdrive_mpc.models.pose import ahead_and_left
 from diffdrive_mpc.models.slip_laws import POLYNOMIAL
 from diffdrive_mpc.mpc import Controller, load_config
 from diffdrive_mpc.mpc.estimation.belief import Belief
-from diffdrive_mpc.mpc.estimation.slip import PRIORS, Slip
+from diffdrive_mpc.mpc.problem.slip import PRIORS, Slip
 from diffdrive_mpc.mpc.trajectories.excitation import slip_excitation
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import lay_segments

@@ -31,7 +31,7 @@ from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.pose import integrate_pose, wrap_angle
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
-from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.sim import make_plant, simulate
 
 CONFIG, MODEL = load_config("sm"), load_model("sm")

@@ -7,7 +7,7 @@ import numpy as np
 from diffdrive_mpc.models import DiscreteModel, Measurement, Stamped
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Wheels
-from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.problem.slip import Slip
 from oracle.motion import arc, sideways, slid
 
 # What encoders and geometric track make of the yaw rate that the firmware was asked for.

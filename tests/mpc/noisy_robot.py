@@ -8,7 +8,7 @@ from ideal_robot import WHEEL_YAW_RATIO, IdealRobot
 from diffdrive_mpc.models import DiscreteModel, Measurement, Stamped
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Estimator
-from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.problem.slip import Slip
 
 
 class NoisyRobot(IdealRobot):

@@ -9,8 +9,8 @@ from ideal_robot import IdealRobot
 
 from diffdrive_mpc import Controller, Measurement, NonlinearModel, Stamped, load_config, load_model, load_trajectory
 from diffdrive_mpc.models.slip_laws import POLYNOMIAL
-from diffdrive_mpc.mpc.estimation.slip import CURVED_SLIPS, SLIPS, Slip
 from diffdrive_mpc.mpc.problem.formulas import body_twist
+from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, SLIPS, Slip
 from diffdrive_mpc.mpc.trajectories.excitation import slip_excitation
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import lay_segments

@@ -6,7 +6,7 @@ from ideal_robot import IdealRobot
 
 from diffdrive_mpc import Controller, load_config, load_model, simulate
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.moved import starting_at

@@ -16,8 +16,8 @@ from diffdrive_mpc.models.pose import linearised_arc
 from diffdrive_mpc.models.slip_laws import polynomial_twist
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.core.generate import generate, generate_formulas
-from diffdrive_mpc.mpc.estimation.slip import CURVED_SLIPS, FLAT_SLIPS, SLIPS, Slip
 from diffdrive_mpc.mpc.problem.formulas import formulas
+from diffdrive_mpc.mpc.problem.slip import CURVED_SLIPS, FLAT_SLIPS, SLIPS, Slip
 from diffdrive_mpc.mpc.problem.user_functions import user_output, user_step, user_term
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from oracle.motion import slid

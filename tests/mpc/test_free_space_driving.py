@@ -8,9 +8,9 @@ import pytest
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import ReferenceSample
 from diffdrive_mpc.mpc import Controller, Mode
+from diffdrive_mpc.mpc.config.footprint import Footprint
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.free_space import Corridor, MovingDisc, OccupancyGrid, Surroundings, SurroundingsError
-from diffdrive_mpc.mpc.free_space.footprint import Footprint
 from diffdrive_mpc.mpc.free_space.gaps import least_gaps
 from diffdrive_mpc.mpc.free_space.pieces import PlacedFootprint, pieces_of
 from diffdrive_mpc.sim import make_plant

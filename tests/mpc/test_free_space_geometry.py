@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from diffdrive_mpc.models.polygons import area, convex_pieces, crosses_itself, hull
 from diffdrive_mpc.mpc.config.free_space import FreeSpace
 from diffdrive_mpc.mpc.core.library import load_core
 from diffdrive_mpc.mpc.free_space import (
@@ -15,7 +16,6 @@ from diffdrive_mpc.mpc.free_space import (
 )
 from diffdrive_mpc.mpc.free_space.gaps import address, gap_to, least_gaps
 from diffdrive_mpc.mpc.free_space.pieces import PlacedFootprint, pieces_of, rectangles
-from diffdrive_mpc.mpc.free_space.planar import area, convex_pieces, crosses_itself, hull
 from diffdrive_mpc.mpc.problem.half_space import half_space_formula, half_space_function
 from diffdrive_mpc.mpc.trajectories import load_trajectory
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.mpc import load_config
-from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from oracle.nonlinear import nonlinear_program
 from oracle.problem import TrackingProblem, roll_out

@@ -6,7 +6,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from diffdrive_mpc.models import VelocityModel, load_model
-from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.problem.slip import Slip
 from oracle.motion import sideways
 from oracle.tick import FeedForward, heading_to_hold
 

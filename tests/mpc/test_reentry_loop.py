@@ -9,7 +9,7 @@ from ideal_robot import IdealRobot
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc import Controller, Mode, load_config, load_trajectory
-from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.trajectories import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
 from diffdrive_mpc.models.velocity_model import VelocityModel
-from diffdrive_mpc.mpc.estimation.slip import Slip
+from diffdrive_mpc.mpc.problem.slip import Slip
 from oracle.estimate import Estimate
 
 

@@ -40,7 +40,7 @@ def torque(
 ) -> None:
     """Learn what a turn costs a robot from its log: drive constants, torque curves and slip law."""
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415 - --help does without it
-    from diffdrive_mpc.extras.torque.log_study import TorqueLogStudy  # noqa: PLC0415
+    from diffdrive_mpc.extras.costs_from_log.study import TorqueLogStudy  # noqa: PLC0415
 
     carry_out(TorqueLogStudy(log, mapping, vehicle, drive), out, jobs=1)
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, new_figure
-from diffdrive_mpc.extras.torque.from_log import LogOutcome
+from diffdrive_mpc.extras.costs_from_log.costs_from_log import LogOutcome
 from diffdrive_mpc.models.turn_costs import Vehicle
 
 _RADII = np.geomspace(0.3, 300.0, 80)

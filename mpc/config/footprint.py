@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.free_space.planar import hull
+from diffdrive_mpc.models.polygons import hull
 
 _MOST = 32
 

@@ -29,8 +29,8 @@ from scipy.ndimage import gaussian_filter1d
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.estimation.slip import Slip
 from diffdrive_mpc.mpc.problem.formulas import aim, body_twist, displacement, turned_tighter, wheel_twist
+from diffdrive_mpc.mpc.problem.slip import Slip
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
 # Ticks to an interval: less than any lag, so a path of cubics through its ends is close enough.

@@ -13,7 +13,7 @@ from diffdrive_mpc.bench.html_report.page import KeyFigure, Shown
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
-from diffdrive_mpc.extras.torque.from_log import PRIOR, LogOutcome, learn_log
+from diffdrive_mpc.extras.costs_from_log.costs_from_log import PRIOR, LogOutcome, learn_log
 from diffdrive_mpc.models.turn_costs import turn_costs_text
 
 DRIVE_FILE, COSTS_FILE = "drive.yaml", "turn-costs.yaml"
@@ -52,7 +52,7 @@ class TorqueLogStudy(Study[None, LogOutcome]):
 
     def report(self, results: LogOutcome, seconds: float) -> Report:
         """Tables, the figure and the two files."""
-        from diffdrive_mpc.extras.torque import log_figures  # noqa: PLC0415 - matplotlib
+        from diffdrive_mpc.extras.costs_from_log import figures  # noqa: PLC0415 - matplotlib
 
         least = results.costs.least_radius()
         shown = "none" if least == 0 else f"{number(least, 2)} m"
@@ -79,7 +79,7 @@ class TorqueLogStudy(Study[None, LogOutcome]):
                 "learned from this very log.",
             ],
             tables=_tables(results),
-            figures={"learned.png": partial(log_figures.draw_log, results)},
+            figures={"learned.png": partial(figures.draw_log, results)},
             shown=Shown(
                 key_figures=[KeyFigure("least radius", shown, f"at {results.costs.curve.speed:g} m/s", "good")]
             ),

@@ -1,0 +1,1 @@
+"""What a turn costs a robot, from a log of it."""
