@@ -4,35 +4,19 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
-from typing import Annotated, Any
+from functools import cache
+from importlib import import_module
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from diffdrive_mpc.app.commands import (
-    animate,
-    campaign,
-    commission,
-    doctor,
-    drives,
-    excite,
-    export,
-    identify,
-    monitor,
-    prove,
-    replay,
-    ros,
-    schema,
-    tune,
-    twin,
-)
-from diffdrive_mpc.app.commands.config import config_app
-from diffdrive_mpc.app.commands.log import log_app
-from diffdrive_mpc.app.commands.models import models_app
-from diffdrive_mpc.app.commands.options import PASSED_ON
 from diffdrive_mpc.bench.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
 from diffdrive_mpc.models.plug_ins import plug_ins
 
+if TYPE_CHECKING:
+    app: typer.Typer
+
+_HOME = "diffdrive_mpc.app.commands"
 MOVED = {
     "robot": "`diffdrive-mpc sim-robot`",
     "study": "`python -m studies`, in a clone of the repository",
@@ -65,40 +49,64 @@ class Commands(OneLineErrors):
         return super().get_command(ctx, cmd_name)
 
 
-app = typer.Typer(
-    cls=Commands,
-    no_args_is_help=True,
-    context_settings={"help_option_names": ["-h", "--help"]},
-    help="Model-predictive trajectory tracking for skid-steer and differential-drive robots.",
-)
+class Listed(NamedTuple):
+    """Where a command is, below `app.commands`."""
+
+    panel: str
+    module: str
+    function: str = ""
+    """By default called as the command."""
+    passed_on: bool = False
+    """Whether words that it does not know are left to it."""
 
 
-def _add(panel: str, name: str, command: Callable[..., None], example: str, **more: Any) -> None:  # noqa: ANN401 - of typer
-    app.command(name, epilog=example, rich_help_panel=panel, **more)(command)
+_COMMANDS = {
+    "simulate": Listed("Drive", "drives"),
+    "bench": Listed("Drive", "drives"),
+    "campaign": Listed("Drive", "campaign"),
+    "replay": Listed("Drive", "replay"),
+    "animate": Listed("Drive", "animate"),
+    "identify": Listed("Your robot", "identify"),
+    "excite": Listed("Your robot", "excite"),
+    "twin": Listed("Your robot", "twin"),
+    "tune": Listed("Your robot", "tune"),
+    "prove": Listed("Your robot", "prove"),
+    "commission": Listed("Your robot", "commission"),
+    "node": Listed("Robot", "ros", passed_on=True),
+    "sim-robot": Listed("Robot", "ros", "robot", passed_on=True),
+    "monitor": Listed("Robot", "monitor", passed_on=True),
+    "export": Listed("Robot", "export"),
+    "doctor": Listed("Robot", "doctor"),
+    "schema": Listed("Files", "schema"),
+}
+_GROUPS = {"models": "models", "config": "config", "log": "log"}
+"""Groups of commands, each with its module."""
 
 
-_add("Drive", "simulate", drives.simulate, drives.EXAMPLES["simulate"])
-_add("Drive", "bench", drives.bench, drives.EXAMPLES["bench"])
-_add("Drive", "campaign", campaign.campaign, campaign.EXAMPLE)
-_add("Drive", "replay", replay.replay, replay.EXAMPLE)
-_add("Drive", "animate", animate.animate, animate.EXAMPLE)
-_add("Your robot", "identify", identify.identify, identify.EXAMPLE)
-_add("Your robot", "excite", excite.excite, excite.EXAMPLE)
-_add("Your robot", "twin", twin.twin, twin.EXAMPLE)
-_add("Your robot", "tune", tune.tune, tune.EXAMPLE)
-_add("Your robot", "prove", prove.prove, prove.EXAMPLE)
-_add("Your robot", "commission", commission.commission, commission.EXAMPLE)
-_add("Robot", "node", ros.node, ros.EXAMPLES["node"], context_settings=PASSED_ON)
-_add("Robot", "sim-robot", ros.robot, ros.EXAMPLES["sim-robot"], context_settings=PASSED_ON)
-_add("Robot", "monitor", monitor.monitor, monitor.EXAMPLE, context_settings=PASSED_ON)
-_add("Robot", "export", export.export, export.EXAMPLE)
-_add("Robot", "doctor", doctor.doctor, doctor.EXAMPLE)
-_add("Files", "schema", schema.schema, schema.EXAMPLE)
-for plugged in plug_ins("commands"):
-    _add(plugged.panel, plugged.name, plugged.run, plugged.example)
-app.add_typer(models_app, name="models", rich_help_panel="Files")
-app.add_typer(config_app, name="config", rich_help_panel="Files")
-app.add_typer(log_app, name="log", rich_help_panel="Files")
+def command_line(only: str = "") -> typer.Typer:
+    """The command line; with `only` one of our commands of that name alone, for which no other is imported."""
+    made = typer.Typer(
+        cls=Commands,
+        no_args_is_help=True,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        help="Model-predictive trajectory tracking for skid-steer and differential-drive robots.",
+    )
+    made.callback(epilog="Example: diffdrive-mpc bench --quick --out results")(_options)
+    ours = {only} if only in _COMMANDS.keys() | _GROUPS.keys() else _COMMANDS.keys() | _GROUPS.keys()
+    for name, (panel, module, function, passed_on) in _COMMANDS.items():
+        if name in ours:
+            home = import_module(f"{_HOME}.{module}")
+            example = home.EXAMPLES[name] if hasattr(home, "EXAMPLES") else home.EXAMPLE
+            settings = import_module(f"{_HOME}.options").PASSED_ON if passed_on else None
+            add = made.command(name, epilog=example, rich_help_panel=panel, context_settings=settings)
+            add(getattr(home, function or name))
+    for plugged in plug_ins("commands") if len(ours) > 1 else ():
+        made.command(plugged.name, epilog=plugged.example, rich_help_panel=plugged.panel)(plugged.run)
+    for name, module in _GROUPS.items():
+        if name in ours:
+            group = getattr(import_module(f"{_HOME}.{module}"), f"{name}_app")
+            made.add_typer(group, name=name, rich_help_panel="Files")
+    return made
 
 
 def _print_version(wanted: bool) -> None:
@@ -109,7 +117,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback(epilog="Example: diffdrive-mpc bench --quick --out results")
 def _options(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
@@ -118,10 +125,20 @@ def _options(
     """Model-predictive trajectory tracking for skid-steer and differential-drive robots."""
 
 
+@cache
+def __getattr__(name: str) -> typer.Typer:
+    """`app`, the whole command line, made when it is first asked for."""
+    if name != "app":
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    return command_line()
+
+
 def main() -> None:
     """Entry point of the console command."""
     leave_on_sigterm()
+    completing = "_DIFFDRIVE_MPC_COMPLETE" in os.environ
+    app = command_line("" if completing else "".join(sys.argv[1:2]))
     # A shell that completes a line says it elsewhere.
-    if "_DIFFDRIVE_MPC_COMPLETE" not in os.environ:
+    if not completing:
         build_only_named(app, sys.argv[1:])
     app(prog_name="diffdrive-mpc")

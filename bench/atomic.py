@@ -8,8 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from diffdrive_mpc.bench.contents import CONTENTS, Contents, alone_in
-from diffdrive_mpc.bench.html_report.document import REPORT
+from diffdrive_mpc.bench.contents import CONTENTS, REPORT, Contents, alone_in
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.whole_file import check_not_read, new_folder, reason, scratch_folder
 

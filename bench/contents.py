@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from diffdrive_mpc.bench.html_report.document import REPORT
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.folder_lock import lock_folder
 from diffdrive_mpc.models.input_file import MEGABYTE, read_input
 
+REPORT = "report.html"
+"""Name of the page in a folder of results."""
 CONTENTS = ".contents.json"
 """In the folder; hidden, as nobody needs to read it."""
 _LARGEST = 50 * MEGABYTE

@@ -16,8 +16,9 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.contents import REPORT
 from diffdrive_mpc.bench.controllers import other_robots
-from diffdrive_mpc.bench.html_report.document import REPORT, picture, write_page
+from diffdrive_mpc.bench.html_report.document import picture, write_page
 from diffdrive_mpc.bench.html_report.origin import origin
 from diffdrive_mpc.bench.html_report.page import NOTHING, Page, Picture, Shown
 from diffdrive_mpc.bench.machine import describe_run

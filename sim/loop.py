@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
 
@@ -17,13 +17,14 @@ from diffdrive_mpc.models.interface import (
     TrackingController,
 )
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
-from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.motor_work import NOTHING, MotorWork, motor_work, stacked
 from diffdrive_mpc.sim.plants.plant import Plant, RobotLostError
-from diffdrive_mpc.sim.plants.world_plant import WorldPlant
 from diffdrive_mpc.sim.run import NO_SOLVER, Run
 from diffdrive_mpc.sim.sensing.power_readings import power_read
-from diffdrive_mpc.sim.worlds.sight import Seen
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.sim.plants.world_plant import WorldPlant
+    from diffdrive_mpc.sim.worlds.sight import Seen
 
 _SAME_PERIOD = 1e-3
 """Two sample times that differ by less are the same [-]."""
@@ -154,7 +155,7 @@ def simulate(
         motor_square=square,
         drive=getattr(plant, "drive", None),
         power_readings=np.array(power),
-        disturbance=plant.disturbance if isinstance(plant, (DisturbedPlant, WorldPlant)) else None,
+        disturbance=getattr(plant, "disturbance", None),
         ended=ended,
         **around.kept,
     )
@@ -164,7 +165,8 @@ class _Around:
     """What a world does in the loop; nothing where the plant stands in none."""
 
     def __init__(self, plant: Plant, controller: TrackingController, reference: Reference) -> None:
-        self._plant = plant if isinstance(plant, WorldPlant) else None
+        # Of a `WorldPlant`, which is not imported for the many runs without one.
+        self._plant = cast("WorldPlant", plant) if hasattr(plant, "world") else None
         self._see = controller.see if self._plant and isinstance(controller, Seeing) else None
         self._end, self._goal = reference.duration + TIME_TOLERANCE, reference.sample([reference.duration]).pose[0]
 

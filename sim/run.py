@@ -19,9 +19,6 @@ from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings, tracking_errors
 from diffdrive_mpc.sim.sensing.power_readings import READINGS
 from diffdrive_mpc.sim.told import told_columns
-from diffdrive_mpc.sim.worlds.contacts import Contact
-from diffdrive_mpc.sim.worlds.passage import Passage, passage_of
-from diffdrive_mpc.sim.worlds.world import World
 
 if TYPE_CHECKING:
     from typing import Self
@@ -29,6 +26,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
+    from diffdrive_mpc.sim.worlds.contacts import Contact
+    from diffdrive_mpc.sim.worlds.passage import Passage
+    from diffdrive_mpc.sim.worlds.world import World
 
 NO_SOLVER = "none"
 """Path of a tick at which no solver ran, or of a controller without one."""
@@ -178,6 +178,8 @@ class Run(ReadOnlyArrays):
         """How it went through its world; None without one."""
         if self.world is None:
             return None
+        from diffdrive_mpc.sim.worlds.passage import passage_of  # noqa: PLC0415 - most runs are in no world
+
         goal = self.reference.sample([self.reference.duration]).pose[0]
         return passage_of(self.world, self.outline, self.contacts, goal, self.time, self.true_pose, self.true_twist)
 

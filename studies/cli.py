@@ -10,8 +10,15 @@ from diffdrive_mpc.bench.command_line.one_line_errors import OneLineErrors, buil
 from studies.commands import monitor, real_logs, studies
 from studies.commands.shipped_models import shipped_models_app
 
+
+class Studies(OneLineErrors):
+    """The studies."""
+
+    program = "python -m studies"
+
+
 app = typer.Typer(
-    cls=OneLineErrors,
+    cls=Studies,
     no_args_is_help=True,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -28,4 +35,4 @@ def main() -> None:
     """Entry point of `python -m studies`."""
     leave_on_sigterm()
     build_only_named(app, sys.argv[1:])
-    app(prog_name="python -m studies")
+    app(prog_name=Studies.program)

@@ -12,7 +12,8 @@ from diffdrive_mpc.app.commission.comparison import COMMISSIONED, INFORMED, SHIP
 from diffdrive_mpc.app.commission.drawn_robot import write_drawn_robot
 from diffdrive_mpc.app.commission.ledger import Done
 from diffdrive_mpc.app.commission.page import commission_page
-from diffdrive_mpc.bench.html_report.document import REPORT, write_page
+from diffdrive_mpc.bench.contents import REPORT
+from diffdrive_mpc.bench.html_report.document import write_page
 from diffdrive_mpc.bench.progress import output_console
 from diffdrive_mpc.models.identification.configuration import CONFIG_FILE
 from diffdrive_mpc.models.whole_file import whole_file

@@ -19,7 +19,8 @@ from diffdrive_mpc.app.identification.trial_drives import (
     trial_table,
 )
 from diffdrive_mpc.bench.atomic import staged
-from diffdrive_mpc.bench.html_report.document import REPORT, write_page
+from diffdrive_mpc.bench.contents import REPORT
+from diffdrive_mpc.bench.html_report.document import write_page
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.table import number, rich_table
 from diffdrive_mpc.models.checked_yaml import ConfigError

@@ -15,8 +15,9 @@ from diffdrive_mpc.app.simulate.single import asked_case, draw_figures
 from diffdrive_mpc.app.simulate.single_page import laps_page
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.contents import REPORT
 from diffdrive_mpc.bench.controllers import build_plant, load_reference, make_controller
-from diffdrive_mpc.bench.html_report.document import REPORT, write_page
+from diffdrive_mpc.bench.html_report.document import write_page
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series
 from diffdrive_mpc.bench.outcomes import Outcome
 from diffdrive_mpc.bench.peers import PEERS

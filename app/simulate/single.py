@@ -14,13 +14,7 @@ import numpy as np
 
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
-from diffdrive_mpc.bench.comparison.tables import (
-    error_table,
-    path_table,
-    scenario_table,
-    summary_table,
-    world_table,
-)
+from diffdrive_mpc.bench.contents import REPORT
 from diffdrive_mpc.bench.controllers import build, chosen_model, controller_config, other_robots
 from diffdrive_mpc.bench.outcomes import Outcome, by_driver, who_drives
 from diffdrive_mpc.bench.peers import PEERS
@@ -187,13 +181,19 @@ def _summary(outcome: Outcome, out: Path | None) -> Iterator[str]:
     if out is None:
         yield "next: --details prints the tables, --out FOLDER writes a report with figures"
     else:
-        from diffdrive_mpc.bench.html_report.document import REPORT  # noqa: PLC0415 - only --out needs it
-
         yield f"report: {out / REPORT}; --details prints the tables"
 
 
 def tables(outcome: Outcome) -> list[Table]:
     """The tables of one run."""
+    from diffdrive_mpc.bench.comparison.tables import (  # noqa: PLC0415 - the summary does without them
+        error_table,
+        path_table,
+        scenario_table,
+        summary_table,
+        world_table,
+    )
+
     shown = [summary_table, error_table, path_table]
     made = [make([outcome]) for make in shown]
     if outcome.case.scenario != NO_SCENARIO:
@@ -204,7 +204,7 @@ def tables(outcome: Outcome) -> list[Table]:
 def draw(outcome: Outcome, folder: Path, seconds: float) -> None:
     """Draw a run, which took so many `seconds`, and its step times into `folder`, and write its page."""
     from diffdrive_mpc.app.simulate.single_page import single_page  # noqa: PLC0415
-    from diffdrive_mpc.bench.html_report.document import REPORT, write_page  # noqa: PLC0415 - only --out needs it
+    from diffdrive_mpc.bench.html_report.document import write_page  # noqa: PLC0415 - only --out needs it
 
     draw_figures(outcome, folder)
     write_page(single_page(outcome, tables(outcome), seconds), folder / REPORT)

@@ -8,11 +8,13 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from diffdrive_mpc.bench.case import AS_FILED
-from diffdrive_mpc.bench.command_line.file_kinds import KINDS
 from diffdrive_mpc.bench.peers import PEERS
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.models.file_kind import FileKind
 
 Offered = Iterator[tuple[str, str]]
 """Words, each with what it means, or nothing."""
@@ -39,7 +41,7 @@ def offers(what: str) -> bool:
 
 def _shipped(kind: str) -> Callable[[], Offered]:
     def offered() -> Offered:
-        for path in KINDS[kind].files:
+        for path in _kinds_of_files()[kind].files:
             said = _DESCRIPTION.search(path.read_text(encoding="utf-8"))
             yield path.stem, said[1] if said else ""
 
@@ -86,12 +88,18 @@ def _written(value: object) -> str:
 
 
 def _schema(kind: str) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(KINDS[kind].text())
+    found: dict[str, Any] = json.loads(_kinds_of_files()[kind].text())
     return found
 
 
 def _kinds() -> Offered:
-    yield from ((kind.name, kind.what) for kind in KINDS.values())
+    yield from ((kind.name, kind.what) for kind in _kinds_of_files().values())
+
+
+def _kinds_of_files() -> Mapping[str, FileKind]:
+    from diffdrive_mpc.bench.command_line.file_kinds import KINDS  # noqa: PLC0415 - who completes nothing needs none
+
+    return KINDS
 
 
 _OFFERS: dict[str, Callable[[], Offered]] = {

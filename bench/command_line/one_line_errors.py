@@ -6,7 +6,7 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from types import FrameType
-from typing import Any, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 import typer
 from typer.core import TyperGroup
@@ -46,6 +46,9 @@ class OneLineErrors(TyperGroup):
     with exit code 1. Anything else is a fault and shows its traceback.
     """
 
+    program: ClassVar[str] = "diffdrive-mpc"
+    """What is typed before the name of a command."""
+
     def make_context(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - the signature of the base class
         """Begin to parse; commands of this group take `--trajectory` and `--trajectories` for each other."""
         return super().make_context(*args, token_normalize_func=_singular, **kwargs)
@@ -71,7 +74,7 @@ class OneLineErrors(TyperGroup):
         kwargs["standalone_mode"] = False
         given = args[0] if args else kwargs.get("args")
         try:
-            with typed(sys.argv[1:] if given is None else given, kwargs.get("prog_name") or "diffdrive-mpc"):
+            with typed(sys.argv[1:] if given is None else given, self.program):
                 code = super().main(*args, **kwargs)
         except typer.Abort:
             code = INTERRUPTED  # how older versions of typer pass on Ctrl-C; newer ones return the exit code

@@ -13,8 +13,6 @@ from typing import Any
 from diffdrive_mpc.bench.html_report.page import Page
 from diffdrive_mpc.bench.outcomes import plain
 
-REPORT = "report.html"
-"""Name of the page in a folder of results."""
 _TEMPLATE = Path(__file__).parent / "template"
 _SCRIPTS = ("text.js", "toggles.js", "charts.js", "runs.js", "start.js")
 _DASHES = ("solid", "dash", "dashdot", "dot", "longdash", "longdashdot")

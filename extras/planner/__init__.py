@@ -1,11 +1,16 @@
 """References from pose to pose that take the least energy, time or distance: search, polish, proof."""
 
-from diffdrive_mpc.extras.planner.checks import PlanError
-from diffdrive_mpc.extras.planner.inputs import OBJECTIVES, Objective
-from diffdrive_mpc.extras.planner.planner import plan, plan_each
-from diffdrive_mpc.extras.planner.result import Plan
-from diffdrive_mpc.extras.planner.search import Found, Piece
-from diffdrive_mpc.extras.planner.settings import PlanSettings, load_plan_settings
+from typing import TYPE_CHECKING
+
+from diffdrive_mpc.models.lazy_names import on_first_use
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.extras.planner.checks import PlanError
+    from diffdrive_mpc.extras.planner.inputs import OBJECTIVES, Objective
+    from diffdrive_mpc.extras.planner.planner import plan, plan_each
+    from diffdrive_mpc.extras.planner.result import Plan
+    from diffdrive_mpc.extras.planner.search import Found, Piece
+    from diffdrive_mpc.extras.planner.settings import PlanSettings, load_plan_settings
 
 __all__ = [
     "OBJECTIVES",
@@ -19,3 +24,18 @@ __all__ = [
     "plan",
     "plan_each",
 ]
+__getattr__ = on_first_use(
+    __name__,
+    {
+        "PlanError": "checks",
+        "OBJECTIVES": "inputs",
+        "Objective": "inputs",
+        "plan": "planner",
+        "plan_each": "planner",
+        "Plan": "result",
+        "Found": "search",
+        "Piece": "search",
+        "PlanSettings": "settings",
+        "load_plan_settings": "settings",
+    },
+)

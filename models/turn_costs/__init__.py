@@ -3,11 +3,10 @@
 from typing import TYPE_CHECKING
 
 from diffdrive_mpc.models.lazy_names import on_first_use
-from diffdrive_mpc.models.turn_costs.drive_constants import DriveConstants, NamedDrive, load_drive_constants
-from diffdrive_mpc.models.turn_costs.least_radius import LIMIT_SHARE, least_radius
-from diffdrive_mpc.models.turn_costs.vehicle import Vehicle, load_vehicle
 
 if TYPE_CHECKING:
+    from diffdrive_mpc.models.turn_costs.drive_constants import DriveConstants, NamedDrive, load_drive_constants
+    from diffdrive_mpc.models.turn_costs.least_radius import LIMIT_SHARE, least_radius
     from diffdrive_mpc.models.turn_costs.slip import IdentifiedSlip, identify_slip, identify_slip_from_poses
     from diffdrive_mpc.models.turn_costs.turn_costs import (
         SlipCoefficients,
@@ -16,6 +15,7 @@ if TYPE_CHECKING:
         load_turn_costs,
         turn_costs_text,
     )
+    from diffdrive_mpc.models.turn_costs.vehicle import Vehicle, load_vehicle
 
 __all__ = [
     "LIMIT_SHARE",
@@ -36,4 +36,14 @@ __all__ = [
 ]
 _SLIP = ("IdentifiedSlip", "identify_slip", "identify_slip_from_poses")
 _COSTS = ("SlipCoefficients", "TorqueTable", "TurnCosts", "load_turn_costs", "turn_costs_text")
-__getattr__ = on_first_use(__name__, dict.fromkeys(_SLIP, "slip") | dict.fromkeys(_COSTS, "turn_costs"))
+_DRIVE = ("DriveConstants", "NamedDrive", "load_drive_constants")
+_RADIUS = ("LIMIT_SHARE", "least_radius")
+_VEHICLE = ("Vehicle", "load_vehicle")
+_HOMES = {
+    "slip": _SLIP,
+    "turn_costs": _COSTS,
+    "drive_constants": _DRIVE,
+    "least_radius": _RADIUS,
+    "vehicle": _VEHICLE,
+}
+__getattr__ = on_first_use(__name__, {name: home for home, names in _HOMES.items() for name in names})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,9 +14,10 @@ from diffdrive_mpc.sim.core.library import address, load_twin, physics_step
 from diffdrive_mpc.sim.disturbances.disturbance_types import Payload, Slope
 from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc.sim.plants.twin_parameters import TwinParameters, Tyre
-from diffdrive_mpc.sim.worlds.scene import Scene
-from diffdrive_mpc.sim.worlds.settings import world_settings
-from diffdrive_mpc.sim.worlds.world import World
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.sim.worlds.scene import Scene
+    from diffdrive_mpc.sim.worlds.world import World
 
 _TIPPED = math.pi / 4
 """Lean from which no robot with its wheels below its body comes back [rad]."""
@@ -71,7 +72,7 @@ class Chassis:
         mujoco.set_mju_user_warning(_ignore)
         self._forward = mujoco.mj_forward
         self._restart = mujoco.mj_resetData
-        self.scene = None if world is None else Scene(world, *outline(robot, twin))
+        self.scene = None if world is None else _placed(world, robot, twin)
         xml = _mjcf(robot, twin, step, payload, sideways != 1.0, self.scene)
         self._model: Any = mujoco.MjModel.from_xml_string(xml)
         self._data: Any = mujoco.MjData(self._model)
@@ -219,11 +220,19 @@ class Chassis:
 
 def outline(robot: Robot, twin: TwinParameters) -> tuple[float, float]:
     """Length and width of the robot as seen from above [m]: body and wheels."""
+    from diffdrive_mpc.sim.worlds.settings import world_settings  # noqa: PLC0415 - most plants are in no world
+
     length, width, _ = twin.chassis.body_size
     return (
         max(length, twin.chassis.wheel_base + 2 * robot.wheel_radius),
         max(width, robot.track + world_settings().body.tyre_width),
     )
+
+
+def _placed(world: World, robot: Robot, twin: TwinParameters) -> Scene:
+    from diffdrive_mpc.sim.worlds.scene import Scene  # noqa: PLC0415 - as above
+
+    return Scene(world, *outline(robot, twin))
 
 
 def _step_in_c(model: Any, data: Any, scene: Scene | None) -> Any:  # noqa: ANN401 - neither MuJoCo nor cffi has types

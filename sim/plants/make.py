@@ -18,23 +18,24 @@ from diffdrive_mpc.models.robot import Robot, TwistBounds, load_robot
 from diffdrive_mpc.sim.disturbances.scenario import beside, load_scenario
 from diffdrive_mpc.sim.plants.chassis import outline
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
-from diffdrive_mpc.sim.plants.drawn_robot import DrawnRobot, draw_robot
 from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, SimulatedRobot, load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import load_surface
 from diffdrive_mpc.sim.plants.twin_parameters import load_twin_parameters
-from diffdrive_mpc.sim.plants.world_plant import WorldPlant
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
-from diffdrive_mpc.sim.worlds.world_file import NO_WORLD, load_world
 
 if TYPE_CHECKING:
     from diffdrive_mpc.models.nonlinear_model import NonlinearModel
     from diffdrive_mpc.models.velocity_model import VelocityModel
+    from diffdrive_mpc.sim.plants.drawn_robot import DrawnRobot
+    from diffdrive_mpc.sim.worlds.world import World
 
 PHYSICS = "mujoco"
 """Name of the physics plant, and before a colon the kind of another robot in it."""
 DRAWN = "drawn"
 """Before a colon and a seed: a robot of the market, see `sim/plants/market.yaml`."""
+NO_WORLD = "none"
+"""The world in which there is nothing."""
 _MODEL_PREFIX = "model:"
 
 
@@ -99,7 +100,7 @@ def make_plant(
     drawn = drawn_robot(name)
     if drawn is not None:
         happening = beside(happening, drawn.scenario)
-    around = None if str(world) == NO_WORLD else load_world(world, seed)
+    around = _world(world, seed)
     if drawn is not None or name == PHYSICS or name.startswith(f"{PHYSICS}:"):
         if floor.friction is None:
             raise ConfigError(f"surface '{surface}' has no friction: it is for 'model:' plants; wheels need it to push")
@@ -131,7 +132,11 @@ def make_plant(
         if happening.kinds:
             whole = DisturbedPlant(robot, happening, build.robot if build else load_robot(), lambda: robot.crossed)
         scene = robot.chassis.scene
-        return whole if scene is None else WorldPlant(whole, scene, seed)
+        if scene is None:
+            return whole
+        from diffdrive_mpc.sim.plants.world_plant import WorldPlant  # noqa: PLC0415 - most plants are in no world
+
+        return WorldPlant(whole, scene, seed)
     if name.startswith(_MODEL_PREFIX):
         from diffdrive_mpc.models.load import load_base_effects, load_model  # noqa: PLC0415 - only this plant needs it
         from diffdrive_mpc.sim.plants.model_plant import ModelPlant  # noqa: PLC0415
@@ -214,7 +219,17 @@ def drawn_robot(name: str) -> DrawnRobot | None:
         return None
     if not seed.isdecimal():
         raise ConfigError(f"plant '{name}': give {DRAWN}:SEED with an integer that is not negative")
+    from diffdrive_mpc.sim.plants.drawn_robot import draw_robot  # noqa: PLC0415 - most plants are not drawn
+
     return draw_robot(int(seed))
+
+
+def _world(name: str | Path, seed: int) -> World | None:
+    if str(name) == NO_WORLD:
+        return None
+    from diffdrive_mpc.sim.worlds.world_file import load_world  # noqa: PLC0415 - most plants are in none
+
+    return load_world(name, seed)
 
 
 def _build(name: str) -> SimulatedRobot | None:

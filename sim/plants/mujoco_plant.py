@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -22,7 +24,9 @@ from diffdrive_mpc.sim.sensing.battery import Battery
 from diffdrive_mpc.sim.sensing.power_readings import PowerReadings
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 from diffdrive_mpc.sim.sensing.sensors import TIME_TOLERANCE, Sensors
-from diffdrive_mpc.sim.worlds.world import World
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.sim.worlds.world import World
 
 # Spawn keys of the sensors' streams are 0, 1, 2, ...: this one can never meet them.
 _ENCODER_PHASE_KEY = 1_000

@@ -15,8 +15,6 @@ from diffdrive_mpc.sim.disturbances.drawn_values import check_drawn, drawn, extr
 from diffdrive_mpc.sim.worlds.world import World
 
 SHIPPED = Path(__file__).parent / "shipped"
-NO_WORLD = "none"
-"""The world in which there is nothing."""
 PATTERN = "drawn:SEED, drawn:SEED:through"
 """How the names of drawn worlds look."""
 # Spawn keys of sensors, encoders and scenarios are 0 to 2, 1000 and 2080: a world changes none of their draws.
