@@ -2,28 +2,21 @@
 PYTHON ?= python3
 VENV ?= .venv
 OUT ?= out/bench
-TRACKING_OUT ?= out/tracking
-REPRODUCE_OUT ?= out/reproduce
-TORQUE_OUT ?= out/torque
-SAVING_OUT ?= out/saving
-SPEED_OUT ?= out/speed
+STUDY_OUT ?= out
 EDGE_OUT ?= out/edge
-PEERS_OUT ?= out/peers
 ROBUSTNESS_OUT ?= out/robustness
 MARKET_OUT ?= out/market
 PROVE_OUT ?= out/prove
-WORLDS_OUT ?= out/worlds
 TUNE_OUT ?= out/tune
 REPORTS_OUT ?= out/reports
 SITE_OUT ?= out/site
 BILL_OUT ?= out/bill.json
-# Options of the studies: make tracking TRACKING=--quick
-TRACKING ?=
-REPRODUCE ?=
-SPEED ?=
+# Which study, and options of it: make study NAME=tracking OPTIONS=--quick
+NAME ?=
+OPTIONS ?=
+# Of make market, prove and tune.
 MARKET ?=
 PROVE ?=
-WORLDS ?=
 TUNE ?=
 # What is fuzzed: make fuzz FUZZ="long --seed 7", FUZZ="controller --seed 1 --only 12", FUZZ="live --seconds 600"
 FUZZ ?= short
@@ -47,7 +40,7 @@ LOCKED := --no-deps --require-hashes -r
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: help bench bench-full edge gallery goals peers robustness market worlds prove tune tracking reproduce speed screenshots wheel test test-system fuzz lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
+.PHONY: help bench bench-full edge gallery goals study robustness market prove tune screenshots wheel test test-system fuzz lint types format models calibrate readme schemas site notebooks pictures requirements bill audit clean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sort | awk -F ':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
@@ -77,8 +70,8 @@ edge: $(READY) ## fast and tight paths, all models beside their peers, path by p
 goals: $(READY) ## a hundred random goals of the node's action in a row, over DDS, with memory and threads: some minutes
 	$(BIN)/python tests/mpc/follow_long.py --goals 100 $(GOALS)
 
-peers: $(READY) ## tune the peers again, and show that their neighbours are no better: out/peers
-	$(BIN)/python -m studies peers --out $(PEERS_OUT)
+study: $(READY) ## one study again, make study NAME=tracking: out/tracking; its options in OPTIONS; python -m studies lists them
+	$(BIN)/python -m studies $(NAME) --out $(STUDY_OUT)/$(NAME) $(OPTIONS)
 
 robustness: $(READY) ## every controller on other robots, floors, loads and sensors: out/robustness
 	$(BIN)/python -m studies robustness --out $(ROBUSTNESS_OUT) --controllers mpc,pursuit+slip,kanayama+slip,lqr+slip \
@@ -87,35 +80,11 @@ robustness: $(READY) ## every controller on other robots, floors, loads and sens
 market: $(READY) ## a thousand robots that nobody tuned to: out/market, some six minutes; MARKET="--rates 1,10,100", other controllers
 	$(BIN)/python -m studies robustness --out $(MARKET_OUT) --robots 1000 --controllers mpc $(MARKET)
 
-worlds: $(READY) ## drawn and named worlds with contacts counted, beside peers that see the same: out/worlds, some hours
-	$(BIN)/python -m studies worlds --out $(WORLDS_OUT) $(WORLDS)
-
 prove: $(READY) ## how often the controller fails on many plants, paths and faults, and where it stops to hold: out/prove
 	$(BIN)/diffdrive-mpc prove ssm --out $(PROVE_OUT) $(PROVE)
 
 tune: $(READY) ## search for a better configuration, and hold it against the shipped one on other seeds: out/tune
 	$(BIN)/diffdrive-mpc tune ssm --out $(TUNE_OUT) $(TUNE)
-
-.PHONY: torque
-torque: $(READY) ## what a turn costs: torque, least radius and energy, measured, learned and predicted: out/torque
-	$(BIN)/python -m studies torque --out $(TORQUE_OUT)
-
-.PHONY: saving
-saving: $(READY) ## how much an energy-optimal path saves, driven in closed loop: out/saving
-	$(BIN)/python -m studies saving --out $(SAVING_OUT)
-
-.PHONY: energy-front
-energy-front: $(READY) ## what a cost of energy in the controller saves, and what it costs in error: out/energy-front
-	$(BIN)/python -m studies energy-front --out out/energy-front
-
-tracking: $(READY) ## what the tracking reaches, what each part is worth, how much is left: tables and figures in out/tracking
-	$(BIN)/python -m studies tracking --out $(TRACKING_OUT) $(TRACKING)
-
-reproduce: $(READY) ## the papers' experiments on the simulated robot, beside the papers' figures: out/reproduce
-	$(BIN)/python -m studies reproduce --out $(REPRODUCE_OUT) $(REPRODUCE)
-
-speed: $(READY) ## step times beside acados, do-mpc and CasADi's solvers on the same problem: out/speed
-	$(BIN)/python -m studies speed --out $(SPEED_OUT) $(SPEED)
 
 screenshots: $(READY) ## reports of small real runs, and their pictures for docs/reports.md, in a real browser
 	$(BIN)/diffdrive-mpc simulate --trajectory s --out $(REPORTS_OUT)/simulate --log $(REPORTS_OUT)/s.csv
@@ -164,7 +133,7 @@ calibrate: $(READY) ## fit the simulated robot to the published SSM again
 	$(BIN)/python -m studies models calibrate
 
 readme: $(READY) ## copy tables and figures of the last `make bench` and of the studies that were made into README and docs
-	$(BIN)/python -m studies.documents.documents $(OUT) $(wildcard $(TRACKING_OUT) $(REPRODUCE_OUT) $(SPEED_OUT) $(PEERS_OUT) $(EDGE_OUT) $(ROBUSTNESS_OUT) $(PROVE_OUT) $(TORQUE_OUT) $(SAVING_OUT))
+	$(BIN)/python -m studies.documents.documents $(OUT) $(wildcard $(STUDY_OUT)/tracking $(STUDY_OUT)/reproduce $(STUDY_OUT)/speed $(STUDY_OUT)/peers $(EDGE_OUT) $(ROBUSTNESS_OUT) $(PROVE_OUT) $(STUDY_OUT)/torque $(STUDY_OUT)/saving)
 
 schemas: $(READY) ## write the JSON Schemas of all kinds of files again
 	$(BIN)/python -m diffdrive_mpc.app.schemas.generate

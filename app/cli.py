@@ -6,10 +6,11 @@ import os
 import sys
 from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from diffdrive_mpc.app.former_names import WithFormerNames
 from diffdrive_mpc.bench.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
 from diffdrive_mpc.models.plug_ins import plug_ins
 
@@ -17,36 +18,10 @@ if TYPE_CHECKING:
     app: typer.Typer
 
 _HOME = "diffdrive_mpc.app.commands"
-MOVED = {
-    "robot": "`diffdrive-mpc sim-robot`",
-    "study": "`python -m studies`, in a clone of the repository",
-    "monitor-study": "`python -m studies monitor`, in a clone of the repository",
-} | {
-    name: f"`python -m studies {name}`, in a clone of the repository"
-    for name in (
-        "tracking",
-        "robustness",
-        "worlds",
-        "peers",
-        "reproduce",
-        "saving",
-        "energy-front",
-        "speed",
-        "loop-speed",
-        "real-logs",
-    )
-}
-"""Former names of commands, each with the present one."""
 
 
-class Commands(OneLineErrors):
-    """The commands; a former name is answered with the present one."""
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401 - of classes that typer hides
-        """The command of that name; None if there is none."""
-        if cmd_name in MOVED and not ctx.resilient_parsing:
-            raise ValueError(f"{cmd_name}: this command is {MOVED[cmd_name]} now")
-        return super().get_command(ctx, cmd_name)
+class Commands(WithFormerNames, OneLineErrors):
+    """The commands."""
 
 
 class Listed(NamedTuple):

@@ -1,6 +1,7 @@
 """Who may import whom."""
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,19 @@ def test_imports_run_one_way(package):
         assert ours - ({"app"} if SITE in path.parents else set()) <= ALLOWED[package], path
         if package != "sim":
             assert "mujoco" not in set(imported(path)), path
+
+
+def test_the_picture_of_the_house_is_what_is_imported():
+    """docs/architecture.md: a line for each room; on the right what it imports, no more and no less."""
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    head, *lines = re.search(r"^```text\n(room.*?)^```", page, re.MULTILINE | re.DOTALL)[1].splitlines()
+    shown = {line.split()[0]: set(line[head.index("imports") :].split()) for line in lines}
+    known = {
+        package: {name for path in (ROOT / package).rglob("*.py") for name in imported(path)}
+        & ALLOWED.keys() - {package}
+        for package in ALLOWED
+    }
+    assert shown == known
 
 
 @pytest.mark.parametrize("package", ALLOWED)

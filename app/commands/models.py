@@ -8,9 +8,10 @@ from typing import Annotated
 import typer
 
 from diffdrive_mpc.app.commands.options import Mapping
+from diffdrive_mpc.app.former_names import WithFormerNames
 from diffdrive_mpc.bench.command_line.completion import choices
 
-models_app = typer.Typer(no_args_is_help=True, help="List, show and check velocity models.")
+models_app = typer.Typer(cls=WithFormerNames, no_args_is_help=True, help="List, show and check velocity models.")
 
 
 @models_app.command("list", epilog="Example: diffdrive-mpc models list")

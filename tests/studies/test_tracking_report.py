@@ -144,7 +144,7 @@ def test_parts_that_were_not_run_say_so_and_their_figures_go(report: Path, tmp_p
 
 
 def test_without_a_report_nothing_is_copied(tmp_path: Path):
-    with pytest.raises(ConfigError, match="run `make tracking` first"):
+    with pytest.raises(ConfigError, match="run `make study NAME=tracking` first"):
         copy_report(TRACKING, tmp_path, tmp_path / "docs")
 
 
