@@ -20,11 +20,9 @@ from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_con
 from diffdrive_mpc.mpc.problem.energy_term import with_least_radius
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import load_segments
-from diffdrive_mpc.mpc.trajectories.scaled import scaled_to_robot
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.sim import Plant, Run, make_plant, simulate
 from diffdrive_mpc.sim.plants.make import drawn_robot, physics_robot, plant_outline
-from diffdrive_mpc.sim.worlds.world_file import load_world
 
 CONTROLLERS = ("mpc", *PEERS)
 _SAME_TRACK = 0.05
@@ -72,6 +70,8 @@ def load_reference(case: Case) -> Trajectory:
     that the world's file says, where it says one.
     """
     if case.world != NO_WORLD:
+        from diffdrive_mpc.sim.worlds.world_file import load_world  # noqa: PLC0415 - most cases are in none
+
         way = load_world(case.world, case.seed).way
         if way is not None and case.trajectory != case.world:
             raise ConfigError(
@@ -87,6 +87,8 @@ def load_reference(case: Case) -> Trajectory:
             raise ConfigError(f"--world {case.world}: it has no way of its own; give a --trajectory beside it")
     config = _config_of_robot(case)
     if case.scaled:
+        from diffdrive_mpc.mpc.trajectories.scaled import scaled_to_robot  # noqa: PLC0415 - as above
+
         return scaled_to_robot(case.trajectory, config, load_model(config.model))
     if case.top_speed is not None:
         segments = load_segments(case.trajectory)

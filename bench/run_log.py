@@ -17,7 +17,6 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.whole_file import reason, whole_file
 from diffdrive_mpc.sim import Run
-from diffdrive_mpc.sim.log_csv import write_rows
 
 _SIMULATE = ("diffdrive-mpc", "simulate")
 WriteLog = Callable[..., None]
@@ -55,6 +54,8 @@ def run_log(log: Path | None) -> Iterator[WriteLog]:
 
                 write_ticks(run, draft, _told(case, command or repeating(case)))
             else:
+                from diffdrive_mpc.sim.log_csv import write_rows  # noqa: PLC0415 - most runs leave no log
+
                 write_rows(run, draft)
         except OSError as error:
             raise ConfigError(f"--log {log}: cannot be written ({reason(error)})") from error

@@ -34,7 +34,9 @@ OWN_PROCESS = ("node", "sim-robot", "monitor")
 TOURED = {ROOT / "README.md", ROOT / "docs" / "install.md"}
 # What of a command says that it needs a program of the system.
 NEEDS = {".mp4": "film", "--render": "rendering", "--view": "window", "--emulate": "microcontroller"}
-RUN_BY_CI = re.compile(r"make (bench|study NAME=(tracking|reproduce|speed)|site|test|test-system|lint|types|wheel|fuzz)$")
+RUN_BY_CI = re.compile(
+    r"make (bench|study NAME=(tracking|reproduce|speed)|site|test|test-system|lint|types|wheel|fuzz)$"
+)
 
 
 def blocks(document):

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
-from diffdrive_mpc.mpc.core.generate import GeneratedC, generate
 from diffdrive_mpc.mpc.core.library import load_core, load_functions
 from diffdrive_mpc.mpc.problem.terms import Term, parameter_places
 from diffdrive_mpc.mpc.problem.user_functions import user_output, user_step, user_term
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.mpc.core.generate import GeneratedC
 
 CompiledTerm = tuple[Any, int, bool, int]
 """Address of the function, rows of its value, whether it is soft, and the place of its first parameter."""
@@ -40,7 +42,11 @@ def generated_functions(model: VelocityModel | NonlinearModel, terms: Sequence[T
     functions += [
         user_term(term.function, term_name(index)) for index, term in enumerate(terms) if not _symbol_of(term)
     ]
-    return generate(functions, "ddmpc_user", "the user's functions") if functions else None
+    if not functions:
+        return None
+    from diffdrive_mpc.mpc.core.generate import generate  # noqa: PLC0415 - most controllers bring no function
+
+    return generate(functions, "ddmpc_user", "the user's functions")
 
 
 def compile_functions(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import cffi
@@ -17,9 +17,11 @@ import cffi
 from diffdrive_mpc.models.compiled.cache import load_cached
 from diffdrive_mpc.models.compiled.compiler import NATIVE, NotCompiledError, build_library, what_is_built
 from diffdrive_mpc.models.compiled.packaged import load_library
-from diffdrive_mpc.mpc.core.generate import GeneratedC
 from diffdrive_mpc.mpc.core.packaged import packaged_libraries
 from diffdrive_mpc.mpc.core.sources import core_declarations, core_origin, library_texts, shared_headers
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.mpc.core.generate import GeneratedC
 
 _FUNCTION = "int {name}(const real **, real **, long long *, real *, int);"
 
