@@ -16,6 +16,7 @@ from diffdrive_mpc.models.interface import (
     Reference,
     TrackingController,
 )
+from diffdrive_mpc.models.step_scalars import scalar_row
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
 from diffdrive_mpc.sim.plants.motor_work import NOTHING, MotorWork, motor_work, stacked
 from diffdrive_mpc.sim.plants.plant import Plant, RobotLostError
@@ -155,6 +156,7 @@ def simulate(
         motor_square=square,
         drive=getattr(plant, "drive", None),
         power_readings=np.array(power),
+        scalars=np.array([words.scalars for words in said]),
         disturbance=getattr(plant, "disturbance", None),
         ended=ended,
         **around.kept,
@@ -192,20 +194,21 @@ class _Around:
 
 
 class _Said(NamedTuple):
-    """What a step says of itself in words."""
+    """What a step says of itself, in words and numbers."""
 
     mode: str
     message: str
     solver_status: str
     solver_path: str
+    scalars: list[float]
 
     @classmethod
     def by(cls, step: ControlStep) -> _Said:
         """The words of `step`."""
         solver = step.solver
         if solver is None:
-            return cls(str(step.mode), step.message, "", NO_SOLVER)
-        return cls(str(step.mode), step.message, str(solver.status), str(solver.path))
+            return cls(str(step.mode), step.message, "", NO_SOLVER, scalar_row(step))
+        return cls(str(step.mode), step.message, str(solver.status), str(solver.path), scalar_row(step))
 
 
 def _check_arguments(controller: TrackingController, plant: Plant, extra_time: float) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, ReferenceSample, Stamped
 from diffdrive_mpc.models.pandas_package import load_pandas
 from diffdrive_mpc.models.results import ReadOnlyArrays
+from diffdrive_mpc.models.step_scalars import step_scalars
 from diffdrive_mpc.models.turn_costs.drive_constants import DriveConstants
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE, Metrics, compute_metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
@@ -91,6 +92,8 @@ class Run(ReadOnlyArrays):
     power_readings
         (n, 6) what sensors of battery and motors said, means over the sample before the tick: voltage [V] and current
         [A] of the battery, currents of the four motors [A]; NaN for a robot without them.
+    scalars
+        (n, S) what the controller said of itself, in the order of `models.step_scalars`; NaN where it said nothing.
     world
         What was around the robot; None for nothing.
     contacts
@@ -127,6 +130,7 @@ class Run(ReadOnlyArrays):
     motor_square: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
     drive: DriveConstants | None = None
     power_readings: FloatArray = field(default_factory=lambda: np.empty((0, 6)))
+    scalars: FloatArray = field(default_factory=lambda: np.empty((0, len(step_scalars()))))
     world: World | None = None
     contacts: tuple[Contact, ...] = ()
     outline: tuple[float, float] = (0.0, 0.0)
@@ -142,6 +146,7 @@ class Run(ReadOnlyArrays):
             "estimates": np.full((count, 5), np.nan),
             "estimate_deviations": np.full((count, 5), np.nan),
             "power_readings": np.full((count, 6), np.nan),
+            "scalars": np.full((count, len(step_scalars())), np.nan),
             **{f"motor_{what}": np.full((count, 4), np.nan) for what in ("torque", "speed", "power", "square")},
         }
         vars(self).update({name: rows for name, rows in nothing.items() if not len(vars(self)[name])})
@@ -235,6 +240,9 @@ class Run(ReadOnlyArrays):
             (("step_time_s", "solve_time_s"), np.column_stack([self.step_time, self.solve_time])),
             (("solver_iterations",), self.solver_iterations),
         ]
+        said = np.flatnonzero(np.isfinite(self.scalars).any(axis=0))
+        names = tuple(step_scalars())
+        numbers.append((tuple(names[column] for column in said), self.scalars[:, said]))
         if np.isfinite(self.power_readings).any():
             numbers.append((READINGS, self.power_readings))
         if np.isfinite(self.motor_torque).any():

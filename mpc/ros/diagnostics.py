@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from diffdrive_mpc.models.velocity_model import CHANNELS
+from diffdrive_mpc.models.step_scalars import said_by, step_scalars
 from diffdrive_mpc.mpc.ros.bond import Bond
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopState
 from diffdrive_mpc.mpc.ros.conversions import time_message
@@ -128,18 +128,11 @@ def _result(result: StepResult) -> dict[str, str]:
     values = {
         "mode": str(result.mode),
         "solver": f"{result.solver.status}, by {result.solver.path}, {result.solver.iterations} iterations",
-        "reference progress": f"{result.progress:.2f}",
-        "reference delay [s]": f"{result.reference_delay:.2f}",
         "sensors not used": ", ".join(result.unused_sensors) or "none",
     }
-    if result.dead_time is not None:
-        found = result.dead_time
-        for i, channel in enumerate(CHANNELS):
-            values[f"dead time of {channel} found, deviation, used [s]"] = (
-                f"{found.value[i]:.3f}, {found.deviation[i]:.3f}, {found.used[i]:.3f}"
-            )
+    scalars = step_scalars()
+    values |= {scalars[name].titled: f"{value:.{scalars[name].digits}f}" for name, value in said_by(result).items()}
     if not math.isnan(result.clearance):
-        values["clearance now, ahead [m]"] = f"{result.clearance:.3f}, {result.clearance_ahead:.3f}"
         values["pressed by"] = ", ".join(result.pressed_by) or "nothing"
     error = tracking_error(result)
     if error is not None:

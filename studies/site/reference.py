@@ -8,7 +8,7 @@ from pathlib import Path
 
 import diffdrive_mpc as package
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
-from studies.documents.robot_page import configuration_tables, node_table
+from studies.documents.declared_tables import configuration_tables, node_table
 from studies.site.command_line import command_line_page
 from studies.site.file_formats import file_formats_page
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, MotionEstimate, Stamped
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
+from diffdrive_mpc.models.step_scalars import said_by, step_scalars
 
 Cell = float | str
 TickRow = Mapping[str, Cell]
@@ -70,7 +71,11 @@ def tick_schema() -> dict[str, Any]:
     """The JSON schema of a row."""
     found = json.loads(files(__package__).joinpath("tick.schema.json").read_text(encoding="utf-8"))
     assert isinstance(found, dict)
-    return found
+    scalars = {
+        name: {"type": "number", "description": f"{scalar.help} [{scalar.unit}]"}
+        for name, scalar in step_scalars().items()
+    }
+    return found | {"properties": found["properties"] | scalars}
 
 
 def to_json(row: TickRow) -> bytes:
@@ -119,7 +124,7 @@ def decided_cells(step: ControlStep) -> dict[str, Cell]:
         deviations = [*estimate.pose_deviation.tolist(), *estimate.twist_deviation.tolist()]
         cells |= zip(_ESTIMATE, values, strict=True)
         cells |= zip(_DEVIATION, deviations, strict=True)
-    return cells
+    return cells | said_by(step)
 
 
 def error_cells(row: TickRow) -> dict[str, Cell]:

@@ -1,4 +1,4 @@
-"""The page for the robot is current and complete."""
+"""Tables that come from declarations are current and complete."""
 
 from pathlib import Path
 
@@ -7,18 +7,19 @@ import pytest
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.described import schema_rows
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
-from studies.documents import robot_page
+from studies.documents import declared_tables
 
-PAGE = Path(__file__).parents[2] / "docs" / "robot.md"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
-def test_the_page_shows_the_parameters_as_they_are():
-    page = PAGE.read_text(encoding="utf-8")
-    assert robot_page.with_tables(page) == page, "run: python -m studies.documents.robot_page"
+@pytest.mark.parametrize("name", declared_tables.PAGES)
+def test_a_page_shows_what_is_declared(name):
+    page = (DOCS / name).read_text(encoding="utf-8")
+    assert declared_tables.with_tables(name, page) == page, "run: python -m studies.documents.declared_tables"
 
 
 def test_every_parameter_has_its_row_with_unit_default_and_advice():
-    lines = [line for line in robot_page.parameter_tables().splitlines() if line.startswith("| `")]
+    lines = [line for line in declared_tables.parameter_tables().splitlines() if line.startswith("| `")]
     # Lists come by file only.
     rows = [row for row in schema_rows(NodeSettings) + schema_rows() if not row.key.startswith("terms")]
     assert [line.split("`")[1] for line in lines] == [row.key for row in rows]
@@ -35,6 +36,6 @@ def test_every_parameter_has_its_row_with_unit_default_and_advice():
 def test_advice_that_does_not_fit_is_refused(text, complaint, tmp_path, monkeypatch):
     file = tmp_path / "advice.yaml"
     file.write_text(text)
-    monkeypatch.setattr(robot_page, "_ADVICE", file)
+    monkeypatch.setattr(declared_tables, "_ADVICE", file)
     with pytest.raises(ConfigError, match=complaint):
-        robot_page.parameter_tables()
+        declared_tables.parameter_tables()

@@ -1,20 +1,20 @@
-"""Write the table of the node's parameters into docs/robot.md.
+"""Tables of documents that come from declarations: the node's parameters, the numbers of a step.
 
-Run as ``python -m studies.documents.robot_page``, from the top of the repository.
+Run as ``python -m studies.documents.declared_tables``, from the top of the repository.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc.models.step_scalars import scalars_table
 from diffdrive_mpc.mpc.config.described import FieldRow, schema_rows
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from studies.documents.documents import insert
 
-PAGE = Path("docs/robot.md")
-MARKER = "parameters"
 _ADVICE = Path(__file__).parent / "parameter_advice.yaml"
 _HEAD = (
     "| parameter | unit | default | range | what it does | when to change it |\n| --- | --- | --- | --- | --- | --- |"
@@ -77,9 +77,10 @@ def _controller_rows() -> list[FieldRow]:
     return [row for row in schema_rows(ControllerConfig) if not row.key.startswith("terms")]
 
 
-def with_tables(page: str) -> str:
-    """`page` with the tables as they are now."""
-    return insert(page, parameter_tables(), MARKER)
+def with_tables(name: str, page: str) -> str:
+    """`page`, the document of that name, with its table as it is now."""
+    marker, table = PAGES[name]
+    return insert(page, table(), marker)
 
 
 def _table(title: str, rows: list[FieldRow], advice: dict[str, str]) -> str:
@@ -96,5 +97,13 @@ def _line(row: FieldRow, advice: dict[str, str]) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
+PAGES: Mapping[str, tuple[str, Callable[[], str]]] = {
+    "robot.md": ("parameters", parameter_tables),
+    "logs.md": ("scalars", scalars_table),
+}
+"""By name of the document: its marker, and its table."""
+
 if __name__ == "__main__":
-    PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for name in PAGES:
+        page = Path("docs") / name
+        page.write_text(with_tables(name, page.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,0 +1,68 @@
+"""Numbers that a controller says of itself at each step, declared once in `step_scalars.yaml` beside this."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from diffdrive_mpc.models.checked_yaml import StrictModel, check, read_yaml
+
+
+class StepScalar(StrictModel):
+    """One number; `step_scalars.yaml` says what its fields mean."""
+
+    of: str = Field(min_length=1)
+    label: str = Field(min_length=1)
+    unit: str = Field(min_length=1)
+    digits: int = Field(ge=0, le=9)
+    help: str = Field(min_length=1)
+
+    @property
+    def titled(self) -> str:
+        """Label and unit."""
+        return self.label if self.unit == "-" else f"{self.label} [{self.unit}]"
+
+
+@cache
+def step_scalars() -> Mapping[str, StepScalar]:
+    """All by the name of their column, in the order of the file."""
+    path = Path(__file__).with_suffix(".yaml")
+    return {name: check(StepScalar, said, f"{path}: {name}") for name, said in read_yaml(path).items()}
+
+
+def scalar_row(step: object) -> list[float]:
+    """What `step` says, in the order of `step_scalars`; NaN where it says nothing."""
+    return [_taken(step, path) for path in _paths()]
+
+
+def said_by(step: object) -> dict[str, float]:
+    """What `step` says, by the names of columns."""
+    values = zip(step_scalars(), scalar_row(step), strict=True)
+    return {name: value for name, value in values if not math.isnan(value)}
+
+
+@cache
+def _paths() -> tuple[tuple[str | int, ...], ...]:
+    """From a step to each number: names of attributes, and indices."""
+    ways = (scalar.of.split(".") for scalar in step_scalars().values())
+    return tuple(tuple(int(part) if part.isdecimal() else part for part in way) for way in ways)
+
+
+def _taken(step: object, path: tuple[str | int, ...]) -> float:
+    found: Any = step
+    for part in path:
+        found = found[part] if isinstance(part, int) else getattr(found, part, None)
+        if found is None:
+            return math.nan
+    return float(found)
+
+
+def scalars_table() -> str:
+    """The declarations as a table in Markdown."""
+    rows = [f"| `{name}` | {scalar.unit} | {scalar.help} |" for name, scalar in step_scalars().items()]
+    return "\n".join(("| column | unit | meaning |", "| --- | --- | --- |", *rows))
