@@ -54,6 +54,7 @@ $(CORE): requirements-bench.txt pyproject.toml
 
 $(READY): $(CORE) requirements.txt
 	$(PIP_INSTALL) $(LOCKED) requirements.txt
+	$(BIN)/python -m diffdrive_mpc.app.schemas.generate
 	@touch $(READY)
 
 bench: $(CORE) ## every model along every trajectory with five seeds: tables and figures in out/bench

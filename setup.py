@@ -1,5 +1,7 @@
-"""Building a wheel compiles its C into it: controller, monitor, simulated drivetrain. All else is in pyproject.toml."""
+"""Building a wheel compiles its C into it, and makes its JSON Schemas. All else is in pyproject.toml."""
 
+import os
+import subprocess
 import sys
 import types
 from pathlib import Path
@@ -40,6 +42,10 @@ class BuildWithCore(build_py):
                 write_twin(package / "sim" / "core")
             except NotCompiledError as error:
                 sys.exit(f"error: the package's C is not compiled: {error}; install gcc, or take a wheel")
+            # Plug-ins register kinds of files in the metadata of the package.
+            self.run_command("egg_info")
+            generate = [sys.executable, "-m", "diffdrive_mpc.app.schemas.generate", str(package.resolve())]
+            subprocess.run(generate, check=True, env=os.environ | {"PYTHONPATH": str(SOURCES)})
 
 
 class PlatformWheel(bdist_wheel):

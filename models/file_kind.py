@@ -58,5 +58,5 @@ class FileKind:
         return [*(path for path in found if path.name not in self.besides), *self.elsewhere]
 
     def text(self) -> str:
-        """The schema as it ships."""
+        """The schema as it ships; raises OSError in a clone where `make schemas` has not been run."""
         return self.file.read_text(encoding="utf-8")

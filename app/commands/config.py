@@ -64,6 +64,7 @@ def schema(
     With a first line `# yaml-language-server: $schema=FILE` in a configuration, editors complete and check its keys.
     """
     from diffdrive_mpc.app.config_report import print_schema  # noqa: PLC0415
+    from diffdrive_mpc.app.schemas.generate import schema_text  # noqa: PLC0415
     from diffdrive_mpc.bench.command_line.file_kinds import KINDS  # noqa: PLC0415
     from diffdrive_mpc.models.checked_yaml import ConfigError  # noqa: PLC0415
     from diffdrive_mpc.models.whole_file import whole_file  # noqa: PLC0415
@@ -74,8 +75,8 @@ def schema(
         raise ConfigError("--out is for the JSON schema; give --json too")
     if out is not None:
         with whole_file(out) as draft:
-            draft.write_text(KINDS["controller"].text(), encoding="utf-8")
+            draft.write_text(schema_text(KINDS["controller"]), encoding="utf-8")
     elif as_json:
-        typer.echo(KINDS["controller"].text(), nl=False)
+        typer.echo(schema_text(KINDS["controller"]), nl=False)
     else:
         print_schema(part)

@@ -40,16 +40,18 @@ def schema(
             raise ConfigError("which schema? name a kind: diffdrive-mpc schema lists them")
         _list_kinds()
         return
+    from diffdrive_mpc.app.schemas.generate import placed, schema_text  # noqa: PLC0415 - the list does without it
+
     found = kind_of(kind)
     if out is not None and path:
         raise ConfigError("--path names a file that is there already; give --path or --out")
     if path:
-        typer.echo(found.file)
+        typer.echo(placed(found))
     elif out is None:
-        typer.echo(found.text(), nl=False)
+        typer.echo(schema_text(found), nl=False)
     else:
         with whole_file(out) as draft:
-            draft.write_text(found.text(), encoding="utf-8")
+            draft.write_text(schema_text(found), encoding="utf-8")
 
 
 def _list_kinds() -> None:

@@ -1,11 +1,17 @@
-"""The JSON Schemas, made from what reads the files: `python -m diffdrive_mpc.app.schemas.generate` writes them."""
+"""The JSON Schemas, made from what reads the files.
+
+`python -m diffdrive_mpc.app.schemas.generate` writes them where they belong, in a clone; with a folder, into that copy
+of our package: a wheel brings them.
+"""
 
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from functools import reduce
 from operator import or_
+from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, TypeAdapter
@@ -18,6 +24,7 @@ from diffdrive_mpc.bench.campaign.definition import FACTORS_OF_A_CASE, GROUPS
 from diffdrive_mpc.bench.campaign.draws import KINDS as DRAWS
 from diffdrive_mpc.bench.command_line.file_kinds import KINDS
 from diffdrive_mpc.bench.conditions import Conditions
+from diffdrive_mpc.models.file_kind import PACKAGE, FileKind
 from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.logs.mapping import LogMapping
 from diffdrive_mpc.models.structures.registry import STRUCTURES
@@ -43,11 +50,27 @@ def json_schema(kind: str) -> str:
     return json.dumps(closed(made), indent=2) + "\n"
 
 
-def write_all() -> None:
-    """Write every schema to its place; raises OSError where that cannot be done."""
-    for name, kind in KINDS.items():
-        kind.file.parent.mkdir(exist_ok=True)
-        kind.file.write_text(json_schema(name), encoding="utf-8")
+def schema_text(kind: FileKind) -> str:
+    """The schema as it ships, or made now where there is none yet: in a clone."""
+    return kind.text() if kind.file.is_file() else json_schema(kind.name)
+
+
+def placed(kind: FileKind) -> Path:
+    """Where the schema lies; it is written there if it is not yet. Raises OSError where that cannot be done."""
+    if not kind.file.is_file():
+        _write(kind, kind.file)
+    return kind.file
+
+
+def write_all(package: Path = PACKAGE) -> None:
+    """Write every schema to its place in our package, or in a copy of it; raises OSError where that cannot be done."""
+    for kind in KINDS.values():
+        _write(kind, package / kind.file.relative_to(PACKAGE))
+
+
+def _write(kind: FileKind, file: Path) -> None:
+    file.parent.mkdir(exist_ok=True)
+    file.write_text(json_schema(kind.name), encoding="utf-8")
 
 
 def _as_it_is(schema: type[BaseModel]) -> Callable[[], Schema]:
@@ -108,4 +131,4 @@ _MADE: dict[str, Callable[[], Schema]] = {
 }
 
 if __name__ == "__main__":
-    write_all()
+    write_all(*map(Path, sys.argv[1:]))

@@ -28,7 +28,10 @@ def choices(what: str, *, several: bool = False) -> Completer:
     def complete(incomplete: str) -> list[tuple[str, str]]:
         before, comma, last = incomplete.rpartition(",") if several else ("", "", incomplete)
         taken = set(before.split(","))
-        offered = [(word, said) for word, said in _OFFERS[what]() if word.startswith(last) and word not in taken]
+        try:
+            offered = [(word, said) for word, said in _OFFERS[what]() if word.startswith(last) and word not in taken]
+        except OSError:  # in a clone without schemas
+            return []
         return [(f"{before}{comma}{word}", said) for word, said in offered]
 
     return complete

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
+from diffdrive_mpc.app.schemas.generate import schema_text
 from diffdrive_mpc.bench.command_line.file_kinds import KINDS
 from diffdrive_mpc.models.file_kind import FileKind
 
@@ -29,7 +30,7 @@ def file_formats_page() -> str:
 
 
 def _section(kind: FileKind) -> str:
-    schema: Schema = json.loads(kind.text())
+    schema: Schema = json.loads(schema_text(kind))
     names = ", ".join(f"`{path.stem}`" for path in kind.files)
     facts = f"For `{kind.given}`." + (f" Shipped: {names}." if names else "")
     title = f"## {kind.name}: {kind.what} {{ #{kind.name} }}"
