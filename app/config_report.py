@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from diffdrive_mpc.bench.progress import output_console
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError, check
-from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.mpc.config.described import schema_rows
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 
@@ -26,7 +26,7 @@ _OF_THE_ROBOT = {
 
 def robot_defaults(config: ControllerConfig) -> list[str]:
     """List what a configuration leaves to the papers' robot, as `key value unit`; nothing for a model that ships."""
-    if config.model in MODEL_NAMES:
+    if is_shipped(config.model):
         return []
     groups: dict[str, BaseModel] = {"": config, "limits": config.limits, "wheels": config.wheels}
     found = []

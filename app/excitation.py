@@ -20,7 +20,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.information import TOLD, DriveInformation
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.load import MODEL_NAMES, load_linear_model
+from diffdrive_mpc.models.load import is_shipped, load_linear_model
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.mpc import ControllerConfig, load_config, load_trajectory
@@ -233,7 +233,7 @@ def check_drive(run: Run, room: Room) -> None:
 
 def case_of(config: str) -> Case:
     """The case with this configuration: a file, or the shipped one of a model; raises ConfigError if there is none."""
-    if config in MODEL_NAMES:
+    if is_shipped(config):
         load_config(config)
         return Case(model=config)
     return Case(model=load_config(config).model, config=config)

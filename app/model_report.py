@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive_mpc.bench.progress import output_console
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.load import MODEL_NAMES, load_model
+from diffdrive_mpc.models.load import load_model, model_names
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 
@@ -21,7 +21,7 @@ _LABEL = 19
 def print_models() -> None:
     """Print one row for each shipped model."""
     rows = []
-    for name in MODEL_NAMES:
+    for name in model_names():
         model = load_model(name)
         gains = [f"{model.dc_gain[i, i]:.3f}" for i in (0, 1)]
         lags = [f"{1e3 * lag:.0f}" for lag in model.lag]

@@ -15,7 +15,7 @@ from diffdrive_mpc.bench.late_plant import LatePlant
 from diffdrive_mpc.bench.peers import LAWS, PEERS, make_peer
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Reference, TrackingController
-from diffdrive_mpc.models.load import MODEL_NAMES, load_model, model_path
+from diffdrive_mpc.models.load import is_shipped, load_model, model_path
 from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.mpc.problem.energy_term import with_least_radius
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
@@ -185,7 +185,7 @@ def controller_config(model: str, config: str | None = None, overrides: Override
     """
     if config is not None:
         found = load_config(config, {"model": _model_reference(model), **dict(overrides)})
-    elif model in MODEL_NAMES:
+    elif is_shipped(model):
         found = load_config(model, dict(overrides))
     else:
         load_model(model)
@@ -206,4 +206,4 @@ def chosen_model(model: str | None, config: Path | None) -> str:
 
 
 def _model_reference(model: str) -> str:
-    return model if model in MODEL_NAMES else str(model_path(model).resolve())
+    return model if is_shipped(model) else str(model_path(model).resolve())

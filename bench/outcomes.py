@@ -271,8 +271,9 @@ def who_drives(case: Case) -> str:
 
 def model_name(name: str) -> str:
     """Name of a model as the papers write it, or that of the user's file."""
-    titles = {one.name: one.title for one in function_structures().values()}
-    return name.upper() if name in STRUCTURES else titles.get(name, name)
+    if name in STRUCTURES:
+        return name.upper()
+    return {one.name: one.title for one in function_structures().values()}.get(name, name)
 
 
 def metrics_row(outcome: Scored, *, timed: bool = True) -> dict[str, object]:

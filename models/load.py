@@ -8,7 +8,7 @@ from pathlib import Path
 from diffdrive_mpc.models.base_effects import BaseEffects
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.errors import wrong_type
-from diffdrive_mpc.models.function_structure import function_structures
+from diffdrive_mpc.models.function_structure import FunctionStructure, function_structures
 from diffdrive_mpc.models.named_file import named_file, shipped_names
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
@@ -17,10 +17,6 @@ from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 
 PARAMETERS = Path(__file__).parent / "parameters"
 _LINEAR = {name: path for name in (*STRUCTURES, "kinematic") if (path := PARAMETERS / f"{name}.yaml").is_file()}
-_FUNCTIONS = {one.name: one.shipped for one in function_structures().values() if one.shipped}
-_SHIPPED = _LINEAR | _FUNCTIONS
-MODEL_NAMES = tuple(_SHIPPED)
-"""Shipped models: one of each structure that ships one, and the one to hold them against."""
 ROBOTS = PARAMETERS / "robots"
 ROBOT_NAMES = shipped_names(ROBOTS)
 """Real robots that were identified from public logs."""
@@ -54,10 +50,20 @@ def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
     path = model_path(name)
     data = read_yaml(path)
     try:
-        function = function_structures().get(_structure(data))
+        function = _function(data)
         return build_model(_checked(path, data)) if function is None else function.load(path, data)
     except ModelError as error:
         raise ModelError(f"{path.name}: {error}") from error
+
+
+def model_names() -> tuple[str, ...]:
+    """Shipped models: one of each structure that ships one, and the one to hold them against."""
+    return (*_LINEAR, *(one.name for one in function_structures().values() if one.shipped))
+
+
+def is_shipped(name: str | Path) -> bool:
+    """Whether `name` is one of `model_names`."""
+    return str(name) in _LINEAR or str(name) in model_names()
 
 
 def load_linear_model(name: str | Path) -> VelocityModel:
@@ -72,19 +78,28 @@ def load_base_effects(name: str | Path) -> BaseEffects:
     """Load what a model file says about the base around its model; raises ConfigError as `load_model`."""
     path = model_path(name)
     data = read_yaml(path)
-    return BaseEffects() if _structure(data) in function_structures() else _checked(path, data).base_effects
+    return BaseEffects() if _function(data) else _checked(path, data).base_effects
 
 
 def model_path(name: str | Path) -> Path:
     """The parameter file behind `name`; raises ConfigError when there is none."""
     if str(name) in ROBOT_NAMES:
         return ROBOTS / f"{name}.yaml"
-    return _SHIPPED.get(str(name)) or named_file("model", PARAMETERS, name, MODEL_NAMES)
+    if str(name) in _LINEAR:
+        return _LINEAR[str(name)]
+    shipped = {one.name: one.shipped for one in function_structures().values() if one.shipped}
+    return shipped.get(str(name)) or named_file("model", PARAMETERS, name, model_names())
 
 
 def read_model_file(path: str | Path) -> ModelFile:
     """Read and check the parameter file of a linear model without building the model."""
     return _checked(path, read_yaml(path))
+
+
+def _function(data: object) -> FunctionStructure | None:
+    """The structure of a function that a file names; None for one of matrices, for which no plug-in is looked for."""
+    name = _structure(data)
+    return None if name in STRUCTURES else function_structures().get(name)
 
 
 def _structure(data: object) -> str:

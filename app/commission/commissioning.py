@@ -23,7 +23,7 @@ from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE
-from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.mpc.trajectories.model_excitation import Room
@@ -181,8 +181,8 @@ def commission(
 def _steps(asked: Asked, out: Path, ledger: Ledger, fresh: list[Path]) -> Iterator[Step]:
     """The steps in order; each is made when those before are done."""
     size = {"room": [asked.room.length, asked.room.width], "seed": asked.seed}
-    start = () if asked.config in MODEL_NAMES else (Path(asked.config),)
-    named = {"config": asked.config if asked.config in MODEL_NAMES else ""}
+    start = () if is_shipped(asked.config) else (Path(asked.config),)
+    named = {"config": asked.config if is_shipped(asked.config) else ""}
     slow, full = out / "record-slow", out / "record"
 
     yield Step(

@@ -22,7 +22,7 @@ from diffdrive_mpc.bench.outcomes import STATISTICS, plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.mpc import load_config
 
 RESULTS, WORST = "prove.parquet", "worst"
@@ -155,7 +155,7 @@ def keep(proven: Proven, out: Path) -> None:
 def told_of(config: str) -> Mapping[str, Value]:
     """The factors that name a controller; raises ConfigError if there is no such configuration."""
     load_config(config)
-    return {"model": config} if config in MODEL_NAMES else {"config": config, "model": load_config(config).model}
+    return {"model": config} if is_shipped(config) else {"config": config, "model": load_config(config).model}
 
 
 def _boundary_row(one: Boundary) -> dict[str, object]:

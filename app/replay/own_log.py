@@ -13,7 +13,7 @@ from diffdrive_mpc.app.replay.logged_reference import logged_reference
 from diffdrive_mpc.app.replay.recording import Recording, Start, Tick
 from diffdrive_mpc.models.bounded_yaml import parse_yaml
 from diffdrive_mpc.models.interface import FloatArray, Measurement
-from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.logs.csv_log import OWN_FORMAT
 from diffdrive_mpc.models.logs.csv_table import read_header
 from diffdrive_mpc.models.logs.drive_log.reader import messages, read_drive_log
@@ -116,5 +116,5 @@ def _config(metadata: Mapping[str, Mapping[str, str]], configs: LoggedConfigs) -
     if "configuration" not in metadata:
         return None
     values = parse_yaml(metadata["configuration"]["yaml"])
-    text = "" if values.get("model") in MODEL_NAMES else metadata.get("model", {}).get("yaml", "")
+    text = "" if is_shipped(values.get("model")) else metadata.get("model", {}).get("yaml", "")
     return configs.read(values, text)

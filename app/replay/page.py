@@ -28,7 +28,7 @@ from diffdrive_mpc.bench.html_report.page import (
 from diffdrive_mpc.bench.html_report.run_series import run_series
 from diffdrive_mpc.bench.table import number
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.logs.record import BoolArray
 from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc.mpc.config.described import commented_yaml
@@ -93,7 +93,7 @@ def _key_figures(found: Difference, replayed: Replayed, counted: BoolArray, said
 
 
 def _configuration(who: str, config: ControllerConfig) -> Configuration:
-    model = config.model if config.model in MODEL_NAMES else config.model.rsplit("/", 1)[-1]
+    model = config.model if is_shipped(config.model) else config.model.rsplit("/", 1)[-1]
     text = commented_yaml(config.model_copy(update={"model": model}))
     return Configuration(f"Configuration, {who}, every value with its meaning (YAML)", text)
 

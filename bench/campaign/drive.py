@@ -22,7 +22,7 @@ from diffdrive_mpc.bench.controllers import build, settings_of
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.interface import ControlStep, Measurement, Reference, TrackingController
-from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.trust import UntrustedFileError, also_trusted
 from diffdrive_mpc.mpc.config.config_file import PARAMETERS
@@ -65,7 +65,7 @@ class WatchedController:
         case = definition.case
         if case.controller in PEERS or not self.times:
             return None
-        named = case.config or (case.model if case.model in MODEL_NAMES else "ssm")
+        named = case.config or (case.model if is_shipped(case.model) else "ssm")
         limits = stated_limits(named_file("configuration", PARAMETERS, named), dict(settings_of(case)))
         return check_commands(self.times, self.commands, self.modes, self.pose_came, limits)
 

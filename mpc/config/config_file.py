@@ -10,7 +10,7 @@ import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.errors import wrong_type
-from diffdrive_mpc.models.load import MODEL_NAMES, model_path
+from diffdrive_mpc.models.load import is_shipped, model_path
 from diffdrive_mpc.models.named_file import is_file, named_file
 from diffdrive_mpc.models.trust import check_trusted, only_trusted
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
@@ -60,7 +60,7 @@ def load_config(
     shipped = path.parent == PARAMETERS
     config = check(ControllerConfig, _replaced(data, overrides), path.stem if shipped else str(path))
     beside = path.parent / config.model
-    if config.model not in MODEL_NAMES and not Path(config.model).is_absolute() and is_file(beside):
+    if not is_shipped(config.model) and not Path(config.model).is_absolute() and is_file(beside):
         config = config.model_copy(update={"model": str(beside)})
     beside = path.parent / config.energy.turn_costs
     if config.energy.turn_costs and not Path(config.energy.turn_costs).is_absolute() and is_file(beside):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.logs.drive_log.topics import DRIVE, TICK
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
@@ -56,7 +56,7 @@ class TickRecords:
 
 def _model_text(model: str) -> str:
     """Of a file of the user's own."""
-    if model in MODEL_NAMES:
+    if is_shipped(model):
         return ""
     try:
         return Path(model).read_text(encoding="utf-8")

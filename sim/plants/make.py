@@ -174,9 +174,9 @@ def make_plant(
 
 def _near_plant(name: str) -> str:
     """The end of the message about an unknown plant: the nearest name, where one is near."""
-    from diffdrive_mpc.models.load import MODEL_NAMES  # noqa: PLC0415 - see make_plant
+    from diffdrive_mpc.models.load import model_names  # noqa: PLC0415 - see make_plant
 
-    by_words = {PHYSICS: PHYSICS, DRAWN: f"{DRAWN}:SEED"} | {model: _MODEL_PREFIX + model for model in MODEL_NAMES}
+    by_words = {PHYSICS: PHYSICS, DRAWN: f"{DRAWN}:SEED"} | {model: _MODEL_PREFIX + model for model in model_names()}
     near = difflib.get_close_matches(name.lower(), by_words, n=1)
     return f"; did you mean '{by_words[near[0]]}'?" if near else ""
 

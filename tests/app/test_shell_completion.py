@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from diffdrive_mpc.models.load import MODEL_NAMES, ROBOT_NAMES
+from diffdrive_mpc.models.load import ROBOT_NAMES, model_names
 from diffdrive_mpc.mpc.trajectories.load import BUILT_IN
 
 COMMAND = Path(sys.executable).with_name("diffdrive-mpc")
@@ -33,7 +33,7 @@ def completed(words: str, shell: str = "bash") -> list[str]:
     ("words", "offered"),
     [
         ("simulate --trajectory ", set(BUILT_IN)),
-        ("simulate --model ", {*MODEL_NAMES, *ROBOT_NAMES}),
+        ("simulate --model ", {*model_names(), *ROBOT_NAMES}),
         ("models show s", {"sm", "ssm"}),
         ("bench --models sm,s", {"sm,ssm"}),
         ("simulate --surface grip", {"grippy"}),

@@ -10,7 +10,7 @@ from log_parts import drive, write_csv, write_mapping
 
 from diffdrive_mpc.models import identify, load_model
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel
-from diffdrive_mpc.models.load import MODEL_NAMES
+from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.robot import Positive
@@ -94,7 +94,7 @@ def test_only_what_is_registered_is_known(log, tmp_path):
 def test_the_registry_calls_each_by_the_name_in_its_files(name):
     structure = registry.STRUCTURES[name]
     assert structure.name == name == structure_name(structure.file)
-    assert name in MODEL_NAMES
+    assert is_shipped(name)
     assert load_model(name).structure == name
 
 
