@@ -12,9 +12,10 @@ import typer
 
 from diffdrive_mpc.app.former_names import WithFormerNames
 from diffdrive_mpc.bench.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
-from diffdrive_mpc.models.plug_ins import plug_ins
 
 if TYPE_CHECKING:
+    from diffdrive_mpc.bench.command_line.plugged_command import PluggedCommand
+
     app: typer.Typer
 
 _HOME = "diffdrive_mpc.app.commands"
@@ -75,13 +76,19 @@ def command_line(only: str = "") -> typer.Typer:
             settings = import_module(f"{_HOME}.options").PASSED_ON if passed_on else None
             add = made.command(name, epilog=example, rich_help_panel=panel, context_settings=settings)
             add(getattr(home, function or name))
-    for plugged in plug_ins("commands") if len(ours) > 1 else ():
+    for plugged in _plugged() if len(ours) > 1 else ():
         made.command(plugged.name, epilog=plugged.example, rich_help_panel=plugged.panel)(plugged.run)
     for name, module in _GROUPS.items():
         if name in ours:
             group = getattr(import_module(f"{_HOME}.{module}"), f"{name}_app")
             made.add_typer(group, name=name, rich_help_panel="Files")
     return made
+
+
+def _plugged() -> tuple[PluggedCommand, ...]:
+    from diffdrive_mpc.models.plug_ins import plug_ins
+
+    return plug_ins("commands")
 
 
 def _print_version(wanted: bool) -> None:

@@ -16,7 +16,8 @@ from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.models.velocity_model import ModelError, VelocityModel
 
 PARAMETERS = Path(__file__).parent / "parameters"
-_LINEAR = {name: path for name in (*STRUCTURES, "kinematic") if (path := PARAMETERS / f"{name}.yaml").is_file()}
+_PLAIN = "kinematic"
+_LINEAR = {name: path for name in (*STRUCTURES, _PLAIN) if (path := PARAMETERS / f"{name}.yaml").is_file()}
 ROBOTS = PARAMETERS / "robots"
 ROBOT_NAMES = shipped_names(ROBOTS)
 """Real robots that were identified from public logs."""
@@ -58,7 +59,9 @@ def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
 
 def model_names() -> tuple[str, ...]:
     """Shipped models: one of each structure that ships one, and the one to hold them against."""
-    return (*_LINEAR, *(one.name for one in function_structures().values() if one.shipped))
+    functions = sorted(one.name for one in function_structures().values() if one.shipped)
+    linear = [name for name in _LINEAR if name != _PLAIN]
+    return (*linear, *functions, _PLAIN)
 
 
 def is_shipped(name: str | Path) -> bool:

@@ -4,7 +4,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from diffdrive_mpc.models.identification import hybrid
+from diffdrive_mpc.extras.hybrids import finding as hybrid
 from diffdrive_mpc.mpc.trajectories import model_excitation
 from diffdrive_mpc.sim.twin import fitting
 

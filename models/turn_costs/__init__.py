@@ -4,9 +4,11 @@ from typing import TYPE_CHECKING
 
 from diffdrive_mpc.models.lazy_names import on_first_use
 
+# A module of the same name stands beside this: looked up later, it would be found in place of the function.
+from diffdrive_mpc.models.turn_costs.least_radius import LIMIT_SHARE, least_radius
+
 if TYPE_CHECKING:
     from diffdrive_mpc.models.turn_costs.drive_constants import DriveConstants, NamedDrive, load_drive_constants
-    from diffdrive_mpc.models.turn_costs.least_radius import LIMIT_SHARE, least_radius
     from diffdrive_mpc.models.turn_costs.slip import IdentifiedSlip, identify_slip, identify_slip_from_poses
     from diffdrive_mpc.models.turn_costs.turn_costs import (
         SlipCoefficients,
@@ -37,13 +39,11 @@ __all__ = [
 _SLIP = ("IdentifiedSlip", "identify_slip", "identify_slip_from_poses")
 _COSTS = ("SlipCoefficients", "TorqueTable", "TurnCosts", "load_turn_costs", "turn_costs_text")
 _DRIVE = ("DriveConstants", "NamedDrive", "load_drive_constants")
-_RADIUS = ("LIMIT_SHARE", "least_radius")
 _VEHICLE = ("Vehicle", "load_vehicle")
 _HOMES = {
     "slip": _SLIP,
     "turn_costs": _COSTS,
     "drive_constants": _DRIVE,
-    "least_radius": _RADIUS,
     "vehicle": _VEHICLE,
 }
 __getattr__ = on_first_use(__name__, {name: home for home, names in _HOMES.items() for name in names})

@@ -1,7 +1,7 @@
 """P2's comparison: velocities by no model, by its two drive models and by SM, against what was measured.
 
 P2: Ivanjko et al., Modelling of Mobile Robot Dynamics. Mean and largest error of a free run, on drives of the simulated
-robot with changes of direction, and on logs of real robots by the protocol of `bench.studies.real_logs`.
+robot with changes of direction, and on logs of real robots by the protocol of `studies.real_logs`.
 """
 
 from __future__ import annotations

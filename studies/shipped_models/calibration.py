@@ -214,7 +214,7 @@ def _firmware(names: list[str], values: FloatArray, provenance: dict[str, object
 
 
 _HEADER = """\
-# Firmware of the digital twin, written by sim.plants.calibration.calibrate(). SI units.
+# Firmware of the digital twin, written by studies.shipped_models.calibration.calibrate(). SI units.
 # Adjusted: lag of each command channel, forward gain, and the track that turns yaw rate into wheel speeds.
 # Remains: the target has no dead time where the plant has 40 ms, so steps fit less well than smooth drives; the target
 # couples v_ref into omega where the plant is almost symmetric; yaw gain and side-slip of the plant depend on speed,

@@ -30,7 +30,7 @@ class PeerInput:
         self._started = False
 
     def data(self, t: float, measurement: Measurement) -> tuple[FloatArray, FloatArray]:
-        """State of the first stage and parameters of all, see `bench.studies.speed.stage`, at `t` [s]."""
+        """State of the first stage and parameters of all, see `studies.speed.stage`, at `t` [s]."""
         if not self._started:
             self._controller.start(self._reference, t)
         # What the subject commanded, not what this controller would have.

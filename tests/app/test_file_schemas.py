@@ -25,7 +25,7 @@ from diffdrive_mpc.bench.conditions import load_conditions
 from diffdrive_mpc.extras.terrain import load_terrain
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.editor_line import EDITOR_LINE, kept_editor_line
-from diffdrive_mpc.models.load import load_model
+from diffdrive_mpc.models.load import load_model, model_path
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.turn_costs import load_drive_constants, load_turn_costs, load_vehicle
 from diffdrive_mpc.models.velocity_model import ModelError
@@ -135,16 +135,19 @@ def test_every_shipped_file_fits_its_schema_and_names_it(kind: str, path: Path) 
 
 def test_no_shipped_file_of_a_kind_is_left_out() -> None:
     """What names a schema in its first line is a file of a kind, and no file of a user's kind is without."""
-    named = {path for room in ("models", "mpc", "sim", "bench", "app") for path in (ROOT / room).rglob("*.yaml")}
+    named = {
+        path for room in ("models", "mpc", "sim", "bench", "app", "extras") for path in (ROOT / room).rglob("*.yaml")
+    }
     named = {path for path in named if kept_editor_line(path)}
     assert named == {path.resolve() for _, path in FILES}
     folders = {path.resolve().parent for kind, path in FILES if kind not in ("proof", "tune", "conditions")}
     others = {path.name for folder in folders for path in folder.glob("*.yaml") if path not in named}
-    assert others == {"robot.yaml"}
+    # Settings of ours that lie beside the models of extras.
+    assert others == {"robot.yaml", "settings.yaml", "training.yaml"}
 
 
 EXAMPLES = [(kind, max(of.files, key=lambda path: path.stat().st_size)) for kind, of in KINDS.items() if of.files]
-EXAMPLES += [("model", ROOT / "models" / "parameters" / f"{name}.yaml") for name in ("mbm", "lstm", "p2_physical")]
+EXAMPLES += [("model", model_path(name)) for name in ("mbm", "lstm", "p2_physical")]
 
 
 @pytest.mark.parametrize(("kind", "path"), EXAMPLES, ids=[f"{kind}-{path.stem}" for kind, path in EXAMPLES])

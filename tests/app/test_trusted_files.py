@@ -16,6 +16,7 @@ from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Measurement
 from diffdrive_mpc.models.load import PARAMETERS as MODELS
+from diffdrive_mpc.models.load import model_path
 from diffdrive_mpc.models.logs.tick_record import DriveRecord, TickRecord
 from diffdrive_mpc.models.trust import UntrustedFileError
 from diffdrive_mpc.mpc import Controller, load_config
@@ -30,7 +31,7 @@ pathlib.Path(__file__).with_name("marker").touch()
 twist = ca.SX.sym("twist", 2)
 slow = ca.Function("slow", [twist], [twist[0]], ["twist"], ["v"])
 """
-NETWORK = (MODELS / "lstm.yaml").read_text(encoding="utf-8")
+NETWORK = model_path("lstm")
 
 opened: list[Path] = []
 
@@ -129,9 +130,9 @@ def test_a_trusted_folder_may_be_named(run, stranger, tmp_path):
 
 
 def test_the_text_of_a_model_in_a_log_leads_to_no_other_file(run, stranger, tmp_path):
-    text = NETWORK.replace("weights: lstm.npz", f"weights: {stranger}/weights.npz")
-    assert text != NETWORK
-    (stranger / "weights.npz").write_bytes((MODELS / "lstm.npz").read_bytes())
+    text = NETWORK.read_text(encoding="utf-8").replace("weights: lstm.npz", f"weights: {stranger}/weights.npz")
+    assert "weights: lstm.npz" not in text
+    (stranger / "weights.npz").write_bytes(NETWORK.with_name("lstm.npz").read_bytes())
     log = mcap(run, tmp_path / "odd.mcap", configuration(stranger, {"model": "own"}), text)
     code, printed, files = call("replay", log, "--out", tmp_path / "out")
     assert code == 2 and "without its folder" in printed

@@ -17,10 +17,11 @@ from diffdrive_mpc import Controller, load_config, load_model, load_trajectory, 
 from diffdrive_mpc.app.proof.proof_file import load_proof
 from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.campaign.campaign_file import load_campaign
-from diffdrive_mpc.bench.command_line.file_kinds import KINDS, PACKAGE
+from diffdrive_mpc.bench.command_line.file_kinds import KINDS
 from diffdrive_mpc.bench.conditions import load_conditions
 from diffdrive_mpc.extras.terrain.terrain_file import load_terrain
 from diffdrive_mpc.models.checked_yaml import read_yaml
+from diffdrive_mpc.models.file_kind import PACKAGE
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.models.turn_costs.drive_constants import load_drive_constants

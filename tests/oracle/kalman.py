@@ -1,6 +1,6 @@
 """The extended Kalman filter: z = (x, slip, gyro_bias, pose).
 
-x are the n states of the velocity model; then the ten numbers of `mpc.estimation.slip`, between its twist and that of
+x are the n states of the velocity model; then the ten numbers of `mpc.problem.slip`, between its twist and that of
 the body, the gyro's bias [rad/s] and x, y [m], theta [rad]. Functions of z take one state (n + 14,) or many, one to a
 column.
 """

@@ -43,7 +43,7 @@ class Subject:
     Parameters
     ----------
     kind
-        See `bench.studies.speed.process.worker.KINDS`.
+        See `studies.speed.process.worker.KINDS`.
     folder
         Its own, for code that it generates and for what it prints.
     python

@@ -1,6 +1,6 @@
 """acados: one real-time iteration (SQP_RTI) with HPIPM on generated and compiled C; see docs/performance.md.
 
-Runs in an environment of its own (`bench.studies.speed.process.environment`): of ours it knows `StageProblem`'s plain
+Runs in an environment of its own (`studies.speed.process.environment`): of ours it knows `StageProblem`'s plain
 values.
 """
 
@@ -31,7 +31,7 @@ class AcadosPeer:
     Parameters
     ----------
     problem
-        The fields of a `bench.studies.speed.stage.StageProblem`.
+        The fields of a `studies.speed.stage.StageProblem`.
     settings
         `qp_solver`, `stages_per_block` (of partial condensing), `mode` (HPIPM's), `tolerance`,
         `max_iterations`, `warm_start`, `shift`, `soft_limits`, `flags` (compiler).

@@ -1,6 +1,6 @@
 """do-mpc with IPOPT; see docs/performance.md.
 
-Runs in an environment of its own (`bench.studies.speed.process.environment`): of ours it knows `StageProblem`'s plain
+Runs in an environment of its own (`studies.speed.process.environment`): of ours it knows `StageProblem`'s plain
 values.
 """
 
@@ -24,7 +24,7 @@ class DoMpcPeer:
     Parameters
     ----------
     problem
-        The fields of a `bench.studies.speed.stage.StageProblem`.
+        The fields of a `studies.speed.stage.StageProblem`.
     settings
         IPOPT's options.
     folder

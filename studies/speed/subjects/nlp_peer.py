@@ -18,7 +18,7 @@ class NlpPeer:
     Parameters
     ----------
     problem
-        The fields of a `bench.studies.speed.stage.StageProblem`.
+        The fields of a `studies.speed.stage.StageProblem`.
     settings
         `plugin`, and `options` of it.
     folder

@@ -52,7 +52,7 @@ class ShootingProgram:
 
 
 def shooting_program(problem: dict[str, Any]) -> ShootingProgram:
-    """Write down the program for the fields of a `bench.studies.speed.stage.StageProblem`."""
+    """Write down the program for the fields of a `studies.speed.stage.StageProblem`."""
     N, size = problem["horizon"], problem["states"]
     stride = size + 2 + SOFT
     stage, last = _stage(problem), ca.Function.deserialize(problem["tracking"])
