@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,17 +26,16 @@ from diffdrive_mpc.mpc.config.config_file import load_config, replace_values
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.core.functions import compile_functions
 from diffdrive_mpc.mpc.core.tick import Tick
-from diffdrive_mpc.mpc.dead_time import DeadTime, online_dead_time
 from diffdrive_mpc.mpc.estimation.belief import Belief
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
-from diffdrive_mpc.mpc.free_space.term import half_space_terms
+from diffdrive_mpc.mpc.features.feature import Feature, Host
+from diffdrive_mpc.mpc.features.registry import features_of
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import Words
 from diffdrive_mpc.mpc.problem.build import chosen_model, sampled_model
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, SLACK, Problem
-from diffdrive_mpc.mpc.problem.energy_term import energy_terms, with_least_radius
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
-from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_parameters, checked_terms, parameter_places
+from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_parameters, checked_terms
 from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
 from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask
 from diffdrive_mpc.mpc.solver.backends import load_backend
@@ -47,10 +46,11 @@ from diffdrive_mpc.mpc.trajectories.native import NativeReference
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.mpc.floor_rehearsal import FloorRehearsal
-    from diffdrive_mpc.mpc.free_space.keeper import FreeSpaceKeeper
+    from diffdrive_mpc.mpc.free_space.feature import KeepClear
     from diffdrive_mpc.mpc.free_space.surroundings import Surroundings
-    from diffdrive_mpc.mpc.rehearsal import Rehearsal
+    from diffdrive_mpc.mpc.rehearsal.feature import Rehearse
+    from diffdrive_mpc.mpc.rehearsal.floor_rehearsal import FloorRehearsal
+    from diffdrive_mpc.mpc.rehearsal.rehearsal import Rehearsal
 
 _CHANGEABLE = ("weights", "limits")
 _EXAMPLES = {"weights": "across", "limits": "v"}
@@ -65,11 +65,6 @@ class _Predicted:
     model: VelocityModel | NonlinearModel
     sampled: DiscreteModel | NonlinearModel
     feed_forward: FeedForward
-
-    @property
-    def dead_time(self) -> FloatArray:
-        assert isinstance(self.model, VelocityModel)
-        return self.model.dead_time
 
     @classmethod
     def by(cls, model: VelocityModel | NonlinearModel, dt: float) -> _Predicted:
@@ -116,17 +111,21 @@ class Controller:
         model: VelocityModel | NonlinearModel | str | Path | None = None,
         terms: Sequence[Term] = (),
     ) -> None:
-        config, terms = with_least_radius(load_config(config)), checked_terms(terms)
+        config, terms = load_config(config), checked_terms(terms)
+        kinds = features_of(config)
+        for kind in kinds.values():
+            config = kind.prepare(config)
         self._config, self._given = config, (model, terms)
         self._speed_limit: float | None = None
-        self._terms = all_terms(config.terms, (*terms, *energy_terms(config), *half_space_terms(config.free_space)))
+        of_features = [term for kind in kinds.values() for term in kind.terms(config)]
+        self._terms = all_terms(config.terms, (*terms, *of_features))
         dt, chosen = config.sample_time, chosen_model(config, model)
         self._predicted = _Predicted.by(chosen, dt)
-        self._dead_time = online_dead_time(config, chosen)
+        self._features: dict[str, Feature] = {name: kind(config, chosen) for name, kind in kinds.items()}
         self._window, room = 0, {}
-        if self._dead_time is not None and config.online_dead_time.apply:
-            longest = self._problem(config, _Predicted.by(self._dead_time.longest, dt)).sizes
-            self._window, room = longest["window"], {name: longest[name] for name in ("lag_v", "lag_omega")}
+        for longest in filter(None, (feature.longest() for feature in self._features.values())):
+            sizes = self._problem(config, _Predicted.by(longest, dt)).sizes
+            self._window, room = sizes["window"], {name: sizes[name] for name in ("lag_v", "lag_omega")}
         problem = self._problem(config, self._predicted)
         sizes = problem.sizes
         functions, term_functions = compile_functions(chosen, self._terms)
@@ -145,9 +144,19 @@ class Controller:
         self._t0 = 0.0
         self._result: StepResult | None = None
         self._blocked_for = 0.0
-        self._rehearsal = self._make_rehearsal(config)
         self._set_defaults()
-        self._free_space = self._make_keeper(config)
+        self._host = Host(
+            config,
+            chosen,
+            self._tick,
+            self._pursuit,
+            self._terms,
+            is_new_tick=lambda: not self._c_result.reasons & self._words.not_a_new_tick,
+            is_preparing=self._is_preparing,
+            change_dead_time=self._change_dead_time,
+        )
+        for feature in self._features.values():
+            feature.attach(self._host)
         # Looked up once: each look into a library costs as much as a small sum.
         self._step, self._c, self._c_result = self._tick.lib.ddmpc_step, self._tick.c, self._tick.result
         self._input = self._tick.input.struct
@@ -160,27 +169,6 @@ class Controller:
 
     def _make_backend(self, config: ControllerConfig) -> Backend:
         return load_backend(config.solver.backend)(config.horizon, self._kinds, config.solver, config.weights)
-
-    def _make_rehearsal(self, config: ControllerConfig) -> Rehearsal | FloorRehearsal | None:
-        # A feature and its libraries are loaded here and not in `step`, and only where the configuration enables it.
-        self._floor: FloorRehearsal | None = None
-        if not config.rehearsal.enabled:
-            return None
-        if config.rehearsal.by == "floor":
-            from diffdrive_mpc.mpc.floor_rehearsal import FloorRehearsal  # noqa: PLC0415
-
-            self._floor = FloorRehearsal(config, self._predicted.feed_forward.inverse_gain)
-            return self._floor
-        from diffdrive_mpc.mpc.rehearsal import Rehearsal  # noqa: PLC0415
-
-        return Rehearsal(config)
-
-    def _make_keeper(self, config: ControllerConfig) -> FreeSpaceKeeper | None:
-        if not config.free_space.enabled:
-            return None
-        from diffdrive_mpc.mpc.free_space.keeper import FreeSpaceKeeper  # noqa: PLC0415 - see _make_rehearsal
-
-        return FreeSpaceKeeper(config, self._tick, parameter_places(self._terms)["free_space_0"].start)
 
     def _set_defaults(self) -> None:
         defaults = [value for term in self._terms for value in term.defaults]
@@ -243,7 +231,8 @@ class Controller:
     @property
     def rehearsal(self) -> Rehearsal | FloorRehearsal | None:
         """What was learned of a reference that is driven again, or of the floor; None unless `rehearsal.enabled`."""
-        return self._rehearsal
+        feature = self._features.get("rehearsal")
+        return cast("Rehearse", feature).learned if feature else None
 
     @property
     def belief(self) -> Belief:
@@ -307,8 +296,8 @@ class Controller:
         if not len(given):
             return
         self._tick.overrule(given)
-        if self._dead_time is not None:
-            self._dead_time.overrule(given[-1])
+        for feature in self._features.values():
+            feature.set_applied(given[-1])
 
     def start(self, reference: Reference | str | Path, t0: float) -> None:
         """Track `reference` from now on; its time 0 is `t0` [s] on the clock of `step`.
@@ -347,19 +336,21 @@ class Controller:
 
     def _begin(self, reference: Reference, t0: float) -> None:
         """Track a reference that was checked."""
-        tracked = reference if self._rehearsal is None else self._rehearsal.begin(reference, t0)
-        self._begin_with_learned()
+        tracked = reference
+        for feature in self._features.values():
+            tracked = feature.begin(tracked, t0)
         native, tracked = self._laid(tracked)
         self._tick.lib.ddmpc_start(self._c, native.struct, t0)
         # C reads it from now on.
-        self._tick.reference, self._reference, self._t0 = native, reference, t0
+        self._tick.reference, self._reference, self._t0, self._host.t0 = native, reference, t0, t0
         self._pursuit.start(tracked, native=native.complete)
         self._result = None
 
     def _laid(self, reference: Reference) -> tuple[NativeReference, Reference]:
         """A reference for the core, and as it will be driven."""
-        reference = checked_reference(reference)
-        tracked = reference if self._free_space is None else self._free_space.start(reference)
+        tracked = checked_reference(reference)
+        for feature in self._features.values():
+            tracked = feature.lay(tracked)
         return NativeReference(tracked), tracked
 
     def relay(self, reference: Reference, t0: float | None = None) -> None:
@@ -388,11 +379,11 @@ class Controller:
             self._check(reference, t0)
         elif reference.duration != self._reference.duration:
             raise ValueError("another reference than the one under way: give its t0")
-        if self._rehearsal is not None:
+        if any(feature.restarts_on_switch for feature in self._features.values()):
             self.start(reference, self._t0 if t0 is None else t0)
             return
         native, tracked = self._laid(reference)
-        self._t0 = self._t0 if t0 is None else t0
+        self._t0 = self._host.t0 = self._t0 if t0 is None else t0
         self._tick.lib.ddmpc_relay(self._c, native.struct, self._t0)
         # C reads it from now on.
         self._tick.reference, self._reference = native, reference
@@ -405,19 +396,9 @@ class Controller:
         """Be as new, for a robot that stands still: forget estimate, plan and commands. The reference stays."""
         self._tick.lib.ddmpc_reset(self._c)
         self._pursuit.restart()
-        if self._rehearsal is not None:
-            self._rehearsal.forget()
-            self._begin_with_learned()
-        if self._dead_time is not None:
-            self._dead_time.forget()
-        if self._free_space is not None:
-            self._free_space.forget()
+        for feature in self._features.values():
+            feature.forget()
         self._result = None
-
-    def _begin_with_learned(self) -> None:
-        """Slip that was learned of the floor is what the next estimate begins with."""
-        if self._floor is not None:
-            self._tick.begin_with(astuple(self._floor.slip))
 
     def update(
         self, weights: Mapping[str, float] | None = None, limits: Mapping[str, float] | None = None
@@ -530,9 +511,10 @@ class Controller:
         SurroundingsError
             If something in them cannot be used. The message is one line, and nothing changes.
         """
-        if self._free_space is None:
+        feature = self._features.get("free_space")
+        if feature is None:
             raise ConfigError("free_space.enabled is false: set it to true for a controller that sees surroundings")
-        self._free_space.see(surroundings)
+        cast("KeepClear", feature).see(surroundings)
 
     def step(self, t: float, measurement: Measurement, hold: Hold | None = None) -> StepResult:
         """Decide the command for the tick at `t` [s] from what arrived since the last one.
@@ -564,10 +546,8 @@ class Controller:
                 measurement,
                 "call step(t, Measurement(...)); without news Measurement()",
             ) from error
-        keeper, sent = self._free_space, None
-        if keeper is not None:
-            sent = tick.last_command
-            hold = self._look_around(keeper, t) or hold
+        for feature in self._features.values():
+            hold = feature.before_step(t) or hold
         given.request = 0 if hold is None else 2 if hold.failure else 1
         since_start = t - self._t0
         on_time = pursuit.on_time and since_start >= 0.0
@@ -593,45 +573,16 @@ class Controller:
             refused = self._ask_backend()
             solve_time += time.perf_counter() - asked
         result = self._build(hold, message, (started, solve_time), refused=refused)
-        if keeper is not None and sent is not None:
-            kept = self._keep_free(keeper, t, result, sent)
-            result = replace(kept, step_time=time.perf_counter() - started)
-        if self._dead_time is not None:
-            result = self._learn_dead_time(self._dead_time, t, measurement, result)
-        return result if self._rehearsal is None else self._rehearsal.take(t, measurement, result)
+        for feature in self._features.values():
+            result = feature.after_step(t, measurement, result)
+        return replace(result, step_time=time.perf_counter() - started) if self._features else result
 
-    def _look_around(self, keeper: FreeSpaceKeeper, t: float) -> Hold | None:
-        """Let the reference go round things, wait for them, or stop; the tick at `t` [s] has not begun yet."""
-        pursuit = self._pursuit
-        reference, since_start, time = pursuit.reference, t - self._t0, pursuit.time
-        if reference is None or not math.isfinite(since_start):
-            return None
-        now = since_start if not math.isfinite(time) else min(since_start, time + self._config.sample_time)
-        hold = keeper.before(t, now, reference)
-        pursuit.pace, pursuit.room = keeper.pace, keeper.room
-        return hold
+    def _is_preparing(self) -> bool:
+        """Go on with another dead time by a part of the work; whether that or another change is under way."""
+        return next(self._preparing, self) is not self or self._pending is not None
 
-    def _keep_free(self, keeper: FreeSpaceKeeper, t: float, result: StepResult, sent: FloatArray) -> StepResult:
-        """The result after the check of the way to rest, where the tick is a new one."""
-        if self._c_result.reasons & self._words.not_a_new_tick:
-            return keeper.again(result)
-        kept = keeper.after(t, result, sent)
-        if kept.mode is not result.mode:
-            self._pursuit.stand()
-        return kept
-
-    def _learn_dead_time(
-        self, dead_time: DeadTime, t: float, measurement: Measurement, result: StepResult
-    ) -> StepResult:
-        """Learn from the tick; where the dead time is another one, prepare to predict with it, a part at a tick."""
-        words = result.message
-        busy = next(self._preparing, self) is not self or self._pending is not None
-        if dead_time.take(t, measurement, result):
-            wanted = None if busy else dead_time.wanted(t)
-            if wanted is not None:
-                self._preparing = self._prepare(wanted)
-            words = "; ".join(filter(None, (words, dead_time.advice(), dead_time.change(wanted))))
-        return replace(result, message=words, dead_time=dead_time.found)
+    def _change_dead_time(self, dead_time: FloatArray) -> None:
+        self._preparing = self._prepare(dead_time)
 
     def _prepare(self, dead_time: FloatArray) -> Iterator[None]:
         """Prepare another dead time (2,) [s]: all at once would take a part of a tick that others need."""
@@ -652,15 +603,11 @@ class Controller:
         self._config, self._backend, self._pending = prepared.config, prepared.backend, None
         self._predicted = prepared.predicted
         self._tick.configure(prepared.constants, prepared.sizes)
-        if self._floor is not None:
-            self._floor.config = prepared.config
-        self._begin_with_learned()
-        if self._dead_time is not None:
-            self._dead_time.used = self._predicted.dead_time
         self._words.configure(prepared.config)
-        if self._free_space is not None:
-            self._free_space.configure(prepared.config)
         self._pursuit.configure(prepared.config)
+        self._host.config, self._host.model = prepared.config, prepared.predicted.model
+        for feature in self._features.values():
+            feature.configure()
 
     def _choose_target(self, since_start: float, reference_time: float) -> tuple[int, str]:
         """Go on where the robot is off its path or its time: what it is to track now, in C and in words."""

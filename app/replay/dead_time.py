@@ -8,7 +8,7 @@ from diffdrive_mpc.app.replay.recording import Tick
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc.mpc.config.config_file import replace_values
-from diffdrive_mpc.mpc.dead_time import DeadTime
+from diffdrive_mpc.mpc.online_dead_time.dead_time import DeadTime
 from diffdrive_mpc.mpc.problem.build import chosen_model
 from diffdrive_mpc.mpc.step_result import LearnedDeadTime, Mode, StepResult
 

@@ -26,8 +26,8 @@ from diffdrive_mpc.bench.run_log import holds_plans, repeating, run_log
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import Controller
-from diffdrive_mpc.mpc.floor_rehearsal import FloorRehearsal
-from diffdrive_mpc.mpc.rehearsal import Rehearsal
+from diffdrive_mpc.mpc.rehearsal.floor_rehearsal import FloorRehearsal
+from diffdrive_mpc.mpc.rehearsal.rehearsal import Rehearsal
 from diffdrive_mpc.sim import Run, simulate
 from diffdrive_mpc.sim.laps import lap_parts
 

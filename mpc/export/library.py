@@ -16,9 +16,9 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.config.solver import Solver
 from diffdrive_mpc.mpc.core.functions import generated_functions
 from diffdrive_mpc.mpc.core.sources import SIZES, core_texts
+from diffdrive_mpc.mpc.energy.energy_term import energy_terms, with_least_radius
 from diffdrive_mpc.mpc.export.generated_c import constants_text, sizes_text, trajectory_texts
 from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
-from diffdrive_mpc.mpc.problem.energy_term import energy_terms, with_least_radius
 from diffdrive_mpc.mpc.problem.terms import Term, all_terms
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
 

@@ -186,7 +186,7 @@ def test_the_check_of_the_way_to_rest_holds_where_the_reference_does_not_wait():
     chasing = ControllerConfig.model_validate({"free_space": {"enabled": True}, "reentry": {"enabled": False}})
     wall = Surroundings([box(2.5, 0.0, 0.4, 4.0)])
     blind = Controller(chasing)
-    blind._free_space._find_way = lambda t, time: ""
+    blind._features["free_space"]._keeper._find_way = lambda t, time: ""
     ticks = drive(blind, Line(4.0, 0.6, 0.8), once(wall), 7.0)
     words = [tick["step"].message for tick in ticks if tick["step"].mode in (Mode.BRAKING, Mode.STOPPED)]
     assert any("on its way to rest it would come within" in word for word in words)

@@ -11,7 +11,7 @@ from diffdrive_mpc.models import Measurement, load_model
 from diffdrive_mpc.mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.problem.slip import Slip
-from diffdrive_mpc.mpc.rehearsal import corrected
+from diffdrive_mpc.mpc.rehearsal.rehearsal import corrected
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.moved import starting_at

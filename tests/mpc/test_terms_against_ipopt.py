@@ -136,15 +136,15 @@ def test_half_spaces_of_free_space_converge_to_ipopts_solution_while_they_press(
     def make():
         controller = Controller(config)
         # The check of the way to rest and the way round are not what is tried here.
-        controller._free_space._sweep = lambda *_: SimpleNamespace(sample=-1, least=1.0)
-        controller._free_space._find_way = lambda *_: ""
+        controller._features["free_space"]._keeper._sweep = lambda *_: SimpleNamespace(sample=-1, least=1.0)
+        controller._features["free_space"]._keeper._find_way = lambda *_: ""
         controller.see(Surroundings([corners]))
         return controller
 
     tables = {}
 
     def recorded(controller):
-        keeper = controller._free_space
+        keeper = controller._features["free_space"]._keeper
         set_rows = keeper._set_rows
 
         def set_and_keep(t, guide):
@@ -160,7 +160,7 @@ def test_half_spaces_of_free_space_converge_to_ipopts_solution_while_they_press(
     def keep_rows(again, time):
         """The planes stay those of the drive: they are data of the problem, not part of it."""
         table = again._tick.parameters
-        again._free_space._set_rows = lambda *_: table.__setitem__(slice(None), tables[time])
+        again._features["free_space"]._keeper._set_rows = lambda *_: table.__setitem__(slice(None), tables[time])
 
     result = converged(make, drive, CIRCLE, keep_rows)
     program = NonlinearProgram(controller, result, drive, CIRCLE, linear_outputs(controller._predicted.sampled))

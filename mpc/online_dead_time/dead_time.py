@@ -244,16 +244,14 @@ class DeadTime:
         return "; ".join(said)
 
 
-def online_dead_time(config: ControllerConfig, model: VelocityModel | NonlinearModel) -> DeadTime | None:
-    """What learns the dead time of `model`, if the configuration asks for it.
+def online_dead_time(config: ControllerConfig, model: VelocityModel | NonlinearModel) -> DeadTime:
+    """What learns the dead time of `model`.
 
     Raises
     ------
     ConfigError
         If there is none that could change.
     """
-    if not config.online_dead_time.enabled:
-        return None
     if isinstance(model, NonlinearModel):
         raise ConfigError(
             f"online_dead_time.enabled = true: model '{model.name}' has its dead time in its window; set it to false"

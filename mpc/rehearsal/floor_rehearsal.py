@@ -16,7 +16,7 @@ from diffdrive_mpc.models.pose import ahead_and_left
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.problem.constants import configured_slip
 from diffdrive_mpc.mpc.problem.slip import SLIPS, Slip
-from diffdrive_mpc.mpc.rehearsal import same_motion
+from diffdrive_mpc.mpc.rehearsal.rehearsal import same_motion
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
 from diffdrive_mpc.mpc.trajectories.drivable import Drivable, NotDrivableError, nearest_drivable
 

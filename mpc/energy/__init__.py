@@ -1,0 +1,1 @@
+"""What turning costs, in the cost and as a least radius."""

@@ -1,0 +1,1 @@
+"""What can be attached to a controller, and where each feature is found."""

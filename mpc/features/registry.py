@@ -1,0 +1,43 @@
+"""All features: a new one is its folder and a line here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import NamedTuple
+
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.features.feature import Feature
+
+
+class Listed(NamedTuple):
+    """A feature.
+
+    Attributes
+    ----------
+    name
+        Its folder in `mpc`; the class is `FEATURE` of the module `feature` there.
+    enabled
+        Whether a configuration asks for it.
+    """
+
+    name: str
+    enabled: Callable[[ControllerConfig], bool]
+
+
+FEATURES = (
+    Listed("energy", lambda config: bool(config.energy.weight) or config.energy.least_radius),
+    Listed("free_space", lambda config: config.free_space.enabled),
+    Listed("online_dead_time", lambda config: config.online_dead_time.enabled),
+    Listed("rehearsal", lambda config: config.rehearsal.enabled),
+)
+"""In the order in which they are asked."""
+
+
+def features_of(config: ControllerConfig) -> dict[str, type[Feature]]:
+    """The features that a configuration asks for, by name; what it does not ask for is not imported."""
+    return {
+        name: import_module(f"diffdrive_mpc.mpc.{name}.feature").FEATURE
+        for name, enabled in FEATURES
+        if enabled(config)
+    }

@@ -1,0 +1,1 @@
+"""Dead time that is learned while the robot drives."""

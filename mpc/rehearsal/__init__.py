@@ -1,0 +1,1 @@
+"""Drive the same path again: what repeats from lap to lap is learned."""
