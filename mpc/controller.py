@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -248,7 +249,7 @@ class Controller:
             raise RuntimeError("nothing is believed yet: call step with a pose first")
         return Belief(*found, self._tick.layout.slip.start)
 
-    def foresee(self, belief: Belief, commands: ArrayLike) -> Belief:
+    def predict_belief(self, belief: Belief, commands: ArrayLike) -> Belief:
         """What the filter will believe if nothing is measured meanwhile.
 
         The estimator's own prediction, noise and drifts included: where the robot will be, and how surely.
@@ -275,7 +276,7 @@ class Controller:
         mean, covariance = self._tick.foresee(belief.mean, belief.covariance, line)
         return replace(belief, mean=mean, covariance=covariance, sent=line[len(given) :])
 
-    def overrule(self, commands: ArrayLike) -> None:
+    def set_applied_commands(self, commands: ArrayLike) -> None:
         """Say what was sent in truth, by whoever decided: it takes the place of the last K commands.
 
         The next step builds on it: the estimate, what is on its way through the dead time, and slew, which counts from
@@ -353,7 +354,7 @@ class Controller:
             tracked = feature.lay(tracked)
         return NativeReference(tracked), tracked
 
-    def relay(self, reference: Reference, t0: float | None = None) -> None:
+    def switch_reference(self, reference: Reference, t0: float | None = None) -> None:
         """Go on along `reference`, in the place of the one under way.
 
         Unlike `start` it forgets nothing: estimate, with what was learned of slip, plan and commands stay. Where the
@@ -374,7 +375,7 @@ class Controller:
             If there is none under way.
         """
         if self._reference is None:
-            raise RuntimeError("no reference: call start(reference, t0) before relay")
+            raise RuntimeError("no reference: call start(reference, t0) before switch_reference")
         if t0 is not None:
             self._check(reference, t0)
         elif reference.duration != self._reference.duration:
@@ -499,7 +500,7 @@ class Controller:
         for place, rows in checked_parameters(self._terms, len(table), values):
             table[:, place] = rows
 
-    def see(self, surroundings: Surroundings | None) -> None:
+    def set_obstacles(self, surroundings: Surroundings | None) -> None:
         """Keep clear of `surroundings` from the next step on; they replace what was seen before, None takes them away.
 
         What follows from them is worked out here, beside the loop; the step only takes it over.
@@ -515,6 +516,26 @@ class Controller:
         if feature is None:
             raise ConfigError("free_space.enabled is false: set it to true for a controller that sees surroundings")
         cast("KeepClear", feature).see(surroundings)
+
+    def see(self, surroundings: Surroundings | None) -> None:
+        """Former name of `set_obstacles`."""
+        _warn_of_former_name("see", "set_obstacles")
+        self.set_obstacles(surroundings)
+
+    def relay(self, reference: Reference, t0: float | None = None) -> None:
+        """Former name of `switch_reference`."""
+        _warn_of_former_name("relay", "switch_reference")
+        self.switch_reference(reference, t0)
+
+    def overrule(self, commands: ArrayLike) -> None:
+        """Former name of `set_applied_commands`."""
+        _warn_of_former_name("overrule", "set_applied_commands")
+        self.set_applied_commands(commands)
+
+    def foresee(self, belief: Belief, commands: ArrayLike) -> Belief:
+        """Former name of `predict_belief`."""
+        _warn_of_former_name("foresee", "predict_belief")
+        return self.predict_belief(belief, commands)
 
     def step(self, t: float, measurement: Measurement, hold: Hold | None = None) -> StepResult:
         """Decide the command for the tick at `t` [s] from what arrived since the last one.
@@ -678,6 +699,11 @@ class Controller:
             (layout, block) if c.has_plan else None,
             self._words.unused(c.reasons) if c.reasons else (),
         )
+
+
+def _warn_of_former_name(former: str, name: str) -> None:
+    """Former names stay for one release."""
+    warnings.warn(f"Controller.{former} is Controller.{name} now", DeprecationWarning, stacklevel=3)
 
 
 def _limited(config: ControllerConfig, speed: float | None) -> ControllerConfig:

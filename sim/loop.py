@@ -35,7 +35,7 @@ _SAME_PERIOD = 1e-3
 class Seeing(Protocol):
     """A controller that wants to know what is around the robot."""
 
-    def see(self, seen: Seen, /) -> None:
+    def set_obstacles(self, seen: Seen, /) -> None:
         """Take in what has arrived of a look, for the next step on."""
         ...
 
@@ -169,7 +169,7 @@ class _Around:
     def __init__(self, plant: Plant, controller: TrackingController, reference: Reference) -> None:
         # Of a `WorldPlant`, which is not imported for the many runs without one.
         self._plant = cast("WorldPlant", plant) if hasattr(plant, "world") else None
-        self._see = controller.see if self._plant and isinstance(controller, Seeing) else None
+        self._see = controller.set_obstacles if self._plant and isinstance(controller, Seeing) else None
         self._end, self._goal = reference.duration + TIME_TOLERANCE, reference.sample([reference.duration]).pose[0]
 
     @property

@@ -44,7 +44,7 @@ def drive(settings):
     robot.reset(start)
     controller.start(reference, 0.0)
     if controller.config.free_space.enabled:
-        controller.see(Surroundings([[[1.2, -0.1], [1.3, -0.1], [1.3, 0.1], [1.2, 0.1]]]))
+        controller.set_obstacles(Surroundings([[[1.2, -0.1], [1.3, -0.1], [1.3, 0.1], [1.2, 0.1]]]))
     watch, messages = Watch(), []
     for tick in range(TICKS):
         measurement = Measurement() if tick in LOST else robot.measure()

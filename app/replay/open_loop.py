@@ -92,14 +92,14 @@ def replay(
             if tick.start.reset and number:
                 controller.reset()
             if tick.start.before is not None:
-                controller.overrule(tick.start.before)
-            begin = controller.relay if tick.start.goes_on else controller.start
+                controller.set_applied_commands(tick.start.before)
+            begin = controller.switch_reference if tick.start.goes_on else controller.start
             begin(next(waiting), tick.start.t0)
         if tick.config is not None and as_recorded:
             controller.update(weights=tick.config.weights.model_dump(), limits=_changeable(tick.config))
         steps.append(controller.step(tick.time, tick.measurement, tick.hold))
         if np.isfinite(tick.command).all():
-            controller.overrule([tick.command])
+            controller.set_applied_commands([tick.command])
         on_step(tick, steps[-1])
     return _gathered(controller.config, recording, steps)
 

@@ -130,7 +130,7 @@ class SeeingPeer(TrackingPeer):
         self._progress, self._last_time = 0.0, t0
         self._look, self._around = None, None
 
-    def see(self, seen: Seen, /) -> None:
+    def set_obstacles(self, seen: Seen, /) -> None:
         """Take in what arrived of a look."""
         self._look = seen
 

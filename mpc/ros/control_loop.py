@@ -362,7 +362,7 @@ class ControlLoop:
         if here is None or _apart(self._laid.motion, motion, here.value) <= _STAYS:
             return
         self._laid = MovedReference(self._laid.original, motion)
-        self._controller.relay(self._laid)
+        self._controller.switch_reference(self._laid)
         self.relaid += 1
 
     def _once_let_go(self) -> str:
@@ -411,7 +411,7 @@ class ControlLoop:
         # A planner sends a new path each second: what was learned of the floor outlasts that.
         goes_on = self.state is LoopState.DRIVING and self.last is not None and self.last.mode is Mode.TRACKING
         if goes_on:
-            self._controller.relay(reference, t0)
+            self._controller.switch_reference(reference, t0)
         else:
             self._controller.start(reference, t0)
         self.begun = Begun(reference, t0, self._was_reset, goes_on)

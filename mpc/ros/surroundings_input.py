@@ -145,7 +145,7 @@ class SurroundingsInput:
         for watch in self.topics:
             watch.restart()
         if self.topics:
-            self._controller.see(Surroundings(time=self._inbox.now - 2.0 * self._free_space.max_age))
+            self._controller.set_obstacles(Surroundings(time=self._inbox.now - 2.0 * self._free_space.max_age))
 
     @property
     def fault(self) -> str:
@@ -205,7 +205,7 @@ class SurroundingsInput:
         since = self._stamps.get(self.obstacles.name, oldest) - oldest
         discs = [MovingDisc(x - vx * since, y - vy * since, r, vx, vy) for x, y, r, vx, vy in self._discs.tolist()]
         try:
-            self._controller.see(Surroundings(discs=discs, grid=self._grid, time=oldest))
+            self._controller.set_obstacles(Surroundings(discs=discs, grid=self._grid, time=oldest))
         except ValueError as error:
             self._refuse(watch, str(error))
 

@@ -3,7 +3,7 @@
 Everything comes from the truth through a model of the sensors: what is hidden is not seen, what is seen is late and
 noisy, and the costmap remembers what was seen before, as one that is marked and cleared does. The frame is that of the
 true poses: the error of localisation is that of the rays. The fields of `Seen` have the names that
-`mpc.free_space.Surroundings` has, so that `Controller.see` and peers take it as it is.
+`mpc.free_space.Surroundings` has, so that `Controller.set_obstacles` and peers take it as it is.
 """
 
 from __future__ import annotations

@@ -186,7 +186,7 @@ def _missed(
     controller: Controller, belief: Belief, driven: _Driven, first: int, stop: int
 ) -> tuple[FloatArray, FloatArray]:
     """Error (3,) and covariance (3, 3) of the pose at `stop`, as foreseen at `first`, in the frame of its heading."""
-    found = controller.foresee(belief, driven.commands[first:stop])
+    found = controller.predict_belief(belief, driven.commands[first:stop])
     gap, theta = driven.poses[stop] - found.pose, found.pose[2]
     turn = np.eye(3)
     turn[:2, :2] = np.stack(ahead_and_left(np.eye(2), theta))
@@ -203,7 +203,7 @@ def _paths(controller: Controller, driven: _Driven, first: int, samples: int) ->
         now, places = belief, []
         for command in driven.commands[first:stop]:
             places.append(now.pose[:2])
-            now = controller.foresee(now, [command])
+            now = controller.predict_belief(now, [command])
         paths[name] = np.array(places)
     return paths
 

@@ -171,7 +171,7 @@ class Life:
     def see(self, said: Any) -> None:
         """Something lies around it, or nothing any more."""
         try:
-            self.controller.see(make_surroundings(said, self.pose, self.t))
+            self.controller.set_obstacles(make_surroundings(said, self.pose, self.t))
         except _REFUSED as error:
             one_line(error)
 
@@ -185,7 +185,7 @@ class Life:
     def overrule(self, commands: list[list[float]]) -> None:
         """Somebody else has driven."""
         try:
-            self.controller.overrule(commands)
+            self.controller.set_applied_commands(commands)
         except ValueError as error:
             one_line(error)
             return
@@ -214,7 +214,7 @@ class Life:
             belief = self.controller.belief
         except RuntimeError:
             return
-        found = self.controller.foresee(belief, np.tile(self.last, (count, 1)))
+        found = self.controller.predict_belief(belief, np.tile(self.last, (count, 1)))
         if len(found.mean) != len(belief.mean):
             raise FaultError("foreseen: of another size than the belief")
 

@@ -71,7 +71,7 @@ class Pair:
 
     def overrule(self, commands):
         for controller in self.both:
-            controller.overrule(commands)
+            controller.set_applied_commands(commands)
 
     def step(self, t, measurement, hold=None):
         got, expected = (controller.step(t, measurement, hold) for controller in self.both)

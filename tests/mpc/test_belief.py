@@ -32,7 +32,7 @@ def test_what_is_foreseen_is_what_the_filter_comes_to_believe_where_nothing_is_m
     for k in range(1, 13):
         step = controller.step(plant.time + (k - 1) * plant.sample_time, Measurement())
         commands.append(step.command)
-    after, foreseen = controller.belief, controller.foresee(before, commands[:-1])
+    after, foreseen = controller.belief, controller.predict_belief(before, commands[:-1])
     assert np.array_equal(foreseen.mean, after.mean)
     assert np.array_equal(foreseen.covariance, after.covariance)
     assert np.array_equal(foreseen.sent, after.sent)
@@ -58,11 +58,14 @@ def test_what_is_known_of_slip_is_a_part_of_the_scatter_that_adds_up():
     """Covariance goes through linearly: what slip adds is more the less is known of it, and nothing where all is."""
     controller, _, _ = driven()
     belief, commands = controller.belief, np.tile([0.5, 0.8], (60, 1))
-    whole, certain = controller.foresee(belief, commands), controller.foresee(belief.with_slip(belief.slip), commands)
+    whole, certain = (
+        controller.predict_belief(belief, commands),
+        controller.predict_belief(belief.with_slip(belief.slip), commands),
+    )
     assert np.array_equal(whole.mean, certain.mean)
     assert whole.pose_covariance[2, 2] > certain.pose_covariance[2, 2]
     # Another slip turns the robot elsewhere.
-    other = controller.foresee(belief.with_slip(Slip()), commands)
+    other = controller.predict_belief(belief.with_slip(Slip()), commands)
     assert abs(other.pose[2] - whole.pose[2]) > 0.1
 
 
@@ -81,8 +84,8 @@ def test_what_cannot_be_foreseen_is_refused():
     controller, _, _ = driven(ticks=5)
     for commands in ([0.1, 0.2], [[0.1, np.nan]], np.zeros((3, 3))):
         with pytest.raises(ValueError, match="finite pairs"):
-            controller.foresee(controller.belief, commands)
-    assert np.array_equal(controller.foresee(controller.belief, np.zeros((0, 2))).mean, controller.belief.mean)
+            controller.predict_belief(controller.belief, commands)
+    assert np.array_equal(controller.predict_belief(controller.belief, np.zeros((0, 2))).mean, controller.belief.mean)
     controller.start(load_trajectory("s"), 0.0)
     with pytest.raises(RuntimeError, match="call step with a pose first"):
         _ = controller.belief

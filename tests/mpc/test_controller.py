@@ -266,7 +266,7 @@ def test_its_own_commands_said_again_change_nothing():
 
     def overruled(t, measurement):
         result = step(t, measurement)
-        told.overrule([result.command])
+        told.set_applied_commands([result.command])
         return result
 
     told.step = overruled
@@ -280,7 +280,7 @@ def test_while_another_one_drives_it_knows_how_the_robot_moves():
     watching.start(load_trajectory("circle"), robot.time)
     for _ in range(150):
         result = watching.step(robot.time, robot.measure())
-        watching.overrule([[0.3, 0.1]])
+        watching.set_applied_commands([[0.3, 0.1]])
         robot.advance(np.array([0.3, 0.1]))
     assert result.estimate.twist == pytest.approx([0.3, 0.1], abs=0.02)
     # Slew counts from what was sent, not from what it would have sent.
@@ -292,7 +292,7 @@ def test_while_another_one_drives_it_knows_how_the_robot_moves():
 @pytest.mark.parametrize("commands", [[0.1, 0.2], [[np.nan, 0.0]], [[0.1, 0.2, 0.3]]])
 def test_commands_that_are_none_are_refused(commands):
     with pytest.raises(ValueError, match="give finite pairs"):
-        controller().overrule(commands)
+        controller().set_applied_commands(commands)
 
 
 def test_updates_take_effect_between_two_ticks():
@@ -389,3 +389,20 @@ def test_models_of_every_order_are_driven_by_the_core_as_it_is_compiled_for_this
     )
     assert run.returncode == 0, f"after {run.stdout.split()}: {run.stderr[-2000:]}"
     assert run.stdout.split() == [str(order) for order in range(2, 10)]
+
+
+@pytest.mark.parametrize(
+    ("former", "name", "arguments"),
+    [
+        ("see", "set_obstacles", (None,)),
+        ("relay", "switch_reference", ("reference", 1.0)),
+        ("overrule", "set_applied_commands", ([[0.1, 0.0]],)),
+        ("foresee", "predict_belief", ("belief", [[0.1, 0.0]])),
+    ],
+)
+def test_a_former_name_works_and_warns(former, name, arguments, monkeypatch):
+    called = []
+    monkeypatch.setattr(Controller, name, lambda self, *given: called.append(given))
+    with pytest.warns(DeprecationWarning, match=f"Controller.{former} is Controller.{name} now"):
+        getattr(controller(), former)(*arguments)
+    assert called == [arguments]

@@ -80,7 +80,7 @@ def test_a_turn_that_somebody_else_began_is_led_out_of_as_fast_as_slew_allows_wi
     rest = lay_segments([Segment(v=0.0, omega=0.0, duration=5.0)], TrajectoryLimits.of_robot(), name="rest")
     controller = Controller(config)
     controller.start(rest, 0.0)
-    controller.overrule([sent])
+    controller.set_applied_commands([sent])
     before = np.array(sent)
     for k in range(40):
         command = controller.step(k * DT, Measurement(pose=Stamped(np.zeros(3), k * DT))).command

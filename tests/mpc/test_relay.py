@@ -30,14 +30,14 @@ def drive(each_second, seconds=8.0, t0_of=lambda reference, t: t, **options):
 
 def test_the_same_reference_again_changes_nothing():
     plain, _ = drive(None)
-    again, _ = drive(lambda controller, reference, t: controller.relay(reference, 0.0))
+    again, _ = drive(lambda controller, reference, t: controller.switch_reference(reference, 0.0))
     assert np.array_equal(plain, again)
 
 
 def test_what_was_learned_outlasts_a_new_path():
     """A start each second forgets the floor each second; going on does not."""
     _, plain = drive(None)
-    _, goes_on = drive(lambda controller, reference, t: controller.relay(reference, 0.0))
+    _, goes_on = drive(lambda controller, reference, t: controller.switch_reference(reference, 0.0))
     _, anew = drive(lambda controller, reference, t: controller.start(reference, 0.0))
     late = slice(len(plain) // 2, None)
     rms = [np.sqrt(np.mean(errors[late] ** 2)) for errors in (plain, goes_on, anew)]
@@ -57,7 +57,7 @@ def test_another_reference_has_a_clock_of_its_own_and_can_be_finished():
     other = load_trajectory("cane")
     begin = other.sample([0.0]).pose[0]
     moved = MovedReference(other, here - begin) if np.allclose(begin, 0.0) else other
-    controller.relay(moved, plant.time)
+    controller.switch_reference(moved, plant.time)
     assert controller.reference is moved
     until = plant.time + other.duration + 4.0
     while plant.time < until:
@@ -69,9 +69,9 @@ def test_another_reference_has_a_clock_of_its_own_and_can_be_finished():
 def test_what_cannot_be_gone_on_along_is_refused():
     controller, reference = Controller(load_config()), load_trajectory("circle")
     with pytest.raises(RuntimeError, match="call start"):
-        controller.relay(reference, 0.0)
+        controller.switch_reference(reference, 0.0)
     controller.start(reference, 0.0)
     with pytest.raises(ValueError, match="give its t0"):
-        controller.relay(load_trajectory("s"))
+        controller.switch_reference(load_trajectory("s"))
     with pytest.raises(ValueError, match="finite"):
-        controller.relay(load_trajectory("s"), np.nan)
+        controller.switch_reference(load_trajectory("s"), np.nan)

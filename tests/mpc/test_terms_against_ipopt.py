@@ -138,7 +138,7 @@ def test_half_spaces_of_free_space_converge_to_ipopts_solution_while_they_press(
         # The check of the way to rest and the way round are not what is tried here.
         controller._features["free_space"]._keeper._sweep = lambda *_: SimpleNamespace(sample=-1, least=1.0)
         controller._features["free_space"]._keeper._find_way = lambda *_: ""
-        controller.see(Surroundings([corners]))
+        controller.set_obstacles(Surroundings([corners]))
         return controller
 
     tables = {}
