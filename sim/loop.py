@@ -71,7 +71,7 @@ def simulate(
     Run
         The ticks from 0 to the first one at or after the end, or to the one after which the robot was lost: then
         `ended` says why. In a world the run goes on to its time limit, and ends when the robot has arrived, has touched
-        something or stands for good; a controller with a method `see` is given what the robot sees.
+        something or stands for good; a controller with a method `set_obstacles` is given what the robot sees.
 
     Raises
     ------
