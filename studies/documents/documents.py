@@ -16,6 +16,10 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 _NOT_RUN = "This part was not run."
 
 
+_OWN_TARGETS = ("edge", "robustness", "market", "prove", "tune")
+"""Reports with a target of make beside `study`."""
+
+
 @dataclass(frozen=True)
 class ShownReport:
     """What the documents show of the report `NAME.md` that `make NAME` writes.
@@ -44,7 +48,8 @@ class ShownReport:
     @property
     def made_by(self) -> str:
         """The target of make that writes all of it."""
-        return "bench-full" if self.name == "bench" else self.name
+        targets = {"bench": "bench-full"} | {name: name for name in _OWN_TARGETS}
+        return targets.get(self.name, f"study NAME={self.name}")
 
     @property
     def file(self) -> str:
