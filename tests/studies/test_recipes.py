@@ -1,0 +1,49 @@
+"""What the recipes show works as it stands there."""
+
+import re
+import textwrap
+from pathlib import Path
+
+from diffdrive_mpc.bench.study import carry_out
+
+RECIPES = Path(__file__).parents[2] / "docs" / "recipes"
+
+
+def code(page, begin):
+    """The indented block of a recipe that begins so."""
+    text = (RECIPES / page).read_text(encoding="utf-8")
+    block = re.search(rf"^    {re.escape(begin)}.*\n(?:(?:    .*)?\n)*", text, re.MULTILINE)
+    return textwrap.dedent(block[0])
+
+
+def test_the_study_is_carried_out(tmp_path, one_process):
+    given = {"__name__": "recipe"}
+    exec(code("study.md", "from diffdrive_mpc.bench.case import").replace("range(20)", "range(1)"), given)
+    carry_out(given["NoiseStudy"](), tmp_path / "noise")
+    assert "| s |" in (tmp_path / "noise" / "noise.md").read_text(encoding="utf-8")
+
+
+def test_the_peer_drives(monkeypatch):
+    from diffdrive_mpc import load_trajectory, make_plant, simulate
+    from diffdrive_mpc.bench.peers import PeerStep
+
+    given = {"__name__": "recipe", "PeerStep": PeerStep}
+    exec(code("peer.md", "# bench/peers/feed_forward.py").partition("# bench/peers/__init__.py")[0], given)
+    run = simulate(given["FeedForwardController"](), make_plant("model:sm"), load_trajectory("s"))
+    assert run.metrics.steps > 100
+
+
+def test_the_backend_is_asked(monkeypatch):
+    import numpy as np
+
+    from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant, simulate
+    from diffdrive_mpc.mpc import controller
+    from diffdrive_mpc.mpc.solver.backend import Solved
+    from diffdrive_mpc.mpc.solver.report import SolverStatus
+
+    given = {"__name__": "recipe", "np": np, "Solved": Solved, "SolverStatus": SolverStatus}
+    exec(code("backend.md", "class ClippingBackend:"), given)
+    monkeypatch.setattr(controller, "load_backend", lambda name: given["ClippingBackend"])
+    driven = Controller(load_config("sm", {"solver.strategy": "backend"}))
+    run = simulate(driven, make_plant("model:sm"), load_trajectory("s"))
+    assert run.metrics.completed and run.solver_paths.count("daqp") > 100
