@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, cast, runtime_checkable
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
 from diffdrive_mpc.models.interface import (
-    ControlStep,
     FloatArray,
-    Measurement,
-    MotionEstimate,
     Reference,
     TrackingController,
 )
-from diffdrive_mpc.models.step_scalars import scalar_row
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
-from diffdrive_mpc.sim.plants.motor_work import NOTHING, MotorWork, motor_work, stacked
 from diffdrive_mpc.sim.plants.plant import Plant, RobotLostError
-from diffdrive_mpc.sim.run import NO_SOLVER, Run
-from diffdrive_mpc.sim.sensing.power_readings import power_read
+from diffdrive_mpc.sim.recorder import Recorder
+from diffdrive_mpc.sim.run import Run
 
 if TYPE_CHECKING:
     from diffdrive_mpc.sim.plants.world_plant import WorldPlant
@@ -85,82 +80,25 @@ def simulate(
     around = _Around(plant, controller, reference)
     until = max(reference.duration + extra_time, around.time_limit)
     ticks = int(np.ceil((until - TIME_TOLERANCE) / plant.sample_time)) + 1
-    time = np.empty(ticks)
-    true_pose, true_twist, command = np.empty((ticks, 3)), np.empty((ticks, 3)), np.empty((ticks, 2))
-    step_time, solve_time, iterations = np.empty(ticks), np.full(ticks, np.nan), np.full(ticks, np.nan)
-    estimates, deviations = np.full((ticks, 5), np.nan), np.full((ticks, 5), np.nan)
-    said: list[_Said] = []
-    measurements: list[Measurement] = []
-    plans: list[FloatArray | None] = []
-    work: list[MotorWork] = []
-    power: list[FloatArray] = []
+    record = Recorder(ticks, keep_plans=keep_plans)
     ended = ""
     for k in range(ticks):
-        time[k], true_pose[k], true_twist[k] = plant.time, plant.true_pose, plant.true_twist
         measurement = plant.measure()
-        power.append(power_read(plant))
+        record.before(plant, measurement)
         over = around.look()
         step = controller.step(plant.time, measurement)
-        command[k] = _checked(step.command, plant.time)
-        step_time[k] = step.step_time
-        solve_time[k] = step.solve_time
-        if step.solver is not None:
-            iterations[k] = step.solver.iterations
-        # Of an `EstimatingStep`; to ask each step whether it is one takes longer than the step.
-        estimate: MotionEstimate | None = getattr(step, "estimate", None)
-        if estimate is not None:
-            estimates[k, :3], estimates[k, 3:] = estimate.pose, estimate.twist
-            deviations[k, :3], deviations[k, 3:] = estimate.pose_deviation, estimate.twist_deviation
-        said.append(_Said.by(step))
-        measurements.append(measurement)
-        if keep_plans:
-            plans.append(step.plan)
+        command = _checked(step.command, plant.time)
+        record.decided(step, command)
         try:
-            plant.advance(command[k])
-            work.append(motor_work(plant))
+            plant.advance(command)
         except RobotLostError as error:
-            work.append(NOTHING)
             ended = str(error)
+        record.after(plant, lost=bool(ended))
         if on_tick is not None:
             on_tick(k + 1, ticks)
         if ended or over:
             break
-    driven = slice(len(said))
-    time = time[driven]
-    expected = reference.sample(time)
-    torque, wheel_speed, mechanical, square = stacked(work)
-    return Run(
-        reference=reference,
-        sample_time=plant.sample_time,
-        time=time,
-        true_pose=true_pose[driven],
-        true_twist=true_twist[driven],
-        reference_pose=expected.pose,
-        reference_twist=expected.twist,
-        reference_arc_length=expected.arc_length,
-        command=command[driven],
-        step_time=step_time[driven],
-        solve_time=solve_time[driven],
-        solver_iterations=iterations[driven],
-        modes=tuple(words.mode for words in said),
-        messages=tuple(words.message for words in said),
-        measurements=tuple(measurements),
-        solver_statuses=tuple(words.solver_status for words in said),
-        solver_paths=tuple(words.solver_path for words in said),
-        estimates=estimates[driven],
-        estimate_deviations=deviations[driven],
-        plans=_stacked(plans),
-        motor_torque=torque,
-        motor_speed=wheel_speed,
-        motor_power=mechanical,
-        motor_square=square,
-        drive=getattr(plant, "drive", None),
-        power_readings=np.array(power),
-        scalars=np.array([words.scalars for words in said]),
-        disturbance=getattr(plant, "disturbance", None),
-        ended=ended,
-        **around.kept,
-    )
+    return record.run(plant, reference, ended=ended, **around.kept)
 
 
 class _Around:
@@ -193,24 +131,6 @@ class _Around:
         return self._plant.time > self._end and self._plant.over(self._goal)
 
 
-class _Said(NamedTuple):
-    """What a step says of itself, in words and numbers."""
-
-    mode: str
-    message: str
-    solver_status: str
-    solver_path: str
-    scalars: list[float]
-
-    @classmethod
-    def by(cls, step: ControlStep) -> _Said:
-        """The words of `step`."""
-        solver = step.solver
-        if solver is None:
-            return cls(str(step.mode), step.message, "", NO_SOLVER, scalar_row(step))
-        return cls(str(step.mode), step.message, str(solver.status), str(solver.path), scalar_row(step))
-
-
 def _check_arguments(controller: TrackingController, plant: Plant, extra_time: float) -> None:
     """Refuse a controller with another sample time than the plant; one without a `sample_time` takes any."""
     if not (np.isfinite(extra_time) and extra_time >= 0):
@@ -221,13 +141,6 @@ def _check_arguments(controller: TrackingController, plant: Plant, extra_time: f
             f"the controller's sample_time is {period:g} s, the plant's is {plant.sample_time:g} s: make the plant "
             f"with make_plant(..., sample_time={period:g}), or set sample_time in the configuration"
         )
-
-
-def _stacked(plans: Sequence[FloatArray | None]) -> FloatArray:
-    """(n, N + 1, 3) the plans of n ticks, NaN where there is none; (n, 0, 3) where no tick has one."""
-    poses = next((len(plan) for plan in plans if plan is not None), 0)
-    nothing = np.full((poses, 3), np.nan)
-    return np.array([nothing if plan is None else plan for plan in plans], dtype=float).reshape(len(plans), poses, 3)
 
 
 def _checked(command: FloatArray, t: float) -> FloatArray:

@@ -169,7 +169,9 @@ def _summary(outcome: Outcome, out: Path | None) -> Iterator[str]:
     shown = ", ".join(f"{name} {1e3 * time:.2f} ms" for name, time in zip(("p50", "p99", "max"), times, strict=True))
     yield f"step time: {shown}; {metrics.deadline_misses} steps above {1e3 * run.sample_time:.1f} ms"
     ticks = Counter(itertools.compress(run.solver_paths, run.counted))
-    shares = ", ".join(f"{_METHODS.get(name, name)} {100 * count / metrics.steps:.1f} %" for name, count in ticks.most_common())
+    shares = ", ".join(
+        f"{_METHODS.get(name, name)} {100 * count / metrics.steps:.1f} %" for name, count in ticks.most_common()
+    )
     yield f"solver: {'none' if set(ticks) == {NO_SOLVER} else shares}"
     yield f"final mode: {run.modes[-1]}; {metrics.fallbacks} steps in a fall-back mode"
     if outcome.case.scenario != NO_SCENARIO:

@@ -1,0 +1,130 @@
+"""What the closed loop keeps of each tick, and the run that it becomes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, MotionEstimate, Reference
+from diffdrive_mpc.models.step_scalars import scalar_row
+from diffdrive_mpc.sim.plants.motor_work import NOTHING, MotorWork, motor_work, stacked
+from diffdrive_mpc.sim.plants.plant import Plant
+from diffdrive_mpc.sim.run import NO_SOLVER, Run
+from diffdrive_mpc.sim.sensing.power_readings import power_read
+
+
+class Recorder:
+    """Takes down a run tick by tick.
+
+    Parameters
+    ----------
+    ticks
+        How many there will be at most.
+    keep_plans
+        Whether the run keeps what the controller predicted at each tick.
+    """
+
+    def __init__(self, ticks: int, *, keep_plans: bool) -> None:
+        self._keep_plans = keep_plans
+        self._time = np.empty(ticks)
+        self._true_pose, self._true_twist = np.empty((ticks, 3)), np.empty((ticks, 3))
+        self._command, self._step_time = np.empty((ticks, 2)), np.empty(ticks)
+        self._solve_time, self._iterations = np.full(ticks, np.nan), np.full(ticks, np.nan)
+        self._estimates, self._deviations = np.full((ticks, 5), np.nan), np.full((ticks, 5), np.nan)
+        self._said: list[_Said] = []
+        self._measurements: list[Measurement] = []
+        self._plans: list[FloatArray | None] = []
+        self._work: list[MotorWork] = []
+        self._power: list[FloatArray] = []
+
+    def before(self, plant: Plant, measurement: Measurement) -> None:
+        """A tick begins: where the robot is in truth, and what its sensors said."""
+        k = len(self._said)
+        self._time[k], self._true_pose[k], self._true_twist[k] = plant.time, plant.true_pose, plant.true_twist
+        self._power.append(power_read(plant))
+        self._measurements.append(measurement)
+
+    def decided(self, step: ControlStep, command: FloatArray) -> None:
+        """The controller has answered with `command` (2,)."""
+        k = len(self._said)
+        self._command[k] = command
+        self._step_time[k], self._solve_time[k] = step.step_time, step.solve_time
+        if step.solver is not None:
+            self._iterations[k] = step.solver.iterations
+        # Of an `EstimatingStep`; to ask each step whether it is one takes longer than the step.
+        estimate: MotionEstimate | None = getattr(step, "estimate", None)
+        if estimate is not None:
+            self._estimates[k, :3], self._estimates[k, 3:] = estimate.pose, estimate.twist
+            self._deviations[k, :3], self._deviations[k, 3:] = estimate.pose_deviation, estimate.twist_deviation
+        self._said.append(_Said.by(step))
+        if self._keep_plans:
+            self._plans.append(step.plan)
+
+    def after(self, plant: Plant, *, lost: bool) -> None:
+        """The sample has passed; a robot that was `lost` in it has done no work."""
+        self._work.append(NOTHING if lost else motor_work(plant))
+
+    def run(self, plant: Plant, reference: Reference, **more: Any) -> Run:  # noqa: ANN401 - fields of Run
+        """The run along `reference` as it was taken down, with `more` fields of it."""
+        driven = slice(len(self._said))
+        time = self._time[driven]
+        expected = reference.sample(time)
+        torque, wheel_speed, mechanical, square = stacked(self._work)
+        return Run(
+            reference=reference,
+            sample_time=plant.sample_time,
+            time=time,
+            true_pose=self._true_pose[driven],
+            true_twist=self._true_twist[driven],
+            reference_pose=expected.pose,
+            reference_twist=expected.twist,
+            reference_arc_length=expected.arc_length,
+            command=self._command[driven],
+            step_time=self._step_time[driven],
+            solve_time=self._solve_time[driven],
+            solver_iterations=self._iterations[driven],
+            modes=tuple(words.mode for words in self._said),
+            messages=tuple(words.message for words in self._said),
+            measurements=tuple(self._measurements),
+            solver_statuses=tuple(words.solver_status for words in self._said),
+            solver_paths=tuple(words.solver_path for words in self._said),
+            estimates=self._estimates[driven],
+            estimate_deviations=self._deviations[driven],
+            plans=_stacked(self._plans),
+            motor_torque=torque,
+            motor_speed=wheel_speed,
+            motor_power=mechanical,
+            motor_square=square,
+            drive=getattr(plant, "drive", None),
+            power_readings=np.array(self._power),
+            scalars=np.array([words.scalars for words in self._said]),
+            disturbance=getattr(plant, "disturbance", None),
+            **more,
+        )
+
+
+class _Said(NamedTuple):
+    """What a step says of itself, in words and numbers."""
+
+    mode: str
+    message: str
+    solver_status: str
+    solver_path: str
+    scalars: list[float]
+
+    @classmethod
+    def by(cls, step: ControlStep) -> _Said:
+        """The words of `step`."""
+        solver = step.solver
+        if solver is None:
+            return cls(str(step.mode), step.message, "", NO_SOLVER, scalar_row(step))
+        return cls(str(step.mode), step.message, str(solver.status), str(solver.path), scalar_row(step))
+
+
+def _stacked(plans: Sequence[FloatArray | None]) -> FloatArray:
+    """(n, N + 1, 3) the plans of n ticks, NaN where there is none; (n, 0, 3) where no tick has one."""
+    poses = next((len(plan) for plan in plans if plan is not None), 0)
+    nothing = np.full((poses, 3), np.nan)
+    return np.array([nothing if plan is None else plan for plan in plans], dtype=float).reshape(len(plans), poses, 3)
