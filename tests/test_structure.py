@@ -113,6 +113,21 @@ def test_folders_inside_a_folder_form_no_circle(folder):
     assert [entry for entry in folders if entry in reached_from(imports, entry)] == []
 
 
+def test_the_controller_lies_in_the_layers_that_the_page_shows():
+    """docs/architecture.md: a layer imports those below it, and nothing beside or above."""
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    lines = re.search(r"^ {4}nodes, export .*\n(?: {4}.*\n)+", page, re.MULTILINE)[0].splitlines()
+    layers = [re.split(r" {2,}", line.strip())[1].split() for line in lines]
+    height = {name: len(layers) - index for index, names in enumerate(layers) for name in names}
+    inside = {name.split(".")[1] for name in MODULES if name.startswith("mpc.")} - {"monitor"}
+    assert inside == set(height)
+    for name, other in IMPORTS:
+        if name.startswith("mpc.") and other.startswith("mpc."):
+            ours, theirs = name.split(".")[1], other.split(".")[1]
+            if ours != theirs and "monitor" not in (ours, theirs):
+                assert height[ours] > height[theirs], f"{name} imports {other}"
+
+
 def reached_from(imports, start):
     """What `start` imports, directly and through others."""
     reached, ahead = set(), [start]
