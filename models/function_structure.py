@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FunctionStructure:
-    """One structure. What loads CasADi or more stands behind functions, for who only asks for names.
+    """One structure. Who only asks for names imports none of the modules that it names: they load CasADi or more.
 
     Attributes
     ----------
@@ -30,12 +31,16 @@ class FunctionStructure:
         For tables.
     rank
         Place among the others, the simplest first: a later one has to predict better by more than chance.
-    load
-        The model of the parameter file at a path, whose content is given.
-    schema
-        What its parameter files are checked by.
-    finder
-        What finds one in a log; raises MissingPackageError where what it needs is not installed.
+    package
+        In which the following are, each as "module:name".
+    loader
+        A function of the path of a parameter file and its content; returns the model.
+    file
+        What parameter files are checked by, a pydantic model.
+    found_by
+        What finds one in a log, a `Finder`.
+    check
+        A function that raises MissingPackageError where what `found_by` needs is not installed; empty for nothing.
     shipped
         The parameter file of its shipped model, if there is one.
     slow
@@ -46,11 +51,34 @@ class FunctionStructure:
     name: str
     title: str
     rank: int
-    load: Callable[[Path, Any], NonlinearModel]
-    schema: Callable[[], type[BaseModel]]
-    finder: Callable[[], Finder]
+    package: str
+    loader: str
+    file: str
+    found_by: str
+    check: str = ""
     shipped: Path | None = None
     slow: bool = False
+
+    def load(self, path: Path, data: Any) -> NonlinearModel:  # noqa: ANN401 - what a YAML file may hold
+        """The model of the parameter file at `path`, whose content is `data`; raises ConfigError or ModelError."""
+        model: NonlinearModel = self._named(self.loader)(path, data)
+        return model
+
+    def schema(self) -> type[BaseModel]:
+        """What its parameter files are checked by."""
+        schema: type[BaseModel] = self._named(self.file)
+        return schema
+
+    def finder(self) -> Finder:
+        """What finds one in a log; raises MissingPackageError where what it needs is not installed."""
+        if self.check:
+            self._named(self.check)()
+        finder: Finder = self._named(self.found_by)
+        return finder
+
+    def _named(self, place: str) -> Any:  # noqa: ANN401 - each place holds something else
+        module, _, name = place.partition(":")
+        return getattr(import_module(f"{self.package}.{module}"), name)
 
 
 def function_structures() -> Mapping[str, FunctionStructure]:

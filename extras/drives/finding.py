@@ -121,3 +121,7 @@ def drive_finder(name: str, kind: Kind) -> Finder:
         return FoundDrive(name, told, fitted.geometry)
 
     return find
+
+
+find_physical = drive_finder("p2_physical", "drive_physical")
+find_experimental = drive_finder("p2_experimental", "drive_experimental")
