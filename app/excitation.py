@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from diffdrive_mpc.app.run_log import holds_plans, run_log
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build_plant, controller_config, make_controller
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
-from diffdrive_mpc.bench.run_log import holds_plans, run_log
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.information import TOLD, DriveInformation

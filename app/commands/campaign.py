@@ -32,7 +32,7 @@ def campaign(
 
     The exit code is 1 when a run ended in an error; its row says which.
     """
-    from diffdrive_mpc.bench.campaign.command import Part, run_campaign  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.app.campaign_command import Part, run_campaign  # noqa: PLC0415 - --help does without it
     from diffdrive_mpc.bench.campaign.engine import Place, failed  # noqa: PLC0415
 
     driven = run_campaign(file, Place(out, jobs, scheduler), runs, None if part is None else Part.read(part))

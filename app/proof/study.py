@@ -12,11 +12,11 @@ from diffdrive_mpc.app.proof.maps import Drawn, drawn_map, map_runs
 from diffdrive_mpc.app.proof.page import shown
 from diffdrive_mpc.app.proof.proof_file import Proof
 from diffdrive_mpc.app.proof.report import CVAR, Outcomes, error_estimates, errors, facts, tables, worst
+from diffdrive_mpc.app.run_file import write_run
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.draws import Value
 from diffdrive_mpc.bench.campaign.engine import Driven, Place, drive_all
 from diffdrive_mpc.bench.campaign.parquet import needs_arrow, write_table
-from diffdrive_mpc.bench.campaign.run_file import write_run
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.outcomes import STATISTICS, plain
 from diffdrive_mpc.bench.progress import ProgressBar

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
+from diffdrive_mpc.app.run_file import compared, load_run
+from diffdrive_mpc.app.run_log import holds_plans, run_log
 from diffdrive_mpc.app.simulate.single import draw, report
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.campaign.drive import drive_whole
-from diffdrive_mpc.bench.campaign.run_file import compared, load_run
 from diffdrive_mpc.bench.outcomes import Outcome
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
-from diffdrive_mpc.bench.run_log import holds_plans, run_log
 from diffdrive_mpc.models.trust import only_trusted
 
 

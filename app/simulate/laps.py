@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from diffdrive_mpc.app.run_log import holds_plans, repeating, run_log
 from diffdrive_mpc.app.simulate.single import asked_case, draw_figures
 from diffdrive_mpc.app.simulate.single_page import laps_page
 from diffdrive_mpc.bench.atomic import staged
@@ -22,7 +23,6 @@ from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series
 from diffdrive_mpc.bench.outcomes import Outcome
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
-from diffdrive_mpc.bench.run_log import holds_plans, repeating, run_log
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import Controller

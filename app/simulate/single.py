@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from diffdrive_mpc.app.run_log import holds_plans, run_log
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
 from diffdrive_mpc.bench.contents import REPORT
@@ -19,7 +20,6 @@ from diffdrive_mpc.bench.controllers import build, chosen_model, controller_conf
 from diffdrive_mpc.bench.outcomes import Outcome, by_driver, who_drives
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
-from diffdrive_mpc.bench.run_log import holds_plans, run_log
 from diffdrive_mpc.bench.sweep import single_settings
 from diffdrive_mpc.bench.table import Table, duration
 from diffdrive_mpc.models.checked_yaml import ConfigError

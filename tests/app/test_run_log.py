@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc import identify
 from diffdrive_mpc.app.cli import app
+from diffdrive_mpc.app.run_log import repeating
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.run_log import repeating
 from diffdrive_mpc.models.logs.drive_log.reader import read_drive_log
 from diffdrive_mpc.mpc import ControllerConfig
 from diffdrive_mpc.sim import log_mcap
