@@ -148,7 +148,7 @@ class OracleController:
         self.pending = replace_values(self.pending or self.config, changes)
         return self.pending
 
-    def overrule(self, commands: FloatArray) -> None:
+    def set_applied_commands(self, commands: FloatArray) -> None:
         """What was sent in truth (K, 2), oldest first, in place of the last K."""
         self.estimator.commands.overrule(commands)
         self.last = commands[-1]
