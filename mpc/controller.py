@@ -32,7 +32,7 @@ from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.features.feature import Feature, Host
 from diffdrive_mpc.mpc.features.registry import features_of
 from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.mpc.messages import Words
+from diffdrive_mpc.mpc.messages import MessageFormatter
 from diffdrive_mpc.mpc.problem.build import chosen_model, sampled_model
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, SLACK, Problem
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
@@ -136,7 +136,7 @@ class Controller:
         self._kinds = HARD_KINDS + sizes["soft"]
         self._backend = self._make_backend(config)
         self._program = Program(self._tick, config.horizon, self._kinds)
-        self._words = Words(self._tick, config)
+        self._words = MessageFormatter(self._tick, config)
         self._ahead: FloatArray = np.asarray(np.arange(self._tick.samples) * dt)
         self._pursuit = Pursuit(config, self._tick.stray)
         self._pending: _Prepared | None = None
@@ -273,7 +273,7 @@ class Controller:
         """
         given = _pairs(commands)
         line = np.vstack([belief.sent, given])
-        mean, covariance = self._tick.foresee(belief.mean, belief.covariance, line)
+        mean, covariance = self._tick.predict_belief(belief.mean, belief.covariance, line)
         return replace(belief, mean=mean, covariance=covariance, sent=line[len(given) :])
 
     def set_applied_commands(self, commands: ArrayLike) -> None:
@@ -296,7 +296,7 @@ class Controller:
         given = _pairs(commands)
         if not len(given):
             return
-        self._tick.overrule(given)
+        self._tick.set_applied_commands(given)
         for feature in self._features.values():
             feature.set_applied(given[-1])
 
@@ -389,7 +389,7 @@ class Controller:
         # C reads it from now on.
         self._tick.reference, self._reference = native, reference
         if t0 is None:
-            self._pursuit.relay(tracked, native=native.complete)
+            self._pursuit.switch_reference(tracked, native=native.complete)
         else:
             self._pursuit.start(tracked, native=native.complete)
 
@@ -515,7 +515,7 @@ class Controller:
         feature = self._features.get("free_space")
         if feature is None:
             raise ConfigError("free_space.enabled is false: set it to true for a controller that sees surroundings")
-        cast("KeepClear", feature).see(surroundings)
+        cast("KeepClear", feature).set_obstacles(surroundings)
 
     def see(self, surroundings: Surroundings | None) -> None:
         """Former name of `set_obstacles`."""

@@ -12,7 +12,7 @@ from diffdrive_mpc.mpc.solver.report import SolverPath, SolverStatus
 from diffdrive_mpc.mpc.step_result import Mode
 
 
-class Words:
+class MessageFormatter:
     """Sentences about one controller's results; every number of C is looked up by its name.
 
     Attributes

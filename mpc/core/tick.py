@@ -137,7 +137,7 @@ class Tick:
         """(2,) the last command sent, a copy."""
         return self.view(self.lib.ddmpc_last_command(self.c), (2,)).copy()
 
-    def overrule(self, commands: FloatArray) -> None:
+    def set_applied_commands(self, commands: FloatArray) -> None:
         """Take what was sent from `commands` (K, 2), finite, in place of the last K."""
         given = np.ascontiguousarray(commands, dtype=float)
         self.lib.ddmpc_overrule(self.c, self._address("const real *", given), len(given))
@@ -150,7 +150,9 @@ class Tick:
         found = self.lib.ddmpc_believed(self.c, *(self._address("real *", array) for array in arrays))
         return arrays if found else None
 
-    def foresee(self, mean: FloatArray, covariance: FloatArray, commands: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def predict_belief(
+        self, mean: FloatArray, covariance: FloatArray, commands: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Mean and covariance after the samples that begin with each of `commands` (W + K, 2) but the first W."""
         commands, window = np.ascontiguousarray(commands, dtype=float), self._sizes["window"]
         now, after = [np.array(mean), np.array(covariance)], [np.empty_like(mean), np.empty_like(covariance)]

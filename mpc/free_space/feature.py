@@ -38,9 +38,9 @@ class KeepClear(Feature):
         """See `Feature`."""
         self._keeper.configure(self.host.config)
 
-    def see(self, surroundings: Surroundings | None) -> None:
+    def set_obstacles(self, surroundings: Surroundings | None) -> None:
         """Keep clear of them from the next step on; raises SurroundingsError where they cannot be used."""
-        self._keeper.see(surroundings)
+        self._keeper.set_obstacles(surroundings)
 
     def lay(self, reference: Reference) -> Reference:
         """See `Feature`: moved aside where something is in its way."""

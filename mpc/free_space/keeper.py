@@ -97,7 +97,7 @@ class FreeSpaceKeeper:
             keeping.moving = settings.moving_margin
             keeping.reach, keeping.scale = margin + settings.moving_margin + _NEAR, settings.strictness
 
-    def see(self, around: Surroundings | None) -> None:
+    def set_obstacles(self, around: Surroundings | None) -> None:
         """Keep clear of `around` from the next step on.
 
         Raises
@@ -234,7 +234,7 @@ class FreeSpaceKeeper:
         if contact.sample < 0 or not driving:
             return result
         command = self._ramp(sent)
-        self._tick.overrule(command[None])
+        self._tick.set_applied_commands(command[None])
         words = (
             f"braking: on its way to rest it would come within {max(contact.gap, 0.0):.2f} m of "
             f"{self._pieces.names[contact.piece]}; free_space.margin is {settings.margin:g} m"

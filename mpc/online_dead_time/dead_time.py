@@ -103,7 +103,7 @@ class DeadTime:
         self._told = np.zeros(2, dtype=bool)
         self.found = LearnedDeadTime(unknown, unknown, self.used)
 
-    def overrule(self, command: FloatArray) -> None:
+    def set_applied(self, command: FloatArray) -> None:
         """Somebody else decided the last command (2,)."""
         self._sent = command
 

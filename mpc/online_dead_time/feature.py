@@ -36,7 +36,7 @@ class OnlineDeadTime(Feature):
 
     def set_applied(self, command: FloatArray) -> None:
         """See `Feature`."""
-        self._dead_time.overrule(command)
+        self._dead_time.set_applied(command)
 
     def after_step(self, t: float, measurement: Measurement, result: StepResult) -> StepResult:
         """Learn from the tick; where the dead time is another one, prepare to predict with it, a part at a tick."""

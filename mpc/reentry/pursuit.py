@@ -103,7 +103,7 @@ class Pursuit:
         self._driving, self._resumes = True, False
         self._time = -math.inf
 
-    def relay(self, reference: Reference, *, native: bool) -> None:
+    def switch_reference(self, reference: Reference, *, native: bool) -> None:
         """Follow `reference`, which is the one followed laid elsewhere; a way back led to where it was."""
         self._reference, self._native = reference, native
         self._way_back = None

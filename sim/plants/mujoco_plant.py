@@ -202,6 +202,6 @@ class MujocoPlant:
             start, end, before, after = edges[k], edges[k + 1], poses[k], poses[k + 1]
             self._sensors.see_pose(look, before + (look - start) / (end - start) * (after - before))
         if self._power is not None:
-            self._power.see(self._twin.motors)
+            self._power.take(self._twin.motors)
         speeds = self._chassis.wheel_speeds if self._exact_speeds else self._observer.speed
         self._sensors.see_motion(self.time, speeds, self._chassis.yaw_rate)

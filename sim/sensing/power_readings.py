@@ -48,9 +48,9 @@ class PowerReadings:
     def reset(self) -> None:
         """At rest since ever, at time 0."""
         self._noise = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_KEY,)))
-        self.see(np.zeros((1, 2, 4)))
+        self.take(np.zeros((1, 2, 4)))
 
-    def see(self, motors: FloatArray) -> None:
+    def take(self, motors: FloatArray) -> None:
         """A sample has passed: torques [N m] and wheel speeds [rad/s] (steps, 2, 4) in it."""
         torque, speed = motors[:, 0], motors[:, 1]
         # As energy is counted: of the means over the sample, which the drivers' capacitors smooth.

@@ -134,19 +134,19 @@ def scatter_of(study: ScatterStudy, floor: ScatterFloor, drifts: float, seed: in
     before = [k for k in driven.beliefs if k + ahead <= first]
     starts = [k for k in driven.beliefs if k >= first and k + ahead < len(driven.poses)]
 
-    def foresee(starts: Sequence[int], change: Callable[[Belief], Belief] = lambda belief: belief) -> Foresight:
+    def predict_from(starts: Sequence[int], change: Callable[[Belief], Belief] = lambda belief: belief) -> Foresight:
         found = [_missed(controller, change(driven.beliefs[k]), driven, k, k + ahead) for k in starts]
         return Foresight(np.array([error for error, _ in found]), np.array([shape for _, shape in found]))
 
-    learned, earlier = foresee(starts), foresee(before)
-    certain = foresee(starts, lambda belief: belief.with_slip(belief.slip))
+    learned, earlier = predict_from(starts), predict_from(before)
+    certain = predict_from(starts, lambda belief: belief.with_slip(belief.slip))
     added = np.mean(np.diagonal(learned.covariances - certain.covariances, axis1=1, axis2=2), axis=0)
     last = driven.beliefs[starts[-1]]
     terms = load_surface(floor.surface).slip.polynomial if floor.plant.startswith("model:") else None
     return SlipScatter(
         floor.name,
         drifts,
-        foresee(starts, lambda belief: belief.with_slip(Slip())),
+        predict_from(starts, lambda belief: belief.with_slip(Slip())),
         learned,
         learned.scaled(earlier.rms / earlier.foreseen),
         np.sqrt(np.maximum(added, 0.0)),

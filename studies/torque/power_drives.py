@@ -48,7 +48,7 @@ def record(drive: Driven, constants: DriveConstants, seed: int, battery: Battery
     reads = PowerReadings(sensor, battery or Battery(voltage=16.8, resistance=0.1), constants, seed)
     rows = []
     for motors in drive.motors:
-        reads.see(motors)
+        reads.take(motors)
         rows.append(reads.value)
     read = np.array(rows)
     sides = 0.5 * (drive.speeds[:, :2] + drive.speeds[:, 2:])

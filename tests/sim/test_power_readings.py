@@ -98,7 +98,7 @@ def test_readings_are_whole_steps_and_repeat_with_the_seed() -> None:
 
     def read(seed: int) -> np.ndarray:
         reads = PowerReadings(sensor, Battery(), load_drive_constants(), seed)
-        return np.array([reads.value for _ in range(200) if reads.see(np.full((10, 2, 4), 1.0)) is None])
+        return np.array([reads.value for _ in range(200) if reads.take(np.full((10, 2, 4), 1.0)) is None])
 
     first = read(1)
     assert np.array_equal(first, read(1)) and not np.array_equal(first, read(2))
