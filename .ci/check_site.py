@@ -10,13 +10,14 @@ import json
 import shutil
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
 
 from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import TimeoutError as NothingYet
 
 PHONE = {"width": 390, "height": 844}
 SOUGHT = "dead time"
@@ -64,12 +65,17 @@ def open_all(page: Page, home: str, site: Path, faults: list[str]) -> int:
 
 def search(page: Page, home: str) -> str:
     """Title of the page that the first find of the search box leads to."""
-    page.goto(f"{home}/index.html")
-    page.locator("label.md-header__button[for=__search]").click()
-    page.locator("input.md-search__input").fill(SOUGHT)
-    found = page.locator("a.md-search-result__link").first
-    # The index is read by a worker of the page, on a machine that may be busy.
-    found.wait_for(timeout=120_000)
+    # The index is read by a worker of the page; on a busy machine it sometimes does not start, and a reader loads anew.
+    for patience in (30_000, 30_000, 120_000):
+        page.goto(f"{home}/index.html")
+        page.locator("label.md-header__button[for=__search]").click()
+        page.locator("input.md-search__input").fill(SOUGHT)
+        found = page.locator("a.md-search-result__link").first
+        with suppress(NothingYet):
+            found.wait_for(timeout=patience)
+            break
+    else:
+        raise AssertionError(f"nothing was found for '{SOUGHT}', in three visits of the page")
     found.click()
     page.wait_for_url(lambda url: "index.html" not in url)
     text = page.locator("article").inner_text().lower()
