@@ -68,7 +68,8 @@ def command_line(only: str = "") -> typer.Typer:
         help="Model-predictive trajectory tracking for skid-steer and differential-drive robots.",
     )
     made.callback(epilog="Example: diffdrive-mpc bench --quick --out results")(_options)
-    ours = {only} if only in _COMMANDS.keys() | _GROUPS.keys() else _COMMANDS.keys() | _GROUPS.keys()
+    every = _COMMANDS.keys() | _GROUPS.keys()
+    ours = {only} & every or every
     for name, (panel, module, function, passed_on) in _COMMANDS.items():
         if name in ours:
             home = import_module(f"{_HOME}.{module}")
@@ -76,7 +77,7 @@ def command_line(only: str = "") -> typer.Typer:
             settings = import_module(f"{_HOME}.options").PASSED_ON if passed_on else None
             add = made.command(name, epilog=example, rich_help_panel=panel, context_settings=settings)
             add(getattr(home, function or name))
-    for plugged in _plugged() if len(ours) > 1 else ():
+    for plugged in _plugged() if ours == every else ():
         made.command(plugged.name, epilog=plugged.example, rich_help_panel=plugged.panel)(plugged.run)
     for name, module in _GROUPS.items():
         if name in ours:

@@ -17,7 +17,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Reference, TrackingController
 from diffdrive_mpc.models.load import is_shipped, load_model, model_path
 from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_config, load_trajectory
-from diffdrive_mpc.mpc.energy.energy_term import with_least_radius
+from diffdrive_mpc.mpc.features.registry import prepared
 from diffdrive_mpc.mpc.trajectories.limits import BeyondLimitError, TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
@@ -190,7 +190,7 @@ def controller_config(model: str, config: str | None = None, overrides: Override
     else:
         load_model(model)
         found = load_config("ssm", {"model": _model_reference(model), "extra_dead_time": {}, **dict(overrides)})
-    return with_least_radius(found)
+    return prepared(found)
 
 
 def chosen_model(model: str | None, config: Path | None) -> str:

@@ -37,10 +37,10 @@ class FunctionStructure:
         A function of the path of a parameter file and its content; returns the model.
     file
         What parameter files are checked by, a pydantic model.
-    found_by
+    finder_function
         What finds one in a log, a `Finder`.
     check
-        A function that raises MissingPackageError where what `found_by` needs is not installed; empty for nothing.
+        A function that raises MissingPackageError where what the finder needs is not installed; empty for nothing.
     shipped
         The parameter file of its shipped model, if there is one.
     slow
@@ -54,7 +54,7 @@ class FunctionStructure:
     package: str
     loader: str
     file: str
-    found_by: str
+    finder_function: str
     check: str = ""
     shipped: Path | None = None
     slow: bool = False
@@ -73,7 +73,7 @@ class FunctionStructure:
         """What finds one in a log; raises MissingPackageError where what it needs is not installed."""
         if self.check:
             self._named(self.check)()
-        finder: Finder = self._named(self.found_by)
+        finder: Finder = self._named(self.finder_function)
         return finder
 
     def _named(self, place: str) -> Any:  # noqa: ANN401 - each place holds something else

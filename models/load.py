@@ -59,14 +59,19 @@ def load_model(name: str | Path) -> VelocityModel | NonlinearModel:
 
 def model_names() -> tuple[str, ...]:
     """Shipped models: one of each structure that ships one, and the one to hold them against."""
-    functions = sorted(one.name for one in function_structures().values() if one.shipped)
-    linear = [name for name in _LINEAR if name != _PLAIN]
-    return (*linear, *functions, _PLAIN)
+    return tuple(_shipped())
 
 
 def is_shipped(name: str | Path) -> bool:
     """Whether `name` is one of `model_names`."""
-    return str(name) in _LINEAR or str(name) in model_names()
+    return str(name) in _LINEAR or str(name) in _shipped()
+
+
+def _shipped() -> dict[str, Path]:
+    """Parameter files by name; who asks for one of `_LINEAR` looks for no plug-in."""
+    functions = {one.name: one.shipped for one in function_structures().values() if one.shipped}
+    linear = {name: path for name, path in _LINEAR.items() if name != _PLAIN}
+    return linear | dict(sorted(functions.items())) | {_PLAIN: _LINEAR[_PLAIN]}
 
 
 def load_linear_model(name: str | Path) -> VelocityModel:
@@ -90,8 +95,8 @@ def model_path(name: str | Path) -> Path:
         return ROBOTS / f"{name}.yaml"
     if str(name) in _LINEAR:
         return _LINEAR[str(name)]
-    shipped = {one.name: one.shipped for one in function_structures().values() if one.shipped}
-    return shipped.get(str(name)) or named_file("model", PARAMETERS, name, model_names())
+    shipped = _shipped()
+    return shipped.get(str(name)) or named_file("model", PARAMETERS, name, tuple(shipped))
 
 
 def read_model_file(path: str | Path) -> ModelFile:

@@ -25,11 +25,11 @@ def plug_ins(group: str) -> tuple[Any, ...]:
     ImportError
         If a part is there and lacks a module that it needs.
     """
-    found = []
+    parts = []
     for entry in sorted(entry_points(group=f"diffdrive_mpc.{group}"), key=lambda entry: entry.name):
         try:
-            found.append(entry.load())
+            parts.append(entry.load())
         except ModuleNotFoundError as error:
             if error.name is None or not f"{entry.module}.".startswith(f"{error.name}."):
                 raise
-    return tuple(found)
+    return tuple(parts)

@@ -40,7 +40,7 @@ def scalar_row(step: object) -> list[float]:
     return [_taken(step, path) for path in _paths()]
 
 
-def said_by(step: object) -> dict[str, float]:
+def scalars_of(step: object) -> dict[str, float]:
     """What `step` says, by the names of columns."""
     values = zip(step_scalars(), scalar_row(step), strict=True)
     return {name: value for name, value in values if not math.isnan(value)}

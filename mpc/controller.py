@@ -30,7 +30,7 @@ from diffdrive_mpc.mpc.core.tick import Tick
 from diffdrive_mpc.mpc.estimation.belief import Belief
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.features.feature import Feature, Host
-from diffdrive_mpc.mpc.features.registry import features_of
+from diffdrive_mpc.mpc.features.registry import feature_terms, features_of, prepared
 from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import MessageFormatter
 from diffdrive_mpc.mpc.problem.build import chosen_model, sampled_model
@@ -112,17 +112,13 @@ class Controller:
         model: VelocityModel | NonlinearModel | str | Path | None = None,
         terms: Sequence[Term] = (),
     ) -> None:
-        config, terms = load_config(config), checked_terms(terms)
-        kinds = features_of(config)
-        for kind in kinds.values():
-            config = kind.prepare(config)
+        config, terms = prepared(load_config(config)), checked_terms(terms)
         self._config, self._given = config, (model, terms)
         self._speed_limit: float | None = None
-        of_features = [term for kind in kinds.values() for term in kind.terms(config)]
-        self._terms = all_terms(config.terms, (*terms, *of_features))
+        self._terms = all_terms(config.terms, (*terms, *feature_terms(config)))
         dt, chosen = config.sample_time, chosen_model(config, model)
         self._predicted = _Predicted.by(chosen, dt)
-        self._features: dict[str, Feature] = {name: kind(config, chosen) for name, kind in kinds.items()}
+        self._features: dict[str, Feature] = {name: kind(config, chosen) for name, kind in features_of(config).items()}
         self._window, room = 0, {}
         for longest in filter(None, (feature.longest() for feature in self._features.values())):
             sizes = self._problem(config, _Predicted.by(longest, dt)).sizes

@@ -14,7 +14,7 @@ from diffdrive_mpc.models.interface import (
     TrackingController,
 )
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE
-from diffdrive_mpc.sim.plants.plant import Plant, RobotLostError
+from diffdrive_mpc.sim.plants.plant import Plant, PlantAround, RobotLostError
 from diffdrive_mpc.sim.recorder import Recorder
 from diffdrive_mpc.sim.run import Run
 
@@ -106,7 +106,8 @@ class _Around:
 
     def __init__(self, plant: Plant, controller: TrackingController, reference: Reference) -> None:
         # Of a `WorldPlant`, which is not imported for the many runs without one.
-        self._plant = cast("WorldPlant", plant) if hasattr(plant, "world") else None
+        in_world = isinstance(plant, PlantAround) and hasattr(plant, "world")
+        self._plant = cast("WorldPlant", plant) if in_world else None
         self._see = controller.set_obstacles if self._plant and isinstance(controller, Seeing) else None
         self._end, self._goal = reference.duration + TIME_TOLERANCE, reference.sample([reference.duration]).pose[0]
 

@@ -12,7 +12,7 @@ PHYSICAL = FunctionStructure(
     package=__package__,
     loader="drive_file:load_drive",
     file="drive_file:PhysicalFile",
-    found_by="finding:find_physical",
+    finder_function="finding:find_physical",
     shipped=Path(__file__).with_name("p2_physical.yaml"),
 )
 EXPERIMENTAL = FunctionStructure(
@@ -23,6 +23,6 @@ EXPERIMENTAL = FunctionStructure(
     package=__package__,
     loader="drive_file:load_drive",
     file="drive_file:ExperimentalFile",
-    found_by="finding:find_experimental",
+    finder_function="finding:find_experimental",
     shipped=Path(__file__).with_name("p2_experimental.yaml"),
 )

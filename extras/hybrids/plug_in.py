@@ -10,7 +10,7 @@ HYBRID = FunctionStructure(
     package=__package__,
     loader="hybrid_file:load_hybrid",
     file="hybrid_file:HybridFile",
-    found_by="finding:find_hybrid",
+    finder_function="finding:find_hybrid",
     check="training:libraries",
     slow=True,
 )

@@ -16,8 +16,8 @@ from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.config.solver import Solver
 from diffdrive_mpc.mpc.core.functions import generated_functions
 from diffdrive_mpc.mpc.core.sources import SIZES, core_texts
-from diffdrive_mpc.mpc.energy.energy_term import energy_terms, with_least_radius
 from diffdrive_mpc.mpc.export.generated_c import constants_text, sizes_text, trajectory_texts
+from diffdrive_mpc.mpc.features.registry import feature_terms, prepared
 from diffdrive_mpc.mpc.problem.build import build_problem, chosen_model
 from diffdrive_mpc.mpc.problem.terms import Term, all_terms
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
@@ -91,8 +91,8 @@ def export_controller(
             "clear of things by other means"
         )
     chosen = chosen_model(config, model)
-    config = with_least_radius(config)
-    everything = all_terms(config.terms, (*terms, *energy_terms(config)))
+    config = prepared(config)
+    everything = all_terms(config.terms, (*terms, *feature_terms(config)))
     # Off its path an exported controller chases the reference, or brakes.
     alone = config.model_copy(update={"reentry": config.reentry.model_copy(update={"enabled": False})})
     problem = build_problem(alone, chosen, everything)

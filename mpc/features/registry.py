@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.features.feature import Feature
+from diffdrive_mpc.mpc.problem.terms import Term
 
 
 class Listed(NamedTuple):
@@ -41,3 +42,15 @@ def features_of(config: ControllerConfig) -> dict[str, type[Feature]]:
         for name, enabled in FEATURES
         if enabled(config)
     }
+
+
+def prepared(config: ControllerConfig) -> ControllerConfig:
+    """The configuration with what follows from its features; raises ConfigError where one cannot be used."""
+    for feature in features_of(config).values():
+        config = feature.prepare(config)
+    return config
+
+
+def feature_terms(config: ControllerConfig) -> tuple[Term, ...]:
+    """Terms that the features of a configuration add to the cost."""
+    return tuple(term for feature in features_of(config).values() for term in feature.terms(config))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from diffdrive_mpc.models.step_scalars import said_by, step_scalars
+from diffdrive_mpc.models.step_scalars import scalars_of, step_scalars
 from diffdrive_mpc.mpc.ros.bond import Bond
 from diffdrive_mpc.mpc.ros.control_loop import ControlLoop, LoopState
 from diffdrive_mpc.mpc.ros.conversions import time_message
@@ -131,7 +131,7 @@ def _result(result: StepResult) -> dict[str, str]:
         "sensors not used": ", ".join(result.unused_sensors) or "none",
     }
     scalars = step_scalars()
-    values |= {scalars[name].titled: f"{value:.{scalars[name].digits}f}" for name, value in said_by(result).items()}
+    values |= {scalars[name].titled: f"{value:.{scalars[name].digits}f}" for name, value in scalars_of(result).items()}
     if not math.isnan(result.clearance):
         values["pressed by"] = ", ".join(result.pressed_by) or "nothing"
     error = tracking_error(result)

@@ -14,10 +14,8 @@ from pathlib import Path
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
 _NOT_RUN = "This part was not run."
-
-
-_OWN_TARGETS = ("edge", "robustness", "market", "prove", "tune")
-"""Reports with a target of make beside `study`."""
+_OWN_TARGETS = {"bench": "bench-full", "edge": "edge", "robustness": "robustness", "market": "market", "prove": "prove"}
+"""Targets of make by the report that they write; `study` writes the others."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +46,7 @@ class ShownReport:
     @property
     def made_by(self) -> str:
         """The target of make that writes all of it."""
-        targets = {"bench": "bench-full"} | {name: name for name in _OWN_TARGETS}
-        return targets.get(self.name, f"study NAME={self.name}")
+        return _OWN_TARGETS.get(self.name, f"study NAME={self.name}")
 
     @property
     def file(self) -> str:

@@ -6,8 +6,9 @@ import sys
 import time
 
 import pytest
+from ros_domain import own_domain
 
-DOMAIN = str(1 + os.getpid() % 101)
+DOMAIN = own_domain()
 PATIENCE = 60.0
 # It answers a goal with feedback and a result, and publishes what it knows, until its input ends.
 SERVER = """

@@ -8,7 +8,7 @@ import pytest
 
 from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant, simulate
 from diffdrive_mpc.models.logs.drive_log.tick import decided_cells, tick_schema
-from diffdrive_mpc.models.step_scalars import said_by, scalar_row, scalars_table, step_scalars
+from diffdrive_mpc.models.step_scalars import scalar_row, scalars_of, scalars_table, step_scalars
 from diffdrive_mpc.mpc.step_result import StepResult
 
 
@@ -36,14 +36,14 @@ def test_rows_of_logs_and_their_schema_hold_them():
     controller.start(load_trajectory("s"), 0.0)
     plant.reset((0.0, 0.0, 0.0))
     step = controller.step(0.0, plant.measure())
-    assert said_by(step).items() <= decided_cells(step).items()
-    assert {"reference_progress", "reference_delay_s", "blocked_for_s"} <= said_by(step).keys()
+    assert scalars_of(step).items() <= decided_cells(step).items()
+    assert {"reference_progress", "reference_delay_s", "blocked_for_s"} <= scalars_of(step).keys()
     assert step_scalars().keys() <= tick_schema()["properties"].keys()
 
 
 def test_a_controller_that_says_nothing_has_none():
     assert all(math.isnan(value) for value in scalar_row(object()))
-    assert said_by(object()) == {}
+    assert scalars_of(object()) == {}
 
 
 def test_the_table_has_a_line_for_each():

@@ -1,6 +1,5 @@
 """Who drives the simulated robot in tests: a node of its own, over real DDS."""
 
-import os
 import threading
 import time
 
@@ -11,13 +10,14 @@ from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from ros_domain import own_domain
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from rosgraph_msgs.msg import Clock
 
 from diffdrive_mpc.sim.ros.base_settings import load_base_settings
 
-DOMAIN = str(1 + os.getpid() % 101)
+DOMAIN = own_domain()
 """Each test process has a domain of its own: nobody else's robot can be driven by mistake."""
 BOUND = 120.0
 """No test waits for longer [s]; it fails then."""

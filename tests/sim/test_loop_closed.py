@@ -26,6 +26,17 @@ def test_a_perfect_plant_under_feed_forward_stays_on_the_reference() -> None:
     assert run.true_pose[0] == pytest.approx([1.0, -2.0, 0.4])
 
 
+class Workshop(KinematicPlant):
+    """A user's plant with attributes of its own that are called as those of our plants in a world."""
+
+    world, disturbance = "the workshop", "a draught"
+
+
+def test_a_plant_of_the_user_is_not_taken_for_one_in_a_world() -> None:
+    run = simulate(FeedForward(), Workshop(), CIRCLE)
+    assert run.metrics.completed and run.world is None and run.disturbance is None
+
+
 @pytest.mark.parametrize(("duration", "ticks"), [(1.0, 51), (1.001, 52), (0.999, 51), (0.02 * 7, 8)])
 def test_the_last_tick_is_the_first_at_or_after_the_end(duration: float, ticks: int) -> None:
     run = simulate(FeedForward(), KinematicPlant(), ConstantTwist(0.5, 0.0, duration))

@@ -23,7 +23,7 @@ def test_the_study_is_carried_out(tmp_path, one_process):
     assert "| s |" in (tmp_path / "noise" / "noise.md").read_text(encoding="utf-8")
 
 
-def test_the_peer_drives(monkeypatch):
+def test_the_peer_drives():
     from diffdrive_mpc import load_trajectory, make_plant, simulate
     from diffdrive_mpc.bench.peers import PeerStep
 

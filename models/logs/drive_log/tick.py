@@ -13,7 +13,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, MotionEstimate, Stamped
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle
-from diffdrive_mpc.models.step_scalars import said_by, step_scalars
+from diffdrive_mpc.models.step_scalars import scalars_of, step_scalars
 
 Cell = float | str
 TickRow = Mapping[str, Cell]
@@ -124,7 +124,7 @@ def decided_cells(step: ControlStep) -> dict[str, Cell]:
         deviations = [*estimate.pose_deviation.tolist(), *estimate.twist_deviation.tolist()]
         cells |= zip(_ESTIMATE, values, strict=True)
         cells |= zip(_DEVIATION, deviations, strict=True)
-    return cells | said_by(step)
+    return cells | scalars_of(step)
 
 
 def error_cells(row: TickRow) -> dict[str, Cell]:
