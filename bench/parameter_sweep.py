@@ -13,8 +13,8 @@ import numpy as np
 
 from diffdrive_mpc.bench.case import DIMENSIONS, MOST_SEEDS, Case, check_count
 from diffdrive_mpc.bench.controllers import build_plant, case_config, check_cases, load_reference, make_controller
-from diffdrive_mpc.bench.outcomes import Outcome, metrics_row
 from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.run_row import statistics_of
 from diffdrive_mpc.bench.runner import available_cores, run_tasks
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import wrong_type
@@ -124,7 +124,7 @@ class _Task:
         run = simulate(controller, build_plant(case), reference)
         objects = (VelocityModel, NonlinearModel, Trajectory)
         shown = {name: value.name if isinstance(value, objects) else value for name, value in self._values.items()}
-        return {**shown, **metrics_row(Outcome(case, run), timed=timed), "ended": run.ended}
+        return {**shown, **statistics_of(run, timed=timed), "ended": run.ended}
 
 
 def _listed(value: Any) -> list[Any]:  # noqa: ANN401

@@ -20,9 +20,9 @@ from diffdrive_mpc.bench.contents import REPORT
 from diffdrive_mpc.bench.controllers import other_robots
 from diffdrive_mpc.bench.html_report.document import picture, write_page
 from diffdrive_mpc.bench.html_report.origin import origin
-from diffdrive_mpc.bench.html_report.page import NOTHING, Page, Picture, Shown
+from diffdrive_mpc.bench.html_report.page import NOTHING, Chart, GridMap, Page, Picture, Shown
 from diffdrive_mpc.bench.machine import describe_run
-from diffdrive_mpc.bench.outcomes import plain
+from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.runner import OnDone, available_cores, run_tasks
 from diffdrive_mpc.bench.table import Table
@@ -31,6 +31,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 P = TypeVar("P")
 R = TypeVar("R")
 Draw = Callable[[Path], None]
+Charts = Sequence[Chart | GridMap]
 Meta = Mapping[str, Any]
 FIGURES = "figures"
 _DRAWN_ALONE = 8
@@ -53,7 +54,7 @@ class Report:
     tables
         In order.
     figures
-        What draws each figure, by file name.
+        By file name, charts that stand side by side in the file and also in the page; or what draws any other figure.
     figures_first
         How many figures stand above the tables, the others being below; None for all.
     shown
@@ -69,12 +70,22 @@ class Report:
     content: dict[str, object]
     facts: Sequence[str]
     tables: Sequence[Table]
-    figures: Mapping[str, Draw]
+    figures: Mapping[str, Charts | Draw] = field(default_factory=dict)
     notes: Sequence[str] = ()
     figures_first: int | None = None
     shown: Shown = NOTHING
     files: Mapping[str, str] = field(default_factory=dict)
     screen: Sequence[Table] = ()
+
+    @property
+    def drawings(self) -> dict[str, Draw]:
+        """What draws each file in the folder of figures."""
+        return {name: one if callable(one) else partial(_draw_charts, one) for name, one in self.figures.items()}
+
+    @property
+    def charts(self) -> list[Chart | GridMap]:
+        """All charts in order."""
+        return [chart for one in self.figures.values() if not callable(one) for chart in one]
 
 
 class Study(ABC, Generic[P, R]):
@@ -136,7 +147,7 @@ def carry_out(study: Study[P, R], out: Path, jobs: int | None = None) -> R:
         results = study.run(plan, jobs or available_cores(), bar)
         run = describe_run(time.perf_counter() - began)
         report = study.report(results, run["wall_time_s"])
-        bar.begin("drawing figures", len(report.figures))
+        bar.begin("drawing figures", len(report.drawings))
         write_report(study, report, run | report.meta, folder, bar.advance, jobs or available_cores())
     print_report(report, run["wall_time_s"], out)
     return results
@@ -162,9 +173,9 @@ def write_report(
     (folder / f"{study.name}.json").write_text(json_text(meta, report.content), encoding="utf-8")
     for name, text in report.files.items():
         (folder / name).write_text(text, encoding="utf-8")
-    if report.figures:
+    if report.drawings:
         (folder / FIGURES).mkdir()
-    draws = [partial(draw, folder / FIGURES / name) for name, draw in report.figures.items()]
+    draws = [partial(draw, folder / FIGURES / name) for name, draw in report.drawings.items()]
     # A process that draws has to load matplotlib first.
     run_tasks(draws, jobs if len(draws) > _DRAWN_ALONE else 1, on_figure)
     (folder / f"{study.name}.md").write_text(markdown(study.title, report, meta), encoding="utf-8")
@@ -172,11 +183,12 @@ def write_report(
 
 
 def report_page(study: Study[P, R], report: Report, meta: Meta, figures: Path) -> Page:
-    """The report as a page; where its own views do not stand for them, with the pictures in the folder `figures`."""
-    drawn = tuple(report.figures) if report.shown.pictures else ()
+    """The report as a page: its own views, its charts, and unless it does without them the pictures in `figures`."""
+    drawn = [name for name, one in report.figures.items() if callable(one) and report.shown.pictures]
     pictures = [Picture(_title(name), picture(figures / name)) for name in drawn]
     summary, notes = (*report.shown.summary, *report.facts), (*report.shown.notes, *report.notes)
-    shown = replace(report.shown, summary=summary, notes=notes, views=(*report.shown.views, *pictures))
+    views = (*report.shown.views, *report.charts, *pictures)
+    shown = replace(report.shown, summary=summary, notes=notes, views=views)
     return Page(f"diffdrive-mpc {study.name}", study.title, shown, report.tables, origin(meta))
 
 
@@ -198,13 +210,19 @@ def markdown(title: str, report: Report, meta: Meta) -> str:
     revision = f", revision {meta['revision']}" if meta["revision"] else ""
     project = f"diffdrive-mpc {meta['version']}{revision}, {meta['date']}."
     host = f"{machine['cpu']}, {machine['cores']} cores, {machine['os']}, Python {machine['python']}, {packages}."
-    images = [f"![{Path(name).stem}]({FIGURES}/{name})" for name in report.figures]
+    images = [f"![{Path(name).stem}]({FIGURES}/{name})" for name in report.drawings]
     first = len(images[: report.figures_first])
     parts = [f"# {title}", "", *(f"* {line}" for line in (*report.facts, project, host, *report.notes)), ""]
     parts += [f"{image}\n" for image in images[:first]]
     parts += [table.markdown() for table in report.tables]
     parts += ["## Figures", "", *images[first:]] if images[first:] else []
     return "\n".join(parts).rstrip() + "\n"
+
+
+def _draw_charts(charts: Charts, path: Path) -> None:
+    from diffdrive_mpc.bench.chart_drawing import draw_charts  # noqa: PLC0415 - matplotlib loads slowly
+
+    draw_charts(charts, path)
 
 
 def _title(figure: str) -> str:

@@ -17,7 +17,7 @@ from diffdrive_mpc.models import table as plain
 from diffdrive_mpc.models.plain_text import plain_line
 from diffdrive_mpc.models.table import number
 
-__all__ = ["RichTables", "Table", "duration", "number", "rich_table"]
+__all__ = ["RichTables", "Table", "duration", "millis", "number", "rich_table"]
 
 _ABBREVIATIONS = {
     "position": "pos.",
@@ -122,6 +122,11 @@ def _fit(widths: Sequence[int], least: Sequence[int], total: int) -> list[int]:
 
 def _total(widths: Sequence[int]) -> int:
     return sum(widths) + _GAP * (len(widths) - 1)
+
+
+def millis(value: float) -> str:
+    """A cell in thousandths of its unit."""
+    return number(1e3 * value, 1)
 
 
 def duration(seconds: float) -> str:

@@ -9,9 +9,10 @@ from __future__ import annotations
 import gc
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -20,12 +21,13 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import make_controller
 from diffdrive_mpc.bench.counters import CoreCounters, Effort, watched
 from diffdrive_mpc.bench.errors import NotReproducibleError
-from diffdrive_mpc.bench.outcomes import Outcome, group
+from diffdrive_mpc.bench.run_row import Outcome
 from diffdrive_mpc.bench.runner import OnDone
 from diffdrive_mpc.bench.turns import take_turns
 from diffdrive_mpc.models.interface import FloatArray, TrackingController
 from diffdrive_mpc.sim import Run
 
+K = TypeVar("K")
 _WARM_UP_TICKS = 25
 
 
@@ -90,7 +92,7 @@ def time_outcomes(outcomes: Sequence[Outcome], on_done: OnDone) -> tuple[list[Ou
 
     Raises NotReproducibleError if a replay commanded something else than the run.
     """
-    groups = list(group(outcomes, lambda outcome: _place(outcome.case)).values())
+    groups = list(_grouped(outcomes, lambda outcome: _place(outcome.case)).values())
     with quiet_core() as core:
         began, own, counted = time.perf_counter(), time.process_time(), CoreCounters.read(core)
         replays = [[CaseReplay(outcome.case, outcome.run) for outcome in place] for place in groups]
@@ -103,7 +105,7 @@ def time_outcomes(outcomes: Sequence[Outcome], on_done: OnDone) -> tuple[list[Ou
         for outcome, one in zip(place, several, strict=True)
     }
     # What is left out of one controller's times is left out of all.
-    drivers = group(outcomes, lambda outcome: _driver(outcome.case)).values()
+    drivers = _grouped(outcomes, lambda outcome: _driver(outcome.case)).values()
     alike = all(any(times[outcome.case].clean.any() for outcome in runs) for runs in drivers)
     timed = {}
     for outcome in outcomes:
@@ -113,6 +115,14 @@ def time_outcomes(outcomes: Sequence[Outcome], on_done: OnDone) -> tuple[list[Ou
     ticks = [len(outcome.run.time) for outcome in outcomes]
     clean = float(np.average([timed[outcome.case].clean_share for outcome in outcomes], weights=ticks))
     return [timed[outcome.case] for outcome in outcomes], TimingPass(clean, others, best)
+
+
+def _grouped(outcomes: Sequence[Outcome], key: Callable[[Outcome], K]) -> dict[K, list[Outcome]]:
+    """Outcomes by a key, in the order of first appearance."""
+    groups: dict[K, list[Outcome]] = {}
+    for outcome in outcomes:
+        groups.setdefault(key(outcome), []).append(outcome)
+    return groups
 
 
 def _place(case: Case) -> Case:

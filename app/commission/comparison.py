@@ -12,9 +12,8 @@ from diffdrive_mpc.app.commission.informed import write_informed
 from diffdrive_mpc.app.proof.study import told_of
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.engine import Place, drive_all
-from diffdrive_mpc.bench.cells import millis
 from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.bench.table import Table, millis, number
 
 PATHS = ("circle", "square", "s", "cane")
 SEEDS = (70000, 70001, 70002)

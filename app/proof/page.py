@@ -10,7 +10,6 @@ from diffdrive_mpc.app.proof.boundaries import Boundary
 from diffdrive_mpc.app.proof.maps import Drawn
 from diffdrive_mpc.app.proof.report import CVAR, Outcomes, error_estimates, errors, percent
 from diffdrive_mpc.bench.campaign.engine import Driven
-from diffdrive_mpc.bench.cells import millis
 from diffdrive_mpc.bench.html_report.numbers import rounded, tail
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
@@ -28,6 +27,7 @@ from diffdrive_mpc.bench.html_report.page import (
 )
 from diffdrive_mpc.bench.html_report.run_warnings import remedies
 from diffdrive_mpc.bench.statistics import TAIL, Rate
+from diffdrive_mpc.bench.table import millis
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings

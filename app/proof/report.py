@@ -12,9 +12,8 @@ from diffdrive_mpc.app.proof.boundaries import Boundary, holds
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.engine import Driven
 from diffdrive_mpc.bench.campaign.outcome import TIME
-from diffdrive_mpc.bench.cells import millis
 from diffdrive_mpc.bench.statistics import CONFIDENCE, Estimate, Rate, cvar, mean, median
-from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.bench.table import Table, millis, number
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 

@@ -18,8 +18,9 @@ from diffdrive_mpc.bench.campaign.draws import Value
 from diffdrive_mpc.bench.campaign.engine import Driven, Place, drive_all
 from diffdrive_mpc.bench.campaign.parquet import needs_arrow, write_table
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.outcomes import STATISTICS, plain
+from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.run_row import STATISTICS
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.load import is_shipped

@@ -12,8 +12,8 @@ from diffdrive_mpc.app.run_log import holds_plans, run_log
 from diffdrive_mpc.app.simulate.single import draw, report
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.campaign.drive import drive_whole
-from diffdrive_mpc.bench.outcomes import Outcome
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.run_row import Outcome
 from diffdrive_mpc.models.trust import only_trusted
 
 

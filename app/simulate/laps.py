@@ -20,9 +20,9 @@ from diffdrive_mpc.bench.contents import REPORT
 from diffdrive_mpc.bench.controllers import build_plant, load_reference, make_controller
 from diffdrive_mpc.bench.html_report.document import write_page
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series
-from diffdrive_mpc.bench.outcomes import Outcome
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.run_row import Outcome
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import Controller

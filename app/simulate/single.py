@@ -17,9 +17,9 @@ from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.case import NO_MODEL, NO_SCENARIO, Case
 from diffdrive_mpc.bench.contents import REPORT
 from diffdrive_mpc.bench.controllers import build, chosen_model, controller_config, other_robots
-from diffdrive_mpc.bench.outcomes import Outcome, by_driver, who_drives
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.run_row import Outcome, who_drives
 from diffdrive_mpc.bench.sweep import single_settings
 from diffdrive_mpc.bench.table import Table, duration
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -150,7 +150,7 @@ def report(outcome: Outcome, out: Path | None, *, details: bool = False) -> None
 
 def _summary(outcome: Outcome, out: Path | None) -> Iterator[str]:
     """Six lines, and one more each for a scenario and a world."""
-    run, metrics, labels = outcome.run, outcome.metrics, outcome.case.labels
+    run, metrics, labels = outcome.run, outcome.run.metrics, outcome.case.labels
     last = int(np.flatnonzero(run.counted)[-1])
     if metrics.completed:
         who = who_drives(outcome.case)
@@ -175,7 +175,7 @@ def _summary(outcome: Outcome, out: Path | None) -> Iterator[str]:
     yield f"solver: {'none' if set(ticks) == {NO_SOLVER} else shares}"
     yield f"final mode: {run.modes[-1]}; {metrics.fallbacks} steps in a fall-back mode"
     if outcome.case.scenario != NO_SCENARIO:
-        recovery = outcome.recovery
+        recovery = run.recovery
         yield f"recovery: {duration(recovery.recovery_time_s)} s, overshoot {1e3 * recovery.overshoot_m:.1f} mm"
     if run.passage:
         arrived = "arrived" if run.passage.arrived else "not arrived"
@@ -195,12 +195,14 @@ def tables(outcome: Outcome) -> list[Table]:
         summary_table,
         world_table,
     )
+    from diffdrive_mpc.bench.experiment import frame  # noqa: PLC0415
 
     shown = [summary_table, error_table, path_table]
-    made = [make([outcome]) for make in shown]
+    rows = frame([outcome.row])
+    made = [make(rows) for make in shown]
     if outcome.case.scenario != NO_SCENARIO:
-        made.append(scenario_table([outcome]))
-    return [world_table([outcome]), *made] if outcome.run.passage else made
+        made.append(scenario_table(rows))
+    return [world_table(rows), *made] if outcome.run.passage else made
 
 
 def draw(outcome: Outcome, folder: Path, seconds: float) -> None:
@@ -214,10 +216,12 @@ def draw(outcome: Outcome, folder: Path, seconds: float) -> None:
 
 def draw_figures(outcome: Outcome, folder: Path) -> None:
     """Draw a run and its step times into `folder`."""
-    from diffdrive_mpc.bench.comparison.figures import draw_case, draw_step_times  # noqa: PLC0415
-    from diffdrive_mpc.bench.figure_style import file_name  # noqa: PLC0415 - matplotlib loads slowly
+    from diffdrive_mpc.bench.chart_drawing import draw_charts  # noqa: PLC0415 - matplotlib loads slowly
+    from diffdrive_mpc.bench.comparison.figures import draw_case  # noqa: PLC0415
+    from diffdrive_mpc.bench.comparison.page import step_time_chart  # noqa: PLC0415
+    from diffdrive_mpc.bench.experiment import frame  # noqa: PLC0415
+    from diffdrive_mpc.bench.figure_style import file_name  # noqa: PLC0415
 
-    (who,) = by_driver([outcome])
-    title = f"{who}, {outcome.case.labels['trajectory']}"
+    title = f"{who_drives(outcome.case)}, {outcome.case.labels['trajectory']}"
     draw_case(outcome.run, f"{title}, seed {outcome.case.seed}", folder / f"{file_name(title)}.png")
-    draw_step_times([outcome], folder / f"{file_name(title)}-step-time.png")
+    draw_charts([step_time_chart(frame([outcome.row]))], folder / f"{file_name(title)}-step-time.png")

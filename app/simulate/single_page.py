@@ -13,7 +13,7 @@ from diffdrive_mpc.bench.html_report.page import KeyFigure, Page, Runs, Shown, T
 from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.machine import describe_run
-from diffdrive_mpc.bench.outcomes import STATISTICS, Outcome, who_drives
+from diffdrive_mpc.bench.run_row import STATISTICS, Outcome, who_drives
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.metrics import Metrics

@@ -18,8 +18,9 @@ from diffdrive_mpc.app.tune.verdict import Verdict, judge
 from diffdrive_mpc.bench.campaign.draws import Value
 from diffdrive_mpc.bench.campaign.engine import Place
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.outcomes import STATISTICS, plain
+from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.run_row import STATISTICS
 from diffdrive_mpc.bench.runner import lasting_processes
 from diffdrive_mpc.bench.study import Report, Study, carry_out
 from diffdrive_mpc.models.checked_yaml import check

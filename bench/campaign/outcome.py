@@ -6,14 +6,14 @@ from collections import Counter
 from dataclasses import asdict
 
 from diffdrive_mpc.bench.command_check import Unsafe
-from diffdrive_mpc.bench.outcomes import SolverShares, plain
+from diffdrive_mpc.bench.plain_values import plain
+from diffdrive_mpc.bench.run_row import CLOCK, run_columns
 from diffdrive_mpc.mpc.solver.report import SolverStatus
 from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.sim import Run
 
 TIME = "time_"
 """Beginning of the names of all columns that differ when a run is repeated."""
-_BY_THE_CLOCK = ("step_time", "solve_time", "deadline")
 _WORDS = {str(status): f"solver_{status.name.lower()}" for status in SolverStatus}
 
 Row = dict[str, bool | int | float | str | None]
@@ -38,19 +38,8 @@ def row_of(run: Run | None, unsafe: Unsafe | None, error: str, processor: float,
     row |= {f"{TIME}processor_s": processor, f"{TIME}wall_s": wall}
     if run is None:
         return row
-    metrics = plain(asdict(run.metrics))
-    for name, value in metrics.items():
-        clock = name.startswith(_BY_THE_CLOCK)
-        row[f"{TIME}{name.replace('_time', '')}" if clock else name] = value
-    row["driven_s"] = float(run.time[-1])
-    row |= {"ended": run.ended, "last_mode": run.modes[-1]}
-    row |= plain(asdict(SolverShares.of(run)))
-    said = Counter(message for message in run.messages if message)
-    row["message"] = said.most_common(1)[0][0] if said else ""
-    row["message_percent"] = 100.0 * said.total() / len(run.messages)
+    for name, value in plain(run_columns(run)).items():
+        row[f"{TIME}{name.replace('_time', '')}" if name.startswith(CLOCK) else name] = value
     modes, statuses = Counter(run.modes), Counter(run.solver_statuses)
     row |= {f"ticks_{mode.lower()}": modes[mode] for mode in Mode}
-    row |= {column: statuses[words] for words, column in _WORDS.items()}
-    recovery = plain(asdict(run.recovery))
-    row |= {f"recovery_{name.removeprefix('recovery_')}": value for name, value in recovery.items()}
-    return row
+    return row | {column: statuses[words] for words, column in _WORDS.items()}

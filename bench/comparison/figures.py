@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -10,34 +9,21 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from pandas import DataFrame
 
-from diffdrive_mpc.bench.comparison.results import ComparisonResults, predictive
+from diffdrive_mpc.bench.chart_drawing import draw_chart
+from diffdrive_mpc.bench.comparison.page import charts, error_chart, step_time_chart
+from diffdrive_mpc.bench.comparison.results import ComparisonResults, best_of, predictive
+from diffdrive_mpc.bench.experiment import COMPARED, by, mean
 from diffdrive_mpc.bench.figure_style import (
     ERROR_MAP,
-    MARKERS,
     REFERENCE_COLOUR,
     boxed_legend,
     colour,
-    draw_tail,
     free_name,
-    line_style,
     new_figure,
 )
-from diffdrive_mpc.bench.outcomes import (
-    Outcome,
-    Score,
-    by,
-    by_driver,
-    by_horizon,
-    by_model,
-    group,
-    mean,
-    solve_times,
-    step_times,
-    time_percentile,
-    who_drives,
-)
-from diffdrive_mpc.bench.study import Draw
+from diffdrive_mpc.bench.study import Charts, Draw
 from diffdrive_mpc.bench.world_drawing import draw_world
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim import Run
@@ -48,50 +34,44 @@ _VISIBLE = 0.12
 _MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500)
 
 
-def drawings(results: ComparisonResults) -> dict[str, Draw]:
-    """What draws each figure by file name, the overview first. Only runs of the first seed are drawn one by one."""
-    figures: dict[str, Draw] = {"overview.png": partial(draw_overview, results.main)}
-    if results.speed:
-        figures["speed.png"] = partial(draw_speed, results.speed)
-    if results.dead_time:
-        figures["dead-time.png"] = partial(draw_dead_time, results.dead_time, results.main[0].run.sample_time)
-    figures["step-time.png"] = partial(draw_step_times, results.main)
-    if results.horizon:
-        figures["horizon.png"] = partial(draw_horizons, results.horizon)
-    for name, runs in predictive(by_driver(results.main)).items():
-        for outcome in runs:
-            if outcome.case.seed == results.settings.values("seeds")[0]:
-                title = f"{name}, {outcome.case.labels['trajectory']}"
-                figures[free_name(title, figures)] = partial(
-                    draw_case, outcome.run, f"{title}, seed {outcome.case.seed}"
-                )
+def drawings(results: ComparisonResults) -> dict[str, Draw | Charts]:
+    """Every figure by file name, the overview first. Only runs of the first seed are drawn one by one."""
+    made = charts(results)
+    first = [name for name in ("speed.png", "dead-time.png") if name in made]
+    figures: dict[str, Draw | Charts] = {"overview.png": partial(draw_overview, results.main)}
+    figures |= {name: made[name] for name in [*first, *(name for name in made if name not in first)]}
+    for name, rows in predictive(by(results.main, COMPARED)).items():
+        seed = results.settings.values("seeds")[0]
+        for case, run in zip(rows["case"], rows["run"], strict=True):
+            if case.seed == seed:
+                title = f"{name}, {case.labels['trajectory']}"
+                figures[free_name(title, figures)] = partial(draw_case, run, f"{title}, seed {seed}")
     return figures
 
 
-def draw_overview(outcomes: Sequence[Outcome], path: Path) -> None:
+def draw_overview(main: DataFrame, path: Path) -> None:
     """Draw the path of the predictive controller with the least position RMSE, and compare all controllers."""
-    compared = by_driver(outcomes)
-    ours = predictive(compared)
-    best = min(ours, key=lambda name: np.nan_to_num(mean(ours[name], "position_rmse_m"), nan=np.inf))
-    driven = by("trajectory", compared[best])
+    compared = by(main, COMPARED)
+    best = best_of(predictive(compared))
+    driven = by(compared[best], "trajectory")
     with new_figure(path, 10.0, 6.0) as figure:
         halves = figure.add_gridspec(2, 1, height_ratios=(1.0, 1.05))
         upper, lower = figure.add_subfigure(halves[0]), figure.add_subfigure(halves[1])
         upper.suptitle(f"Driven with {best}, first seed")
         paths = upper.subplots(1, len(driven), squeeze=False)[0]
-        for axes, (trajectory, runs) in zip(paths, driven.items(), strict=True):
-            factor = _path(axes, runs[0])
+        for axes, (trajectory, rows) in zip(paths, driven.items(), strict=True):
+            factor = _path(axes, rows["run"].iloc[0])
             drawn = f"\nerror drawn × {factor:g}" if factor > 1 else ""
-            axes.set_title(f"{trajectory}, RMSE {1e3 * mean(runs, 'position_rmse_m'):.1f} mm{drawn}")
+            axes.set_title(f"{trajectory}, RMSE {1e3 * mean(rows, 'position_rmse_m'):.1f} mm{drawn}")
         paths[0].legend(loc="center")
-        errors, times = lower.subplots(1, 2)
-        _bars(errors, compared)
-        tail_of_step_times(times, outcomes)
+        for axes, chart in zip(lower.subplots(1, 2), (error_chart(main), step_time_chart(main)), strict=True):
+            draw_chart(axes, chart)
+            axes.set_title(chart.title)
+            axes.legend()
 
 
-def _path(axes: Axes, outcome: Outcome) -> float:
+def _path(axes: Axes, run: Run) -> float:
     """Reference and driven path, with its error magnified where they could not be told apart; gives the factor."""
-    run = outcome.run
     driven, factor = magnified(run)
     axes.plot(*run.reference_pose[:, :2].T, color=REFERENCE_COLOUR, linewidth=3.0, label="reference")
     axes.plot(*driven.T, color=colour(1), linewidth=1.1, label="driven")
@@ -107,117 +87,6 @@ def magnified(run: Run) -> tuple[FloatArray, float]:
     wanted = _VISIBLE * float(np.ptp(reference, axis=0).max()) / max(largest, 1e-9)
     factor = max([1.0, *(steps for steps in _MAGNIFICATIONS if steps <= wanted)])
     return np.asarray(reference + factor * error), factor
-
-
-def _bars(axes: Axes, compared: dict[str, list[Outcome]]) -> None:
-    """Mean position RMSE with the range over trajectories."""
-    for i, own in enumerate(compared.values()):
-        parts = [1e3 * mean(runs, "position_rmse_m") for runs in by("trajectory", own).values()]
-        value = 1e3 * mean(own, "position_rmse_m")
-        axes.bar(i, value, 0.6, color=colour(i), alpha=0.85)
-        axes.plot([i, i], [min(parts), max(parts)], color="black", linewidth=1.0, marker="_", markersize=8)
-        axes.annotate(f"{value:.1f}", (i + 0.06, value), (2, 2), textcoords="offset points", ha="left")
-    turned = 20 if len(compared) > 4 else 0
-    axes.set_xticks(range(len(compared)), list(compared), rotation=turned, ha="right" if turned else "center")
-    axes.set(ylabel="position RMSE [mm]", title="mean, and range over trajectories")
-    axes.grid(axis="x", visible=False)
-
-
-def draw_speed(scores: Sequence[Score], path: Path) -> None:
-    """Draw position and lateral RMSE against the top speed, one line per controller, with the range over seeds."""
-    with new_figure(path, 10.0, 3.8) as figure:
-        panels = figure.subplots(1, 2)
-        _errors_against(panels, scores, lambda score: score.case.top_speed or 0.0)
-        for axes in panels:
-            axes.set_xlabel(f"top speed [m/s] of {' and '.join(by('trajectory', scores))}")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right center")
-
-
-def draw_dead_time(scores: Sequence[Score], sample_time: float, path: Path) -> None:
-    """Draw position and lateral RMSE against the plant's dead time less the configured one, a line per controller."""
-    with new_figure(path, 10.0, 3.8) as figure:
-        panels = figure.subplots(1, 2)
-        _errors_against(panels, scores, lambda score: 1e3 * sample_time * score.case.late)
-        for axes in panels:
-            axes.set_xlabel("dead time of the plant less the configured one [ms]")
-            axes.axvline(0.0, color="black", linewidth=0.8, linestyle=":")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right center")
-
-
-def _errors_against(panels: Sequence[Axes], scores: Sequence[Score], key: Callable[[Score], float]) -> None:
-    """Mean errors over what is driven at each abscissa, and the range of the seeds' own means."""
-    names = group(scores, lambda score: who_drives(score.case))
-    for axes, metric in zip(panels, ("position_rmse_m", "lateral_rmse_m"), strict=True):
-        for i, (name, runs) in enumerate(names.items()):
-            at = dict(sorted(group(runs, key).items()))
-            value = np.array([1e3 * mean(part, metric) for part in at.values()])
-            seeds = [[1e3 * mean(own, metric) for own in by("seed", part).values()] for part in at.values()]
-            spread = [[value[k] - min(own), max(own) - value[k]] for k, own in enumerate(seeds)]
-            axes.errorbar(
-                list(at),
-                value,
-                yerr=np.transpose(spread),
-                color=colour(i),
-                linestyle=line_style(i),
-                marker=MARKERS[i % len(MARKERS)],
-                markersize=4,
-                capsize=3,
-                label=name,
-            )
-        axes.set_ylabel(f"{metric.split('_')[0]} RMSE [mm]")
-        _scale(axes)
-
-
-def draw_horizons(outcomes: Sequence[Outcome], path: Path) -> None:
-    """Draw mean position RMSE, and median and 99th percentile of solve and step, against the horizon."""
-    with new_figure(path, 10.0, 3.4) as figure:
-        position, solve, step = figure.subplots(1, 3)
-        for i, (name, own) in enumerate(by_model(outcomes).items()):
-            at = by_horizon(own)
-            look = {"color": colour(i), "linestyle": line_style(i), "marker": MARKERS[i % len(MARKERS)], "label": name}
-            steps = list(at)
-            position.plot(steps, [1e3 * mean(runs, "position_rmse_m") for runs in at.values()], **look)
-            for axes, of in ((solve, solve_times), (step, step_times)):
-                for percent, strength in ((50, 1.0), (99, 0.4)):
-                    times = [1e3 * time_percentile(of(runs), percent) for runs in at.values()]
-                    axes.plot(steps, times, **look, alpha=strength)
-        labels = ("position RMSE [mm]", "solve p50, pale p99 [ms]", "step p50, pale p99 [ms]")
-        for axes, label in zip((position, solve, step), labels, strict=True):
-            axes.set(xlabel=f"horizon [steps of {1e3 * outcomes[0].run.sample_time:.1f} ms]", ylabel=label)
-            _scale(axes)
-        position.legend()
-
-
-def _scale(axes: Axes) -> None:
-    """Start at zero, unless one value would press all others flat."""
-    values = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axes.get_lines()])
-    values = values[np.isfinite(values) & (values > 0)]
-    if values.size and values.max() > 20 * values.min():
-        axes.set_yscale("log")
-    else:
-        axes.set_ylim(bottom=0)
-
-
-def draw_step_times(outcomes: Sequence[Outcome], path: Path) -> None:
-    """Draw the share of steps that took longer than a given time, both axes logarithmic so that the tail shows."""
-    with new_figure(path, 6.4, 4.0) as figure:
-        axes = figure.add_subplot()
-        tail_of_step_times(axes, outcomes)
-        axes.set_title("Whole step")
-
-
-def tail_of_step_times(axes: Axes, outcomes: Sequence[Outcome]) -> None:
-    """Complementary distribution of the step time on `axes`, with the sample time as a limit."""
-    for i, (name, own) in enumerate(by_driver(outcomes).items()):
-        times = step_times(own)
-        if times.size:  # on a busy machine a short run may have no undisturbed tick
-            draw_tail(axes, times, name, colour(i), line_style(i))
-    sample = 1e3 * outcomes[0].run.sample_time
-    axes.axvline(sample, color="black", linewidth=0.8, linestyle=":")
-    axes.axhline(0.01, color="black", linewidth=0.5, alpha=0.5)
-    axes.annotate("sample time", (sample, 1.0), (-3, -2), textcoords="offset points", rotation=90, ha="right", va="top")
-    axes.set_xlabel("step time [ms]")
-    axes.legend(loc="lower left", frameon=True, framealpha=0.8, edgecolor="none")
 
 
 def draw_case(run: Run, title: str, path: Path) -> None:

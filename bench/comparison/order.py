@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from pandas import DataFrame
 
-from diffdrive_mpc.bench.outcomes import Scored, by, by_driver, mean
+from diffdrive_mpc.bench.experiment import COMPARED, by, mean
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.interface import FloatArray
 
@@ -52,21 +53,22 @@ def interval(differences: FloatArray) -> FloatArray:
     return np.asarray(np.percentile(differences[draws].mean(axis=1), [tail, 100.0 - tail]))
 
 
-def order(outcomes: Sequence[Scored]) -> list[Place]:
+def order(rows: DataFrame) -> list[Place]:
     """Controllers by mean position RMSE, the best first; those with a run that has none are left out."""
-    errors = {name: _errors(runs) for name, runs in by_driver(outcomes).items()}
+    compared = by(rows, COMPARED)
+    errors = {name: _errors(runs) for name, runs in compared.items()}
     found = sorted((name for name in errors if np.isfinite(list(errors[name].values())).all()), key=_mean_of(errors))
     places = []
     for before, name in itertools.pairwise(["", *found]):
         behind = interval(_differences(errors[before], errors[name])) if before else np.full(2, np.nan)
-        means = [mean(runs, "position_rmse_m") for runs in by("seed", by_driver(outcomes)[name]).values()]
+        means = [mean(runs, "position_rmse_m") for runs in by(compared[name], "seed").values()]
         places.append(Place(name, _mean_of(errors)(name), float(np.std(means)), behind))
     return places
 
 
-def reversed_pairs(one: Sequence[Scored], other: Sequence[Scored]) -> tuple[list[str], list[str]]:
+def reversed_pairs(one: DataFrame, other: DataFrame) -> tuple[list[str], list[str]]:
     """Pairs whose order differs between two sets of runs: those told apart in both, and those that are not."""
-    first, second = ({name: _errors(runs) for name, runs in by_driver(runs).items()} for runs in (one, other))
+    first, second = ({name: _errors(runs) for name, runs in by(runs, COMPARED).items()} for runs in (one, other))
     certain: list[str] = []
     open_: list[str] = []
     for a, b in itertools.combinations([name for name in first if name in second], 2):
@@ -77,12 +79,12 @@ def reversed_pairs(one: Sequence[Scored], other: Sequence[Scored]) -> tuple[list
     return certain, open_
 
 
-def order_table(main: Sequence[Scored], others: Sequence[Scored]) -> Table:
+def order_table(main: DataFrame, others: DataFrame) -> Table:
     """The order over the seeds of the tables, and over others where they were run."""
     rows = []
-    sets = {label: runs for label, runs in (("these", main), ("others", others)) if runs}
+    sets = {label: runs for label, runs in (("these", main), ("others", others)) if len(runs)}
     for label, runs in sets.items():
-        seeds = len(by("seed", runs))
+        seeds = len(by(runs, "seed"))
         for rank, place in enumerate(order(runs), 1):
             low, high = 1e3 * place.behind
             behind = "-" if rank == 1 else f"{number(low, 2)} to {number(high, 2)}"
@@ -91,7 +93,7 @@ def order_table(main: Sequence[Scored], others: Sequence[Scored]) -> Table:
             rows.append((f"{seeds} ({label})", place.name, *errors, behind, apart))
     columns = ("seeds", "controller", "position RMSE [mm]", "spread [mm]", "behind the one above [mm]", "told apart")
     note = f"{RULE} Spread: from seed to seed."
-    if others:
+    if len(others):
         certain, open_ = reversed_pairs(main, others)
         same = "The order is the same over the other seeds" if not certain + open_ else ""
         swapped = f"Over the other seeds {', '.join(open_)} change places, which are not told apart" if open_ else ""
@@ -100,8 +102,9 @@ def order_table(main: Sequence[Scored], others: Sequence[Scored]) -> Table:
     return Table("Order", columns, tuple(rows), text_columns=2, note=note)
 
 
-def _errors(runs: Sequence[Scored]) -> dict[tuple[str, int], float]:
-    return {(run.case.labels["trajectory"], run.case.seed): run.metrics.position_rmse_m for run in runs}
+def _errors(runs: DataFrame) -> dict[tuple[str, int], float]:
+    keys = zip(runs["trajectory"], runs["seed"], strict=True)
+    return dict(zip(keys, runs["position_rmse_m"], strict=True))
 
 
 def _mean_of(errors: dict[str, dict[tuple[str, int], float]]) -> Callable[[str], float]:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-import numpy as np
+from pandas import DataFrame
 
-from diffdrive_mpc.bench.comparison.results import ComparisonResults, predictive
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.comparison.results import ComparisonResults, best_of, predictive
+from diffdrive_mpc.bench.comparison.tables import solve_times, step_times, time_percentile
+from diffdrive_mpc.bench.experiment import COMPARED, by, mean, total
 from diffdrive_mpc.bench.html_report.configuration import case_config, configuration
 from diffdrive_mpc.bench.html_report.numbers import rounded, tail
 from diffdrive_mpc.bench.html_report.page import (
@@ -23,20 +26,6 @@ from diffdrive_mpc.bench.html_report.page import (
 )
 from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
-from diffdrive_mpc.bench.outcomes import (
-    Outcome,
-    S,
-    by,
-    by_driver,
-    by_horizon,
-    by_model,
-    count,
-    group,
-    mean,
-    step_times,
-    time_percentile,
-    who_drives,
-)
 from diffdrive_mpc.bench.table import number
 
 _TICKS = 40_000
@@ -46,64 +35,62 @@ _WARNINGS_SHOWN = 12
 
 
 def shown(results: ComparisonResults) -> Shown:
-    """Everything that the page shows beside the tables."""
-    drivers = by_driver(results.main)
-    names, paths, seeds = tuple(drivers), tuple(by("trajectory", results.main)), tuple(by("seed", results.main))
+    """Everything that the page shows beside tables and charts."""
+    drivers = by(results.main, COMPARED)
+    names, paths, seeds = tuple(drivers), tuple(by(results.main, "trajectory")), tuple(by(results.main, "seed"))
+    cases = dict.fromkeys(rows["case"].iloc[0] for rows in drivers.values())
     return Shown(
-        summary=_sentences(drivers),
+        summary=_sentences(results.main, drivers),
         key_figures=_key_figures(results, drivers),
         toggles=[
             Toggle("controller", names, names, styled=True),
             Toggle("path", paths, paths[:1]),
             Toggle("seed", seeds, seeds[:1]),
         ],
-        views=[_runs(drivers), *charts(results, names)],
+        views=[_runs(results.main, drivers), error_chart(results.main)],
         warnings=_warnings(drivers),
-        configurations=[
-            one for case in dict.fromkeys(runs[0].case for runs in drivers.values()) for one in configuration(case)
-        ],
+        configurations=[one for case in cases for one in configuration(case)],
         pictures=False,
     )
 
 
-def charts(results: ComparisonResults, names: Sequence[str]) -> list[Chart]:
-    """What the figures show: errors by path, step times, and what was swept."""
-    made = [_by_path(results), _tail(results)]
-    if results.speed:
-        title = f"top speed [m/s] of {' and '.join(by('trajectory', results.speed))}"
-        made.append(_against("Error against speed", title, results.speed, lambda one: one.case.top_speed or 0.0, names))
-    if results.dead_time:
-        late = 1e3 * results.main[0].run.sample_time
-        title = "dead time beyond the configured one [ms]"
-        made.append(
-            _against(
-                "Error against an unknown dead time", title, results.dead_time, lambda one: late * one.case.late, names
-            )
+def charts(results: ComparisonResults) -> dict[str, list[Chart]]:
+    """Step times, and what was swept, by the name of the figure in which they stand."""
+    made = {"step-time.png": [step_time_chart(results.main)]}
+    names, sample = list(by(results.main, COMPARED)), results.main["run"].iloc[0].sample_time
+    if len(results.speed):
+        axis = f"top speed [m/s] of {' and '.join(by(results.speed, 'trajectory'))}"
+        made["speed.png"] = _against(
+            "Error against speed", axis, results.speed, lambda one: one.top_speed or 0.0, names
         )
-    return made + (_horizons(results.horizon, names) if results.horizon else [])
+    if len(results.dead_time):
+        title, axis = "Error against an unknown dead time", "dead time beyond the configured one [ms]"
+        made["dead-time.png"] = _against(title, axis, results.dead_time, lambda one: 1e3 * sample * one.late, names)
+    if len(results.horizon):
+        made["horizon.png"] = _horizons(results.horizon, sample, names)
+    return made
 
 
-def _sentences(drivers: Mapping[str, Sequence[Outcome]]) -> list[str]:
-    errors = {name: mean(runs, "position_rmse_m") for name, runs in drivers.items()}
-    ranked = sorted(errors, key=lambda name: np.nan_to_num(errors[name], nan=np.inf))
-    told = ", ".join(f"{name} {number(1e3 * errors[name], 1)}" for name in ranked)
-    every = [run for runs in drivers.values() for run in runs]
-    done = count(every, "completed")
-    first = "All" if done == len(every) else f"{done} of"
+def _sentences(main: DataFrame, drivers: Mapping[str, DataFrame]) -> list[str]:
+    errors = {name: mean(rows, "position_rmse_m") for name, rows in drivers.items()}
+    ranked = sorted(errors, key=lambda name: errors[name] if errors[name] == errors[name] else float("inf"))
+    listed = ", ".join(f"{name} {number(1e3 * errors[name], 1)}" for name in ranked)
+    done = total(main, "completed")
+    first = "All" if done == len(main) else f"{done} of"
     return [
-        f"{first} {len(every)} runs came to their end. "
-        f"Position RMSE [mm], mean over paths and seeds, the least first: {told}."
+        f"{first} {len(main)} runs came to their end. "
+        f"Position RMSE [mm], mean over paths and seeds, the least first: {listed}."
     ]
 
 
-def _key_figures(results: ComparisonResults, drivers: Mapping[str, Sequence[Outcome]]) -> list[KeyFigure]:
+def _key_figures(results: ComparisonResults, drivers: Mapping[str, DataFrame]) -> list[KeyFigure]:
     """Those of the predictive controllers, with the other end of the comparison beside the error."""
     ours = predictive(drivers)
-    every = [run for runs in ours.values() for run in runs]
-    done, fallbacks = count(results.main, "completed"), count(every, "fallbacks")
-    errors = {name: mean(runs, "position_rmse_m") for name, runs in drivers.items()}
-    best = min(ours, key=lambda name: np.nan_to_num(errors[name], nan=np.inf))
-    worst = max(errors, key=lambda name: np.nan_to_num(errors[name], nan=np.inf))
+    every = results.main[results.main["driver"].isin({rows["driver"].iloc[0] for rows in ours.values()})]
+    done, fallbacks = total(results.main, "completed"), total(every, "fallbacks")
+    errors = {name: mean(rows, "position_rmse_m") for name, rows in drivers.items()}
+    best = best_of(ours)
+    worst = max(errors, key=lambda name: errors[name] if errors[name] == errors[name] else float("inf"))
     times = step_times(every)
     against = f"{worst}: {number(1e3 * errors[worst], 1)} mm" if worst != best else "mean over paths and seeds"
     whose = ", ".join(ours)
@@ -117,34 +104,97 @@ def _key_figures(results: ComparisonResults, drivers: Mapping[str, Sequence[Outc
             f"{number(1e3 * time_percentile(times, 50), 2)} ms",
             f"p99 {number(1e3 * time_percentile(times, 99), 2)} ms; {whose}",
         ),
-        KeyFigure("late steps", str(count(every, "deadline_misses")), f"of {times.size} that were timed; {whose}"),
+        KeyFigure("late steps", str(total(every, "deadline_misses")), f"of {times.size} that were timed; {whose}"),
         KeyFigure("fallbacks", str(fallbacks), "ticks without a fresh plan", "good" if not fallbacks else "bad"),
     ]
 
 
-def _runs(drivers: Mapping[str, Sequence[Outcome]]) -> Runs:
+def _runs(main: DataFrame, drivers: Mapping[str, DataFrame]) -> Runs:
     """Every run, styled by its controller, the predictive ones first; the more there are, the thinner."""
-    number_of_runs = sum(map(len, drivers.values()))
-    points = min(_TICKS_OF_A_RUN, _TICKS // number_of_runs)
+    points = min(_TICKS_OF_A_RUN, _TICKS // len(main))
     series = []
     styles, ours = list(drivers), predictive(drivers)
-    for name, runs in (ours | dict(drivers)).items():
-        for outcome in runs:
-            path, seed = outcome.case.labels["trajectory"], outcome.case.labels["seed"]
-            labels = {"controller": name, "path": path, "seed": seed}
-            config = case_config(outcome.case)
+    for name, rows in (ours | dict(drivers)).items():
+        for case, run in zip(rows["case"], rows["run"], strict=True):
+            path, seed = case.labels["trajectory"], case.labels["seed"]
             series.append(
                 run_series(
-                    outcome.run,
+                    run,
                     f"{name}, {path}, seed {seed}",
                     points=points,
-                    labels=labels,
+                    labels={"controller": name, "path": path, "seed": seed},
                     style=styles.index(name),
-                    config=config,
-                    every_layer=number_of_runs == 1,
+                    config=case_config(case),
+                    every_layer=len(main) == 1,
                 )
             )
     return Runs(series, f"{HOW_TO_READ}; its rows are the runs in their order. {PEAKS}.")
+
+
+def error_chart(main: DataFrame) -> Chart:
+    """Mean position RMSE of each controller along each path."""
+    paths = list(by(main, "trajectory"))
+    series = []
+    for i, (name, rows) in enumerate(by(main, COMPARED).items()):
+        there = by(rows, "trajectory")
+        errors = [rounded(1e3 * mean(there[path], "position_rmse_m")) if path in there else None for path in paths]
+        series.append(Series(name, paths, errors, i, "bars", labels={"controller": name}))
+    return Chart("Error by path", Axis("path", "category"), Axis("position RMSE [mm]"), series, "Means over seeds.")
+
+
+def step_time_chart(main: DataFrame) -> Chart:
+    """The share of steps that took longer than a time."""
+    series = []
+    for i, (name, rows) in enumerate(by(main, COMPARED).items()):
+        times = 1e3 * step_times(rows)
+        if times.size:  # on a busy machine a short run may have no undisturbed tick
+            series.append(Series(name, *tail(times), i, "line", labels={"controller": name}))
+    sample = 1e3 * main["run"].iloc[0].sample_time
+    note = f"Whole step, from measurement to command. A step has {sample:.1f} ms."
+    axes = Axis("step time [ms]", "log"), Axis("share of longer steps", "log")
+    marks = [Mark(0.01, "1 %"), Mark(sample, "sample time", upright=True)]
+    return Chart("How long steps take", *axes, series, note, marks=marks)
+
+
+def _against(title: str, axis: str, rows: DataFrame, key: Callable[[Case], float], names: Sequence[str]) -> list[Chart]:
+    """Mean position and lateral RMSE at each abscissa, and the range of the seeds' own means."""
+    at = rows.assign(at=[round(key(case), 6) for case in rows["case"]]).sort_values("at", kind="stable")
+    made = []
+    for metric in ("position", "lateral"):
+        series = []
+        for name, own in by(at, "driver").items():
+            seeds = own.groupby(["at", "seed"])[f"{metric}_rmse_m"].apply(lambda one: 1e3 * one.mean(skipna=False))
+            value = [1e3 * mean(part, f"{metric}_rmse_m") for _, part in own.groupby("at")]
+            several = seeds.notna().all() and len(by(own, "seed")) > 1
+            low, high = (list(seeds.groupby("at").agg(end)) if several else () for end in ("min", "max"))
+            x, y = list(own["at"].unique()), [rounded(one) for one in value]
+            series.append(Series(name, x, y, _style(name, names), low=low, high=high, labels=_labels(name, names)))
+        made.append(Chart(f"{title}: {metric}", Axis(axis), Axis(f"{metric} RMSE [mm]", _scale(series)), series))
+    return made
+
+
+def _horizons(rows: DataFrame, sample_time: float, names: Sequence[str]) -> list[Chart]:
+    axis = Axis(f"horizon [steps of {1e3 * sample_time:.1f} ms]")
+    figures: dict[str, tuple[str, Callable[[DataFrame], float]]] = {
+        "Error against the horizon": ("position RMSE [mm]", lambda part: 1e3 * mean(part, "position_rmse_m")),
+        "Solve time against the horizon": (
+            "solve time, p99 [ms]",
+            lambda part: 1e3 * time_percentile(solve_times(part), 99),
+        ),
+        "Step time against the horizon": (
+            "step time, median [ms]",
+            lambda part: 1e3 * time_percentile(step_times(part), 50),
+        ),
+    }
+    made = []
+    for title, (unit, figure) in figures.items():
+        series = []
+        for name, own in by(rows.sort_values("horizon", kind="stable"), "driver").items():
+            at = {int(steps): rounded(figure(part)) for steps, part in own.groupby("horizon")}
+            style, labels = _style(name, names), _labels(name, names)
+            series.append(Series(name, list(at), list(at.values()), style, labels=labels))
+        made.append(Chart(title, axis, Axis(unit, _scale(series)), series))
+    return made
 
 
 def _labels(name: str, names: Sequence[str]) -> dict[str, str]:
@@ -156,73 +206,19 @@ def _style(name: str, names: Sequence[str]) -> int:
     return names.index(name) if name in names else len(names)
 
 
-def _by_path(results: ComparisonResults) -> Chart:
-    paths = list(by("trajectory", results.main))
-    series = []
-    for i, (name, runs) in enumerate(by_driver(results.main).items()):
-        there = by("trajectory", runs)
-        values = [rounded(1e3 * mean(there[path], "position_rmse_m")) if path in there else None for path in paths]
-        series.append(Series(name, paths, values, i, "bars", labels={"controller": name}))
-    return Chart("Error by path", Axis("path", "category"), Axis("position RMSE [mm]"), series, "Means over seeds.")
-
-
-def _tail(results: ComparisonResults) -> Chart:
-    """The share of steps that took longer than a time."""
-    series = []
-    for i, (name, runs) in enumerate(by_driver(results.main).items()):
-        times = 1e3 * step_times(runs)
-        if times.size:
-            series.append(Series(name, *tail(times), i, "line", labels={"controller": name}))
-    sample = 1e3 * results.main[0].run.sample_time
-    note = f"Whole step, from measurement to command. A step has {sample:.1f} ms."
-    axes = Axis("step time [ms]", "log"), Axis("share of longer steps", "log")
-    return Chart("How long steps take", *axes, series, note, marks=[Mark(0.01, "1 %")])
-
-
-def _against(title: str, axis: str, scores: Sequence[S], key: Callable[[S], float], names: Sequence[str]) -> Chart:
-    """Mean position RMSE at each abscissa, and the range of the seeds' own means."""
-    series = []
-    for name, runs in group(scores, lambda one: who_drives(one.case)).items():
-        at = dict(sorted(group(runs, key).items()))
-        seeds = [[1e3 * mean(own, "position_rmse_m") for own in by("seed", part).values()] for part in at.values()]
-        values = [rounded(1e3 * mean(part, "position_rmse_m")) for part in at.values()]
-        several = all(value is not None for value in values) and any(len(own) > 1 for own in seeds)
-        low, high = ([min(own) for own in seeds], [max(own) for own in seeds]) if several else ((), ())
-        x = [round(one, 6) for one in at]
-        series.append(Series(name, x, values, _style(name, names), low=low, high=high, labels=_labels(name, names)))
-    return Chart(title, Axis(axis), Axis("position RMSE [mm]", _scale(series)), series)
-
-
-def _horizons(outcomes: Sequence[Outcome], names: Sequence[str]) -> list[Chart]:
-    errors, times = [], []
-    for name, runs in by_model(outcomes).items():
-        at = by_horizon(runs)
-        style, labels = _style(name, names), _labels(name, names)
-        rmse = [rounded(1e3 * mean(part, "position_rmse_m")) for part in at.values()]
-        took = [rounded(1e3 * time_percentile(step_times(part), 50)) for part in at.values()]
-        errors.append(Series(name, list(at), rmse, style, labels=labels))
-        times.append(Series(name, list(at), took, style, labels=labels))
-    axis = Axis(f"horizon [steps of {1e3 * outcomes[0].run.sample_time:.1f} ms]")
-    return [
-        Chart("Error against the horizon", axis, Axis("position RMSE [mm]", _scale(errors)), errors),
-        Chart("Step time against the horizon", axis, Axis("step time, median [ms]"), times),
-    ]
-
-
 def _scale(series: Sequence[Series]) -> Division:
     """Logarithmic where one value would press all others flat."""
     values = [value for one in series for value in one.y if isinstance(value, float) and value]
     return "log" if values and max(values) > 20 * min(values) else "linear"
 
 
-def _warnings(drivers: Mapping[str, Sequence[Outcome]]) -> list[Warned]:
+def _warnings(drivers: Mapping[str, DataFrame]) -> list[Warned]:
     """Those of every run; where many runs have the same, the first and how many others."""
     found: dict[tuple[str, str], list[Warned]] = {}
-    for name, runs in drivers.items():
-        for outcome in runs:
-            labels = outcome.case.labels
-            place = f"{name}, {labels['trajectory']}, seed {labels['seed']}"
-            for one in run_warnings(outcome.run, case_config(outcome.case), place):
+    for name, rows in drivers.items():
+        for case, run in zip(rows["case"], rows["run"], strict=True):
+            place = f"{name}, {case.labels['trajectory']}, seed {case.labels['seed']}"
+            for one in run_warnings(run, case_config(case), place):
                 found.setdefault((name, one.remedy), []).append(one)
     made = []
     for alike in found.values():

@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+from pandas import DataFrame
+
 from diffdrive_mpc.bench.case import DIMENSIONS, Case
 from diffdrive_mpc.bench.controllers import controller_config
-from diffdrive_mpc.bench.outcomes import Outcome, group, mean, model_name
+from diffdrive_mpc.bench.experiment import mean
 from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.bench.run_row import model_name
 from diffdrive_mpc.bench.runner import OnDone, run_tasks
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.logs.record import Record
@@ -80,9 +83,9 @@ def _property_case(case: Case) -> Case:
     return replace(case, **plain)
 
 
-def property_rows(properties: Sequence[Property], outcomes: Sequence[Outcome]) -> list[dict[str, object]]:
+def property_rows(properties: Sequence[Property], runs: DataFrame) -> list[dict[str, object]]:
     """Each as plain values with the tracking error of the same model on the same plant."""
-    tracked = group(outcomes, lambda outcome: _property_case(outcome.case))
+    of_case = [_property_case(case) for case in runs["case"]]
     return [
         {
             "model": one.case.labels["model"],
@@ -90,15 +93,15 @@ def property_rows(properties: Sequence[Property], outcomes: Sequence[Outcome]) -
             "fit_v_percent": one.fit_v,
             "fit_omega_percent": one.fit_omega,
             "drift_m": one.drift,
-            "position_rmse_m": mean(tracked.get(one.case, []), "position_rmse_m"),
+            "position_rmse_m": mean(runs[[case == one.case for case in of_case]], "position_rmse_m"),
         }
         for one in properties
     ]
 
 
-def property_table(properties: Sequence[Property], outcomes: Sequence[Outcome]) -> Table:
+def property_table(properties: Sequence[Property], runs: DataFrame) -> Table:
     """FIT, drift and tracking error; and which of the first two goes with the third."""
-    rows = property_rows(properties, outcomes)
+    rows = property_rows(properties, runs)
     cells = tuple(
         (
             model_name(str(row["model"])),

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Container, Mapping
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
+from pandas import DataFrame
 
 from diffdrive_mpc.bench.case import DIMENSIONS, NO_SCENARIO, Case, label
 from diffdrive_mpc.bench.comparison.plan import ComparisonSettings
 from diffdrive_mpc.bench.comparison.properties import Property, property_rows
 from diffdrive_mpc.bench.controllers import controller_config
-from diffdrive_mpc.bench.outcomes import STATISTICS, Outcome, S, Score, drawn_distances, metrics_row, plain
+from diffdrive_mpc.bench.experiment import joined, mean
 from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.bench.plain_values import plain
+from diffdrive_mpc.bench.run_row import CLOCK, STATISTICS, Row, SolverShares
 from diffdrive_mpc.bench.timing import UNDISTURBED, TimingPass
 from diffdrive_mpc.bench.turns import AGAIN, BLOCK
+from diffdrive_mpc.sim import Metrics
+from diffdrive_mpc.sim.metrics.recovery import Recovery
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings
 
 TIMING = (
@@ -34,58 +39,63 @@ class ComparisonResults:
     settings
         What was asked for.
     main
-        Outcomes of the comparison.
+        Rows of the comparison, each with its run, as `bench.run_row.Outcome.row` gives them.
     horizon
-        Outcomes of the horizon sweep; they may be among `main` too.
+        Those of the horizon sweep; they may be among `main` too.
     timing
         How the machine was while all was timed.
     properties
         Of the models on the plants.
     speed, dead_time, other_seeds
-        See `CasePlan`; empty where they were not run.
+        Rows without runs, see `CasePlan`; empty where they were not driven.
     """
 
     settings: ComparisonSettings
-    main: tuple[Outcome, ...]
-    horizon: tuple[Outcome, ...]
+    main: DataFrame
+    horizon: DataFrame = field(default_factory=DataFrame)
     timing: TimingPass = UNDISTURBED
     properties: tuple[Property, ...] = ()
-    speed: tuple[Score, ...] = ()
-    dead_time: tuple[Score, ...] = ()
-    other_seeds: tuple[Score, ...] = ()
+    speed: DataFrame = field(default_factory=DataFrame)
+    dead_time: DataFrame = field(default_factory=DataFrame)
+    other_seeds: DataFrame = field(default_factory=DataFrame)
 
     @property
-    def all(self) -> tuple[Outcome, ...]:
-        """Every outcome once, in order."""
-        return tuple({outcome.case: outcome for outcome in (*self.main, *self.horizon)}.values())
+    def all(self) -> DataFrame:
+        """Every row once, in order."""
+        return joined(self.main, self.horizon)
 
     @property
     def silent(self) -> list[str]:
         """Dimensions that nobody asked for, and that are left out for it."""
         return [one.name for one in DIMENSIONS if one.silent and self.settings.values(one.several) == (one.default,)]
 
-    def rows(self) -> list[dict[str, object]]:
+    def rows(self) -> list[Row]:
         """Every run as plain values; what could not be computed is None."""
-        swept, smoothed = any(self.settings.settings), bool(drawn_distances(self.all).any())
-        return [row(one, self.silent, with_settings=swept, with_drawn=smoothed) for one in self.all]
+        swept, smoothed = any(self.settings.settings), bool((self.all["drawn_max_m"] > 0.0).any())
+        rows = self.all.to_dict("records")
+        return [json_row(one, self.silent, with_settings=swept, with_drawn=smoothed) for one in rows]
 
     def content(self) -> dict[str, object]:
         """Everything as rows of plain values by name; parts that were not run are left out."""
         scored = {"speed": self.speed, "dead_time": self.dead_time, "other_seeds": self.other_seeds}
         rows = {"runs": self.rows(), "properties": property_rows(self.properties, self.main)}
-        rows |= {name: [score_row(one, self.silent) for one in scores] for name, scores in scored.items()}
+        rows |= {
+            name: [beyond_row(one, self.silent) for one in part.to_dict("records")] for name, part in scored.items()
+        }
         return {name: part for name, part in rows.items() if part}
 
 
-def row(
-    outcome: Outcome, silent: Container[str], *, with_settings: bool = False, with_drawn: bool = False
-) -> dict[str, object]:
+_STATISTICS = tuple(of.name for kind in (Metrics, SolverShares) for of in fields(kind))
+_RECOVERY = tuple(of.name for of in fields(Recovery))
+
+
+def json_row(row: Row, silent: Container[str], *, with_settings: bool = False, with_drawn: bool = False) -> Row:
     """One run as plain values.
 
     Parameters
     ----------
-    outcome
-        The run.
+    row
+        Of the run.
     silent
         Dimensions to leave out. Unless "scenario" is one of them, there are also the reason why the run ended before
         its time, begin and end of the disturbance [s] and the figures of the recovery from it.
@@ -94,42 +104,46 @@ def row(
     with_drawn
         Add how far the reference is from the path as it was drawn.
     """
-    case, run = outcome.case, outcome.run
-    values = case.as_row(silent) | {"horizon": case.horizon} | metrics_row(outcome)
-    values["timed_clean_percent"] = 100.0 * outcome.clean_share
+    values = row["case"].as_row(silent) | {name: row[name] for name in ("horizon", *_STATISTICS)}
+    values["timed_clean_percent"] = 100.0 * row["clean_share"]
     if with_settings:
-        values["set"] = dict(case.overrides)
+        values["set"] = dict(row["case"].overrides)
     if with_drawn:
-        distance = drawn_distances([outcome])
-        values |= {"drawn_max_m": distance.max(), "drawn_rms_m": np.sqrt(np.mean(distance**2))}
+        values |= {name: row[name] for name in ("drawn_max_m", "drawn_rms_m")}
     if "scenario" not in silent:
-        values |= {"ended": run.ended or None, "disturbance_s": run.disturbance} | asdict(run.recovery)
-    row: dict[str, object] = plain(values)
-    return row
+        values |= {"ended": row["ended"] or None, "disturbance_s": row["run"].disturbance}
+        values |= {name: row[f"recovery_{name.removeprefix('recovery_')}"] for name in _RECOVERY}
+    return dict(plain(values))
 
 
-def score_row(score: Score, silent: Container[str]) -> dict[str, object]:
+def beyond_row(row: Row, silent: Container[str]) -> Row:
     """A run that was not timed as plain values; `late_s` is by how much the plant was later than told."""
-    case = score.case
+    case = row["case"]
     sample_time = controller_config(Case().model).sample_time
     values = case.as_row(silent) | {"top_speed_m_s": case.top_speed, "late_s": case.late * sample_time}
-    row: dict[str, object] = plain(values | metrics_row(score, timed=False))
-    return row
+    statistics = {name: row[name] for name in _STATISTICS if not name.startswith(CLOCK)}
+    return dict(plain(values | statistics))
 
 
-def predictive(compared: Mapping[str, Sequence[S]]) -> dict[str, list[S]]:
+def predictive(compared: Mapping[str, DataFrame]) -> dict[str, DataFrame]:
     """The groups of predictive controllers, which figures show; all groups where there are peers alone."""
-    ours = {name: list(runs) for name, runs in compared.items() if runs[0].case.controller not in PEERS}
-    return ours or {name: list(runs) for name, runs in compared.items()}
+    ours = {name: rows for name, rows in compared.items() if rows["controller"].iloc[0] not in PEERS}
+    return ours or dict(compared)
+
+
+def best_of(compared: Mapping[str, DataFrame]) -> str:
+    """The name with the least mean position RMSE."""
+    return min(compared, key=lambda name: np.nan_to_num(mean(compared[name], "position_rmse_m"), nan=np.inf))
 
 
 def incomplete(results: ComparisonResults) -> str | None:
     """One line about the runs of the predictive controller that did not complete; None where all did."""
-    ours = [outcome for outcome in results.all if outcome.case.controller not in PEERS]
-    failed = [outcome for outcome in ours if not outcome.metrics.completed]
-    if not failed:
+    rows = results.all
+    ours = rows[~rows["controller"].isin(PEERS)]
+    failed = ours[~ours["completed"].astype(bool)]
+    if failed.empty:
         return None
-    case, ended = failed[0].case, failed[0].run.ended
+    case, ended = failed[["case", "ended"]].iloc[0]
     labels = case.labels
     first = f"{labels['model']} on {labels['trajectory']}, horizon {case.horizon}, seed {case.seed}"
     first += f", scenario {labels['scenario']}" if case.scenario != NO_SCENARIO else ""

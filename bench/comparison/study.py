@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
+
+from pandas import DataFrame
 
 from diffdrive_mpc.bench.case import DIMENSIONS, Case
 from diffdrive_mpc.bench.comparison.page import shown
@@ -17,8 +20,11 @@ from diffdrive_mpc.bench.comparison.results import (
     labelled,
 )
 from diffdrive_mpc.bench.comparison.tables import report_tables, scenario_table, screen_table
-from diffdrive_mpc.bench.outcomes import STATISTICS, Score, run_cases
+from diffdrive_mpc.bench.controllers import run_case
+from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.run_row import STATISTICS, Outcome, Row, row_of
+from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.timing import TimingPass, time_outcomes
 
@@ -42,23 +48,26 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
 
     def run(self, plan: CasePlan, jobs: int, bar: ProgressBar) -> ComparisonResults:
         """Run every case, and time the controllers' steps; raises NotReproducibleError where a replay differs."""
-        bar.begin(f"running, {jobs} at a time", len(plan.all) + len(plan.beyond))
-        recorded, others = run_cases(plan.all, jobs, bar.advance, plan.beyond)
+        cases = (*plan.all, *plan.beyond)
+        bar.begin(f"running, {jobs} at a time", len(cases))
+        # Of the cases that are timed the whole run is kept, of the others their row.
+        driven = run_tasks([partial(_drive, case, whole=case in plan.all) for case in cases], jobs, bar.advance)
+        recorded = [one for one in driven if isinstance(one, Outcome)]
         bar.begin("timing, in turns", len(recorded))
         timed, timing = time_outcomes(recorded, bar.advance)
-        outcomes = {outcome.case: outcome for outcome in timed}
-        main, horizon = (tuple(outcomes[case] for case in cases) for cases in (plan.main, plan.horizon))
-        results = ComparisonResults(self.settings, main, horizon, timing)
+        rows: dict[Case, Row] = {one.case: one.row for one in timed}
+        rows |= {one["case"]: one for one in driven if not isinstance(one, Outcome)}
+
+        def of(listed: Iterable[Case]) -> DataFrame:
+            return frame(rows[case] for case in listed)
+
+        results = ComparisonResults(self.settings, of(plan.main), of(plan.horizon), timing)
         if not self.settings.beyond:
             return results
-        scores = {score.case: score for score in others}
-        scores |= {case: Score.of_outcome(outcome) for case, outcome in outcomes.items()}
-        speed, dead_time, other_seeds = (
-            tuple(scores[case] for case in cases) for cases in (plan.speed, plan.dead_time, plan.other_seeds)
-        )
         # In one process: another pool takes longer to start.
         properties = tuple(measure_properties(plan.main, 1))
-        return replace(results, properties=properties, speed=speed, dead_time=dead_time, other_seeds=other_seeds)
+        beyond = {"speed": of(plan.speed), "dead_time": of(plan.dead_time), "other_seeds": of(plan.other_seeds)}
+        return replace(results, properties=properties, **beyond)
 
     def report(self, results: ComparisonResults, seconds: float) -> Report:
         """The overview above the tables, the runs of the first seed one by one below."""
@@ -85,13 +94,19 @@ class ComparisonStudy(Study[CasePlan, ComparisonResults]):
             ],
             tables=report_tables(results),
             figures=drawings(results),
-            figures_first=3 if results.speed else 1,
+            figures_first=3 if len(results.speed) else 1,
             shown=shown(results),
             screen=[
                 *([scenario_table(results.main)] if "scenario" not in results.silent else []),
                 screen_table(results.main),
             ],
         )
+
+
+def _drive(case: Case, *, whole: bool) -> Outcome | Row:
+    run = run_case(case)
+    _ = run.errors  # worked out where there are several processes to do it
+    return Outcome(case, run) if whole else row_of(case, run)
 
 
 def _undisturbed(timing: TimingPass) -> str:

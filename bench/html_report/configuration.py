@@ -5,8 +5,8 @@ from __future__ import annotations
 from diffdrive_mpc.bench.case import Case, label
 from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.bench.html_report.page import Configuration
-from diffdrive_mpc.bench.outcomes import who_drives
 from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.bench.run_row import who_drives
 from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 

@@ -11,7 +11,7 @@ from string import Template
 from typing import Any
 
 from diffdrive_mpc.bench.html_report.page import Page
-from diffdrive_mpc.bench.outcomes import plain
+from diffdrive_mpc.bench.plain_values import plain
 
 _TEMPLATE = Path(__file__).parent / "template"
 _SCRIPTS = ("text.js", "toggles.js", "charts.js", "runs.js", "start.js")

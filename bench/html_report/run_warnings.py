@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive_mpc.bench.html_report.page import Warned
-from diffdrive_mpc.bench.outcomes import SolverShares
+from diffdrive_mpc.bench.run_row import SolverShares
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.sim import Run

@@ -37,12 +37,11 @@ def tracking(
 ) -> None:
     """Run the tracking study and write its tables and figures: about ten minutes on two cores."""
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
-    from studies.tracking.settings import PARTS, load_study  # noqa: PLC0415 - --help does without it
-    from studies.tracking.study import TrackingStudy  # noqa: PLC0415
+    from studies.tracking.study import TrackingStudy, load_study  # noqa: PLC0415 - --help does without it
 
     if quick and study is not None:
         raise ValueError(f"--study {study}: --quick has a study of its own; give one of them")
-    parts = PARTS if only is None else split_names(only, "--only")
+    parts = () if only is None else split_names(only, "--only")
     carry_out(TrackingStudy(load_study(study, quick=quick), parts), out, jobs)
 
 

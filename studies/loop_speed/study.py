@@ -120,7 +120,7 @@ class LoopSpeedStudy(Study[list[Case], list[LoopCost]]):
             f"{len(results)} drives, {self._repeats} times each in turn, in {seconds} s; plant {self._plant}, "
             f"scenario {self._scenario}; processor time, the least of each."
         )
-        return Report(f"{len(results)} drives", {"repeats": self._repeats}, {"runs": rows}, [fact], tables, {})
+        return Report(f"{len(results)} drives", {"repeats": self._repeats}, {"runs": rows}, [fact], tables)
 
 
 def _per_tick(part: str) -> Callable[[LoopCost], str]:

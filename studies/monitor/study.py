@@ -10,7 +10,7 @@ from functools import partial
 from itertools import count
 
 from diffdrive_mpc.bench.controllers import load_reference
-from diffdrive_mpc.bench.outcomes import plain
+from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.study import Report, Study
@@ -113,7 +113,7 @@ class MonitorStudy(Study[list[partial[list[Trial]]], Watched]):
         trials = [*(one for some in results.faulty.values() for one in some), *results.nominal]
         content: dict[str, object] = {"trials": [_plain_trial(one) for one in trials]}
         meta: dict[str, object] = {"rules": self._rules, "first_seed": self._first}
-        return Report(f"{len(trials)} drives", meta, content, facts, tables, {})
+        return Report(f"{len(trials)} drives", meta, content, facts, tables)
 
 
 def complaint(results: Watched) -> str:

@@ -160,7 +160,7 @@ class PeersStudy(Study[list[str], list[Tuned]]):
         ]
         meta: dict[str, object] = {"settings": settings.model_dump(mode="json")}
         tables = [_summary(results, settings.scan), *(_proof(one) for one in results)]
-        return Report(f"{len(rows)} peers", meta, {"peers": rows, "proof": proof}, facts, tables, {})
+        return Report(f"{len(rows)} peers", meta, {"peers": rows, "proof": proof}, facts, tables)
 
 
 def _summary(results: Sequence[Tuned], scan: int) -> Table:

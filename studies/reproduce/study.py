@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from diffdrive_mpc.bench.outcomes import plain
+from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.study import Draw, Report, Study, check_parts

@@ -6,22 +6,23 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.colors import LogNorm
+from pandas import DataFrame
 
+from diffdrive_mpc.bench.experiment import by
 from diffdrive_mpc.bench.figure_style import ERROR_MAP, new_figure
-from studies.robustness.results import Rows, by_condition, ratios
+from studies.robustness.results import ratios
 
 _MOST = 10.0
 """Ratio from which on the colour is the same."""
 
 
-def draw_ratios(rows: Rows, path: Path) -> None:
+def draw_ratios(rows: DataFrame, path: Path) -> None:
     """Draw a heat map: a row for each condition, a column for each controller, the ratio written in each cell.
 
     A cross marks a controller that did not complete every run.
     """
-    conditions = by_condition(rows)
-    names = list(dict.fromkeys(one.driver for one in rows))
-    values = np.array([[ratios(drivers).get(name, np.nan) for name in names] for drivers in conditions.values()])
+    conditions, names = by(rows, "condition"), list(by(rows, "driver"))
+    values = np.array([[ratios(own).get(name, np.nan) for name in names] for own in conditions.values()])
     with new_figure(path, 2.6 + 0.7 * len(names), 1.2 + 0.19 * len(conditions)) as figure:
         axes = figure.add_subplot()
         shown = axes.imshow(np.clip(values, 1.0, _MOST), norm=LogNorm(1.0, _MOST), cmap=ERROR_MAP, aspect="auto")
@@ -29,9 +30,9 @@ def draw_ratios(rows: Rows, path: Path) -> None:
         axes.xaxis.tick_top()
         axes.set_yticks(range(len(conditions)), list(conditions), fontsize=7)
         axes.grid(visible=False)
-        for i, drivers in enumerate(conditions.values()):
+        for i, own in enumerate(conditions.values()):
             for k, name in enumerate(names):
-                lost = name in drivers and not all(one.metrics.completed for one in drivers[name])
+                lost = not own[own["driver"] == name]["completed"].all()
                 ratio = f"{values[i, k]:.2f}" if np.isfinite(values[i, k]) else "-"
                 dark = not values[i, k] > _MOST**0.5
                 text = f"{ratio} ×" if lost else ratio

@@ -7,27 +7,27 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
+from pandas import DataFrame
 
 from diffdrive_mpc.bench.case import Case, check_count
 from diffdrive_mpc.bench.conditions import MARKET, Condition, market_cases
 from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases
-from diffdrive_mpc.bench.outcomes import STATISTICS
+from diffdrive_mpc.bench.experiment import Drive, by, drive_all, json_rows
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.bench.runner import run_tasks
+from diffdrive_mpc.bench.run_row import STATISTICS
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.config.thresholds import STANDING, TURNING
-from studies.robustness.market_tables import FALSE_ALARM_RATE, market_tables
-from studies.robustness.results import Rows, run_condition, study_tables
+from studies.robustness.results import FALSE_ALARM_RATE, measured, study_tables
 
 OURS = "mpc"
 """The predictive controller, as `bench.case.Case` names it."""
 _LOOKS = 1000
 """Samples at which a path is looked at."""
 Plan = list[tuple[str, Case]]
-"""Name of the condition and what to run under it."""
+"""Name of the condition and what to drive under it."""
 
 
 def turns_on_the_spot(trajectory: str) -> bool:
@@ -37,7 +37,7 @@ def turns_on_the_spot(trajectory: str) -> bool:
     return bool(((np.abs(twist[:, 0]) < STANDING) & (np.abs(twist[:, 1]) > TURNING)).any())
 
 
-class RobustnessStudy(Study[Plan, Rows]):
+class RobustnessStudy(Study[Plan, DataFrame]):
     """Conditions x controllers x trajectories x seeds; models vary for the predictive controller only.
 
     Parameters
@@ -125,26 +125,27 @@ class RobustnessStudy(Study[Plan, Rows]):
             )
         ]
 
-    def run(self, plan: Plan, jobs: int, bar: ProgressBar) -> Rows:
+    def run(self, plan: Plan, jobs: int, bar: ProgressBar) -> DataFrame:
         """Run every case; each process keeps only what the study needs."""
         bar.begin(f"running, {jobs} at a time", len(plan))
-        return run_tasks([partial(run_condition, name, case, self._settled) for name, case in plan], jobs, bar.advance)
+        drives = [Drive(case, {"condition": name}) for name, case in plan]
+        return drive_all(drives, jobs, bar.advance, partial(measured, self._settled))
 
-    def report(self, results: Rows, seconds: float) -> Report:
+    def report(self, results: DataFrame, seconds: float) -> Report:
         """Tables, and the figure where there are several controllers to compare."""
         from studies.robustness.figures import draw_ratios  # noqa: PLC0415
 
-        several = len({one.driver for one in results}) > 1
+        several = len(by(results, "driver")) > 1
         return Report(
             counted=f"{len(results)} runs",
             meta={"statistics": STATISTICS, "settled_s": self._settled},
-            content={"runs": [one.as_json() for one in results]},
+            content={"runs": json_rows(results)},
             facts=[
                 f"{len(results)} runs in {seconds} s: {len(self._conditions)} conditions along "
                 f"{', '.join(self._trajectories)} with the seeds {', '.join(map(str, self._seeds))}"
                 + (f", and {self._robots} robots of the market along each path." if self._robots else ".")
             ],
             notes=[f"Errors: {STATISTICS}. Late: from {self._settled:g} s on."],
-            tables=[*study_tables(results), *market_tables(results)],
+            tables=study_tables(results),
             figures={"ratios.png": partial(draw_ratios, results)} if several else {},
         )

@@ -2,63 +2,213 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
+from typing import ClassVar
 
-from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.outcomes import STATISTICS
-from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.bench.runner import run_tasks
-from diffdrive_mpc.bench.study import Report, Study
-from studies.tracking.outcome import TrackingResults, collect, is_plain, run_reduced
-from studies.tracking.page import shown
-from studies.tracking.plan import TrackingPlan, check_plan, plan_study
-from studies.tracking.settings import PARTS, TrackingSettings
-from studies.tracking.tables import study_tables
+import numpy as np
+from pandas import DataFrame
+
+from diffdrive_mpc.bench.cells import Cell, figure, load_tables
+from diffdrive_mpc.bench.experiment import by, mean, total
+from diffdrive_mpc.bench.html_report.configuration import configuration
+from diffdrive_mpc.bench.html_report.numbers import rounded
+from diffdrive_mpc.bench.html_report.page import Axis, Chart, KeyFigure, Mark, Runs, Series, Shown, Toggle, View, Warned
+from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS
+from diffdrive_mpc.bench.spec import Experiment, SpecStudy, load_experiment
+from diffdrive_mpc.bench.study import Report
+from diffdrive_mpc.bench.table import Table, millis, number
+from studies.tracking.measured import BOUND, BOUND_NAME, load_targets, measured, run_or_bound, worst_arc
+
+_FOLDER = Path(__file__).parent
+_MISSED = "docs/tracking.md says what limits each figure; the ablation shows which part of the estimator it hangs on"
 
 
-class TrackingStudy(Study[TrackingPlan, TrackingResults]):
-    """The parts of `settings` that are named in `only`."""
+def load_study(file: Path | None = None, *, quick: bool = False) -> Experiment:
+    """Read a study, by default the shipped one; raises ConfigError when the file has a mistake."""
+    read = load_experiment(file or _FOLDER / ("quick.yaml" if quick else "study.yaml"))
+    return read if read.tables else read.model_copy(update={"tables": load_tables(_FOLDER / "tables.yaml")})
 
-    name = "tracking"
-    title = "Tracking"
 
-    def __init__(self, settings: TrackingSettings, only: Sequence[str] = PARTS) -> None:
-        self.settings = settings
-        self._only = only
+@dataclass(frozen=True)
+class Verdict:
+    """One target, and how near each model comes.
 
-    def plan(self) -> TrackingPlan:
-        """The cases; raises ConfigError or ValueError if one of them cannot be run."""
-        plan = plan_study(self.settings, self._only)
-        check_plan(plan)
-        return plan
+    Attributes
+    ----------
+    what, where
+        What is limited, with its unit, and on which runs.
+    limit
+        Largest value that is allowed.
+    reached
+        Value of each model; NaN where it could not be computed, which is not within any limit.
+    """
 
-    def run(self, plan: TrackingPlan, jobs: int, bar: ProgressBar) -> TrackingResults:
-        """Run every case; each process keeps only what the study needs."""
-        bar.begin(f"running, {jobs} at a time", len(plan.all))
-        tasks = [
-            partial(run_reduced, case, self.settings.trajectories, with_series=self._is_shown(case))
-            for case in plan.all
-        ]
-        return collect(self.settings, plan, run_tasks(tasks, jobs, bar.advance))
+    what: str
+    where: str
+    limit: float
+    reached: dict[str, float]
 
-    def _is_shown(self, case: Case) -> bool:
-        """Whether the page shows a run: of many alike it shows the first seed, on the default floor."""
-        return is_plain(case) and case.surface == Case().surface and case.seed == self.settings.targets.seeds[0]
+    def met_by(self, model: str) -> bool:
+        """Whether `model` stays within the limit."""
+        return self.reached[model] <= self.limit
 
-    def report(self, results: TrackingResults, seconds: float) -> Report:
+    @property
+    def met(self) -> bool:
+        """Whether every model does."""
+        return all(self.met_by(model) for model in self.reached)
+
+
+def judge(rows: DataFrame) -> list[Verdict]:
+    """Verdicts on everything that was asked for and driven, from the rows of the part "targets"."""
+    verdicts = []
+    for target in load_targets().targets:
+        there = rows[np.logical_and.reduce([rows[name] == value for name, value in target.where.items()])]
+        value = worst_arc if target.figure == "worst_arc" else figure(target.figure, target.what)
+        reached = {model: value(own) for model, own in by(there, "driver").items()}
+        if reached:
+            verdicts.append(Verdict(target.what, target.at, target.limit, reached))
+    return verdicts
+
+
+def target_table(verdicts: Sequence[Verdict]) -> Table:
+    """Every target with the value of each model; what is beyond the limit says so."""
+    models = list(dict.fromkeys(model for verdict in verdicts for model in verdict.reached))
+
+    def exact(value: float) -> str:
+        return f"{value:.3g}" if np.isfinite(value) else "-"
+
+    def reached(verdict: Verdict, model: str) -> str:
+        if model not in verdict.reached:
+            return "-"
+        return exact(verdict.reached[model]) + ("" if verdict.met_by(model) else " (no)")
+
+    rows = tuple(
+        (one.what, one.where, exact(one.limit), *(reached(one, model) for model in models), "yes" if one.met else "no")
+        for one in verdicts
+    )
+    note = (
+        "Means over trajectories and seeds, except what is called worst, largest or longest, which is over all runs, "
+        "and counts. The worst arc: mean over seeds of the absolute value, largest over the arcs."
+    )
+    return Table("Targets", ("what", "where", "limit", *models, "reached by all"), rows, 2, note)
+
+
+class TrackingStudy(SpecStudy):
+    """An experiment whose parts have the names of those of `study.yaml`, those of `only` or all."""
+
+    name: ClassVar[str] = "tracking"
+
+    def __init__(self, experiment: Experiment, only: Sequence[str] = ()) -> None:
+        trajectories = tuple(map(str, experiment.vary.get("trajectory", ("circle",))))
+        super().__init__(experiment, only, measured, partial(run_or_bound, trajectories))
+
+    def tables(self, rows: DataFrame) -> list[Table]:
+        """Targets first, then every table whose part was driven."""
+        shown = rows.assign(variant=rows["variant"].mask(rows["controller"] == BOUND, BOUND_NAME))
+        targets = rows[rows["part"] == "targets"]
+        return [*([target_table(judge(targets))] if len(targets) else []), *self.stated_tables(shown, _cells(rows))]
+
+    def report(self, results: DataFrame, seconds: float) -> Report:
         """Tables of every part that was run; figures only where there was an ablation."""
         from studies.tracking.figures import draw_ablation, draw_error_sources  # noqa: PLC0415
 
-        seeds = ", ".join(map(str, self.settings.targets.seeds))
+        plain = super().report(results, seconds)
+        seeds = ", ".join(by(results[results["controller"] != BOUND], "seed"))
         drawn = {"ablation.png": draw_ablation, "error-sources.png": draw_error_sources}
-        return Report(
-            counted=f"{len(results.all)} runs",
-            meta={"statistics": STATISTICS, "parts": list(results.parts), "study": self.settings},
-            content={"runs": [one.as_json() for one in results.all]},
-            facts=[f"{len(results.all)} runs in {seconds} s; targets over seeds {seeds}."],
-            notes=[f"Errors: {STATISTICS}."],
-            tables=[table for part in study_tables(results).values() for table in part],
-            figures={name: partial(draw, results) for name, draw in drawn.items() if "ablation" in results.parts},
+        ablated = (results["part"] == "ablation").any()
+        return replace(
+            plain,
+            facts=[f"{plain.facts[0][:-1]}; seeds {seeds}."],
+            figures={name: partial(draw, results) for name, draw in drawn.items() if ablated},
             shown=shown(results),
         )
+
+
+def _cells(rows: DataFrame) -> Mapping[str, Cell]:
+    ours = rows[rows["plain"].astype(bool)].drop_duplicates("case")
+
+    def ours_there(bound: DataFrame) -> float:
+        """Of our controller on the same surface along the same trajectories as rows of the bound."""
+        there = ours[ours["surface"].isin(bound["surface"]) & ours["trajectory"].isin(bound["trajectory"])]
+        return mean(there, "position_rmse_m")
+
+    def on_plant(own: DataFrame) -> str:
+        same = own["plant"].iloc[0] == f"model:{own['model'].iloc[0]}"
+        return millis(mean(own, "position_rmse_m")) + ("*" if same else "")
+
+    return {
+        "worst_arc": lambda own: millis(worst_arc(own)),
+        "error_on_plant": on_plant,
+        "ours": lambda own: millis(ours_there(own)),
+        "left": lambda own: millis(ours_there(own) - mean(own, "position_rmse_m")),
+    }
+
+
+def shown(rows: DataFrame) -> Shown:
+    """Everything that the page shows beside tables and figures."""
+    targets = rows[rows["part"] == "targets"]
+    verdicts = judge(targets) if len(targets) else []
+    every = rows.drop_duplicates("case")
+    kept = every[every["series"].notna()]
+    driven = kept[kept["seed"] == kept["seed"].min()]
+    models, paths = tuple(by(driven, "driver")), tuple(by(driven, "trajectory"))
+    series = [
+        {**one, "style": models.index(name)} for name, one in zip(driven["driver"], driven["series"], strict=True)
+    ]
+    runs = [Runs(series, f"{HOW_TO_READ}. Default floor and sensors, first seed. {PEAKS}.")] if series else []
+    views: list[View] = [*runs, *([_target_chart(verdicts, models)] if verdicts else [])]
+    met = sum(verdict.met for verdict in verdicts)
+    return Shown(
+        summary=[f"{met} of {len(verdicts)} targets are reached by all models."] if verdicts else [],
+        key_figures=_key_figures(every, verdicts, driven),
+        toggles=[Toggle("model", models, models, styled=True), Toggle("path", paths, paths[:1])] if models else [],
+        views=views,
+        warnings=_warnings(every, verdicts),
+        configurations=[one for own in by(driven, "driver").values() for one in configuration(own["case"].iloc[0])],
+    )
+
+
+def _key_figures(rows: DataFrame, verdicts: Sequence[Verdict], driven: DataFrame) -> list[KeyFigure]:
+    done = total(rows, "completed")
+    made = [KeyFigure("completed", f"{done} of {len(rows)}", "runs", "good" if done == len(rows) else "bad")]
+    if verdicts:
+        met = sum(verdict.met for verdict in verdicts)
+        sound = "good" if met == len(verdicts) else "bad"
+        made.append(KeyFigure("targets reached", f"{met} of {len(verdicts)}", "by all models", sound))  # type: ignore[arg-type]
+    for name, own in by(driven, "driver").items():
+        rmse = f"{number(1e3 * mean(own, 'position_rmse_m'), 1)} mm"
+        made.append(KeyFigure(f"position error of {name}, RMSE", rmse, "default floor and sensors"))
+    return made
+
+
+def _target_chart(verdicts: Sequence[Verdict], models: Sequence[str]) -> Chart:
+    """Each target as share of its limit, where that is not zero."""
+    kept = [one for one in verdicts if one.limit > 0]
+    names = [f"{one.what.split(' [')[0]}, {one.where}" for one in kept]
+    series = []
+    for model in dict.fromkeys(model for one in kept for model in one.reached):
+        shares = [rounded(one.reached.get(model, np.nan) / one.limit) for one in kept]
+        style = models.index(model) if model in models else len(models)
+        series.append(Series(model, shares, names, style, "rows", labels={"model": model} if model in models else {}))
+    axes = Axis("share of the limit"), Axis("", "category")
+    note = "Below 1 is reached. Counts that must be zero are in the table."
+    return Chart("Targets", *axes, series, note, [Mark(1.0, "limit", upright=True)], broad=True, height=560)
+
+
+def _warnings(rows: DataFrame, verdicts: Sequence[Verdict]) -> list[Warned]:
+    found = []
+    for verdict in verdicts:
+        missed = [f"{model} {value:.3g}" for model, value in verdict.reached.items() if not verdict.met_by(model)]
+        if missed:
+            asked = f"at most {verdict.limit:g} was asked for, {', '.join(missed)} reached"
+            found.append(Warned(f"Target missed: {verdict.what}, {verdict.where}: {asked}.", _MISSED))
+    lost = rows[~rows["completed"].astype(bool)]
+    if len(lost):
+        names = ("controller", "model", "trajectory", "surface", "scenario")
+        where = ", ".join(str(lost[name].iloc[0]) for name in names)
+        words = f"{len(lost)} runs did not complete, the first: {where}, seed {lost['seed'].iloc[0]}."
+        found.append(Warned(words, "drive it alone with `simulate` and these options, and read its report"))
+    return found

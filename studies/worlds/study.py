@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
+
+from pandas import DataFrame
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases
-from diffdrive_mpc.bench.outcomes import group
+from diffdrive_mpc.bench.experiment import Drive, by, drive_all, json_rows, total
 from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from studies.worlds.results import Rows, collided, run_world, said, study_tables
+from studies.worlds.results import last_messages, measured, study_tables
 from studies.worlds.settings import WorldsSettings, cases
 
 Plan = list[tuple[str, Case]]
 """Part of the study and what to run."""
 
 
-class WorldsStudy(Study[Plan, Rows]):
+class WorldsStudy(Study[Plan, DataFrame]):
     """Every controller in the same worlds.
 
     Parameters
@@ -62,29 +62,28 @@ class WorldsStudy(Study[Plan, Rows]):
             for part in self._parts
             for case in cases(self._settings, part, self._controllers, self._model, self._runs.get(part), self._first)
         ]
-        one_of_each = group([case for _, case in plan], lambda case: (case.controller, case.plant, case.surface))
-        check_cases(runs[0] for runs in one_of_each.values())
+        check_cases({(case.controller, case.plant, case.surface): case for _, case in reversed(plan)}.values())
         return plan
 
-    def run(self, plan: Plan, jobs: int, bar: ProgressBar) -> Rows:
+    def run(self, plan: Plan, jobs: int, bar: ProgressBar) -> DataFrame:
         """Run every case; each process keeps only what the study needs."""
         bar.begin(f"running, {jobs} at a time", len(plan))
-        return run_tasks([partial(run_world, part, case) for part, case in plan], jobs, bar.advance)
+        return drive_all([Drive(case, {"part": part}) for part, case in plan], jobs, bar.advance, measured)
 
-    def report(self, results: Rows, seconds: float) -> Report:
+    def report(self, results: DataFrame, seconds: float) -> Report:
         """Tables and figures."""
         from studies.worlds.figures import drawings  # noqa: PLC0415 - matplotlib loads slowly
 
-        touched = sum(map(collided, results))
-        parts = ", ".join(f"{len(runs)} of “{name}”" for name, runs in group(results, lambda one: one.part).items())
-        drivers = list(group(results, lambda one: one.driver))
+        parts = ", ".join(f"{len(rows)} of “{name}”" for name, rows in by(results, "part").items())
+        drivers = by(results, "driver")
         words = [
-            f"{driver} did not arrive and said: {message}." for driver in drivers for message in said(results, driver)
+            f"{name} did not arrive and said: {one}." for name, rows in drivers.items() for one in last_messages(rows)
         ]
+        touched = total(results, "collided")
         return Report(
             counted=f"{len(results)} runs",
             meta={"first_seed": self._first, "settings": self._settings.model_dump()},
-            content={"runs": [one.as_json() for one in results]},
+            content={"runs": json_rows(results)},
             facts=[
                 f"{len(results)} runs in {seconds} s: {parts}, by {', '.join(drivers)}, from seed {self._first} on.",
                 f"In {touched} of them MuJoCo found a contact of the robot's hull while the robot moved.",

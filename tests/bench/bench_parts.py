@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pandas import DataFrame
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import run_case
-from diffdrive_mpc.bench.outcomes import Outcome
+from diffdrive_mpc.bench.experiment import frame
+from diffdrive_mpc.bench.run_row import Outcome
 from diffdrive_mpc.models.interface import FloatArray, Measurement, ReferenceSample, Stamped
 from diffdrive_mpc.models.pose import integrate_pose
 
@@ -69,6 +71,10 @@ def quick_case(**changes: object) -> Case:
         "seed": 0,
     }
     return Case(**{**fields, **changes})  # type: ignore[arg-type]
+
+
+def rows(*outcomes: Outcome) -> DataFrame:
+    return frame(one.row for one in outcomes)
 
 
 def quick_outcome(**changes: object) -> Outcome:

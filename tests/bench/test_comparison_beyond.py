@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench_parts import quick_case, quick_outcome
+from bench_parts import rows as rows_of
+from pandas import DataFrame
 
 from diffdrive_mpc.bench.case import COMPARED, Case
 from diffdrive_mpc.bench.comparison.order import interval, order, order_table, reversed_pairs
@@ -19,9 +21,10 @@ from diffdrive_mpc.bench.comparison.results import ComparisonResults
 from diffdrive_mpc.bench.comparison.study import ComparisonStudy
 from diffdrive_mpc.bench.comparison.tables import side_by_side_table
 from diffdrive_mpc.bench.controllers import build, controller_config
+from diffdrive_mpc.bench.experiment import frame
 from diffdrive_mpc.bench.late_plant import LatePlant
 from diffdrive_mpc.bench.machine import describe_run
-from diffdrive_mpc.bench.outcomes import Outcome, Score
+from diffdrive_mpc.bench.run_row import Outcome, row_of
 from diffdrive_mpc.bench.study import write_report
 from diffdrive_mpc.sim import make_plant
 
@@ -88,18 +91,14 @@ def outcome() -> Outcome:
     return quick_outcome(trajectory="cane")
 
 
-def scores(outcome: Outcome, **errors: list[float]) -> list[Score]:
+def scores(outcome: Outcome, **errors: list[float]) -> DataFrame:
     """Controllers with these position RMSE [m] over two trajectories and as many seeds as it takes."""
-    plain = Score.of_outcome(outcome)
-    return [
-        replace(
-            plain,
-            case=Case(model=model, trajectory=("s", "cane")[i % 2], seed=i // 2),
-            metrics=replace(plain.metrics, position_rmse_m=error),
-        )
+    cases = [
+        (Case(model=model, trajectory=("s", "cane")[i % 2], seed=i // 2), error)
         for model, values in errors.items()
         for i, error in enumerate(values)
     ]
+    return frame(row_of(case, outcome.run) | {"position_rmse_m": error} for case, error in cases)
 
 
 def test_the_order_says_who_is_told_apart(outcome: Outcome) -> None:
@@ -146,9 +145,9 @@ def test_the_plants_own_model_explains_it_and_another_does_not() -> None:
 
 def test_the_table_holds_property_and_error_of_the_same_model_and_plant(outcome: Outcome) -> None:
     (found,) = measure_properties([outcome.case], 1)
-    (cells,) = property_table([found], [outcome]).rows
+    (cells,) = property_table([found], rows_of(outcome)).rows
     assert cells[:2] == ("SSM", "model:ssm, ideal, perfect")
-    assert float(cells[-1]) == pytest.approx(1e3 * outcome.metrics.position_rmse_m, abs=0.051)
+    assert float(cells[-1]) == pytest.approx(1e3 * outcome.run.metrics.position_rmse_m, abs=0.051)
 
 
 def test_a_rank_correlation_needs_a_few_points() -> None:
@@ -161,18 +160,19 @@ def test_a_rank_correlation_needs_a_few_points() -> None:
 
 
 def test_the_report_shows_and_holds_what_was_run_beyond_the_tables(outcome: Outcome, tmp_path: Path) -> None:
-    plain = Score.of_outcome(outcome)
-    late = replace(plain, case=replace(outcome.case, late=2))
-    fast = replace(plain, case=replace(outcome.case, top_speed=1.2))
+    case = outcome.case
+
+    def beyond(*cases: Case) -> DataFrame:
+        return frame(row_of(one, outcome.run) for one in cases)
+
     peer = quick_outcome(trajectory="cane", controller="kanayama", model="none")
     results = ComparisonResults(
         default_settings().model_copy(update={"seeds": (0,)}),
-        (outcome, peer),
-        (),
+        rows_of(outcome, peer),
         properties=tuple(measure_properties([outcome.case], 1)),
-        speed=(plain, fast),
-        dead_time=(plain, late),
-        other_seeds=(replace(plain, case=replace(outcome.case, seed=10)),),
+        speed=beyond(case, replace(case, top_speed=1.2)),
+        dead_time=beyond(case, replace(case, late=2)),
+        other_seeds=beyond(replace(case, seed=10)),
     )
     study = ComparisonStudy(results.settings)
     report = study.report(results, 1.0)
@@ -191,8 +191,8 @@ def test_the_report_shows_and_holds_what_was_run_beyond_the_tables(outcome: Outc
 def test_controllers_stand_side_by_side_path_by_path(outcome: Outcome) -> None:
     """Another path of another controller: where one did not drive there is a dash."""
     other = replace(outcome, case=replace(outcome.case, model="mbm", trajectory="s"))
-    table = side_by_side_table([outcome, replace(outcome, case=replace(outcome.case, seed=1)), other])
-    error = f"{1e3 * outcome.metrics.position_rmse_m:.1f}"
+    table = side_by_side_table(rows_of(outcome, replace(outcome, case=replace(outcome.case, seed=1)), other))
+    error = f"{1e3 * outcome.run.metrics.position_rmse_m:.1f}"
     assert table.columns == ("trajectory", outcome.case.model.upper(), "MBM")
     assert table.rows[0] == (outcome.case.trajectory, error, "-")
     assert table.rows[1] == ("s", "-", error)

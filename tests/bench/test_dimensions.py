@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 from bench_parts import quick_outcome
+from bench_parts import rows as rows_of
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
@@ -15,7 +16,7 @@ from diffdrive_mpc.bench.comparison.plan import default_settings, read_options
 from diffdrive_mpc.bench.comparison.results import ComparisonResults
 from diffdrive_mpc.bench.comparison.tables import path_table
 from diffdrive_mpc.bench.controllers import check_cases, load_reference
-from diffdrive_mpc.bench.outcomes import Outcome, by_driver
+from diffdrive_mpc.bench.run_row import driver_names
 from diffdrive_mpc.models.checked_yaml import ConfigError
 
 NAMES = ["controller", "model", "trajectory", "timing", "plant", "surface", "sensors", "scenario", "world", "seed"]
@@ -50,8 +51,8 @@ def test_an_option_chooses_its_values(of: Dimension) -> None:
 @pytest.mark.parametrize("of", PLACES, ids=lambda of: of.name)
 def test_a_place_is_part_of_the_name_where_it_varies(of: Dimension) -> None:
     outcome = quick_outcome(trajectory="cane", controller="kanayama", model="none")
-    other = Outcome(replace(outcome.case, **{of.name: "elsewhere"}), outcome.run)
-    assert list(by_driver([outcome, other])) == [f"kanayama, {outcome.case.labels[of.name]}", "kanayama, elsewhere"]
+    other = replace(outcome.case, **{of.name: "elsewhere"})
+    assert driver_names([outcome.case, other]) == [f"kanayama, {outcome.case.labels[of.name]}", "kanayama, elsewhere"]
 
 
 def test_combinations_vary_the_last_field_fastest() -> None:
@@ -77,14 +78,14 @@ def test_timing_makes_another_reference_of_a_trajectory() -> None:
 def test_rows_and_tables_tell_of_timing_and_smoothing_only_where_they_matter() -> None:
     plain, smooth = quick_outcome(trajectory="cane"), quick_outcome(trajectory="cane", timing="smooth")
     silent = default_settings()
-    rows = ComparisonResults(silent, (plain,), ()).rows()
+    rows = ComparisonResults(silent, rows_of(plain)).rows()
     assert not {"timing", "drawn_max_m"} & set(rows[0])
-    assert "drawn" not in path_table([plain]).markdown()
+    assert "drawn" not in path_table(rows_of(plain)).markdown()
     asked = silent.model_copy(update={"timings": ("file", "smooth")})
-    rows = ComparisonResults(asked, (plain, smooth), ()).rows()
+    rows = ComparisonResults(asked, rows_of(plain, smooth)).rows()
     assert [row["timing"] for row in rows] == ["file", "smooth"]
     assert rows[0]["drawn_max_m"] == 0.0
     assert 0.005 < rows[1]["drawn_rms_m"] * 2 < rows[1]["drawn_max_m"] * 2 <= 0.04
-    text = path_table([plain, smooth]).markdown()
+    text = path_table(rows_of(plain, smooth)).markdown()
     assert "reference to drawn path, max [m]" in text
     assert "SSM, smooth" in text

@@ -32,7 +32,7 @@ from diffdrive_mpc.bench.html_report.page import (
 )
 from diffdrive_mpc.bench.html_report.run_series import column, kept_ticks, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
-from diffdrive_mpc.bench.outcomes import Outcome
+from diffdrive_mpc.bench.run_row import Outcome
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from studies.documents.browser import opened_browser

@@ -12,11 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench_parts import quick_outcome
+from bench_parts import rows as rows_of
+from pandas import DataFrame
 
 from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.comparison.figures import draw_case, drawings
 from diffdrive_mpc.bench.comparison.plan import default_settings
-from diffdrive_mpc.bench.comparison.results import ComparisonResults, describe, incomplete, row
+from diffdrive_mpc.bench.comparison.results import ComparisonResults, describe, incomplete, json_row
 from diffdrive_mpc.bench.comparison.study import ComparisonStudy
 from diffdrive_mpc.bench.comparison.tables import (
     error_table,
@@ -29,7 +31,7 @@ from diffdrive_mpc.bench.comparison.tables import (
 )
 from diffdrive_mpc.bench.figure_style import file_name, free_name
 from diffdrive_mpc.bench.machine import describe_run
-from diffdrive_mpc.bench.outcomes import Outcome, by_driver
+from diffdrive_mpc.bench.run_row import Outcome, driver_names
 from diffdrive_mpc.bench.study import markdown, write_report
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.bench.timing import TimingPass
@@ -98,7 +100,7 @@ def results(outcome: Outcome) -> ComparisonResults:
     peer = quick_outcome(trajectory="cane", controller="kanayama", model="none")
     short = quick_outcome(trajectory="cane", overrides=(("horizon", 15),))
     settings = default_settings().model_copy(update={"seeds": (0,), "horizons": (15, 30)})
-    return ComparisonResults(settings, (outcome, peer), (short, outcome), TimingPass(0.9, 0.2, 1.4e-5))
+    return ComparisonResults(settings, rows_of(outcome, peer), rows_of(short, outcome), TimingPass(0.9, 0.2, 1.4e-5))
 
 
 def written(results: ComparisonResults, folder: Path, done: Callable[[], None] = lambda: None) -> dict[str, object]:
@@ -116,7 +118,7 @@ def text_of(results: ComparisonResults) -> str:
 
 
 def test_a_row_has_exactly_the_published_fields(outcome: Outcome) -> None:
-    values = row(outcome, SILENT)
+    values = json_row(outcome.row, SILENT)
     assert list(values) == list(FIELDS)
     for name, kind in FIELDS.items():
         assert type(values[name]) is kind, name
@@ -129,35 +131,37 @@ def test_the_ways_of_the_solver_are_shares_of_the_solved_ticks(outcome: Outcome)
     ways = ("none",) * 5 + ("osqp",) * 10 + ("daqp",) * 10 + ("active_set",) * 20 + ("unlimited",) * (ticks - 45)
     run = replace(outcome.run, solver_paths=ways)
     solved = np.count_nonzero(run.counted) - 5
-    values = row(Outcome(outcome.case, run), ["scenario"])
+    values = json_row(Outcome(outcome.case, run).row, ["scenario"])
     assert values["path_backend_percent"] == pytest.approx(100 * 20 / solved)
     assert values["path_active_set_percent"] == pytest.approx(100 * 20 / solved)
     assert values["path_unlimited_percent"] == pytest.approx(100 * (solved - 40) / solved)
     assert values["not_solved"] == 5
-    (cells,) = solver_table([Outcome(outcome.case, run)]).rows
+    (cells,) = solver_table(rows_of(Outcome(outcome.case, run))).rows
     assert cells[1:5] == (f"{100 * (solved - 40) / solved:.1f}", *(2 * [f"{2000 / solved:.1f}"]), "5")
-    peer = row(Outcome(outcome.case, replace(outcome.run, solver_paths=("none",) * ticks)), ["scenario"])
+    peer = json_row(Outcome(outcome.case, replace(outcome.run, solver_paths=("none",) * ticks)).row, ["scenario"])
     assert (peer["path_unlimited_percent"], peer["not_solved"]) == (None, solved + 5)
 
 
 def test_a_swept_value_is_added_to_its_row(outcome: Outcome) -> None:
     case = outcome.case.with_override("weights.across", 200.0)
-    assert row(Outcome(case, outcome.run), ["scenario"], with_settings=True)["set"] == {"weights.across": 200.0}
+    assert json_row(Outcome(case, outcome.run).row, ["scenario"], with_settings=True)["set"] == {
+        "weights.across": 200.0
+    }
 
 
 def test_a_scenario_is_added_to_its_row_only_where_scenarios_were_asked_for(outcome: Outcome) -> None:
-    added = [name for name in row(outcome, silent=("timing", "world")) if name not in FIELDS]
+    added = [name for name in json_row(outcome.row, silent=("timing", "world")) if name not in FIELDS]
     command = ["command_energy_v", "command_energy_omega", "command_rate_v", "command_rate_omega"]
     assert added == ["scenario", "ended", "disturbance_s", "recovery_time_s", "overshoot_m", *command]
 
 
 def test_what_lasts_has_no_end_and_no_recovery_in_its_row(outcome: Outcome) -> None:
     lasting = replace(outcome.run, disturbance=(0.0, math.inf))
-    values = row(Outcome(outcome.case, lasting), silent=())
+    values = json_row(Outcome(outcome.case, lasting).row, silent=())
     assert values["disturbance_s"] == [0.0, None]
     assert (values["recovery_time_s"], values["ended"]) == (None, None)
     assert values["overshoot_m"] == 0.0
-    (cells,) = scenario_table([Outcome(outcome.case, lasting)]).rows
+    (cells,) = scenario_table(rows_of(Outcome(outcome.case, lasting))).rows
     assert cells[2:4] == ("-", "-")
     assert cells[-2:] == ("-", "1/1")
 
@@ -167,8 +171,8 @@ def test_scenarios_stand_in_table_and_groups_and_a_run_that_never_recovers_has_n
     lost = replace(outcome.run, true_pose=away, disturbance=(1.0, 2.0))
     held = replace(outcome.run, disturbance=(1.0, 2.0))
     runs = [Outcome(replace(outcome.case, scenario="mine.yaml", seed=i), run) for i, run in enumerate((lost, held))]
-    assert list(by_driver([outcome, *runs])) == ["SSM, none", "SSM, mine"]
-    plain, mine = scenario_table([outcome, *runs]).rows
+    assert driver_names([outcome.case, *(one.case for one in runs)]) == ["SSM, none", "SSM, mine", "SSM, mine"]
+    plain, mine = scenario_table(rows_of(outcome, *runs)).rows
     assert plain[:5] == ("none", "SSM", "-", "-", "-")
     assert plain[-2:] == ("-", "1/1")
     assert mine[:4] == ("mine", "SSM", "∞", "∞")
@@ -178,7 +182,7 @@ def test_scenarios_stand_in_table_and_groups_and_a_run_that_never_recovers_has_n
 def test_what_cannot_be_computed_is_null(outcome: Outcome) -> None:
     broken = outcome.run.true_pose.copy()
     broken[5] = np.nan
-    values = row(Outcome(outcome.case, replace(outcome.run, true_pose=broken)), ["scenario"])
+    values = json_row(Outcome(outcome.case, replace(outcome.run, true_pose=broken)).row, ["scenario"])
     assert values["position_rmse_m"] is None
     assert values["completed"] is False
 
@@ -211,7 +215,7 @@ def test_a_figure_is_the_same_file_every_time(outcome: Outcome, tmp_path: Path) 
 def test_tables_show_means_over_runs_and_worst_cases(outcome: Outcome) -> None:
     worse = replace(outcome.run, true_pose=outcome.run.true_pose + np.array([0.02, 0.0, 0.0]))
     runs = [outcome, Outcome(replace(outcome.case, seed=1), worse)]
-    (cells,) = summary_table(runs).rows
+    (cells,) = summary_table(rows_of(*runs)).rows
     a, b = outcome.run.metrics, worse.metrics
     assert cells[0] == "SSM"
     assert float(cells[1]) == pytest.approx(0.5 * (a.position_rmse_m + b.position_rmse_m), abs=5e-5)
@@ -228,21 +232,21 @@ def test_times_are_those_of_undisturbed_ticks_and_a_row_that_has_others_is_marke
     times = np.full(len(outcome.run.time), 2e-3)
     times[: len(times) // 2] = np.nan  # disturbed whenever they were measured
     half = Outcome(outcome.case, outcome.run.with_step_time(times, times / 4), clean_share=0.5)
-    table = summary_table([half])
+    table = summary_table(rows_of(half))
     assert times_in(table) == ["0.50*", "0.50*", "2.00*", "2.00*"]
     assert "*: something else ran; 50.0 % of the ticks" in table.note
-    assert row(half, SILENT)["timed_clean_percent"] == 50.0
-    assert row(half, SILENT)["solve_time_p99_s"] == pytest.approx(5e-4)
+    assert json_row(half.row, SILENT)["timed_clean_percent"] == 50.0
+    assert json_row(half.row, SILENT)["solve_time_p99_s"] == pytest.approx(5e-4)
     whole = Outcome(outcome.case, outcome.run.with_step_time(np.full(len(times), 2e-3), np.full(len(times), 1e-3)))
-    assert times_in(summary_table([whole])) == ["1.00", "1.00", "2.00", "2.00"]
-    assert "*" not in summary_table([whole]).note
-    assert "*" not in "".join(time_table([whole]).rows[0])
+    assert times_in(summary_table(rows_of(whole))) == ["1.00", "1.00", "2.00", "2.00"]
+    assert "*" not in summary_table(rows_of(whole)).note
+    assert "*" not in "".join(time_table(rows_of(whole)).rows[0])
 
 
 def test_json_and_tables_hold_the_same_times(outcome: Outcome) -> None:
-    values = row(outcome, SILENT)
-    (cells,) = time_table([outcome]).rows
-    shown = dict(zip(time_table([outcome]).columns, cells, strict=True))
+    values = json_row(outcome.row, SILENT)
+    (cells,) = time_table(rows_of(outcome)).rows
+    shown = dict(zip(time_table(rows_of(outcome)).columns, cells, strict=True))
     for what, statistic in itertools.product(("solve", "step"), ("p50", "p95", "p99", "max")):
         written_ms = 1e3 * float(values[f"{what}_time_{statistic}_s"])  # type: ignore[arg-type]
         assert float(shown[f"{what} {statistic} [ms]"]) == pytest.approx(written_ms, abs=5.1e-4)
@@ -262,13 +266,14 @@ def test_the_horizon_table_is_sorted_by_horizon(results: ComparisonResults) -> N
 def test_the_horizon_table_says_where_it_was_measured(results: ComparisonResults) -> None:
     place = "plant model:ssm, surface ideal, sensors perfect, seed 0"
     assert place in horizon_table(results.horizon).note
-    runs = [Outcome(o.case.with_override("weights.across", 80), o.run) for o in results.horizon]
+    cases = [case.with_override("weights.across", 80) for case in results.horizon["case"]]
+    runs = rows_of(*(Outcome(case, run) for case, run in zip(cases, results.horizon["run"], strict=True)))
     assert f"{place.replace(', seed 0', '')}, weights.across=80, seed 0" in horizon_table(runs).note
 
 
 def test_a_trajectory_called_mean_keeps_its_row(outcome: Outcome) -> None:
     mean = Outcome(replace(outcome.case, trajectory="mean.yaml"), outcome.run)
-    assert [cells[1] for cells in error_table([outcome, mean]).rows] == ["cane", "mean", "mean"]
+    assert [cells[1] for cells in error_table(rows_of(outcome, mean)).rows] == ["cane", "mean", "mean"]
 
 
 def test_a_report_says_which_configuration_it_is_of(results: ComparisonResults, tmp_path: Path) -> None:
@@ -311,21 +316,21 @@ def test_a_report_of_peers_alone_names_no_model() -> None:
 
 def test_runs_of_ours_that_did_not_complete_are_complained_about(results: ComparisonResults) -> None:
     assert incomplete(results) is None
-    ours, peer = results.main
+    ours, peer = (Outcome(case, run) for case, run in zip(results.main["case"], results.main["run"], strict=True))
     stopped = replace(ours.run, true_pose=ours.run.true_pose + 1.0)
     assert not stopped.metrics.completed
-    complaint = incomplete(replace(results, main=(Outcome(ours.case, stopped), peer), horizon=()))
+    complaint = incomplete(replace(results, main=rows_of(Outcome(ours.case, stopped), peer), horizon=DataFrame()))
     assert complaint is not None
     assert complaint.startswith("1 of 1 runs of mpc did not complete, the first: ssm on cane, horizon 30, seed 0")
-    assert incomplete(replace(results, main=(ours, Outcome(peer.case, stopped)))) is None
+    assert incomplete(replace(results, main=rows_of(ours, Outcome(peer.case, stopped)))) is None
 
 
 def test_groups_name_only_what_varies(outcome: Outcome) -> None:
     slippery = Outcome(replace(outcome.case, surface="slippery"), outcome.run)
     swept = [Outcome(outcome.case.with_override("horizon", steps), outcome.run) for steps in (5, 10)]
-    assert list(by_driver([outcome])) == ["SSM"]
-    assert list(by_driver([outcome, slippery])) == ["SSM, ideal", "SSM, slippery"]
-    assert list(by_driver(swept)) == ["SSM, horizon=5", "SSM, horizon=10"]
+    assert driver_names([outcome.case]) == ["SSM"]
+    assert driver_names([outcome.case, slippery.case]) == ["SSM, ideal", "SSM, slippery"]
+    assert driver_names([one.case for one in swept]) == ["SSM, horizon=5", "SSM, horizon=10"]
 
 
 def test_results_replace_old_ones_and_leave_other_files(tmp_path: Path) -> None:
@@ -447,10 +452,11 @@ def test_no_figure_takes_the_name_of_another(outcome: Outcome, tmp_path: Path) -
     names = ("a_b.yaml", "a-b.yaml", "a b.yaml")
     main = tuple(Outcome(replace(outcome.case, trajectory=name), outcome.run) for name in names)
     settings = default_settings().model_copy(update={"seeds": (0,), "horizons": ()})
-    drawn = drawings(ComparisonResults(settings, main, ()))
+    drawn = drawings(ComparisonResults(settings, rows_of(*main)))
     for file, draw in drawn.items():
-        draw(tmp_path / file)
+        if callable(draw):
+            draw(tmp_path / file)
     expected = ["overview.png", "step-time.png", "ssm-a-b.png", "ssm-a-b-2.png", "ssm-a-b-3.png"]
     assert list(drawn) == expected
     assert len(drawn) == len(expected)
-    assert {path.name for path in tmp_path.iterdir()} == set(expected)
+    assert {path.name for path in tmp_path.iterdir()} == {name for name, draw in drawn.items() if callable(draw)}

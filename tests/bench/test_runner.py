@@ -63,7 +63,7 @@ def test_what_a_task_raises_is_raised(jobs: int) -> None:
 def test_a_process_that_dies_is_one_line_with_a_remedy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with pytest.raises(WorkerDiedError, match="ended from outside; try a smaller --jobs"):
         run_tasks([die, die], 2, lambda: None)
-    monkeypatch.setattr("diffdrive_mpc.bench.outcomes.Outcome.of", lambda case: die())
+    monkeypatch.setattr("diffdrive_mpc.bench.comparison.study._drive", lambda case, whole: die())
     arguments = "--quick --models ssm --trajectories cane,s --plant model:ssm --jobs 2"
     result = CliRunner().invoke(app, ["bench", "--out", str(tmp_path / "out"), *arguments.split()])
     assert result.exit_code == 1

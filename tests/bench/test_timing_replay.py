@@ -6,16 +6,18 @@ import gc
 import os
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from bench_parts import Arc, DisplacedUnicycle, quick_outcome
 
+from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.counters import CoreCounters, Effort
 from diffdrive_mpc.bench.errors import NotReproducibleError
-from diffdrive_mpc.bench.outcomes import run_cases
 from diffdrive_mpc.bench.peers import PeerStep
 from diffdrive_mpc.bench.peers.kanayama import KanayamaController
+from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.timing import quiet_core, replay, time_outcomes
 from diffdrive_mpc.bench.turns import BLOCK, COLD, TurnTimes
 from diffdrive_mpc.models.interface import FloatArray, Measurement, TrackingController
@@ -140,10 +142,9 @@ def test_the_quiet_core_is_given_back() -> None:
 def test_runs_do_not_depend_on_the_number_of_processes() -> None:
     cases = [quick_outcome(controller="kanayama", model="none", trajectory=name).case for name in ("circle", "s")]
     done: list[int] = []
-    alone, _ = run_cases(cases, 1, lambda: done.append(1))
-    together, _ = run_cases(cases, 2, lambda: done.append(1))
+    tasks = [partial(run_case, case) for case in cases]
+    alone, together = (run_tasks(tasks, jobs, lambda: done.append(1)) for jobs in (1, 2))
     assert len(done) == 4
     for one, other in zip(alone, together, strict=True):
-        assert one.case == other.case
-        assert np.array_equal(one.run.true_pose, other.run.true_pose)
-        assert np.array_equal(one.run.command, other.run.command)
+        assert np.array_equal(one.true_pose, other.true_pose)
+        assert np.array_equal(one.command, other.command)

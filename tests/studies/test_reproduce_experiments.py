@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from diffdrive_mpc.bench.outcomes import plain
+from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import load_robot

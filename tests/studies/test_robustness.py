@@ -8,25 +8,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tracking_parts import metrics, recovery
+from tracking_parts import recovery, statistics
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.conditions import load_conditions, market_cases
 from diffdrive_mpc.bench.controllers import case_config, controller_config, run_case, settings_of
-from diffdrive_mpc.bench.outcomes import SolverShares
+from diffdrive_mpc.bench.experiment import frame
+from diffdrive_mpc.bench.run_row import who_drives
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.load import ROBOT_NAMES
 from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.plants.drawn_robot import draw_robot
 from studies.cli import app
-from studies.robustness.market_tables import alarms_interval, market_tables, share_interval
-from studies.robustness.results import (
-    ConditionOutcome,
-    ratios,
-    run_condition,
-    study_tables,
-)
+from studies.robustness.results import alarms_interval, measured, ratios, share_interval, study_tables
 from studies.robustness.study import turns_on_the_spot
 
 CONDITIONS = load_conditions()
@@ -62,32 +57,46 @@ def test_a_peer_on_the_same_estimate_is_told_the_same_of_the_robot_and_others_no
     assert errors[0] != errors[1]
 
 
-def _row(condition: str, case: Case, error: float, **changes: object) -> ConditionOutcome:
-    of_metrics = {name: changes.pop(name) for name in ("completed", "stopped", "behind_max_s") if name in changes}
-    made = metrics(position_rmse_m=error, **{"behind_max_s": 0.0, "stopped": False} | of_metrics)  # type: ignore[arg-type]
-    back = replace(recovery(), command_rate_omega=changes.pop("command_rate_omega", 1.0))  # type: ignore[arg-type]
-    row = ConditionOutcome(condition, case, made, back, SolverShares(90.0, 10.0, 0.0, 0), 0.01, 1.0, "", "", 0.0)
-    return replace(row, **changes)  # type: ignore[arg-type]
+def _row(condition: str, case: Case, error: float, **changes: object) -> dict[str, object]:
+    rate = dict(case.overrides).get("monitor.false_alarm_rate", 0.02)
+    return {
+        "case": case,
+        "driver": who_drives(case),
+        **case.as_row(),
+        **statistics(position_rmse_m=error, behind_max_s=0.0),
+        **recovery(),
+        "recovery_command_rate_omega": 1.0,
+        "condition": condition,
+        "late_lateral_m": 0.01,
+        "heading_nees": 1.0,
+        "given_up": 0,
+        "within_room": True,
+        "rate": f"{rate:.2f}",
+        "ended": "",
+        "message": "",
+        "message_percent": 0.0,
+        "driven_s": 0.0,
+    } | changes
 
 
 def test_ratios_are_to_the_best_that_arrived_everywhere() -> None:
     ours, peer = Case(), Case(controller="kanayama", model="none")
     lost = _row("a", ours, 0.001, completed=False)
-    drivers = {"SSM": [lost, _row("a", ours, 0.003)], "kanayama": [_row("a", peer, 0.004)]}
-    assert ratios(drivers) == {"SSM": pytest.approx(0.5), "kanayama": 1.0}
-    assert all(math.isnan(ratio) for ratio in ratios({"SSM": [lost]}).values())
+    rows = [lost, _row("a", ours, 0.003), _row("a", peer, 0.004)]
+    assert ratios(frame(rows)) == {"SSM": pytest.approx(0.5), "kanayama": 1.0}
+    assert all(math.isnan(ratio) for ratio in ratios(frame([lost])).values())
 
 
 def test_tables_show_every_condition_and_what_was_said() -> None:
     ours, peer = Case(), Case(controller="kanayama", model="none")
     rows = [
-        _row("a", ours, 0.004, message="the reference waits", said_percent=40.0, behind_max_s=1.0),
-        _row("a", replace(ours, seed=1), 0.006, message="braking", said_percent=10.0, behind_max_s=2.0),
+        _row("a", ours, 0.004, message="the reference waits", message_percent=40.0, behind_max_s=1.0),
+        _row("a", replace(ours, seed=1), 0.006, message="braking", message_percent=10.0, behind_max_s=2.0),
         _row("a", peer, 0.010),
         _row("b", ours, 0.020, ended="tipped over", completed=False),
         _row("b", peer, 0.010),
     ]
-    errors, behind, said = study_tables(rows)
+    errors, behind, said = study_tables(frame(rows))
     assert errors.rows[0][:3] == ("a", "SSM", "5.0")
     assert errors.rows[0][-1] == "2/2"
     assert errors.rows[2][-1] == "0/1"
@@ -121,19 +130,19 @@ def test_intervals_are_those_of_the_textbook() -> None:
 def test_robots_of_the_market_are_counted_by_controller_and_alarms_by_rate() -> None:
     ours, often = Case(), Case(overrides=(("monitor.false_alarm_rate", 100.0),))
     rows = [
-        _row("market", ours, 0.004, driven_s=1800.0, command_rate_omega=1.0),
-        _row("market", ours, 0.006, driven_s=1800.0, command_rate_omega=2.0, stopped=True, given_up=1),
+        _row("market", ours, 0.004, driven_s=1800.0, recovery_command_rate_omega=1.0),
+        _row("market", ours, 0.006, driven_s=1800.0, recovery_command_rate_omega=2.0, stopped=True, given_up=1),
         _row("market", Case(controller="kanayama", model="none"), 0.010, completed=False),
         _row("market, 100/h", often, 0.004, driven_s=360.0, given_up=9),
         _row("ice", ours, 0.004),
     ]
-    robots, alarms = market_tables(rows)
+    *_, robots, alarms = study_tables(frame(rows))
     ssm = dict(zip(robots.columns, robots.rows[0], strict=True))
     assert (ssm["drives"], ssm["arrive"], ssm["stops"], ssm["sensors given up"]) == ("2", "2/2", "1", "1")
     assert ssm["rate of omega_ref [rad/s^2]"] == "1.50"
     assert robots.rows[1][:3] == ("kanayama", "1", "0/1")
     assert alarms.rows == (("0.02", "1.00", "1", "0.0", "0 to 0"), ("100.00", "0.10", "9", "10.0", "4 to 17"))
-    assert market_tables(rows[-1:]) == []
+    assert "Robots of the market" not in [table.title for table in study_tables(frame(rows[-1:]))]
 
 
 def test_a_study_of_the_market_repeats_and_drives_at_every_rate(tmp_path: Path) -> None:
@@ -169,22 +178,24 @@ def test_turning_the_other_way_on_a_slope_is_no_drift_of_the_poses(seed: int) ->
 def test_the_estimate_knows_how_good_its_heading_is(name: str) -> None:
     condition = CONDITIONS.conditions[name]
     paths = ("circle", "square", "s", "cane")
-    rows = [run_condition(name, condition.case("mpc", "ssm", path, 50), CONDITIONS.settled) for path in paths]
-    assert 0.3 < sum(row.heading_nees for row in rows) / len(rows) <= 2.0
+    cases = [condition.case("mpc", "ssm", path, 50) for path in paths]
+    found = [measured(CONDITIONS.settled, case, run_case(case))["heading_nees"] for case in cases]
+    assert 0.3 < sum(found) / len(found) <= 2.0  # type: ignore[arg-type]
 
 
 def test_poses_ten_times_noisier_than_stated_do_not_lead_astray() -> None:
-    row = run_condition("noise_5cm", CONDITIONS.conditions["noise_5cm"].case("mpc", "sm", "circle", 50), 2.0)
-    assert row.metrics.completed
+    case = CONDITIONS.conditions["noise_5cm"].case("mpc", "sm", "circle", 50)
+    run = run_case(case)
+    assert run.metrics.completed
     # Twice what is left once the scatter is known; 0.03 m where it is learned too late.
-    assert row.metrics.position_rmse_m < 0.03
-    assert row.late_lateral_m < 0.05
+    assert run.metrics.position_rmse_m < 0.03
+    assert measured(2.0, case, run)["late_lateral_m"] < 0.05  # type: ignore[operator]
 
 
 def test_a_robot_that_answers_late_is_not_taken_for_one_that_gets_no_faster() -> None:
-    row = run_condition("warthog", CONDITIONS.conditions["warthog"].case("mpc", "sm", "circle", 0), 2.0)
-    assert row.metrics.completed
-    assert row.metrics.lateral_max_m < 0.1
+    metrics = run_case(CONDITIONS.conditions["warthog"].case("mpc", "sm", "circle", 0)).metrics
+    assert metrics.completed
+    assert metrics.lateral_max_m < 0.1
 
 
 def test_a_small_study_runs_and_repeats(tmp_path: Path) -> None:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from opened_report import check_report
-from tracking_parts import made_up, row, tiny_study, write_made_up
+from tracking_parts import made_up, tiny_study, write_made_up
 from typer.testing import CliRunner
 
 from diffdrive_mpc.bench.contents import CONTENTS
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from studies.cli import app
 from studies.documents.documents import TRACKING, copy_report, sections, with_report
-from studies.tracking.outcome import collect
-from studies.tracking.plan import plan_study
-from studies.tracking.tables import study_tables
+from studies.tracking.study import TrackingStudy, load_study
 
 runner = CliRunner()
 
@@ -29,9 +26,13 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def tables(results=None):
+    shown = TrackingStudy(load_study(quick=True)).tables(made_up() if results is None else results)
+    return {table.title: table for table in shown}
+
+
 def test_every_part_has_its_tables_and_every_cell_is_filled():
-    tables = {table.title: table for part in study_tables(made_up()).values() for table in part}
-    assert list(tables) == [
+    assert list(tables()) == [
         "Targets",
         "Default surface and sensors",
         "Ablation",
@@ -41,52 +42,49 @@ def test_every_part_has_its_tables_and_every_cell_is_filled():
         "Scenarios",
         "Bound",
     ]
-    for table in tables.values():
+    for table in tables().values():
         assert table.rows
         assert all(cell for cells in table.rows for cell in cells)
 
 
 def test_the_diagonal_of_the_cross_table_is_marked():
-    (table,) = study_tables(made_up())["cross"]
+    table = tables()["Cross table"]
     marked = {
         (cells[0], column)
         for cells in table.rows
         for column, cell in zip(table.columns, cells, strict=True)
         if "*" in cell
     }
-    assert marked == {("SM", "plant SM [mm]"), ("SSM", "plant SSM [mm]")}
+    assert marked == {("SM", "plant model:sm [mm]"), ("SSM", "plant model:ssm [mm]")}
     assert "proves little" in table.note
 
 
 def test_what_is_left_is_ours_minus_the_bound():
-    (table,) = study_tables(made_up())["bound"]
+    table = tables()["Bound"]
     assert [cells[1] for cells in table.rows] == ["s", "cane", "mean"]
     for cells in table.rows:
         assert (cells[2], cells[-2], cells[-1]) == ("2.0", "8.0", "6.0")
 
 
 def test_the_ablation_has_every_variant_and_the_bound_on_every_surface():
-    results = made_up()
-    table, by_trajectory = study_tables(results)["ablation"]
-    variants = list(results.study.ablation.variants)
-    assert [cells[1] for cells in table.rows] == [*variants, "clairvoyant bound"]
-    assert [cells[1] for cells in by_trajectory.rows] == variants
+    variants = list(load_study(quick=True).variants)
+    assert [cells[1] for cells in tables()["Ablation"].rows] == [*variants, "clairvoyant bound"]
+    assert [cells[1] for cells in tables()["Ablation by trajectory"].rows] == variants
 
 
 def test_a_variant_is_told_by_its_values():
     """Each variant gets an error of its own; the table must give it back under the right name."""
-    results = made_up()
-    own = {name: 0.010 + 0.001 * k for k, name in enumerate(results.study.ablation.variants)}
-    by_values = {tuple(values.items()): name for name, values in results.study.ablation.variants.items()}
-    plan = plan_study(results.study, ["ablation"])
-    rows = [row(case, position_rmse_m=own[by_values[case.overrides]]) for case in plan.all]
-    table, _ = study_tables(collect(results.study, plan, rows))["ablation"]
-    assert {cells[1]: float(cells[3]) for cells in table.rows} == pytest.approx({n: 1e3 * e for n, e in own.items()})
+    study = load_study(quick=True)
+    own = {name: 0.010 + 0.001 * k for k, name in enumerate(study.variants)}
+    rows = made_up()
+    rows = rows.assign(position_rmse_m=rows["variant"].map(own).fillna(rows["position_rmse_m"]))
+    found = {cells[1]: float(cells[3]) for cells in tables(rows)["Ablation"].rows}
+    assert found == pytest.approx({name: 1e3 * error for name, error in own.items()} | {"clairvoyant bound": 2.0})
 
 
 def test_the_report_has_figures_and_every_run_once(report: Path):
     data = json.loads((report / "tracking.json").read_text())
-    assert len(data["runs"]) == len(made_up().all)
+    assert len(data["runs"]) == made_up()["case"].nunique()
     assert data["meta"]["revision"] == "abc"
     text = (report / "tracking.md").read_text()
     for name in ("ablation.png", "error-sources.png"):
@@ -132,7 +130,7 @@ def test_the_page_shows_every_part_of_the_report_between_its_markers(report: Pat
 def test_parts_that_were_not_run_say_so_and_their_figures_go(report: Path, tmp_path: Path):
     copy_report(TRACKING, report, tmp_path / "tracking")
     results = made_up()
-    part = replace(results, parts={"bound": results.parts["bound"]})
+    part = results[results["part"] == "bound"]
     (tmp_path / "out").mkdir()
     write_made_up(part, tmp_path / "out")
     copy_report(TRACKING, tmp_path / "out", tmp_path / "tracking")

@@ -8,17 +8,16 @@ from dataclasses import replace
 import pytest
 from tracking_parts import recovery, row
 
-from studies.tracking.plan import plan_study
-from studies.tracking.settings import load_study, load_targets
-from studies.tracking.tables import target_table
-from studies.tracking.verdicts import judge, worst_arc
+from diffdrive_mpc.bench.experiment import frame
+from studies.tracking.measured import load_targets, worst_arc
+from studies.tracking.study import judge, load_study, target_table
 
 STUDY = load_study(quick=True)
-CASES = plan_study(STUDY, ["targets"]).all
+CASES = [drive.case for drive in STUDY.drives(["targets"])["targets"]]
 
 
 def verdicts(change=lambda case: {}):
-    return {(v.what, v.where): v for v in judge([row(case, **change(case)) for case in CASES], STUDY)}
+    return {(v.what, v.where): v for v in judge(frame(row(case, **change(case)) for case in CASES))}
 
 
 def only(**conditions):
@@ -30,7 +29,7 @@ def test_runs_well_inside_every_target_reach_all_of_them():
     found = verdicts()
     assert len(found) == 5 + 2 + 3 + 4
     assert all(verdict.met for verdict in found.values())
-    assert all(set(verdict.reached) == set(STUDY.models) for verdict in found.values())
+    assert all(set(verdict.reached) == {"SM", "SSM"} for verdict in found.values())
 
 
 PLAIN = {"scenario": "none", "sensors": "default"}
@@ -55,19 +54,19 @@ PLAIN = {"scenario": "none", "sensors": "default"}
         ({"sensors": "slam", "trajectory": "s"}, {"fallbacks": 1}, "fallbacks", "slam sensors"),
         (
             {"scenario": "start_offset", "trajectory": "s"},
-            {"recovered": recovery(3.1, 0.01, 1.0, 1.0)},
+            recovery(3.1, 0.01, 1.0, 1.0),
             "longest recovery [s]",
             "start_offset",
         ),
         (
             {"scenario": "false_command", "trajectory": "s"},
-            {"recovered": recovery(1.0, 0.051, 1.0, 1.0)},
+            recovery(1.0, 0.051, 1.0, 1.0),
             "largest overshoot [m]",
             "false_command",
         ),
         (
             {"scenario": "false_command", "trajectory": "s"},
-            {"recovered": recovery(math.inf, math.nan, 1.0, 1.0)},
+            recovery(math.inf, math.nan, 1.0, 1.0),
             "longest recovery [s]",
             "false_command",
         ),
@@ -77,8 +76,8 @@ def test_one_model_beyond_a_limit_is_a_no_for_it_alone(where, changes, what, pla
     found = verdicts(lambda case: changes if only(model="sm", **where)(case) else {})
     verdict = found[what, place]
     assert not verdict.met
-    assert not verdict.met_by("sm")
-    assert verdict.met_by("ssm")
+    assert not verdict.met_by("SM")
+    assert verdict.met_by("SSM")
     others = {key for key, other in found.items() if not other.met} - {(what, place)}
     assert others <= {("position RMSE [m], the aim", "default"), ("largest overshoot [m]", place)}
     (cells,) = target_table([verdict]).rows
@@ -89,14 +88,14 @@ def test_one_model_beyond_a_limit_is_a_no_for_it_alone(where, changes, what, pla
 
 
 def test_a_value_at_the_limit_is_inside_it():
-    limit = load_targets().default.position_rmse
+    limit = next(one.limit for one in load_targets().targets if one.what == "position RMSE [m]")
     found = verdicts(lambda case: {"position_rmse_m": limit})
     assert found["position RMSE [m]", "default"].met
     assert not found["position RMSE [m], the aim", "default"].met
 
 
 def test_what_could_not_be_computed_reaches_nothing():
-    found = verdicts(lambda case: {"recovered": recovery(), "course_rmse_rad": math.nan})
+    found = verdicts(lambda case: {**recovery(), "course_rmse_rad": math.nan})
     assert not found["longest recovery [s]", "start_offset"].met
     assert not found["course RMSE [rad]", "default"].met
 
@@ -105,5 +104,5 @@ def test_the_worst_arc_is_the_largest_mean_over_seeds_whatever_its_side():
     case = CASES[0]
     other = replace(case, trajectory="cane")
     rows = [row(case, arcs=(0.001, -0.004)), row(case, arcs=(0.001, 0.002)), row(other, arcs=(0.0025,))]
-    assert worst_arc(rows) == pytest.approx(0.003)
-    assert math.isnan(worst_arc([row(case, arcs=())]))
+    assert worst_arc(frame(rows)) == pytest.approx(0.003)
+    assert math.isnan(worst_arc(frame([row(case, arcs=())])))

@@ -17,7 +17,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.world_plant import WorldPlant
 from diffdrive_mpc.sim.worlds.sight import Eyes, Seen, SeenDisc, SeenGrid
-from studies.worlds.results import collided, run_world
+from studies.worlds.results import measured
 from studies.worlds.settings import cases, load_settings
 from studies.worlds.stop_oracle import known_at, stop_was_possible
 from studies.worlds.study import WorldsStudy
@@ -85,11 +85,14 @@ def test_the_clock_of_a_peer_waits_and_its_collision_stop_stops(tmp_path: Path) 
     path = tmp_path / "wall.yaml"
     text = PERSON.replace("a person", "a wall") + "walls: [{start: [2, -1], end: [2, 1]}]\nreachable: false\n"
     path.write_text(text, encoding="utf-8")
-    outcome = run_world("named", Case(controller="rpp+stop", model="none", world=str(path)))
-    assert not collided(outcome) and not outcome.passage.arrived
+    case = Case(controller="rpp+stop", model="none", world=str(path))
+    run = run_case(case)
+    kept = measured(case, run)
+    assert run.passage is not None and not run.passage.arrived
+    assert (kept["collided"], kept["stood_still"]) == (False, True)
     # It projects its command 1 s ahead: at 0.5 m/s it stops within half a metre, and the front is 0.15 m ahead.
-    assert 0.0 < outcome.passage.clearance_m < 0.55
-    assert "would touch" in outcome.message
+    assert 0.0 < run.passage.clearance_m < 0.55
+    assert "would touch" in str(kept["last_message"])
 
 
 def test_distances_from_what_was_seen() -> None:
@@ -123,7 +126,7 @@ def test_the_study_writes_what_it_drove(tmp_path: Path) -> None:
     runs = {"crossing": 1, "doorway": 1}
     study = WorldsStudy(load_settings(), ("crossing", "doorway"), controllers=("rpp+stop",), model="ssm", runs=runs)
     rows = carry_out(study, tmp_path / "out", jobs=1)
-    assert [one.part for one in rows] == ["crossing", "doorway"]
+    assert list(rows["part"]) == ["crossing", "doorway"]
     found = json.loads((tmp_path / "out" / "worlds.json").read_text(encoding="utf-8"))
     assert [one["world"] for one in found["runs"]] == ["crossing", "doorway"]
     text = (tmp_path / "out" / "worlds.md").read_text(encoding="utf-8")

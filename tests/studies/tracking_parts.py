@@ -7,31 +7,29 @@ from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
+from pandas import DataFrame
 
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.outcomes import SolverShares
+from diffdrive_mpc.bench.experiment import frame
+from diffdrive_mpc.bench.run_row import SolverShares, who_drives
+from diffdrive_mpc.bench.spec import in_parts
 from diffdrive_mpc.bench.study import write_report
 from diffdrive_mpc.sim import Metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery
-from studies.tracking.outcome import ReducedOutcome, TrackingResults, collect
-from studies.tracking.plan import BOUND, plan_study
-from studies.tracking.settings import PARTS, load_study
-from studies.tracking.study import TrackingStudy
+from studies.tracking.measured import BOUND, is_plain
+from studies.tracking.study import TrackingStudy, load_study
 
 TINY = """
-models: [ssm]
-trajectories: [cane]
-targets: {seeds: [20], untuned_surfaces: [slippery], late_sensors: slam, scenarios: [none]}
-ablation:
-  models: [ssm]
-  surfaces: [default]
-  seeds: [20, 21]
-  variants: {as shipped: {}, no side-slip: {compensation.side_slip: false}}
-  drawn: [no side-slip, as shipped]
-cross: {plants: [sm, ssm], seeds: [20]}
-surfaces: {surfaces: [default], sensors: [default], seeds: [20]}
-scenarios: {names: [none], trajectories: [cane], seeds: [20]}
-bound: {surfaces: [default]}
+title: Tracking
+vary: {model: [ssm], trajectory: [cane], seed: [20]}
+variants: {as shipped: {}, no side-slip: {compensation.side_slip: false}}
+parts:
+  targets: [{surface: [default, slippery]}, {sensors: [slam]}]
+  ablation: [{variant: [as shipped, no side-slip], seed: [20, 21]}]
+  cross: [{plant: ["model:sm", "model:ssm"]}]
+  surfaces: [{surface: [default]}]
+  scenarios: [{scenario: [none]}]
+  bound: [{controller: [clairvoyant], model: [none], sensors: [perfect], seed: [0]}]
 """
 
 
@@ -54,7 +52,7 @@ def case(**changes: object) -> Case:
     return Case(**{**values, **changes})  # type: ignore[arg-type]
 
 
-def metrics(**changes: float) -> Metrics:
+def statistics(**changes: object) -> dict[str, object]:
     """Every error well inside every target."""
     values: dict[str, object] = {field.name: 0.001 for field in fields(Metrics)}
     values |= {
@@ -65,38 +63,37 @@ def metrics(**changes: float) -> Metrics:
         "fallbacks": 0,
         "in_band_percent": 100.0,
     }
-    return Metrics(**{**values, **changes})  # type: ignore[arg-type]
+    shares = SolverShares(90.0, 10.0, 0.0, 0)
+    return values | {field.name: getattr(shares, field.name) for field in fields(SolverShares)} | changes
 
 
 def recovery(
     time: float = math.nan, overshoot: float = math.nan, energy_v: float = math.nan, energy_omega: float = math.nan
-) -> Recovery:
-    return Recovery(time, overshoot, 0.001, energy_v, energy_omega, 0.0, 0.0)
+) -> dict[str, float]:
+    """Columns of the recovery."""
+    of = Recovery(time, overshoot, 0.001, energy_v, energy_omega, 0.0, 0.0)
+    return {f"recovery_{one.name.removeprefix('recovery_')}": getattr(of, one.name) for one in fields(Recovery)}
 
 
-def row(
-    of: Case,
-    *,
-    arcs: tuple[float, ...] = (0.001,),
-    late_lateral_m: float = 0.01,
-    recovered: Recovery | None = None,
-    across: np.ndarray | None = None,
-    **changes: float,
-) -> ReducedOutcome:
+def row(of: Case, *, arcs: tuple[float, ...] = (0.001,), across: np.ndarray | None = None, **changes: object) -> dict:
     """A row of 100 ticks, of which the second half is a steady arc; 1 mm to the left by default."""
     n = 100
-    return ReducedOutcome(
-        case=of,
-        metrics=metrics(**changes),
-        arcs=arcs,
-        late_lateral_m=late_lateral_m,
-        shares=SolverShares(90.0, 10.0, 0.0, 0),
-        recovery=recovered or recovery(1.0, 0.01, 3.0, 2.0),
-        time=0.02 * np.arange(n),
-        along=np.zeros(n),
-        across=np.full(n, 0.001) if across is None else across,
-        steady=np.arange(n) >= n // 2,
-    )
+    made = {
+        "case": of,
+        "driver": who_drives(of),
+        **of.as_row(),
+        **statistics(),
+        **recovery(1.0, 0.01, 3.0, 2.0),
+        "plain": is_plain(of),
+        "arcs": np.array(arcs),
+        "late_lateral_m": 0.01,
+        "time": 0.02 * np.arange(n),
+        "along": np.zeros(n),
+        "across": np.full(n, 0.001) if across is None else across,
+        "steady": np.arange(n) >= n // 2,
+        "series": None,
+    } | changes
+    return made | {"lost": not made["completed"]}
 
 
 META: dict[str, object] = {
@@ -108,15 +105,15 @@ META: dict[str, object] = {
 }
 
 
-def made_up() -> TrackingResults:
-    """A whole study of rows that were never driven: 8 mm for the bound's peers, 2 mm for the bound."""
-    study = load_study(quick=True)
-    plan = plan_study(study, PARTS)
-    rows = [row(one, position_rmse_m=0.002 if one.controller == BOUND else 0.008) for one in plan.all]
-    return collect(study, plan, rows)
+def made_up() -> DataFrame:
+    """A whole study of rows that were never driven: 8 mm, 2 mm for the bound."""
+    plan = load_study(quick=True).drives()
+    cases = dict.fromkeys(drive.case for drives in plan.values() for drive in drives)
+    rows = [row(one, position_rmse_m=0.002 if one.controller == BOUND else 0.008) for one in cases]
+    return in_parts(frame(rows), plan)
 
 
-def write_made_up(results: TrackingResults, folder: Path) -> None:
-    study = TrackingStudy(results.study)
+def write_made_up(results: DataFrame, folder: Path) -> None:
+    study = TrackingStudy(load_study(quick=True))
     report = study.report(results, 1.0)
     write_report(study, report, META | report.meta, folder)

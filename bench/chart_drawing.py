@@ -1,0 +1,140 @@
+"""Draw the charts of a report as a picture, from the description that its page is drawn from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+
+from diffdrive_mpc.bench.figure_style import ERROR_MAP, MARKERS, REFERENCE_COLOUR, colour, line_style, new_figure
+from diffdrive_mpc.bench.html_report.page import Chart, GridMap, Series
+from diffdrive_mpc.models.interface import FloatArray
+
+_WIDTH, _HEIGHT, _LEGEND_ROW = 4.6, 3.4, 0.22
+"""Of a chart, and of each row of names below it [inches]."""
+_NAMES_IN_A_ROW = 3
+HATCHES = ("", "//", "..", "\\\\", "xx", "--", "++")
+_BARS = 0.84
+"""Width of all bars of a category, of the distance between two."""
+
+
+def draw_charts(charts: Sequence[Chart | GridMap], path: Path, width: float = _WIDTH) -> None:
+    """Draw charts of a width [inches] side by side into the PNG file `path`; their names stand below, once."""
+    names = {one.name: None for chart in charts if isinstance(chart, Chart) for one in chart.series}
+    rows = -(-len(names) // (_NAMES_IN_A_ROW * len(charts))) if len(names) > 1 else 0
+    with new_figure(path, width * len(charts), _HEIGHT + _LEGEND_ROW * rows) as figure:
+        panels = figure.subplots(1, len(charts), squeeze=False)[0]
+        for axes, chart in zip(panels, charts, strict=True):
+            if isinstance(chart, GridMap):
+                shown = draw_map(axes, chart)
+                figure.colorbar(shown, ax=axes, label=chart.unit)
+            else:
+                draw_chart(axes, chart)
+            axes.set_title(chart.title)
+        handles: dict[str, Any] = {}
+        for axes in panels:
+            found, labels = axes.get_legend_handles_labels()
+            handles |= dict(zip(labels, found, strict=True))
+        if rows:
+            columns = min(len(names), _NAMES_IN_A_ROW * len(charts))
+            figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns)
+
+
+def draw_chart(axes: Axes, chart: Chart) -> None:
+    """Draw the series of a chart, and its marks; without its title."""
+    categories = _categories(chart)
+    bars = [one for one in chart.series if one.kind in ("bars", "rows")]
+    for series in chart.series:
+        if series.kind in ("bars", "rows"):
+            _draw_bars(axes, series, bars.index(series), len(bars), categories)
+        else:
+            _draw_points(axes, series, categories)
+    if chart.series and chart.series[0].kind == "rows":
+        axes.set_yticks(range(len(categories)), categories)
+        axes.invert_yaxis()
+    elif categories:
+        turned = 20 if sum(map(len, categories)) > 40 else 0
+        axes.set_xticks(range(len(categories)), categories, rotation=turned, ha="right" if turned else "center")
+    for axis, scale in ((chart.x, axes.set_xscale), (chart.y, axes.set_yscale)):
+        if axis.type == "log":
+            scale("log")
+    for mark in chart.marks:
+        line = axes.axvline if mark.upright else axes.axhline
+        line(mark.value, color=REFERENCE_COLOUR, linestyle=":", linewidth=1.0)
+        place = (mark.value, 1.0) if mark.upright else (1.0, mark.value)
+        coordinates = ("data", "axes fraction") if mark.upright else ("axes fraction", "data")
+        corner: Any = {"ha": "left", "va": "top"} if mark.upright else {"ha": "right", "va": "bottom"}
+        axes.annotate(mark.text, place, (2, -2 if mark.upright else 1), coordinates, "offset points", **corner)
+    axes.set(xlabel=chart.x.title, ylabel=chart.y.title)
+    if chart.y.range is not None:
+        axes.set_ylim(chart.y.range)
+    elif chart.y.type == "linear" and axes.get_ylim()[0] > 0.0:
+        axes.set_ylim(bottom=0.0)
+
+
+def draw_map(axes: Axes, chart: GridMap) -> Any:  # noqa: ANN401 - what a colour bar is made of
+    """Draw a map with logarithmic colours and a cross where the chart has one; gives the coloured mesh."""
+    values = _numbers([value for row in chart.values for value in row]).reshape(len(chart.values), -1)
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    norm = LogNorm(low, max(high, 1.001 * low))
+    mesh = axes.pcolormesh(chart.x.values, chart.y.values, values, norm=norm, cmap=ERROR_MAP, shading="nearest")
+    for row, column in np.argwhere(np.array(chart.crossed)):
+        axes.plot(chart.x.values[column], chart.y.values[row], "X", color="white", markeredgecolor="black")
+    axes.set(xlabel=chart.x.title, ylabel=chart.y.title, xscale=chart.x.type, yscale=chart.y.type)
+    axes.grid(visible=False)
+    return mesh
+
+
+def _categories(chart: Chart) -> list[str]:
+    """Names along the axis that has names in place of numbers, in the order of first appearance."""
+    rows = any(one.kind == "rows" for one in chart.series)
+    if not rows and chart.x.type != "category":
+        return []
+    named = (value for one in chart.series for value in (one.y if rows else one.x))
+    return list(dict.fromkeys(map(str, named)))
+
+
+def _draw_bars(axes: Axes, series: Series, place: int, count: int, categories: Sequence[str]) -> None:
+    width = _BARS / count
+    names, lengths = (series.y, series.x) if series.kind == "rows" else (series.x, series.y)
+    at = np.array([categories.index(str(name)) for name in names]) + (place - (count - 1) / 2) * width
+    values = np.nan_to_num(_numbers(lengths))
+    look: dict[str, Any] = {
+        "color": colour(series.style),
+        "hatch": HATCHES[series.style % len(HATCHES)],
+        "edgecolor": "white",
+        "alpha": 0.85,
+        "label": series.name,
+    }
+    ends = _interval(series, values)
+    if series.kind == "rows":
+        axes.barh(at, values, 0.92 * width, xerr=ends, **look)
+        axes.grid(axis="y", visible=False)
+    else:
+        axes.bar(at, values, 0.92 * width, yerr=ends, capsize=2, **look)
+        axes.grid(axis="x", visible=False)
+
+
+def _draw_points(axes: Axes, series: Series, categories: Sequence[str]) -> None:
+    x = [categories.index(str(value)) for value in series.x] if categories else _numbers(series.x)
+    y = _numbers(series.y)
+    look: dict[str, Any] = {"color": colour(series.style), "label": series.name}
+    look["linestyle"] = "none" if series.kind == "points" else line_style(series.style)
+    if series.kind != "line":
+        look |= {"marker": MARKERS[series.style % len(MARKERS)], "markersize": 4}
+    axes.errorbar(x, y, yerr=_interval(series, y), capsize=3, **look)
+
+
+def _interval(series: Series, values: FloatArray) -> FloatArray | None:
+    """(2, n) how far the interval reaches below and above each value; None without one."""
+    if not len(series.low):
+        return None
+    return np.asarray(np.abs([values - _numbers(series.low), _numbers(series.high) - values]))
+
+
+def _numbers(values: Sequence[float | str | None]) -> FloatArray:
+    return np.array([np.nan if value is None else float(value) for value in values])

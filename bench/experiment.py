@@ -1,0 +1,129 @@
+"""Drive many cases, one row a run, and group the rows; pandas holds them."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+import pandas as pd
+from pandas import DataFrame
+
+from diffdrive_mpc.bench.case import Case
+from diffdrive_mpc.bench.controllers import run_case
+from diffdrive_mpc.bench.plain_values import plain
+from diffdrive_mpc.bench.run_row import CLOCK, Row, driver_names, row_of
+from diffdrive_mpc.bench.runner import OnDone, run_tasks
+from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.sim import Run
+
+Measure = Callable[[Case, Run], Mapping[str, object]]
+"""Further columns of a run, worked out where it was driven; the run itself is not kept."""
+PROCESSOR = "processor_s"
+"""Column of the processor time of a run [s]."""
+COMPARED = "compared"
+"""Grouping by it tells controllers apart by all that varies among the rows, see `bench.run_row.driver_names`."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A run of an experiment: the case, and labels that become columns beside its dimensions."""
+
+    case: Case
+    labels: Mapping[str, object] = field(default_factory=dict)
+
+
+def drive_all(
+    drives: Sequence[Drive],
+    jobs: int,
+    on_done: OnDone,
+    measure: Measure | None = None,
+    run_one: Callable[[Case], Run] = run_case,
+) -> DataFrame:
+    """Drive everything in `jobs` processes, see `bench.runner.run_tasks`; one row a run, in order.
+
+    Parameters
+    ----------
+    drives
+        What to drive.
+    jobs, on_done
+        As `run_tasks` takes them.
+    measure
+        Gives further columns of a run.
+    run_one
+        Drives a case.
+    """
+    return frame(run_tasks([partial(_row, drive, measure, run_one) for drive in drives], jobs, on_done))
+
+
+def _row(drive: Drive, measure: Measure | None, run_one: Callable[[Case], Run]) -> Row:
+    began = time.process_time()
+    run = run_one(drive.case)
+    cost = {PROCESSOR: time.process_time() - began}
+    return row_of(drive.case, run) | cost | dict(drive.labels) | (dict(measure(drive.case, run)) if measure else {})
+
+
+def frame(rows: Iterable[Row]) -> DataFrame:
+    """Rows as a table; arrays and cases stay what they are."""
+    return DataFrame(list(rows))
+
+
+def joined(*parts: DataFrame) -> DataFrame:
+    """Several tables below each other; empty ones are left out, and a case that comes again."""
+    filled = [part for part in parts if len(part)]
+    return pd.concat(filled, ignore_index=True).drop_duplicates("case") if filled else DataFrame()
+
+
+def values(rows: DataFrame, column: str) -> FloatArray:
+    """(runs,) the numbers of a column; what is not known is NaN."""
+    return np.asarray(rows[column].to_numpy(dtype=float)) if len(rows) else np.zeros(0)
+
+
+def mean(rows: DataFrame, column: str) -> float:
+    """Mean of a column over runs; NaN without runs, and where one of them could not compute it."""
+    found = values(rows, column)
+    return float(np.mean(found)) if found.size else math.nan
+
+
+def total(rows: DataFrame, column: str) -> int:
+    """Sum over runs of a column that counts, or that is true or not."""
+    return int(values(rows, column).sum())
+
+
+def by(rows: DataFrame, column: str) -> dict[str, DataFrame]:
+    """Rows by the value of a column, or by what is `COMPARED`, in the order of first appearance."""
+    if not len(rows):
+        return {}
+    if column == COMPARED:
+        rows = rows.assign(compared=driver_names(list(rows["case"])))
+    return {str(name): part for name, part in rows.groupby(column, sort=False, dropna=False)}
+
+
+def nested(rows: DataFrame, *columns: str) -> list[tuple[tuple[str, ...], DataFrame]]:
+    """Groups by several columns, the first varying most slowly."""
+    if not columns:
+        return [((), rows)]
+    first, *rest = columns
+    return [((name, *names), part) for name, own in by(rows, first).items() for names, part in nested(own, *rest)]
+
+
+def with_mean(rows: DataFrame, column: str) -> list[tuple[str, DataFrame]]:
+    """Rows by a column, and where there are several groups, below them everything under "mean"."""
+    parts = list(by(rows, column).items())
+    return [*parts, ("mean", rows)] if len(parts) > 1 else parts
+
+
+def json_rows(rows: DataFrame, digits: int = 6) -> list[Row]:
+    """Rows as plain values: without what the clock says, runs and arrays, and with the configuration under "set"."""
+    kept = [name for name in rows if name not in ("case", "run", PROCESSOR) and not str(name).startswith(CLOCK)]
+    return [
+        plain(
+            {name: row[name] for name in kept if not isinstance(row[name], (np.ndarray, dict))}
+            | {"set": dict(row["case"].overrides)},
+            digits,
+        )
+        for row in rows.to_dict("records")
+    ]

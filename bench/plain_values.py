@@ -1,0 +1,35 @@
+"""Values as JSON takes them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+
+def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401 - whatever JSON takes
+    """Turn dataclasses, settings, mappings, sequences and arrays into dicts, lists and numbers; not finite is None.
+
+    Parameters
+    ----------
+    value
+        What is to be written.
+    digits
+        Significant digits of every number that is not whole; None for all of them.
+    """
+    if isinstance(value, BaseModel):
+        value = value.model_dump(mode="json")
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = {of.name: getattr(value, of.name) for of in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry, digits) for key, entry in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [plain(entry, digits) for entry in value]
+    if isinstance(value, (float, np.floating)):
+        number = float(value) if digits is None else float(f"{value:.{digits}g}")
+        return number if math.isfinite(number) else None
+    return value

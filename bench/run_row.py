@@ -1,0 +1,131 @@
+"""The row of a run: everything that tables, figures, JSON and Parquet say of it, by column."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from diffdrive_mpc.bench.case import DIMENSIONS, Case
+from diffdrive_mpc.models.function_structure import function_structures
+from diffdrive_mpc.models.structures.registry import STRUCTURES
+from diffdrive_mpc.mpc import Trajectory
+from diffdrive_mpc.sim import Run
+from diffdrive_mpc.sim.run import NO_SOLVER
+
+Row = dict[str, Any]
+CLOCK = ("step_time", "solve_time", "deadline")
+"""Beginnings of the columns that differ when a run is repeated."""
+STATISTICS = "true pose against the reference, from t = 0 to the end of the reference, no settling time added"
+
+
+@dataclass(frozen=True)
+class SolverShares:
+    """Which method the solver took, in shares of the solved ticks [%], and at how many ticks nothing was solved.
+
+    Unlimited: no limit was active. Active set: the limits that were guessed were proven. Backend: OSQP or DAQP solved
+    it. NaN where nothing was solved.
+    """
+
+    path_unlimited_percent: float
+    path_active_set_percent: float
+    path_backend_percent: float
+    not_solved: int
+
+    @classmethod
+    def of(cls, run: Run) -> SolverShares:
+        """Over the ticks of `run` that the statistics cover."""
+        paths = Counter(path for path, counted in zip(run.solver_paths, run.counted, strict=True) if counted)
+        solved = paths.total() - paths[NO_SOLVER]
+
+        def share(*methods: str) -> float:
+            return 100.0 * sum(paths[method] for method in methods) / solved if solved else math.nan
+
+        return cls(share("unlimited"), share("active_set"), share("osqp", "daqp"), paths[NO_SOLVER])
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A case and all of its run.
+
+    Where it was timed, `clean_share` is the share of its ticks that could be measured undisturbed; the times of the
+    others are NaN, unless those of all controllers were kept, see `bench.timing.time_outcomes`.
+    """
+
+    case: Case
+    run: Run
+    clean_share: float = 1.0
+
+    @property
+    def row(self) -> Row:
+        """The row of the run; in it are also the run, the clean share, and how far the path is from the drawn one."""
+        times, reference = self.run.time[self.run.counted], self.run.reference
+        distance = reference.drawn_distance(times) if isinstance(reference, Trajectory) else np.zeros(times.size)
+        return row_of(self.case, self.run) | {
+            "horizon": self.case.horizon,
+            "run": self.run,
+            "clean_share": self.clean_share,
+            "drawn_max_m": float(distance.max()),
+            "drawn_rms_m": float(np.sqrt(np.mean(distance**2))),
+        }
+
+
+def row_of(case: Case, run: Run) -> Row:
+    """The row of a run: the case, who drove, the dimensions of the case, and `run_columns`."""
+    return {"case": case, "driver": who_drives(case)} | case.as_row() | run_columns(run)
+
+
+def statistics_of(run: Run, *, timed: bool = True) -> Row:
+    """Metrics and shares of the solver; without the columns of the clock where it was not `timed`."""
+    values = asdict(run.metrics) | asdict(SolverShares.of(run))
+    return {name: value for name, value in values.items() if timed or not name.startswith(CLOCK)}
+
+
+def run_columns(run: Run) -> Row:
+    """Statistics, recovery, passage through a world, how it ended, and what the controller said most often."""
+    messages = Counter(message for message in run.messages if message)
+    passage = {} if run.passage is None else asdict(run.passage)
+    return {
+        **statistics_of(run),
+        "driven_s": float(run.time[-1]),
+        "ended": run.ended,
+        "last_mode": run.modes[-1],
+        "message": messages.most_common(1)[0][0] if messages else "",
+        "message_percent": 100.0 * messages.total() / len(run.messages),
+        **{f"recovery_{name.removeprefix('recovery_')}": value for name, value in asdict(run.recovery).items()},
+        **{f"passage_{name}": value for name, value in passage.items()},
+    }
+
+
+def who_drives(case: Case) -> str:
+    """Model of the predictive controller, or name of a peer."""
+    labels = case.labels
+    return model_name(labels["model"]) if labels["controller"] == "mpc" else labels["controller"]
+
+
+def model_name(name: str) -> str:
+    """Name of a model as the papers write it, or that of the user's file."""
+    if name in STRUCTURES:
+        return name.upper()
+    return {one.name: one.title for one in function_structures().values()}.get(name, name)
+
+
+def driver_names(cases: Sequence[Case]) -> list[str]:
+    """What is compared among several cases: controller and model, and place and settings where they vary.
+
+    The names of a dimension that does not vary are left out, and so is "mpc" beside the name of its model.
+    """
+    labels = [case.labels for case in cases]
+    varying = [one for one in DIMENSIONS if one.place and len({of[one.name] for of in labels}) > 1]
+    several = len({case.overrides for case in cases if case.controller == "mpc"}) > 1
+    names = []
+    for case, of in zip(cases, labels, strict=True):
+        parts = [who_drives(case)]
+        parts += [of[one.name] if one.kind is str else f"{one.name}={of[one.name]}" for one in varying]
+        parts += [f"{key}={value}" for key, value in case.overrides] if several else []
+        names.append(", ".join(parts))
+    return names

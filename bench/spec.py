@@ -1,0 +1,146 @@
+"""An experiment as a file states it: what varies, in which parts, and which tables show it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+from pandas import DataFrame
+from pydantic import Field
+
+from diffdrive_mpc.bench.case import DIMENSIONS, Case, check_count
+from diffdrive_mpc.bench.cells import Cell, TableSpec
+from diffdrive_mpc.bench.controllers import CONTROLLERS, check_cases, run_case
+from diffdrive_mpc.bench.experiment import Drive, Measure, drive_all, json_rows
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.run_row import STATISTICS
+from diffdrive_mpc.bench.study import Report, Study, check_parts
+from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.sim import Run
+
+Value = bool | int | float | str
+Varied = dict[str, Annotated[tuple[Value, ...], Field(min_length=1)]]
+"""Values of dimensions of `bench.case.Case`, of configuration values by dotted key, and of `variant`."""
+VARIANT = "variant"
+_DIMENSIONS = {one.name for one in DIMENSIONS}
+
+
+class Experiment(StrictModel):
+    """What is driven and what is shown of it."""
+
+    title: str = Field(description="heading of the report")
+    vary: Varied = Field({}, description="values for every part that does not state its own; the last varies fastest")
+    variants: dict[str, dict[str, Value]] = Field({}, description="configuration values under the name of a variant")
+    parts: dict[str, tuple[Varied, ...]] = Field(description="blocks of each part: every combination of its values")
+    tables: dict[str, TableSpec] = Field({}, description="tables of the report, in order")
+
+    def drives(self, only: Sequence[str] = ()) -> dict[str, list[Drive]]:
+        """What each part drives, all of them or those that are named.
+
+        Raises ConfigError if there is no such part, variant or configuration value, ValueError where there are too
+        many runs.
+        """
+        check_parts(only, tuple(self.parts))
+        chosen = {name: blocks for name, blocks in self.parts.items() if not only or name in only}
+        return {name: [drive for block in blocks for drive in self._block(block)] for name, blocks in chosen.items()}
+
+    def _block(self, block: Varied) -> list[Drive]:
+        listed = {name: values for name, values in block.items() if name not in self.vary}
+        listed |= {name: block.get(name, values) for name, values in self.vary.items()}
+        check_count(math.prod(map(len, listed.values())))
+        return [self._drive(dict(zip(listed, one, strict=True))) for one in itertools.product(*listed.values())]
+
+    def _drive(self, values: dict[str, Value]) -> Drive:
+        variant = values.pop(VARIANT, None)
+        if variant is not None and variant not in self.variants:
+            raise ConfigError(f"variants: there is no '{variant}'; known: {', '.join(self.variants)}")
+        overrides = {} if variant is None else dict(self.variants[str(variant)])
+        overrides |= {name: value for name, value in values.items() if name not in _DIMENSIONS}
+        dimensions = {name: value for name, value in values.items() if name in _DIMENSIONS}
+        labels = {} if variant is None else {VARIANT: variant}
+        return Drive(Case(**dimensions, overrides=tuple(overrides.items())), labels)  # type: ignore[arg-type]
+
+
+def load_experiment(file: str | Path) -> Experiment:
+    """Read an experiment; raises ConfigError when its file has a mistake."""
+    return load_checked(Experiment, file)
+
+
+Drives = dict[str, list[Drive]]
+
+
+class SpecStudy(Study[Drives, DataFrame]):
+    """An experiment as a study; a subclass adds what only it measures, and figures.
+
+    Parameters
+    ----------
+    experiment
+        What is driven and shown.
+    only
+        Parts to drive; none for all.
+    measure, run_one
+        As `bench.experiment.drive_all` takes them.
+    """
+
+    name: ClassVar[str] = "experiment"
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        only: Sequence[str] = (),
+        measure: Measure | None = None,
+        run_one: Callable[[Case], Run] = run_case,
+    ) -> None:
+        self.experiment, self._only, self._measure, self._run_one = experiment, only, measure, run_one
+        self.title = experiment.title  # type: ignore[misc]
+
+    def plan(self) -> Drives:
+        """What each part drives; raises ConfigError or ValueError if one of the runs cannot be driven."""
+        plan = self.experiment.drives(self._only)
+        check_cases(drive.case for drives in plan.values() for drive in drives if drive.case.controller in CONTROLLERS)
+        return plan
+
+    def run(self, plan: Drives, jobs: int, bar: ProgressBar) -> DataFrame:
+        """Drive every case once; the rows have a column `part`, and a run that belongs to several has a row in each."""
+        drives = {drive.case: drive for listed in plan.values() for drive in listed}
+        bar.begin(f"driving, {jobs} at a time", len(drives))
+        rows = drive_all(list(drives.values()), jobs, bar.advance, self._measure, self._run_one)
+        return in_parts(rows, plan)
+
+    def tables(self, rows: DataFrame) -> list[Table]:
+        """Everything that the report shows in tables."""
+        return self.stated_tables(rows, {})
+
+    def stated_tables(self, rows: DataFrame, cells: Mapping[str, Cell]) -> list[Table]:
+        """The tables of the experiment whose parts were driven; `cells` are those that have a name of their own."""
+        shown = []
+        for spec in self.experiment.tables.values():
+            own = rows[rows["part"].isin(spec.part)] if spec.part else rows
+            if len(own) and (not spec.part or spec.part[0] in set(own["part"])):
+                shown.append(spec.table(own.reset_index(drop=True), cells))
+        return shown
+
+    def report(self, results: DataFrame, seconds: float) -> Report:
+        """Tables and every row."""
+        rows = results.drop_duplicates("case")
+        return Report(
+            counted=f"{len(rows)} runs",
+            meta={"statistics": STATISTICS, "experiment": self.experiment},
+            content={"runs": json_rows(rows.drop(columns="part"))},
+            facts=[f"{len(rows)} runs in {seconds} s."],
+            notes=[f"Errors: {STATISTICS}."],
+            tables=self.tables(results),
+        )
+
+
+def in_parts(rows: DataFrame, plan: Drives) -> DataFrame:
+    """Rows of the parts below each other, with the labels of their drives."""
+    at = {case: place for place, case in enumerate(rows["case"])}
+    listed = [(name, drive) for name, drives in plan.items() for drive in drives]
+    placed = rows.iloc[[at[drive.case] for _, drive in listed]].reset_index(drop=True)
+    variants = [drive.labels.get(VARIANT, "") for _, drive in listed]
+    return placed.assign(part=[name for name, _ in listed], variant=variants)
