@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 
 from diffdrive_mpc.bench.figure_style import ERROR_MAP, MARKERS, REFERENCE_COLOUR, colour, line_style, new_figure
-from diffdrive_mpc.bench.html_report.page import Chart, GridMap, Series
+from diffdrive_mpc.bench.html_report.page import Chart, GridMap, Mark, Series
 from diffdrive_mpc.models.interface import FloatArray
 
 _WIDTH, _HEIGHT, _LEGEND_ROW = 4.6, 3.4, 0.22
@@ -63,17 +63,24 @@ def draw_chart(axes: Axes, chart: Chart) -> None:
         if axis.type == "log":
             scale("log")
     for mark in chart.marks:
-        line = axes.axvline if mark.upright else axes.axhline
-        line(mark.value, color=REFERENCE_COLOUR, linestyle=":", linewidth=1.0)
-        place = (mark.value, 1.0) if mark.upright else (1.0, mark.value)
-        coordinates = ("data", "axes fraction") if mark.upright else ("axes fraction", "data")
-        corner: Any = {"ha": "left", "va": "top"} if mark.upright else {"ha": "right", "va": "bottom"}
-        axes.annotate(mark.text, place, (2, -2 if mark.upright else 1), coordinates, "offset points", **corner)
+        _draw_mark(axes, mark)
     axes.set(xlabel=chart.x.title, ylabel=chart.y.title)
     if chart.y.range is not None:
         axes.set_ylim(chart.y.range)
     elif chart.y.type == "linear" and axes.get_ylim()[0] > 0.0:
         axes.set_ylim(bottom=0.0)
+
+
+def _draw_mark(axes: Axes, mark: Mark) -> None:
+    look: Any = {"textcoords": "offset points", "fontsize": 8.0, "color": REFERENCE_COLOUR}
+    line = axes.axvline if mark.upright else axes.axhline
+    line(mark.value, color=REFERENCE_COLOUR, linestyle=":", linewidth=1.2)
+    if mark.upright:
+        place, offset = (mark.value, 0.98), (-2, 0)
+        axes.annotate(mark.text, place, offset, ("data", "axes fraction"), ha="right", va="top", rotation=90, **look)
+    else:
+        place, offset = (0.01, mark.value), (0, 1)
+        axes.annotate(mark.text, place, offset, ("axes fraction", "data"), ha="left", va="bottom", **look)
 
 
 def draw_map(axes: Axes, chart: GridMap) -> Any:  # noqa: ANN401 - what a colour bar is made of

@@ -147,6 +147,10 @@ def bench(
     jobs: Jobs = None,
     quick: Annotated[bool, typer.Option("--quick", help="One seed.")] = False,
     scale_to_robot: Scaled = False,
+    spec: Annotated[
+        Path | None,
+        typer.Option(help="Drive an experiment that this file states; takes --out and --jobs.", show_default=False),
+    ] = None,
     **values: str | None,
 ) -> None:
     """Compare controllers on trajectories. Options that name several things take them with commas between.
@@ -158,6 +162,13 @@ def bench(
     from diffdrive_mpc.bench.comparison.study import ComparisonStudy  # noqa: PLC0415
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
 
+    if spec is not None:
+        from diffdrive_mpc.bench.spec import SpecStudy, load_experiment  # noqa: PLC0415
+
+        if any((config, settings, horizons, sweeps, quick, scale_to_robot, *values.values())):
+            raise ValueError("--spec: the file says what is driven; give --out and --jobs beside it, nothing else")
+        carry_out(SpecStudy(load_experiment(spec)), out or Path(_BENCH_OUT), jobs)
+        return
     asked = read_options(
         values,
         horizons=horizons,

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 
-from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
-from diffdrive_mpc.bench.html_report.numbers import from_zero
+from diffdrive_mpc.bench.chart_drawing import draw_charts
+from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, new_figure
+from diffdrive_mpc.bench.html_report.numbers import from_zero, rounded
+from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series
+from diffdrive_mpc.bench.table import number
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.identification.report import IdentificationReport
 from diffdrive_mpc.models.interface import FloatArray
@@ -23,7 +25,7 @@ from diffdrive_mpc.models.velocity_model import CHANNELS
 FOLDER = "figures"
 """Of the figures, inside that of the results."""
 UNITS = {"v": "m/s", "omega": "rad/s"}
-_SAMPLES = 400
+_SAMPLES, _POINTS = 400, 1500
 _INTERVAL = 1.959964
 
 Draw = Callable[[IdentificationReport, Path], None]
@@ -52,57 +54,110 @@ def draw_identification(report: IdentificationReport, folder: Path, on_done: Cal
     """
     (folder / FOLDER).mkdir()
     paths = {}
-    for title, (name, draw) in figures_of(report).items():
+    for title, (name, figure) in figures_of(report).items():
         paths[title] = f"{FOLDER}/{name}"
-        draw(report, folder / paths[title])
+        if callable(figure):
+            figure(report, folder / paths[title])
+        else:
+            draw_charts(figure, folder / paths[title])
         on_done()
     return paths
 
 
-def figures_of(report: IdentificationReport) -> dict[str, tuple[str, Draw]]:
-    """Title, file name and drawing function of each figure that the report has something for."""
-    jobs: dict[str, tuple[str, Draw]] = {
-        "Measured against simulated": ("simulation.png", draw_simulation),
+def figures_of(report: IdentificationReport) -> dict[str, tuple[str, Draw | Sequence[Chart]]]:
+    """Title, file name and charts or drawing function of each figure that the report has something for."""
+    jobs: dict[str, tuple[str, Draw | Sequence[Chart]]] = {
+        "Measured against simulated": ("simulation.png", simulation_charts(report, figure_settings().window)),
         "What residuals still hold": ("residuals.png", draw_residuals),
     }
     if report.fitted.predictor is None:
-        jobs |= {"Step responses": ("steps.png", draw_steps), "Poles": ("poles.png", draw_poles)}
+        jobs |= {"Step responses": ("steps.png", step_charts(report)), "Poles": ("poles.png", draw_poles)}
     if report.fitted.orders:
-        jobs["Orders of SSM"] = ("orders.png", draw_orders)
+        jobs["Orders of SSM"] = ("orders.png", order_charts(report))
     if report.poses.drift:
-        jobs["Drift of the pose"] = ("drift.png", draw_drift)
+        jobs["Drift of the pose"] = ("drift.png", drift_charts(report))
     return jobs
 
 
-def draw_simulation(report: IdentificationReport, path: Path) -> None:
-    """Draw the busiest window of the longest validation stretch: both channels, with their residuals below."""
+def other_charts(report: IdentificationReport) -> list[Chart]:
+    """Step responses, orders and drift where there are any."""
+    steps = step_charts(report) if report.fitted.predictor is None else []
+    orders = order_charts(report) if report.fitted.orders else []
+    return [*steps, *orders, *(drift_charts(report) if report.poses.drift else [])]
+
+
+def simulation_charts(report: IdentificationReport, window: float | None = None) -> list[Chart]:
+    """The longest stretch held out, or its busiest `window` [s]: command, measured and simulated of both channels."""
     data, fitted = report.data, report.fitted
     longest = int(np.argmax([len(record.command) for record in data.validation]))
     record, simulated = data.validation[longest], fitted.simulated[longest]
     (experiment,) = twist_experiments([record], data.yaw)
-    first = busiest(record.command, round(figure_settings().window / record.dt))
-    rows = slice(first, first + round(figure_settings().window / record.dt))
-    time, when = from_zero(record.time[rows])
-    with new_figure(path, 7.4, 6.6) as figure:
-        panels = figure.subplots(4, 1, sharex=True, height_ratios=(2.2, 1.0, 2.2, 1.0))
-        for i, channel in enumerate(CHANNELS):
-            upper, lower = panels[2 * i], panels[2 * i + 1]
-            measured = np.where(experiment.counts[:, i], experiment.outputs[:, i], np.nan)[rows]
-            seen = np.isfinite(measured)
-            upper.step(
-                time, record.command[rows, i], where="post", color=REFERENCE_COLOUR, linewidth=0.9, label="command"
-            )
-            upper.plot(time[seen], measured[seen], ".", markersize=2.5, color=colour(0), label="measured")
-            upper.plot(time, simulated[rows, i], color=colour(1), label="simulated")
-            upper.set_ylabel(f"{channel} [{UNITS[channel]}]")
-            lower.plot(time[seen], (measured - simulated[rows, i])[seen], color=colour(0), linewidth=0.8)
-            lower.axhline(0.0, color="black", linewidth=0.6)
-            lower.set_ylabel("residual")
-        panels[0].legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-        panels[-1].set_xlabel(when)
-        fit = fitted.validation.fit_percent
-        figure.suptitle(f"{report.name}: validation FIT v {fit[0]:.1f} %, omega {fit[1]:.1f} % (of all stretches)")
-        figure.align_ylabels(panels)
+    if window is None:
+        rows = slice(None, None, max(1, -(-len(record.time) // _POINTS)))
+    else:
+        first = busiest(record.command, round(window / record.dt))
+        rows = slice(first, first + round(window / record.dt))
+    since_begin, when = from_zero(record.time if window is None else record.time[rows])
+    time = [round(float(one), 3) for one in (since_begin[rows] if window is None else since_begin)]
+    made = []
+    for i, channel in enumerate(CHANNELS):
+        measured = np.where(experiment.counts[:, i], experiment.outputs[:, i], np.nan)
+        lines = {"command": record.command[:, i], "measured": measured, "simulated": simulated[:, i]}
+        series = [
+            Series(name, time, [rounded(one) for one in values[rows]], style, "points" if style == 0 else "line")
+            for (name, values), style in zip(lines.items(), (6, 0, 1), strict=True)
+        ]
+        fit = number(float(fitted.validation.fit_percent[i]), 1)
+        note = f"Longest stretch held out; simulated from the commands alone. FIT of all of them: {fit} %."
+        axis, title = Axis(f"{channel} [{UNITS[channel]}]"), f"{channel}: measured and simulated, FIT {fit} %"
+        made.append(Chart(title, Axis(when), axis, series, note, broad=True))
+    return made
+
+
+def step_charts(report: IdentificationReport) -> list[Chart]:
+    """The response of both outputs to a unit step of each command, dead time included."""
+    model = report.fitted.identified.model
+    time, responses = step_responses(report)
+    x, made = [round(float(one), 4) for one in time], []
+    for j, command in enumerate(CHANNELS):
+        series = [
+            Series(f"{channel} [{UNITS[channel]}]", x, [rounded(one) for one in responses[j][:, i]], i, "line")
+            for i, channel in enumerate(CHANNELS)
+        ]
+        steady = ", ".join(f"{channel} {model.dc_gain[i, j]:.3f}" for i, channel in enumerate(CHANNELS))
+        note = f"Dead time {1e3 * model.dead_time[j]:.0f} ms; steady {steady}."
+        marks = [Mark(1.0, ""), Mark(float(model.dead_time[j]), "dead time", upright=True)]
+        title = f"Step of {command}_ref by 1 {UNITS[command]}"
+        made.append(Chart(title, Axis("time [s]"), Axis("response"), series, note, marks))
+    return made
+
+
+def order_charts(report: IdentificationReport) -> list[Chart]:
+    """FIT over order, training and validation."""
+    choice = report.fitted.orders
+    assert choice is not None
+    orders, made = list(range(1, len(choice.rows) + 1)), []
+    for i, channel in enumerate(CHANNELS):
+        kinds = {"training": "train_fit_percent", "validation": "validation_fit_percent"}
+        series = [
+            Series(kind, orders, [rounded(getattr(row, name)[i]) for row in choice.rows], k)
+            for k, (kind, name) in enumerate(kinds.items())
+        ]
+        marks = [Mark(choice.order, "chosen", upright=True)]
+        made.append(Chart(f"Orders compared, {channel}", Axis("order"), Axis("FIT [%]"), series, "", marks))
+    return made
+
+
+def drift_charts(report: IdentificationReport) -> list[Chart]:
+    """Position error over the time of a free prediction."""
+    drift = report.poses.drift
+    x = [one.horizon for one in drift]
+    series = [
+        Series("RMSE", x, [rounded(one.position_rmse) for one in drift], 0),
+        Series("mean", x, [rounded(one.position_mean) for one in drift], 1),
+    ]
+    axes = Axis("time since the poses agreed [s]"), Axis("position error [m]")
+    return [Chart("Drift of the pose", *axes, series)]
 
 
 def busiest(commands: FloatArray, window: int) -> int:
@@ -136,23 +191,6 @@ def draw_residuals(report: IdentificationReport, path: Path) -> None:
                 axes.set(xlabel="command before residual by [s]", title=f"with {command}_ref", ylim=(-reach, reach))
         panels[0, 1].legend(loc="upper left")
         figure.suptitle(f"{report.name}: correlation of validation residuals; inside the grey, nothing is left")
-
-
-def draw_steps(report: IdentificationReport, path: Path) -> None:
-    """Draw the response of both outputs to a unit step of either command, dead time included."""
-    model = report.fitted.identified.model
-    time, responses = step_responses(report)
-    with new_figure(path, 7.4, 3.4) as figure:
-        panels = figure.subplots(1, 2)
-        for j, (axes, command) in enumerate(zip(panels, CHANNELS, strict=True)):
-            axes.axhline(1.0, color=REFERENCE_COLOUR, linewidth=0.9, linestyle=":")
-            for i, channel in enumerate(CHANNELS):
-                label = f"{channel} [{UNITS[channel]}], steady {model.dc_gain[i, j]:.3f}"
-                axes.plot(time, responses[j][:, i], color=colour(i), linestyle=line_style(i), label=label)
-            axes.axvline(model.dead_time[j], color="black", linewidth=0.6)
-            axes.set(xlabel="time [s]", title=f"step of {command}_ref by 1 {UNITS[command]}")
-            axes.legend(loc="center right")
-        figure.suptitle(f"{report.name}: step responses; the upright line is the dead time")
 
 
 def step_responses(report: IdentificationReport) -> tuple[FloatArray, list[FloatArray]]:
@@ -246,37 +284,3 @@ _POLES: dict[bool, list[Callable[[FloatArray], FloatArray]]] = {
     ],
     True: [lambda row: np.array([-row[0] * row[1], row[0] * _root(row[1])])],
 }
-
-
-def draw_orders(report: IdentificationReport, path: Path) -> None:
-    """Draw FIT over order, training and validation."""
-    choice = report.fitted.orders
-    assert choice is not None
-    orders = list(range(1, len(choice.rows) + 1))
-    with new_figure(path, 7.4, 3.4) as figure:
-        for i, (axes, channel) in enumerate(zip(figure.subplots(1, 2, sharex=True), CHANNELS, strict=True)):
-            axes.axvline(choice.order, color=REFERENCE_COLOUR, linewidth=6.0, alpha=0.3, label="chosen")
-            kinds = {"training": "train_fit_percent", "validation": "validation_fit_percent"}
-            for k, (kind, name) in enumerate(kinds.items()):
-                fits = [getattr(row, name)[i] for row in choice.rows]
-                axes.plot(orders, fits, marker="os"[k], color=colour(k), linestyle=line_style(k), label=kind)
-            axes.set(xlabel="order", ylabel="FIT [%]", title=channel)
-            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.legend(loc="lower right")
-        figure.suptitle(f"{report.name}: orders compared")
-
-
-def draw_drift(report: IdentificationReport, path: Path) -> None:
-    """Draw position and heading error over the horizon."""
-    drift = report.poses.drift
-    horizon = [entry.horizon for entry in drift]
-    with new_figure(path, 7.4, 3.2) as figure:
-        panels = figure.subplots(1, 2)
-        quantities = {"position": "position error [m]", "heading": "heading error [rad]"}
-        for axes, (name, label) in zip(panels, quantities.items(), strict=True):
-            for k, (kind, words) in enumerate({"rmse": "RMSE", "mean": "mean"}.items()):
-                errors = [getattr(entry, f"{name}_{kind}") for entry in drift]
-                axes.plot(horizon, errors, marker="os"[k], color=colour(k), linestyle=line_style(k), label=words)
-            axes.set(xlabel="time since the poses agreed [s]", ylabel=label, xlim=(0, None), ylim=(0, None))
-        panels[0].legend()
-        figure.suptitle(f"{report.name}: open-loop pose error on data held out")

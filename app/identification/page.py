@@ -6,22 +6,16 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
-import numpy as np
-
-from diffdrive_mpc.app.identification.figures import FOLDER, UNITS, step_responses
+from diffdrive_mpc.app.identification.figures import FOLDER, other_charts, simulation_charts
 from diffdrive_mpc.app.identification.trial_drives import TrialDrive, trial_doubts, trial_table
 from diffdrive_mpc.bench.html_report.document import picture
-from diffdrive_mpc.bench.html_report.numbers import from_zero, rounded
 from diffdrive_mpc.bench.html_report.origin import origin
 from diffdrive_mpc.bench.html_report.page import (
-    Axis,
-    Chart,
     Configuration,
     KeyFigure,
     Page,
     Picture,
     Runs,
-    Series,
     Shown,
     Toggle,
     View,
@@ -34,7 +28,6 @@ from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.identification import Identification
 from diffdrive_mpc.models.identification.report import IdentificationReport
 from diffdrive_mpc.models.identification.settings import identification_settings
-from diffdrive_mpc.models.output_error.experiment import twist_experiments
 from diffdrive_mpc.models.table import Table
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
@@ -76,7 +69,7 @@ def identification_page(
         summary=[*report.in_short(), *([found.refusal] if found.refusal else [])],
         key_figures=_key_figures(report, trials),
         toggles=toggles,
-        views=[*_simulations(report), *_driven(trials), *_charts(report), *_pictures(folder)],
+        views=[*simulation_charts(report), *_driven(trials), *other_charts(report), *_pictures(folder)],
         warnings=_warnings(report, trials),
         configurations=Configuration.of_files(folder, _FILES),
     )
@@ -137,80 +130,6 @@ def _driven(drives: Sequence[TrialDrive]) -> list[View]:
     ]
     note = "Trial drives with the configuration that was written, on paths scaled to the robot. Point at either view."
     return [Runs(runs, note)]
-
-
-def _simulations(report: IdentificationReport) -> list[View]:
-    return [_simulation(report, i) for i in range(len(CHANNELS))]
-
-
-def _charts(report: IdentificationReport) -> list[View]:
-    """Steps, orders and drift where there are any."""
-    made: list[View] = []
-    if report.fitted.predictor is None:
-        made += [_steps(report, j) for j in range(len(CHANNELS))]
-    if report.fitted.orders:
-        rows = report.fitted.orders.rows
-        series = [
-            Series(
-                f"{channel}, {kind}",
-                list(range(1, len(rows) + 1)),
-                [rounded(getattr(row, name)[i]) for row in rows],
-                2 * i + k,
-            )
-            for i, channel in enumerate(CHANNELS)
-            for k, (kind, name) in enumerate(
-                {"training": "train_fit_percent", "validation": "validation_fit_percent"}.items()
-            )
-        ]
-        made.append(
-            Chart("Orders compared", Axis("order"), Axis("FIT [%]"), series, f"Chosen: {report.fitted.orders.order}.")
-        )
-    if report.poses.drift:
-        drift = report.poses.drift
-        x = [one.horizon for one in drift]
-        series = [
-            Series("RMSE", x, [rounded(one.position_rmse) for one in drift], 0),
-            Series("mean", x, [rounded(one.position_mean) for one in drift], 1),
-        ]
-        made.append(
-            Chart("Drift of the pose", Axis("time since the poses agreed [s]"), Axis("position error [m]"), series)
-        )
-    return made
-
-
-def _simulation(report: IdentificationReport, i: int) -> Chart:
-    """The longest stretch held out: command, measured and simulated of one channel."""
-    data, fitted, channel = report.data, report.fitted, CHANNELS[i]
-    longest = int(np.argmax([len(record.command) for record in data.validation]))
-    record, simulated = data.validation[longest], fitted.simulated[longest]
-    (experiment,) = twist_experiments([record], data.yaw)
-    measured = np.where(experiment.counts[:, i], experiment.outputs[:, i], np.nan)
-    every = slice(None, None, max(1, -(-len(record.time) // _POINTS)))
-    since_begin, when = from_zero(record.time)
-    time = [round(float(one), 3) for one in since_begin[every]]
-    lines = {"command": record.command[:, i], "measured": measured, "simulated": simulated[:, i]}
-    series = [
-        Series(name, time, [rounded(one) for one in values[every]], style, "points" if name == "measured" else "line")
-        for (name, values), style in zip(lines.items(), (6, 0, 1), strict=True)
-    ]
-    fit = number(float(fitted.validation.fit_percent[i]), 1)
-    note = f"Longest stretch held out; simulated from the commands alone. FIT of all of them: {fit} %."
-    title = f"{channel}: measured and simulated"
-    return Chart(title, Axis(when), Axis(f"{channel} [{UNITS[channel]}]"), series, note, broad=True)
-
-
-def _steps(report: IdentificationReport, j: int) -> Chart:
-    """The response of both outputs to a unit step of one command."""
-    command = CHANNELS[j]
-    time, response = step_responses(report)
-    x = [round(float(one), 4) for one in time]
-    series = [
-        Series(f"{channel} [{UNITS[channel]}]", x, [rounded(one) for one in response[j][:, i]], i, "line")
-        for i, channel in enumerate(CHANNELS)
-    ]
-    title = f"Step of {command}_ref by 1 {UNITS[command]}"
-    note = f"Dead time {1e3 * report.fitted.identified.model.dead_time[j]:.0f} ms."
-    return Chart(title, Axis("time [s]"), Axis("response"), series, note)
 
 
 def _pictures(folder: Path) -> list[View]:

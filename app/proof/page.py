@@ -22,7 +22,6 @@ from diffdrive_mpc.bench.html_report.page import (
     Series,
     Shown,
     Toggle,
-    View,
     Warned,
 )
 from diffdrive_mpc.bench.html_report.run_warnings import remedies
@@ -36,16 +35,14 @@ _MOST_POINTS = 4000
 _WORDS_AGAIN = "drive the worst again with `simulate --from-run worst/01.yaml --out worst/01`, and read its report"
 
 
-def shown(
-    config: str, driven: Sequence[Driven], maps: Sequence[Drawn], boundaries: Sequence[Boundary], seeds: int
-) -> Shown:
-    """Everything that the page shows beside the tables.
+def shown(config: str, driven: Sequence[Driven], boundaries: Sequence[Boundary], seeds: int) -> Shown:
+    """Everything that the page shows beside tables, tail and maps.
 
     Parameters
     ----------
     config
         The controller's configuration.
-    driven, maps, boundaries
+    driven, boundaries
         What was found.
     seeds
         How many seeds a boundary was tried with.
@@ -53,8 +50,7 @@ def shown(
     scenarios = tuple(dict.fromkeys(str(one.definition.columns["scenario"]) for one in driven))
     of = Outcomes.of(driven)
     toggles = [Toggle("scenario", scenarios, scenarios, styled=True)] if len(scenarios) > 1 else []
-    views: list[View] = [*_tail(driven), _by_path(driven, scenarios)]
-    views += [_map(one) for one in maps] + [_boundary(one, seeds) for one in boundaries]
+    views = [_by_path(driven, scenarios), *(_boundary(one, seeds) for one in boundaries)]
     return Shown(
         summary=[
             f"{of.completed.count} of {of.completed.of} runs came to their end, {of.in_band.count} of them never "
@@ -65,7 +61,6 @@ def shown(
         views=views,
         warnings=_warnings(driven, boundaries),
         configurations=[Configuration("Configuration that was proven (YAML)", commented_yaml(load_config(config)))],
-        pictures=False,
     )
 
 
@@ -85,13 +80,16 @@ def _interval(rate: Rate) -> str:
     return f"{rate.count} of {rate.of}; 95 %: {100 * rate.low:.1f} to {100 * rate.high:.1f} %"
 
 
-def _tail(driven: Sequence[Driven]) -> list[Chart]:
+def tail_charts(driven: Sequence[Driven]) -> list[Chart]:
+    """The share of completed runs with a larger error than a given one, and CVaR; empty without such runs."""
     found = 1e3 * errors([one for one in driven if one.row["completed"] is True])
     if not found.size:
         return []
+    worst = 1e3 * error_estimates(driven)[f"{CVAR}, completed runs"].value
     series = Series("completed runs", *tail(found), 0, "line")
     axes = Axis("position RMSE [mm]", "log"), Axis("share of completed runs with more", "log")
-    return [Chart("How large the error is", *axes, [series], marks=[Mark(TAIL, f"{100 * TAIL:g} %")])]
+    marks = [Mark(TAIL, f"{100 * TAIL:g} %"), Mark(round(worst, 2), f"{CVAR}: {worst:.1f} mm", upright=True)]
+    return [Chart("How large the error is", *axes, [series], marks=marks)]
 
 
 def _by_path(driven: Sequence[Driven], scenarios: Sequence[str]) -> Chart:
@@ -110,7 +108,8 @@ def _by_path(driven: Sequence[Driven], scenarios: Sequence[str]) -> Chart:
     return Chart("Every run, by path and scenario", *axes, series, left_out)
 
 
-def _map(drawn: Drawn) -> GridMap:
+def map_chart(drawn: Drawn) -> GridMap:
+    """Position error by two factors."""
     x, y = drawn.of.x, drawn.of.y
     values = [[rounded(1e3 * value) for value in row] for row in drawn.error]
     return GridMap(

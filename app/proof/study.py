@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 
 from diffdrive_mpc.app.proof.boundaries import Boundary, find_boundaries
 from diffdrive_mpc.app.proof.maps import Drawn, drawn_map, map_runs
-from diffdrive_mpc.app.proof.page import shown
+from diffdrive_mpc.app.proof.page import map_chart, shown, tail_charts
 from diffdrive_mpc.app.proof.proof_file import Proof
-from diffdrive_mpc.app.proof.report import CVAR, Outcomes, error_estimates, errors, facts, tables, worst
+from diffdrive_mpc.app.proof.report import Outcomes, error_estimates, facts, tables, worst
 from diffdrive_mpc.app.run_file import write_run
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.draws import Value
@@ -120,13 +119,10 @@ class ProofStudy(Study[ProofPlan, Proven]):
 
     def report(self, results: Proven, seconds: float) -> Report:  # noqa: ARG002 - its tables say it
         """Tables, and a figure of the errors and of each map."""
-        from diffdrive_mpc.app.proof.figures import draw_errors, draw_map  # noqa: PLC0415 - matplotlib loads slowly
-
-        figures = {f"map-{drawn.name}.png": partial(draw_map, drawn) for drawn in results.maps}
-        estimates = error_estimates(results.driven)
-        found = errors([one for one in results.driven if one.row["completed"] is True])
-        if found.size:
-            figures = {"errors.png": partial(draw_errors, found, estimates[f"{CVAR}, completed runs"])} | figures
+        estimates, tail = error_estimates(results.driven), tail_charts(results.driven)
+        figures = ({"errors.png": tail} if tail else {}) | {
+            f"map-{one.name}.png": [map_chart(one)] for one in results.maps
+        }
         seeds = len(self._proof.probe.seeds)
         return Report(
             counted=f"{len(results.driven) + results.others} runs",
@@ -140,7 +136,7 @@ class ProofStudy(Study[ProofPlan, Proven]):
             notes=[f"Errors: {STATISTICS}."],
             tables=tables(results.driven, results.boundaries, results.worst, seeds),
             figures=figures,
-            shown=shown(self._config, results.driven, results.maps, results.boundaries, seeds),
+            shown=shown(self._config, results.driven, results.boundaries, seeds),
         )
 
 

@@ -35,6 +35,7 @@ from diffdrive_mpc.mpc.config.described import commented_yaml
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.run import NO_SOLVER
 
+_UNITS = (("v", "m/s"), ("omega", "rad/s"))
 _POINTS = 3000
 """Ticks of all runs of one who commands, at most."""
 _CHART_POINTS = 1200
@@ -54,7 +55,7 @@ def replay_page(
     found: Difference,
     said: Sequence[Verdict],
 ) -> Shown:
-    """Everything that the page shows beside the tables.
+    """Everything that the page shows beside tables and charts.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ def replay_page(
     return Shown(
         key_figures=_key_figures(found, replayed, counted, said),
         toggles=toggles,
-        views=[*([Runs(runs, _HINT)] if runs else []), *_charts(recording, replayed, counted)],
+        views=[Runs(runs, _HINT)] if runs else [],
         warnings=[Warned(one.what, one.remedy) for one in said],
         configurations=[_configuration(who, one.config) for who, one in replays.items()],
         pictures=not runs,
@@ -172,15 +173,33 @@ def _filled(rows: FloatArray) -> FloatArray:
     return np.asarray(rows[known[latest]])
 
 
-def _charts(recording: Recording, replayed: Replayed, counted: BoolArray) -> list[Chart]:
-    """Differences of commands, ages of readings, and innovations over time."""
-    begin, apart = recording.time[counted][0], (replayed.command - recording.command)[counted]
+def command_charts(
+    recording: Recording, replayed: Replayed, other: FloatArray | None, counted: BoolArray
+) -> list[Chart]:
+    """Recorded and replayed commands over time, and by how much they differ; `other` are commands beside them."""
     time, title = from_zero(recording.time[counted])
-    when = Axis(title)
+    rows = {"recorded": recording.command, "replayed": replayed.command} | ({} if other is None else {"other": other})
+    made = []
+    for i, (name, unit) in enumerate(_UNITS):
+        series = [
+            Series(who, *_thinned(time, values[counted, i]), style=k, kind="line")
+            for k, (who, values) in enumerate(rows.items())
+        ]
+        made.append(Chart(f"Command {name}", Axis(title), Axis(f"{name} [{unit}]"), series))
+    apart = (replayed.command - recording.command)[counted]
     differences = [
         Series(f"{name} [{unit}]", *_thinned(time, apart[:, i]), style=i, kind="line")
-        for i, (name, unit) in enumerate((("v", "m/s"), ("omega", "rad/s")))
+        for i, (name, unit) in enumerate(_UNITS)
     ]
+    note = "What this controller would have commanded otherwise, while it believed that the recorded one went out."
+    return [*made, Chart("Replayed less recorded command", Axis(title), Axis("difference"), differences, note)]
+
+
+def trust_charts(recording: Recording, replayed: Replayed, counted: BoolArray) -> list[Chart]:
+    """Age of what each tick got, and how it fits to what was predicted."""
+    begin = recording.time[counted][0]
+    time, title = from_zero(recording.time[counted])
+    when = Axis(title)
     ages = [
         Series(name, *_thinned(came - begin, age), style=i, kind="line")
         for i, (field, name) in enumerate(NAMES.items())
@@ -191,14 +210,6 @@ def _charts(recording: Recording, replayed: Replayed, counted: BoolArray) -> lis
         for i, (column, name) in enumerate(((3, "poses"), (0, "wheels, v"), (1, "wheels, omega"), (2, "gyro")))
     ]
     return [
-        Chart(
-            "Replayed less recorded command",
-            when,
-            Axis("difference"),
-            differences,
-            "What this controller would have commanded otherwise, while it believed that the recorded one went out.",
-            broad=True,
-        ),
         Chart(
             "Age of readings at the tick that got them",
             when,

@@ -12,9 +12,9 @@ import numpy as np
 
 from diffdrive_mpc.app.replay.dead_time import DeadTimeWatch
 from diffdrive_mpc.app.replay.driven_path import DRIVEN, driven_paths
-from diffdrive_mpc.app.replay.figures import draw_commands, draw_path, draw_trust
+from diffdrive_mpc.app.replay.figures import draw_path
 from diffdrive_mpc.app.replay.open_loop import Replayed, replay
-from diffdrive_mpc.app.replay.page import replay_page
+from diffdrive_mpc.app.replay.page import command_charts, replay_page, trust_charts
 from diffdrive_mpc.app.replay.reading import PoseSource, from_mid_drive, read_recording, up_to
 from diffdrive_mpc.app.replay.recording import Recording, Tick
 from diffdrive_mpc.app.replay.replay_csv import read_commands
@@ -280,9 +280,9 @@ class ReplayStudy(Study[ReplayPlan, Found]):
             facts=facts,
             tables=[table for table in tables if table.rows],
             figures={
-                "commands.png": partial(draw_commands, recording, replayed, results.other, counted),
+                "commands.png": command_charts(recording, replayed, results.other, counted),
                 "path.png": partial(draw_path, recording, replayed, plan.references, counted),
-                "trust.png": partial(draw_trust, recording, replayed, counted),
+                "trust.png": trust_charts(recording, replayed, counted),
             },
             shown=replay_page(
                 recording, replays, plan.references, counted, results.pairs[RECORDED, REPLAYED], results.said

@@ -111,8 +111,10 @@ def simulate_laps(
             plain = drive_laps(case.with_override(_ENABLED, value=False), laps, on_tick=_after(1, 2, bar.at))
         write_log(learned.runs[-1], case, ["--laps", str(laps), *repeating(case)])
         if folder is not None:
+            from diffdrive_mpc.bench.chart_drawing import draw_charts  # noqa: PLC0415 - matplotlib loads slowly
+
             draw_figures(Outcome(case, learned.runs[-1]), folder)
-            draw_laps(learned, plain, folder / "laps.png")
+            draw_charts(lap_charts(learned, plain), folder / "laps.png")
             seconds = time.perf_counter() - began
             page = laps_page(
                 case, learned.runs, plain.runs, lap_table(learned, plain), lap_charts(learned, plain), seconds
@@ -156,26 +158,3 @@ def lap_charts(learned: Laps, plain: Laps) -> list[Chart]:
     time_, rows = learned.rehearsal.time.round(3).tolist(), (1e3 * learned.rehearsal.correction).round(2)
     parts = [Series(name, time_, rows[:, i].tolist(), i + 2, "line") for i, name in enumerate(("along", "across"))]
     return [*charts, Chart("Correction in the last lap", Axis("time [s]"), Axis("correction [mm]"), parts)]
-
-
-def draw_laps(learned: Laps, plain: Laps, path: Path) -> None:
-    """Draw the error lap by lap, and the correction over time."""
-    from diffdrive_mpc.bench.figure_style import MARKERS, REFERENCE_COLOUR, colour, new_figure  # noqa: PLC0415 - slow
-
-    numbers = range(1, len(learned.runs) + 1)
-    with new_figure(path, 9.0, 3.4) as figure:
-        errors, correction = figure.subplots(1, 2)
-        for i, (name, laps) in enumerate((("with rehearsal", learned), ("without", plain))):
-            rmse = [1e3 * run.metrics.position_rmse_m for run in laps.runs]
-            errors.plot(numbers, rmse, color=colour(i), marker=MARKERS[i], label=name)
-        errors.axhline(
-            1e3 * lap_parts(plain.runs).other, color=REFERENCE_COLOUR, linestyle=":", label="does not repeat"
-        )
-        errors.set(xlabel="lap", ylabel="position RMSE [mm]", xticks=numbers, ylim=(0, None))
-        if learned.rehearsal is not None:
-            for i, name in enumerate(("along", "across")):
-                rows = 1e3 * learned.rehearsal.correction[:, i]
-                correction.plot(learned.rehearsal.time, rows, color=colour(i), label=name)
-        correction.set(xlabel="time [s]", ylabel="correction in the last lap [mm]")
-        errors.legend()
-        correction.legend()

@@ -22,7 +22,7 @@ _NOT_BETTER = "keep the defaults, which config.yaml holds; search longer (--poin
 
 
 def shown(config: str, searched: Searched, verdict: Verdict, usual: Mapping[str, Value]) -> Shown:
-    """Everything that the page shows beside the tables.
+    """Everything that the page shows beside the tables, the front and the search.
 
     Parameters
     ----------
@@ -33,8 +33,7 @@ def shown(config: str, searched: Searched, verdict: Verdict, usual: Mapping[str,
     usual
         Values that the defaults have.
     """
-    charts = [*([_front(searched)] if _has_effort(searched) else []), _search(searched)]
-    charts += [_importance(searched)] if searched.importance else []
+    charts = [_importance(searched)] if searched.importance else []
     charts += [_put_back(verdict)] if verdict.put_back else []
     best = {key: value for key, value in searched.best.values.items() if value != usual[key]}
     changed = yaml.safe_dump(best, sort_keys=False) if best else "# none: the defaults are the best point\n"
@@ -46,7 +45,6 @@ def shown(config: str, searched: Searched, verdict: Verdict, usual: Mapping[str,
             Configuration("Values of the best point that are not those of the defaults (YAML)", changed),
             Configuration("Configuration that was started from (YAML)", commented_yaml(load_config(config))),
         ],
-        pictures=False,
     )
 
 
@@ -72,11 +70,8 @@ def _percent(ratio: float) -> str:
     return f"{100 * (ratio - 1.0):+.1f} %" if math.isfinite(ratio) else "-"
 
 
-def _has_effort(searched: Searched) -> bool:
-    return any(math.isfinite(one.effort) for one in searched.usable)
-
-
-def _front(searched: Searched) -> Chart:
+def front_chart(searched: Searched) -> Chart:
+    """Error and effort of the usable points, the front, the defaults and the chosen point."""
     sides = {
         "came through all fidelities": (searched.usable, 5, "points"),
         "no point is better in both": (searched.front, 0, "both"),
@@ -98,7 +93,8 @@ def _front(searched: Searched) -> Chart:
     return Chart("Error against effort", *axes, series, "Point at one for its values.")
 
 
-def _search(searched: Searched) -> Chart:
+def search_chart(searched: Searched) -> Chart:
+    """The objective of every point, and the best usable one so far."""
     series = []
     for fidelity in sorted({one.fidelity for one in searched.points if one.fidelity}):
         some = [one for one in searched.points if one.fidelity == fidelity]

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 from diffdrive_mpc.app.proof.study import told_of
 from diffdrive_mpc.app.tune.optuna_study import needs_optuna
-from diffdrive_mpc.app.tune.page import shown
+from diffdrive_mpc.app.tune.page import front_chart, search_chart, shown
 from diffdrive_mpc.app.tune.points import Searched
 from diffdrive_mpc.app.tune.report import configuration, facts, tables
 from diffdrive_mpc.app.tune.search import Search
@@ -99,12 +98,8 @@ class TuneStudy(Study[Search, Tuned]):
 
     def report(self, results: Tuned, seconds: float) -> Report:  # noqa: ARG002 - its tables say it
         """Tables, the front, and how the search went."""
-        from diffdrive_mpc.app.tune.figures import draw_front, draw_search  # noqa: PLC0415 - matplotlib loads slowly
-
         searched, verdict = results.searched, results.verdict
-        figures = {"search.png": partial(draw_search, searched)}
-        if self._plan.objective.effort:
-            figures = {"front.png": partial(draw_front, searched)} | figures
+        front = {"front.png": [front_chart(searched)]} if self._plan.objective.effort else {}
         return Report(
             counted=f"{len(searched.points)} points",
             meta={
@@ -126,7 +121,7 @@ class TuneStudy(Study[Search, Tuned]):
             facts=[f"{Path(self._config).name}: {self._plan.description}.", *facts(self._plan, searched, verdict)],
             notes=[f"Errors: {STATISTICS}."],
             tables=tables(searched, verdict, results.usual),
-            figures=figures,
+            figures=front | {"search.png": [search_chart(searched)]},
             shown=shown(self._config, searched, verdict, results.usual),
         )
 

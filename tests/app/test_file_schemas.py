@@ -22,6 +22,7 @@ from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.campaign.campaign_file import load_campaign
 from diffdrive_mpc.bench.command_line.file_kinds import KINDS
 from diffdrive_mpc.bench.conditions import load_conditions
+from diffdrive_mpc.bench.spec import load_experiment
 from diffdrive_mpc.extras.terrain import load_terrain
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.editor_line import EDITOR_LINE, kept_editor_line
@@ -53,6 +54,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "sensors": load_sensor_set,
     "scenario": load_scenario,
     "campaign": load_campaign,
+    "experiment": load_experiment,
     "proof": load_proof,
     "tune": load_plan,
     "conditions": load_conditions,
@@ -157,6 +159,19 @@ def test_schema_and_reader_agree_on_mistakes(kind: str, path: Path, tmp_path: Pa
 
 def test_schema_and_reader_agree_on_mistakes_in_a_campaign(tmp_path: Path) -> None:
     agree("campaign", copy.deepcopy(CAMPAIGN), tmp_path)
+
+
+def test_schema_and_reader_agree_on_mistakes_in_an_experiment(tmp_path: Path) -> None:
+    columns = {"position RMSE [mm]": "mean position_rmse_m mm"}
+    table = {"title": "Noise", "part": ["all"], "by": {"path": "trajectory"}, "columns": columns, "mean": True}
+    parts = {"all": [{"horizon": [20, 30]}]}
+    experiment = {
+        "title": "Noise",
+        "vary": {"trajectory": ["s"], "seed": [0, 1]},
+        "parts": parts,
+        "tables": {"n": table},
+    }
+    agree("experiment", experiment, tmp_path)
 
 
 def agree(kind: str, data: Any, folder: Path) -> None:

@@ -121,7 +121,7 @@ def test_time_axes_begin_at_zero_whatever_the_clock_of_the_log_says(tmp_path):
     study = ReplayStudy(Asked(log=path, model="ssm"), tmp_path)
     with ProgressBar("replaying") as bar:
         report = study.report(study.run(study.plan(), 1, bar), 0.0)
-    charts = [view for view in report.shown.views if isinstance(view, Chart)]
+    charts = [chart for chart in report.charts if isinstance(chart, Chart)]
     assert charts
     for chart in charts:
         assert chart.x.title == "time [s] since 1700000000.00 s on the log's clock"

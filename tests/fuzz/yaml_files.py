@@ -19,6 +19,7 @@ from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.bench.campaign.campaign_file import load_campaign
 from diffdrive_mpc.bench.command_line.file_kinds import KINDS
 from diffdrive_mpc.bench.conditions import load_conditions
+from diffdrive_mpc.bench.spec import load_experiment
 from diffdrive_mpc.extras.terrain.terrain_file import load_terrain
 from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.file_kind import PACKAGE
@@ -146,6 +147,7 @@ _DOORS: dict[str, Callable[[Path], object]] = {
     "sensors": lambda path: _plant("mujoco", sensors=path),
     "scenario": lambda path: (load_scenario(path), _plant("mujoco", scenario=path)),
     "campaign": load_campaign,
+    "experiment": load_experiment,
     "proof": load_proof,
     "tune": load_plan,
     "conditions": load_conditions,

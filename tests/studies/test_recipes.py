@@ -4,6 +4,7 @@ import re
 import textwrap
 from pathlib import Path
 
+from diffdrive_mpc.bench.spec import SpecStudy, load_experiment
 from diffdrive_mpc.bench.study import carry_out
 
 RECIPES = Path(__file__).parents[2] / "docs" / "recipes"
@@ -17,10 +18,12 @@ def code(page, begin):
 
 
 def test_the_study_is_carried_out(tmp_path, one_process):
-    given = {"__name__": "recipe"}
-    exec(code("study.md", "from diffdrive_mpc.bench.case import").replace("range(20)", "range(1)"), given)
-    carry_out(given["NoiseStudy"](), tmp_path / "noise")
-    assert "| s |" in (tmp_path / "noise" / "noise.md").read_text(encoding="utf-8")
+    (tmp_path / "noise.yaml").write_text(code("study.md", "title: Noise").replace("[0, 1, 2, 3, 4]", "[0]"))
+    rows = carry_out(SpecStudy(load_experiment(tmp_path / "noise.yaml")), tmp_path / "noise")
+    assert list(rows["part"]) == ["shipped"] * 2 + ["short"] * 4
+    report = (tmp_path / "noise" / "experiment.md").read_text(encoding="utf-8")
+    assert "| s | SSM, horizon=10 |" in report
+    assert "| mean |" in report
 
 
 def test_the_peer_drives():
