@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from diffdrive_mpc.bench.campaign.campaign_file import load_campaign
+from diffdrive_mpc.bench.campaign.drive import TIME
 from diffdrive_mpc.bench.campaign.engine import Driven, Place, drive_all, failed
-from diffdrive_mpc.bench.campaign.outcome import TIME
 from diffdrive_mpc.bench.campaign.parquet import needs_arrow, write_table
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.models.checked_yaml import ConfigError

@@ -14,7 +14,7 @@ from diffdrive_mpc.app.former_names import WithFormerNames
 from diffdrive_mpc.bench.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.bench.command_line.plugged_command import PluggedCommand
+    from diffdrive_mpc.bench.command_line.options import PluggedCommand
 
     app: typer.Typer
 
@@ -39,20 +39,20 @@ class Listed(NamedTuple):
 _COMMANDS = {
     "simulate": Listed("Drive", "drives"),
     "bench": Listed("Drive", "drives"),
-    "campaign": Listed("Drive", "campaign"),
-    "replay": Listed("Drive", "replay"),
-    "animate": Listed("Drive", "animate"),
-    "identify": Listed("Your robot", "identify"),
-    "excite": Listed("Your robot", "excite"),
-    "twin": Listed("Your robot", "twin"),
-    "tune": Listed("Your robot", "tune"),
-    "prove": Listed("Your robot", "prove"),
-    "commission": Listed("Your robot", "commission"),
+    "campaign": Listed("Drive", "drives"),
+    "replay": Listed("Drive", "drives"),
+    "animate": Listed("Drive", "drives"),
+    "identify": Listed("Your robot", "robot"),
+    "excite": Listed("Your robot", "robot"),
+    "twin": Listed("Your robot", "robot"),
+    "tune": Listed("Your robot", "robot"),
+    "prove": Listed("Your robot", "robot"),
+    "commission": Listed("Your robot", "robot"),
     "node": Listed("Robot", "ros", passed_on=True),
     "sim-robot": Listed("Robot", "ros", "robot", passed_on=True),
-    "monitor": Listed("Robot", "monitor", passed_on=True),
-    "export": Listed("Robot", "export"),
-    "doctor": Listed("Robot", "doctor"),
+    "monitor": Listed("Robot", "ros", passed_on=True),
+    "export": Listed("Robot", "ros"),
+    "doctor": Listed("Robot", "ros"),
     "schema": Listed("Files", "schema"),
 }
 _GROUPS = {"models": "models", "config": "config", "log": "log"}
@@ -73,10 +73,11 @@ def command_line(only: str = "") -> typer.Typer:
     for name, (panel, module, function, passed_on) in _COMMANDS.items():
         if name in ours:
             home = import_module(f"{_HOME}.{module}")
-            example = home.EXAMPLES[name] if hasattr(home, "EXAMPLES") else home.EXAMPLE
+            called = function or name
+            example = getattr(home, f"{called.upper()}_EXAMPLE")
             settings = import_module(f"{_HOME}.options").PASSED_ON if passed_on else None
             add = made.command(name, epilog=example, rich_help_panel=panel, context_settings=settings)
-            add(getattr(home, function or name))
+            add(getattr(home, called))
     for plugged in _plugged() if ours == every else ():
         made.command(plugged.name, epilog=plugged.example, rich_help_panel=plugged.panel)(plugged.run)
     for name, module in _GROUPS.items():

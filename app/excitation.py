@@ -17,14 +17,14 @@ from diffdrive_mpc.bench.controllers import build_plant, controller_config, make
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.identification.information import TOLD, DriveInformation
+from diffdrive_mpc.models.identification.noise import TOLD, DriveInformation
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import is_shipped, load_linear_model
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.mpc import ControllerConfig, load_config, load_trajectory
-from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
 from diffdrive_mpc.mpc.trajectories.model_excitation import (
     ModelDrive,
     Room,
@@ -33,7 +33,6 @@ from diffdrive_mpc.mpc.trajectories.model_excitation import (
     model_excitation_settings,
     write_model_drive,
 )
-from diffdrive_mpc.mpc.trajectories.settings import load_settings
 from diffdrive_mpc.sim import Run, simulate
 
 _LATE = "lag and dead time"

@@ -9,9 +9,9 @@ from pydantic import Field
 
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.draws import Value
+from diffdrive_mpc.bench.campaign.drive import TIME, Row
 from diffdrive_mpc.bench.campaign.engine import Driven
 from diffdrive_mpc.bench.campaign.identity import environment, key_of
-from diffdrive_mpc.bench.campaign.outcome import TIME, Row
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.whole_file import whole_file
 

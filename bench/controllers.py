@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from diffdrive_mpc.bench.case import AS_FILED, NO_MODEL, NO_WORLD, Case, Overrides, label
 from diffdrive_mpc.bench.drive import plant_settings
-from diffdrive_mpc.bench.late_plant import LatePlant
 from diffdrive_mpc.bench.peers import LAWS, PEERS, make_peer
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.interface import Reference, TrackingController
+from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, TrackingController
 from diffdrive_mpc.models.load import is_shipped, load_model, model_path
 from diffdrive_mpc.mpc import Controller, ControllerConfig, Trajectory, load_config, load_trajectory
 from diffdrive_mpc.mpc.features.registry import prepared
@@ -23,6 +26,37 @@ from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.sim import Plant, Run, make_plant, simulate
 from diffdrive_mpc.sim.plants.make import drawn_robot, physics_robot, plant_outline
+from diffdrive_mpc.sim.plants.plant import PlantAround
+
+# A plant that hears every command some ticks later than it would: a dead time that no controller was told of.
+
+
+class LatePlant(PlantAround):
+    """`plant` behind a line that holds every command for `ticks` samples; see `sim.plants.plant.Plant`."""
+
+    def __init__(self, plant: Plant, ticks: int) -> None:
+        super().__init__(plant)
+        self._ticks = ticks
+        self._under_way: deque[FloatArray] = deque()
+
+    def reset(self, pose: ArrayLike) -> None:
+        """Reset the plant, with nothing under way."""
+        self._plant.reset(pose)
+        self._under_way = deque(np.zeros(2) for _ in range(self._ticks))
+
+    def measure(self) -> Measurement:
+        """What the plant's sensors delivered; as sent counts what entered the line."""
+        measurement = self._plant.measure()
+        if measurement.sent is None or not self._under_way:
+            return measurement
+        v, omega = self._under_way[-1].tolist()
+        return replace(measurement, sent=(v, omega))
+
+    def advance(self, command: ArrayLike) -> None:
+        """Put `command` (2,) into the line, and let the plant go on with what leaves it."""
+        self._under_way.append(np.array(command, dtype=float))
+        self._plant.advance(self._under_way.popleft())
+
 
 CONTROLLERS = ("mpc", *PEERS)
 _SAME_TRACK = 0.05
@@ -87,7 +121,7 @@ def load_reference(case: Case) -> Trajectory:
             raise ConfigError(f"--world {case.world}: it has no way of its own; give a --trajectory beside it")
     config = _config_of_robot(case)
     if case.scaled:
-        from diffdrive_mpc.mpc.trajectories.scaled import scaled_to_robot  # noqa: PLC0415 - as above
+        from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot  # noqa: PLC0415 - as above
 
         return scaled_to_robot(case.trajectory, config, load_model(config.model))
     if case.top_speed is not None:

@@ -13,7 +13,11 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from matplotlib.patches import Polygon as Patch
 from numpy.typing import ArrayLike
+
+from diffdrive_mpc.sim.worlds.world_file import World
 
 # Okabe and Ito's palette: told apart with every kind of colour vision, and by brightness in print.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -80,3 +84,23 @@ def free_name(text: str, taken: Container[str]) -> str:
     stem = file_name(text)
     names = itertools.chain([f"{stem}.png"], (f"{stem}-{number}.png" for number in itertools.count(2)))
     return next(name for name in names if name not in taken)
+
+
+# Worlds from above, in axes of matplotlib.
+
+
+_STANDS, _MOVES = "#555555", "#E69F00"
+
+
+def draw_world(axes: Axes, world: World) -> None:
+    """Draw what stands in a world at the beginning, and an arrow for each mover from where it is first."""
+    shapes = world.shapes(0.0)
+    for corners in shapes.polygons:
+        axes.add_patch(Patch(corners, facecolor=_STANDS, edgecolor="none"))
+    for x, y, radius in shapes.discs:
+        axes.add_patch(Circle((x, y), radius, facecolor=_STANDS, edgecolor="none"))
+    for one in world.movers:
+        place, step = one.position(one.time), one.velocity
+        axes.add_patch(Circle(tuple(place), one.radius, facecolor=_MOVES, alpha=0.6))
+        axes.annotate("", tuple(place + step), tuple(place - step), arrowprops={"arrowstyle": "->", "color": _MOVES})
+    axes.autoscale_view()

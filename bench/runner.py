@@ -13,7 +13,22 @@ from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from diffdrive_mpc.bench.errors import WorkerDiedError
+from diffdrive_mpc.models.errors import DiffdriveMpcError
+
+# What can go wrong in a study that is no mistake of the user's; each is one line.
+
+
+class StudyFailedError(DiffdriveMpcError, RuntimeError):
+    """A study could not be finished."""
+
+
+class NotReproducibleError(StudyFailedError):
+    """The same measurements gave other commands when they were replayed."""
+
+
+class WorkerDiedError(StudyFailedError):
+    """A process that ran a part of a study ended without a result."""
+
 
 T = TypeVar("T")
 OnDone = Callable[[], None]

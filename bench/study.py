@@ -14,9 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
-from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.contents import REPORT
 from diffdrive_mpc.bench.controllers import other_robots
 from diffdrive_mpc.bench.html_report.document import picture, write_page
 from diffdrive_mpc.bench.html_report.origin import origin
@@ -24,6 +22,7 @@ from diffdrive_mpc.bench.html_report.page import NOTHING, Chart, GridMap, Page, 
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.plain_values import plain
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.report_folder import REPORT, staged
 from diffdrive_mpc.bench.runner import OnDone, available_cores, run_tasks
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError

@@ -14,8 +14,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from diffdrive_mpc.models import table as plain
-from diffdrive_mpc.models.plain_text import plain_line
-from diffdrive_mpc.models.table import number
+from diffdrive_mpc.models.table import number, plain_line
 
 __all__ = ["RichTables", "Table", "duration", "millis", "number", "rich_table"]
 

@@ -20,9 +20,8 @@ from threadpoolctl import threadpool_limits
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import make_controller
 from diffdrive_mpc.bench.counters import CoreCounters, Effort, watched
-from diffdrive_mpc.bench.errors import NotReproducibleError
 from diffdrive_mpc.bench.run_row import Outcome
-from diffdrive_mpc.bench.runner import OnDone
+from diffdrive_mpc.bench.runner import NotReproducibleError, OnDone
 from diffdrive_mpc.bench.turns import take_turns
 from diffdrive_mpc.models.interface import FloatArray, TrackingController
 from diffdrive_mpc.sim import Run

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 _LONGEST_VALUE = 40
 """Characters of a value that a message repeats."""
 
@@ -51,3 +53,15 @@ def described(value: object) -> str:
         return f"{name} of shape {shape}"
     text = repr(value)
     return f"{name} {text}" if package == "builtins" and len(text) <= _LONGEST_VALUE and "<" not in text else name
+
+
+# pandas, loaded where rows become a table and nowhere else.
+
+
+def load_pandas(wanted_by: str) -> Any:  # noqa: ANN401 - a module
+    """Import pandas for `wanted_by`; raises MissingPackageError where it is not installed."""
+    try:
+        import pandas as pd  # noqa: PLC0415 - loads slowly
+    except ImportError as error:
+        raise MissingPackageError(f"{wanted_by} needs pandas: pip install pandas") from error
+    return pd

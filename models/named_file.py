@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
@@ -63,3 +64,18 @@ def is_file(path: str | Path) -> bool:
 def shipped_names(folder: Path) -> tuple[str, ...]:
     """Names of the YAML files in `folder`, sorted, without their ending."""
     return tuple(sorted(path.stem for path in folder.glob("*.yaml")))
+
+
+# The first line of a YAML file, by which editors find its schema.
+
+
+EDITOR_LINE = "# yaml-language-server: $schema="
+"""How it begins; after it the place of the schema, from the folder of the file."""
+
+
+def kept_editor_line(path: Path) -> str:
+    """That line of the file at `path` for one that takes its place; nothing where there is none."""
+    with suppress(OSError, UnicodeDecodeError), path.open(encoding="utf-8") as file:
+        first = file.readline()
+        return first if first.startswith(EDITOR_LINE) else ""
+    return ""

@@ -6,7 +6,7 @@ A distribution registers in its `pyproject.toml`, this project's own parts in `e
     mine = "my_package.my_structure:STRUCTURE"
 
 Groups: `structures` (`models.function_structure.FunctionStructure`), `files` (`models.file_kind.FileKind`), `commands`
-(`bench.command_line.plugged_command.PluggedCommand`).
+(`bench.command_line.options.PluggedCommand`).
 """
 
 from __future__ import annotations

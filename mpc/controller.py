@@ -25,26 +25,22 @@ from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.config_file import load_config, replace_values
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
-from diffdrive_mpc.mpc.core.functions import compile_functions
+from diffdrive_mpc.mpc.core.generate import compile_functions
 from diffdrive_mpc.mpc.core.tick import Tick
-from diffdrive_mpc.mpc.estimation.belief import Belief
-from diffdrive_mpc.mpc.estimation.estimate import Estimate
+from diffdrive_mpc.mpc.estimation.estimate import Belief, Estimate
 from diffdrive_mpc.mpc.features.feature import Feature, Host
 from diffdrive_mpc.mpc.features.registry import feature_terms, features_of, prepared
-from diffdrive_mpc.mpc.hold import Hold
 from diffdrive_mpc.mpc.messages import MessageFormatter
 from diffdrive_mpc.mpc.problem.build import chosen_model, sampled_model
 from diffdrive_mpc.mpc.problem.constants import HARD_KINDS, SLACK, Problem
 from diffdrive_mpc.mpc.problem.feed_forward import FeedForward
 from diffdrive_mpc.mpc.problem.terms import Term, all_terms, checked_parameters, checked_terms
 from diffdrive_mpc.mpc.reentry import Pursuit, TooFar
-from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask
-from diffdrive_mpc.mpc.solver.backends import load_backend
+from diffdrive_mpc.mpc.solver.backend import Backend, Program, ask, load_backend
 from diffdrive_mpc.mpc.solver.report import SolverReport, SolverStatus
-from diffdrive_mpc.mpc.step_result import StepResult
-from diffdrive_mpc.mpc.trajectories.checked_reference import checked_reference
+from diffdrive_mpc.mpc.step_result import Hold, StepResult
 from diffdrive_mpc.mpc.trajectories.native import NativeReference
-from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds
+from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds, checked_reference
 
 if TYPE_CHECKING:
     from diffdrive_mpc.mpc.free_space.feature import KeepClear

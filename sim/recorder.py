@@ -9,7 +9,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import ControlStep, FloatArray, Measurement, MotionEstimate, Reference
 from diffdrive_mpc.models.step_scalars import scalar_row
-from diffdrive_mpc.sim.plants.motor_work import NOTHING, MotorWork, motor_work, stacked
+from diffdrive_mpc.sim.plants.drivetrain import NOTHING, MotorWork, motor_work, stacked
 from diffdrive_mpc.sim.plants.plant import Plant, PlantAround
 from diffdrive_mpc.sim.run import NO_SOLVER, Run
 from diffdrive_mpc.sim.sensing.power_readings import power_read

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from diffdrive_mpc.models.errors import load_pandas
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference, ReferenceSample, Stamped
-from diffdrive_mpc.models.pandas_package import load_pandas
 from diffdrive_mpc.models.results import ReadOnlyArrays
 from diffdrive_mpc.models.step_scalars import step_scalars
-from diffdrive_mpc.models.turn_costs.drive_constants import DriveConstants
+from diffdrive_mpc.models.turn_costs.vehicle import DriveConstants
 from diffdrive_mpc.sim.metrics.metrics import TIME_TOLERANCE, Metrics, compute_metrics
 from diffdrive_mpc.sim.metrics.recovery import Recovery, compute_recovery
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings, tracking_errors
@@ -26,9 +26,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-    from diffdrive_mpc.sim.worlds.contacts import Contact
-    from diffdrive_mpc.sim.worlds.passage import Passage
-    from diffdrive_mpc.sim.worlds.world import World
+    from diffdrive_mpc.sim.worlds.passage import Contact, Passage
+    from diffdrive_mpc.sim.worlds.world_file import World
 
 NO_SOLVER = "none"
 """Path of a tick at which no solver ran, or of a controller without one."""

@@ -7,7 +7,7 @@ import sys
 import typer
 
 from diffdrive_mpc.bench.command_line.one_line_errors import OneLineErrors, build_only_named, leave_on_sigterm
-from studies.commands import monitor, real_logs, studies
+from studies.commands import studies
 from studies.commands.shipped_models import shipped_models_app
 
 
@@ -26,8 +26,6 @@ app = typer.Typer(
 )
 for _name, _study in studies.STUDIES.items():
     app.command(_name, epilog=studies.EXAMPLES[_name])(_study)
-app.command("real-logs", epilog=real_logs.EXAMPLE)(real_logs.real_logs)
-app.command("monitor", epilog=monitor.EXAMPLE)(monitor.monitor)
 app.add_typer(shipped_models_app, name="models")
 
 

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffdrive_mpc.app.animation.playback import NO_PLANS, Playback, from_columns
-from diffdrive_mpc.models.bounded_yaml import parse_yaml
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.checked_yaml import ConfigError, parse_yaml
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.bags import is_bag
 from diffdrive_mpc.models.logs.csv_table import read_header

@@ -5,33 +5,232 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from diffdrive_mpc.app.commands.film_options import (
-    Alone,
-    CameraName,
-    Fps,
-    From,
-    Render,
-    Size,
-    Speed,
-    To,
-    film_file,
+from diffdrive_mpc.app.commands.options import (
+    ConfigFile,
+    Mapping,
+    Scaled,
+    Settings,
+    Sweep,
+    TrustedFolders,
+    with_dimensions,
 )
-from diffdrive_mpc.app.commands.options import ConfigFile, Scaled, Settings, Sweep, TrustedFolders, with_dimensions
 from diffdrive_mpc.bench.case import DIMENSIONS, HORIZONS
 from diffdrive_mpc.bench.command_line.one_line_errors import FAILED
-from diffdrive_mpc.bench.command_line.study_options import Jobs, out_option
+from diffdrive_mpc.bench.command_line.options import Jobs, out_folder, out_option
+
+if TYPE_CHECKING:
+    from diffdrive_mpc.app.animation.animate import FilmFile
+
+
+# `diffdrive-mpc campaign`: many runs drawn from distributions.
+
+
+CAMPAIGN_EXAMPLE = "Example: diffdrive-mpc campaign floors.yaml --out floors --runs 64"
+Scheduler = Annotated[
+    str, typer.Option(metavar="tcp://HOST:PORT", help="Drive on the workers of a Dask scheduler.", show_default=False)
+]
+Runs = Annotated[int | None, typer.Option(min=1, help="How many runs.", show_default="what the file says")]
+
+
+def campaign(
+    file: Annotated[Path, typer.Argument(help="Campaign (YAML).", show_default=False)],
+    *,
+    out: Annotated[Path, out_option("results.parquet and the rows of the runs")],
+    runs: Runs = None,
+    part: Annotated[
+        str | None, typer.Option(metavar="K/N", help="Every N-th run from the K-th on.", show_default="all of them")
+    ] = None,
+    jobs: Jobs = None,
+    scheduler: Scheduler = "",
+) -> None:
+    """Drive many runs that a file draws; what was driven before is not driven again.
+
+    The exit code is 1 when a run ended in an error; its row says which.
+    """
+    from diffdrive_mpc.app.campaign_command import Part, run_campaign  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.campaign.engine import Place, failed  # noqa: PLC0415
+
+    driven = run_campaign(file, Place(out, jobs, scheduler), runs, None if part is None else Part.read(part))
+    if failed(driven):
+        raise typer.Exit(FAILED)
+
+
+# `diffdrive-mpc replay`: what a controller would have commanded in a recorded drive, beside what was commanded.
+
+
+REPLAY_EXAMPLE = "Example: diffdrive-mpc replay drive.csv --config my_robot/config.yaml --out replayed"
+_DEFAULT_OUT = "replayed"
+
+
+def replay(
+    *,
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="CSV file, or ROS 2 bag.")],
+    config: ConfigFile = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="Velocity model in place of the configuration's.", show_default="that of --config, or of the log"
+        ),
+    ] = None,
+    settings: Settings = None,
+    trajectory: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="What it should have tracked.",
+            show_default="the reference in the log, else the path that was driven",
+        ),
+    ] = None,
+    start_at_robot: Annotated[
+        bool, typer.Option("--start-at-robot", help="Lay the trajectory to the first pose, as the node does.")
+    ] = False,
+    against: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|FILE", help="A second configuration beside the first.", show_default=False),
+    ] = None,
+    beside: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="replay.csv of an earlier replay, such as one by another release.", show_default=False
+        ),
+    ] = None,
+    mapping: Mapping = None,
+    pose: Annotated[
+        str, typer.Option(metavar="log|odometry", help="Poses of the log, or dead reckoning in their place.")
+    ] = "log",
+    begin: Annotated[
+        float | None,
+        typer.Option("--from", metavar="SECONDS", help="Count from here on, on the log's clock.", show_default=False),
+    ] = None,
+    end: Annotated[
+        float | None,
+        typer.Option("--to", metavar="SECONDS", help="End here, on the log's clock.", show_default=False),
+    ] = None,
+    sample_time: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Of the controller.", show_default="that of the configuration"),
+    ] = None,
+    trust_terms: TrustedFolders = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            parser=out_folder,
+            metavar="PATH",
+            help="Folder for replay.csv, replay.json, replay.md, the page and figures.",
+            show_default=_DEFAULT_OUT,
+        ),
+    ] = None,
+) -> None:
+    """Give a controller what was recorded, open loop, and compare its commands with those that were sent.
+
+    The measurements are those of the log, and the controller believes that the recorded commands went out.
+    """
+    from diffdrive_mpc.app.replay.study import Asked, replay_into  # noqa: PLC0415 - --help does without it
+
+    if pose not in ("log", "odometry"):
+        raise ValueError(f"--pose '{pose}': give log or odometry")
+    asked = Asked(
+        log=log,
+        config=config,
+        model=model,
+        settings=settings or (),
+        trajectory=trajectory,
+        start_at_robot=start_at_robot,
+        against=against,
+        beside=beside,
+        mapping=mapping,
+        pose="odometry" if pose == "odometry" else "log",
+        begin=begin,
+        end=end,
+        sample_time=sample_time,
+        trusted=trust_terms or (),
+    )
+    replay_into(asked, out or Path(_DEFAULT_OUT))
+
+
+# Options of films, which `simulate` and `animate` share.
+
+
+_PANEL = "Pictures"
+
+Render = Annotated[
+    bool, typer.Option("--render", help="MuJoCo's picture of the robot beside it.", rich_help_panel=_PANEL)
+]
+Alone = Annotated[
+    bool, typer.Option("--render-alone", help="MuJoCo's picture and nothing else.", rich_help_panel=_PANEL)
+]
+CameraName = Annotated[
+    str, typer.Option("--camera", metavar="chase|fixed", help="Of MuJoCo's picture.", rich_help_panel=_PANEL)
+]
+Speed = Annotated[float, typer.Option("--film-speed", help="Times as fast as the robot was.", rich_help_panel=_PANEL)]
+Fps = Annotated[
+    int | None,
+    typer.Option(
+        "--fps", min=1, max=120, help="Pictures a second.", show_default="30; WebP, GIF: 15", rich_help_panel=_PANEL
+    ),
+]
+Size = Annotated[
+    str | None,
+    typer.Option(
+        "--size", metavar="WxH", help="Pixels.", show_default="1280x720; WebP, GIF: 800x450", rich_help_panel=_PANEL
+    ),
+]
+From = Annotated[
+    float | None, typer.Option("--from", help="Only from this time on, in seconds.", rich_help_panel=_PANEL)
+]
+To = Annotated[float | None, typer.Option("--to", help="Only up to this time, in seconds.", rich_help_panel=_PANEL)]
+
+
+def film_file(
+    path: Path,
+    *,
+    render: bool,
+    alone: bool,
+    camera: str,
+    speed: float,
+    fps: int | None,
+    size: str | None,
+    start: float | None,
+    end: float | None,
+    surface: str = "default",
+) -> FilmFile:
+    """What was asked for, checked; raises ConfigError or ValueError that names the option."""
+    from diffdrive_mpc.app.animation.animate import FilmFile  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.app.animation.film import (  # noqa: PLC0415
+        SMALL,
+        Film,
+        read_size,
+    )
+    from diffdrive_mpc.sim.view.shots import Camera  # noqa: PLC0415
+
+    if camera not in list(Camera):
+        raise ValueError(f"--camera '{camera}': give {' or '.join(Camera)}")
+    if not 0.01 <= speed <= 1000:
+        raise ValueError(f"--film-speed {speed}: give a number from 0.01 to 1000")
+    small = path.suffix.lower() in SMALL
+    film = Film(
+        size=read_size(size or ("800x450" if small else "1280x720")),
+        fps=fps or (15 if small else 30),
+        speed=speed,
+        start=start,
+        end=end,
+        render=render and not alone,
+        alone=alone,
+        camera=Camera(camera),
+        surface=surface,
+    )
+    return FilmFile(path, film)
+
 
 DEFAULTS = {one.name: None if one.name == "model" else one.default for one in DIMENSIONS}
 """Values of the options of `simulate` where they are not given."""
 _BENCH_OUT = "out/bench"
-EXAMPLES = {
-    "simulate": "Example: diffdrive-mpc simulate --model ssm --trajectory square --set horizon=20 --out results",
-    "bench": "Example: diffdrive-mpc bench --out results --models ssm --set weights.across=60,120,240",
-}
+SIMULATE_EXAMPLE = "Example: diffdrive-mpc simulate --model ssm --trajectory square --set horizon=20 --out results"
+BENCH_EXAMPLE = "Example: diffdrive-mpc bench --out results --models ssm --set weights.across=60,120,240"
 
 
 @with_dimensions()
@@ -87,7 +286,7 @@ def simulate(
     if trust_terms and from_run is None:
         raise ValueError("--trust-terms: files of a run file's folder; give --from-run, too, or leave it out")
     if from_run is not None:
-        from diffdrive_mpc.app.simulate.again import simulate_again  # noqa: PLC0415 - --help does without it
+        from diffdrive_mpc.app.simulate.single import simulate_again  # noqa: PLC0415 - --help does without it
 
         said = {name: value for name, value in values.items() if value != DEFAULTS[name]}
         if said or config is not None or settings or laps != 1 or scale_to_robot or rerun is not None:
@@ -182,3 +381,54 @@ def bench(
     if complaint:
         typer.echo(f"error: {complaint}", err=True)
         raise typer.Exit(FAILED)
+
+
+# The command that makes a film of a log.
+
+
+ANIMATE_EXAMPLE = "Example: diffdrive-mpc animate run.csv --out run.mp4 --render --film-speed 2 --from 3 --to 8"
+
+
+def animate(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="A log of simulate or of the node, or a robot's own.")],
+    *,
+    out: Annotated[Path, typer.Option("--out", help="The film: .mp4, .webp, .gif; .png: its last picture.")],
+    mapping: Mapping = None,
+    plant: Annotated[
+        str | None,
+        typer.Option(
+            help="Which robot it was: mujoco, or mujoco:ROBOT.",
+            show_default="mujoco for a log of simulate, else unknown",
+        ),
+    ] = None,
+    surface: Annotated[
+        str | None, typer.Option(help="Floor in MuJoCo's picture.", show_default="what the log says, or default")
+    ] = None,
+    config: ConfigFile = None,
+    render: Render = False,
+    alone: Alone = False,
+    camera: CameraName = "chase",
+    speed: Speed = 1.0,
+    fps: Fps = None,
+    size: Size = None,
+    start: From = None,
+    end: To = None,
+) -> None:
+    """Make a film of a drive from its log alone: robot, plan, reference, band, errors, commands and what was said.
+
+    The limits of commands are drawn where log or --config says them.
+    """
+    from diffdrive_mpc.app.animation.animate import animate_log  # noqa: PLC0415 - --help does without it
+
+    film = film_file(
+        out,
+        render=render,
+        alone=alone,
+        camera=camera,
+        speed=speed,
+        fps=fps,
+        size=size,
+        start=start,
+        end=end,
+    )
+    animate_log(log, film, mapping=mapping, plant=plant, surface=surface, config=config)

@@ -11,7 +11,7 @@ import typer
 
 from diffdrive_mpc.bench.case import DIMENSIONS, Dimension
 from diffdrive_mpc.bench.command_line.completion import Completer, choices, offers
-from diffdrive_mpc.bench.command_line.study_options import file_option
+from diffdrive_mpc.bench.command_line.options import file_option
 
 Command = TypeVar("Command", bound=Callable[..., None])
 

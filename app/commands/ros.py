@@ -7,14 +7,13 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from diffdrive_mpc.app.commands.options import Settings, ros_arguments, with_dimensions
+from diffdrive_mpc.app.commands.options import ConfigFile, Model, Settings, ros_arguments, with_dimensions
 from diffdrive_mpc.bench.command_line.completion import choices
-from diffdrive_mpc.bench.command_line.study_options import file_option
+from diffdrive_mpc.bench.command_line.one_line_errors import FAILED
+from diffdrive_mpc.bench.command_line.options import file_option, out_option
 
-EXAMPLES = {
-    "node": "Example: diffdrive-mpc node --config my_robot.yaml --drive --ros-args -r cmd_vel:=/base/cmd_vel",
-    "sim-robot": "Example: diffdrive-mpc sim-robot --trajectory s --lock-step --record out/drive",
-}
+NODE_EXAMPLE = "Example: diffdrive-mpc node --config my_robot.yaml --drive --ros-args -r cmd_vel:=/base/cmd_vel"
+ROBOT_EXAMPLE = "Example: diffdrive-mpc sim-robot --trajectory s --lock-step --record out/drive"
 
 
 def node(
@@ -101,8 +100,8 @@ def robot(
     from diffdrive_mpc.bench.case import Case  # noqa: PLC0415 - --help does without it, and without ROS
     from diffdrive_mpc.bench.controllers import build_plant, chosen_model, load_reference  # noqa: PLC0415
     from diffdrive_mpc.sim import make_plant  # noqa: PLC0415
-    from diffdrive_mpc.sim.ros.base_settings import load_base_settings  # noqa: PLC0415
     from diffdrive_mpc.sim.ros.run_robot import run_robot  # noqa: PLC0415
+    from diffdrive_mpc.sim.ros.simulated_base import load_base_settings  # noqa: PLC0415
     from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set  # noqa: PLC0415
 
     changes = {
@@ -129,3 +128,105 @@ def robot(
         storage=storage,
         ros_arguments=arguments,
     )
+
+
+# `diffdrive-mpc monitor`: the process that watches a controller.
+
+
+MONITOR_EXAMPLE = "Example: diffdrive-mpc monitor --ros-args -r cmd_vel:=/base/cmd_vel"
+
+RulesFile = Annotated[str, typer.Option(metavar="NAME|FILE", help="Rules: a shipped name, or the path of a YAML file.")]
+
+
+def monitor(
+    context: typer.Context,
+    *,
+    rules: RulesFile = "default",
+    export: Annotated[
+        Path | None,
+        typer.Option(help="Write the judge in C with these rules into a folder instead.", show_default=False),
+    ] = None,
+) -> None:
+    """Stand between a controller and its base: pass on what keeps all rules, stop the robot at what breaks one.
+
+    The controller has to publish `cmd_vel_unchecked` (node: `--ros-args -r cmd_vel:=cmd_vel_unchecked`). What follows
+    `--ros-args` goes to ROS: remappings, parameters.
+    """
+    arguments = ros_arguments(context)
+    if export is not None:
+        from diffdrive_mpc.mpc.monitor.export import export_judge  # noqa: PLC0415 - --help does without it
+        from diffdrive_mpc.mpc.monitor.rules import load_rules  # noqa: PLC0415
+
+        typer.echo("\n".join(str(path) for path in export_judge(load_rules(rules), export)))
+        return
+    from diffdrive_mpc.mpc.monitor.ros.main import run  # noqa: PLC0415 - needs rclpy
+    from diffdrive_mpc.mpc.monitor.ros.node import MonitorSettings  # noqa: PLC0415
+
+    run(arguments, MonitorSettings(rules=rules))
+
+
+# `diffdrive-mpc export`: the controller as a C99 library for a microcontroller.
+
+
+EXPORT_EXAMPLE = "Example: diffdrive-mpc export --model ssm --set horizon=15 --precision float --out firmware"
+
+
+def export(
+    *,
+    out: Annotated[Path, out_option("the library")],
+    model: Model = None,
+    config: ConfigFile = None,
+    settings: Settings = None,
+    trajectory: Annotated[
+        str,
+        typer.Option(
+            help="What the table holds: a shipped name such as circle, or the path of a file.",
+            autocompletion=choices("trajectory"),
+        ),
+    ] = "circle",
+    precision: Annotated[str, typer.Option(help="Number type: double or float.")] = "double",
+    emulated: Annotated[
+        bool, typer.Option("--emulate", help="Drive it on QEMU's STM32F4, and count the instructions of each step.")
+    ] = False,
+) -> None:
+    """Write estimator, prediction, QP and failure ladder as C99 without allocation, and say how large they are."""
+    from diffdrive_mpc.app.export.command import export_library  # noqa: PLC0415 - --help and other commands do without it
+
+    export_library(
+        out,
+        model=model,
+        config=config,
+        settings=settings or [],
+        trajectory=trajectory,
+        precision=precision,
+        emulated=emulated,
+    )
+
+
+# `diffdrive-mpc doctor`: what is there on this computer, and what it means.
+
+
+DOCTOR_EXAMPLE = "Example: diffdrive-mpc doctor"
+
+
+def doctor(
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
+) -> None:
+    """Look at this computer for three seconds: what is there, what it means, and what to do.
+
+    Paste its answer when you ask for help. The exit code is 1 only where the controller itself cannot run.
+    """
+    from diffdrive_mpc.app.doctor import examination  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.progress import output_console  # noqa: PLC0415
+
+    found = examination.examine()
+    if as_json:
+        typer.echo(examination.as_json(found))
+    else:
+        console = output_console()
+        console.print(examination.heading(), markup=False, highlight=False)
+        for table in examination.tables(found):
+            typer.echo()
+            console.print(table.rich())
+    if not examination.can_run(found):
+        raise typer.Exit(FAILED)

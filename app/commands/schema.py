@@ -9,7 +9,7 @@ import typer
 
 from diffdrive_mpc.bench.command_line.completion import choices
 
-EXAMPLE = "Example: diffdrive-mpc schema trajectory --out trajectory.schema.json"
+SCHEMA_EXAMPLE = "Example: diffdrive-mpc schema trajectory --out trajectory.schema.json"
 
 
 def schema(

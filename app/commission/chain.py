@@ -10,22 +10,20 @@ from typing import Any
 import numpy as np
 import yaml
 
-from diffdrive_mpc.app.commission.ledger import Gate
-from diffdrive_mpc.app.commission.settings import DriveSettings, commission_settings
+from diffdrive_mpc.app.commission.ledger import DriveSettings, Gate, commission_settings
 from diffdrive_mpc.app.excitation import Excitation, check_drive, driven, excite_model, in_room
 from diffdrive_mpc.app.identification.figures import draw_identification
-from diffdrive_mpc.app.identification.first_drive import FIRST_CIRCLE, first_circle
-from diffdrive_mpc.app.identification.trial_drives import trial_doubts, trial_drives
+from diffdrive_mpc.app.identification.trial_drives import FIRST_CIRCLE, first_circle, trial_doubts, trial_drives
 from diffdrive_mpc.app.proof.proof_file import Proof, load_proof
 from diffdrive_mpc.app.proof.report import Outcomes, is_unsafe, percent
 from diffdrive_mpc.app.proof.study import ProofStudy, keep
 from diffdrive_mpc.app.twin.study import twin_into
+from diffdrive_mpc.bench.campaign.definition import stated
 from diffdrive_mpc.bench.campaign.engine import Place, failed
-from diffdrive_mpc.bench.campaign.stated import stated
 from diffdrive_mpc.bench.study import carry_out
 from diffdrive_mpc.models.identification import Identification, identify
 from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE, Setting
-from diffdrive_mpc.models.identification.lateral_slip import lateral_slip
+from diffdrive_mpc.models.identification.slip import lateral_slip
 from diffdrive_mpc.models.logs import read_log
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.mpc import load_config

@@ -12,14 +12,21 @@ from typing import Any
 
 from diffdrive_mpc.app.commission import chain
 from diffdrive_mpc.app.commission.chain import DRIVE, LOG, Logs
-from diffdrive_mpc.app.commission.ledger import SAID, Done, Gate, Ledger, key_of
-from diffdrive_mpc.app.commission.report import report_text
-from diffdrive_mpc.app.commission.settings import DriveSettings, commission_settings
-from diffdrive_mpc.app.identification.first_drive import FIRST_CIRCLE
+from diffdrive_mpc.app.commission.ledger import (
+    SAID,
+    Done,
+    DriveSettings,
+    Gate,
+    Ledger,
+    commission_settings,
+    key_of,
+    report_text,
+)
+from diffdrive_mpc.app.identification.trial_drives import FIRST_CIRCLE
 from diffdrive_mpc.app.tune.optuna_study import needs_optuna
 from diffdrive_mpc.app.tune.tune_file import load_plan
 from diffdrive_mpc.app.twin.report import PLANT
-from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.report_folder import staged
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE

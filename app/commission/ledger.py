@@ -8,14 +8,18 @@ import resource
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import redirect_stdout
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from joblib.externals.loky import get_reusable_executor
+from pydantic import Field
 
-from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.campaign.identity import environment
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.bench.report_folder import staged
+from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
+from diffdrive_mpc.models.robot import NotNegative, Positive
 from diffdrive_mpc.models.whole_file import whole_file
 
 FILE = "commission.json"
@@ -137,3 +141,99 @@ def _processor_time() -> float:
     get_reusable_executor(reuse=True).shutdown(wait=True)
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+# What a commissioning drives and demands; the numbers stand in `settings.yaml`.
+
+
+class DriveSettings(StrictModel):
+    """A drive to identify from."""
+
+    seconds: Positive
+    speed: Positive
+    yaw_rate: Positive
+
+
+class Gates(StrictModel):
+    """What a step must reach."""
+
+    delay_deviation: Positive
+    gain_deviation: Positive
+    fit: float
+    twin_behind: NotNegative
+    lateral_share: Positive
+
+
+class ProofSettings(StrictModel):
+    """The runs of the proof."""
+
+    runs: int = Field(ge=1)
+    first_seed: int = Field(ge=0)
+    worst: int = Field(ge=0, le=99)
+    spread: dict[str, tuple[Positive, Positive]]
+
+
+class QuickSettings(StrictModel):
+    """The short form: seconds of the drives and of the log that the twin is fitted to, runs of the proof."""
+
+    slow: Positive
+    full: Positive
+    twin: Positive
+    runs: int = Field(ge=1)
+
+
+class MostSlip(StrictModel):
+    """Of what a log may say of sideways slip."""
+
+    side_slip: Positive
+    load_shift: Positive
+
+
+class CommissionSettings(StrictModel):
+    """All of it."""
+
+    slow: DriveSettings
+    full: DriveSettings
+    twin_seconds: Positive
+    most_slip: MostSlip
+    quick: QuickSettings
+    gates: Gates
+    proof: ProofSettings
+
+
+@cache
+def commission_settings() -> CommissionSettings:
+    """Read the settings; raises ConfigError on a mistake in them."""
+    return load_checked(CommissionSettings, Path(__file__).with_suffix(".yaml"))
+
+
+# What a commissioning found, as its report says it.
+
+
+STEPS = ("excite-slow", "record-slow", "learn", "excite", "record", "identify", "twin", "tune", "prove")
+"""All of them, in order."""
+_HEAD = """\
+# Commissioning
+
+Each step had to pass before the next one began. `model.yaml` and `config.yaml` are for the robot, `twin.yaml` is for
+`simulate --plant mujoco:twin.yaml`, `proof.md` says how often runs on robots around the twin went how.
+
+"""
+_TAIL = """
+## The first drive
+
+With `config.yaml`, on its own floor, with room and a hand at the emergency stop: `first_circle.yaml` first. The proof
+is of the twin and of robots around it, not of this robot: what its log did not show is not in it.
+"""
+
+
+def steps_table(steps: Mapping[str, Done], tuned: bool) -> Table:
+    """Every step with its sentence and its cost."""
+    shown = [name for name in STEPS if name in steps and (tuned or name != "tune")]
+    rows = tuple((name, f"{steps[name].sentence}.", number(steps[name].processor_s, 1)) for name in shown)
+    return Table("Steps", ("step", "result", "processor time [s]"), rows, 2)
+
+
+def report_text(steps: Mapping[str, Done], tuned: bool) -> str:
+    """`report.md`."""
+    return _HEAD + steps_table(steps, tuned).markdown().rstrip() + "\n" + _TAIL

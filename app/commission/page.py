@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+import yaml
+
 from diffdrive_mpc.app.commission.commissioning import RESULT, TWIN_FILE, Asked
-from diffdrive_mpc.app.commission.comparison import COMMISSIONED, INFORMED, PATHS, SHIPPED, Comparison
-from diffdrive_mpc.app.commission.ledger import Done
-from diffdrive_mpc.app.commission.report import steps_table
+from diffdrive_mpc.app.commission.ledger import Done, steps_table
+from diffdrive_mpc.app.proof.study import told_of
+from diffdrive_mpc.bench.campaign.definition import Definition
+from diffdrive_mpc.bench.campaign.engine import Place, drive_all
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.html_report.document import picture
@@ -30,9 +36,148 @@ from diffdrive_mpc.bench.html_report.page import (
 from diffdrive_mpc.bench.html_report.run_series import run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings
 from diffdrive_mpc.bench.machine import describe_run
-from diffdrive_mpc.models.identification.configuration import CONFIG_FILE
+from diffdrive_mpc.bench.progress import ProgressBar
+from diffdrive_mpc.bench.table import Table, millis, number
+from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE, choose_pace
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.output_error.validation import validate
+from diffdrive_mpc.models.structures.identified import model_file, write_model_file
+from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.sim import Run
+from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
+from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
+from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
+from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
+
+# A controller that was given the true parameters of a simulated robot: what a commissioning is held against.
+
+
+_SEEDS = (7000, 7001, 7002)
+_SECONDS = 60.0
+
+
+def write_informed(robot: Path, folder: Path) -> Path:
+    """Write model and configuration of the informed controller into `folder`; gives the configuration's path.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError, ValueError, OSError
+        If the robot file has a mistake, or the folder cannot be written to.
+    """
+    build = load_simulated_robot(robot)
+    exact, records, motions, slopes = load_sensor_set("perfect"), [], [], []
+    for seed in _SEEDS:
+        plant = MujocoPlant(
+            build.friction or 1.0, exact, seed, robot=build.robot, twin=build.twin, firmware=build.firmware
+        )
+        drive = drive_open_loop(plant, random_commands(seed, smooth=False, duration=_SECONDS))
+        body = np.column_stack([drive.true_twist[:, 0], drive.wheel_twist[:, 1]])
+        name = f"exact drive {seed}"
+        records.append(Record(name, 0.0, plant.sample_time, drive.command, twist=body, yaw_rate=drive.true_twist[:, 2]))
+        motions.append(drive.true_twist)
+        slopes.append(np.gradient(drive.true_twist[:, 0], plant.sample_time))
+    found = identify_sm(records, limits=False)
+    fit = validate(found.system, records).fit_percent
+    content = model_file(
+        found,
+        name="true parameters",
+        source=f"exact drives of {build.description}",
+        records=[record.name for record in records],
+        date=datetime.date.today(),
+        train_fit_percent=fit,
+        validation_fit_percent=fit,
+        notes="scored on the drives that it is from",
+    )
+    (v, lateral, omega), slope = np.concatenate(motions).T, np.concatenate(slopes)
+    side_slip, load_shift = np.linalg.lstsq(np.column_stack([-v * omega, slope * omega]), lateral, rcond=None)[0]
+    pace = choose_pace(found.model, records[0].dt)
+    config = {
+        "model": MODEL_FILE,
+        "horizon": pace.horizon,
+        "wheels": {"track": build.firmware.track, "encoder_track": build.robot.track},
+        "estimator": {"side_slip": max(0.0, float(side_slip)), "load_shift": max(0.0, float(load_shift))},
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    write_model_file(folder / MODEL_FILE, content)
+    path = folder / CONFIG_FILE
+    path.write_text(yaml.safe_dump(config, sort_keys=False), encoding="utf-8")
+    return path
+
+
+# A commissioned controller beside the shipped one and one that was given the true parameters, on the robot itself.
+
+
+PATHS = ("circle", "square", "s", "cane")
+SEEDS = (70000, 70001, 70002)
+"""Of the noise; nothing was commissioned, tuned or proven with them."""
+SHIPPED, INFORMED, COMMISSIONED = "shipped", "true parameters", "commissioned"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Position RMSE [m] over the paths' seeds, by controller and path."""
+
+    errors: Mapping[str, Mapping[str, float]]
+
+    def whole(self, controller: str) -> float:
+        """Root mean square over all paths [m]."""
+        return float(np.sqrt(np.mean(np.square(list(self.errors[controller].values())))))
+
+    @property
+    def over_informed(self) -> float:
+        """Of the commissioned controller over the informed one [-]."""
+        return self.whole(COMMISSIONED) / self.whole(INFORMED)
+
+    @property
+    def below_shipped(self) -> float:
+        """By which share the commissioned controller is below the shipped one [-]."""
+        return 1.0 - self.whole(COMMISSIONED) / self.whole(SHIPPED)
+
+    def table(self) -> Table:
+        """Errors, and their ratios to the informed controller's."""
+        rows = []
+        for name in (SHIPPED, COMMISSIONED, INFORMED):
+            whole = self.whole(name)
+            cells = [millis(self.errors[name][path]) for path in PATHS]
+            rows.append((name, *cells, millis(whole), number(whole / self.whole(INFORMED), 2)))
+        return Table(
+            "On the robot itself",
+            ("controller", *(f"{path} [mm]" for path in PATHS), "all [mm]", "over true parameters"),
+            tuple(rows),
+            1,
+            f"Position RMSE over seeds {', '.join(map(str, SEEDS))}, all ticks together.",
+        )
+
+
+def compare(robot: Path, config: Path, shipped: str, folder: Path, jobs: int | None) -> Comparison:
+    """Drive the four paths on the robot with all three.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError, bench.runner.StudyFailedError
+        If something that is named cannot be used, or runs could not be driven.
+    """
+    controllers = {
+        SHIPPED: told_of(shipped),
+        COMMISSIONED: told_of(str(config)),
+        INFORMED: told_of(str(write_informed(robot, folder / "informed"))),
+    }
+    plant = {"plant": f"mujoco:{robot.resolve()}"}
+    runs = {
+        (name, path): [Definition.of(dict(told) | plant | {"trajectory": path, "seed": seed}) for seed in SEEDS]
+        for name, told in controllers.items()
+        for path in PATHS
+    }
+    with ProgressBar("comparing") as bar:
+        driven = drive_all([one for group in runs.values() for one in group], Place(folder, jobs), bar, "comparing")
+    found = iter(driven)
+    errors: dict[str, dict[str, float]] = {name: {} for name in controllers}
+    for (name, path), group in runs.items():
+        values = [next(found).number("position_rmse_m") for _ in group]
+        errors[name][path] = float(np.sqrt(np.mean(np.square(values))))
+    return Comparison(errors)
+
 
 _FILES = {CONFIG_FILE: "Configuration for the robot", "model.yaml": "Model", TWIN_FILE: "Twin"}
 _DRIVEN, _POINTS = ("circle", "s"), 400

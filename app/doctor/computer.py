@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import platform
 
-from diffdrive_mpc.app.doctor.finding import Finding, doctor_settings, in_bytes
-from diffdrive_mpc.app.doctor.machine import Machine
+from diffdrive_mpc.app.doctor.machine import Finding, Machine, doctor_settings, in_bytes
 from diffdrive_mpc.bench.runner import available_cores
 
 _CPUS = "sys/devices/system/cpu"

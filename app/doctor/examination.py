@@ -8,8 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict
 
 from diffdrive_mpc.app.doctor import computer, pictures, product, real_time, ros
-from diffdrive_mpc.app.doctor.finding import Finding
-from diffdrive_mpc.app.doctor.machine import Machine
+from diffdrive_mpc.app.doctor.machine import Finding, Machine
 from diffdrive_mpc.bench.machine import describe_machine, git_revision, project_version
 from diffdrive_mpc.bench.table import Table
 

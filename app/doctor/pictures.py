@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from diffdrive_mpc.app.doctor.finding import Finding
-from diffdrive_mpc.app.doctor.machine import Machine
+from diffdrive_mpc.app.doctor.machine import Finding, Machine
 
 _BACKENDS = {"EGL": "egl", "OSMesa": "osmesa"}
 """Libraries that draw without a display, and MuJoCo's names for them."""

@@ -12,8 +12,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.version import Version
 
-from diffdrive_mpc.app.doctor.finding import Finding, doctor_settings, in_bytes
-from diffdrive_mpc.app.doctor.machine import Machine
+from diffdrive_mpc.app.doctor.machine import Finding, Machine, doctor_settings, in_bytes
 from diffdrive_mpc.models.compiled.cache import CACHE_VARIABLE, user_folder
 from diffdrive_mpc.models.compiled.compiler import NotCompiledError, find_compiler
 

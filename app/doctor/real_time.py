@@ -7,8 +7,7 @@ import time
 
 import numpy as np
 
-from diffdrive_mpc.app.doctor.finding import Finding, doctor_settings
-from diffdrive_mpc.app.doctor.machine import Machine
+from diffdrive_mpc.app.doctor.machine import Finding, Machine, doctor_settings
 
 _GOOD_CLOCKS = ("tsc", "kvm-clock", "arch_sys_counter", "hyperv_clocksource_tsc_page")
 _CLOCK_SOURCE = "sys/devices/system/clocksource/clocksource0/current_clocksource"

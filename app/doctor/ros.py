@@ -6,8 +6,7 @@ import importlib.util
 import socket
 from contextlib import suppress
 
-from diffdrive_mpc.app.doctor.finding import Finding, doctor_settings, in_bytes
-from diffdrive_mpc.app.doctor.machine import Machine
+from diffdrive_mpc.app.doctor.machine import Finding, Machine, doctor_settings, in_bytes
 
 _GROUP, _FIRST_PORT, _PORTS_A_DOMAIN, _LAST_DOMAIN = "239.255.0.1", 7400, 250, 101
 """DDS-RTPS, 9.6.1.1: where they announce themselves. Beyond the last domain Linux hands the ports out itself."""

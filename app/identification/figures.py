@@ -10,8 +10,7 @@ import numpy as np
 
 from diffdrive_mpc.bench.chart_drawing import draw_charts
 from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, new_figure
-from diffdrive_mpc.bench.html_report.numbers import from_zero, rounded
-from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series
+from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series, from_zero, rounded
 from diffdrive_mpc.bench.table import number
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.identification.report import IdentificationReport

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import typer
+
 from diffdrive_mpc.app.identification.figures import FOLDER, draw_identification, figures_of
-from diffdrive_mpc.app.identification.first_drive import FIRST_CIRCLE, first_circle, recipe
 from diffdrive_mpc.app.identification.page import identification_page
 from diffdrive_mpc.app.identification.trial_drives import (
+    FIRST_CIRCLE,
     PATHS,
     TrialDrive,
+    first_circle,
+    recipe,
     trial_doubts,
     trial_drives,
     trial_table,
 )
-from diffdrive_mpc.bench.atomic import staged
-from diffdrive_mpc.bench.contents import REPORT
 from diffdrive_mpc.bench.html_report.document import write_page
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.report_folder import REPORT, staged
 from diffdrive_mpc.bench.table import number, rich_table
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification import Identification, identify
@@ -30,8 +34,10 @@ from diffdrive_mpc.models.identification.from_logs import FILES
 from diffdrive_mpc.models.identification.log_data import OptionError
 from diffdrive_mpc.models.logs import Finding, Log
 from diffdrive_mpc.models.logs.diagnosis import summary
+from diffdrive_mpc.models.logs.draft_mapping import draft_mapping
+from diffdrive_mpc.models.logs.reading import read_log
 from diffdrive_mpc.models.logs.record import counted
-from diffdrive_mpc.models.plain_text import plain_line
+from diffdrive_mpc.models.table import plain_line
 from diffdrive_mpc.mpc import load_config
 
 
@@ -154,3 +160,49 @@ def _print(found: Identification, out: Path) -> None:
 
 def _print_line(text: str, indent: str = "") -> None:
     output_console().print(indent + plain_line(text), markup=False, highlight=False, soft_wrap=True)
+
+
+# The draft of a mapping as a file, and what reading the log with it finds.
+
+
+_NAME = "mapping.yaml"
+
+
+def write_draft(logs: Sequence[Path], out: Path | None) -> None:
+    """Write a draft of the mapping of one log, read the log with it, and print what that finds.
+
+    Parameters
+    ----------
+    logs
+        One CSV file or bag.
+    out
+        The file, if it ends in .yaml, or a folder for mapping.yaml; None for the current folder.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If there are several logs, the log cannot be read, or the file exists or cannot be written.
+    """
+    if len(logs) != 1:
+        raise ConfigError(f"--draft-mapping: {len(logs)} logs; give one, the mapping then serves all of its kind")
+    target = Path(_NAME) if out is None else out if out.suffix in (".yaml", ".yml") else out / _NAME
+    text = draft_mapping(logs[0])
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with target.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise ConfigError(f"{target}: exists and is not replaced; move it away, or give --out FILE.yaml") from error
+    except OSError as error:
+        raise ConfigError(f"{target}: cannot be written ({error.strerror})") from error
+    typer.echo(f"{target}: guesses with their reasons; correct them\n")
+    typer.echo(text)
+    try:
+        remarks = [str(finding) for finding in read_log(logs[0], target).findings]
+    except ConfigError as error:
+        remarks = [str(error)]
+    if remarks:
+        typer.echo("Read with this draft:")
+        typer.echo("\n".join(f"  {remark}" for remark in remarks))
+    command = shlex.join(["diffdrive-mpc", "identify", str(logs[0]), "--mapping", str(target)])
+    typer.echo(f"Next: correct {target}, then {command}")

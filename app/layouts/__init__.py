@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.resources import files
 from pathlib import Path
 
-from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.report_folder import staged
 
 LAYOUTS = ("foxglove.json", "plotjuggler.xml")
 """The files."""

@@ -6,11 +6,18 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from diffdrive_mpc.app.proof.boundaries import Boundary, find_boundaries
-from diffdrive_mpc.app.proof.maps import Drawn, drawn_map, map_runs
-from diffdrive_mpc.app.proof.page import map_chart, shown, tail_charts
+from diffdrive_mpc.app.proof.boundaries import Boundary, Drawn, drawn_map, find_boundaries, map_runs
 from diffdrive_mpc.app.proof.proof_file import Proof
-from diffdrive_mpc.app.proof.report import Outcomes, error_estimates, facts, tables, worst
+from diffdrive_mpc.app.proof.report import (
+    Outcomes,
+    error_estimates,
+    facts,
+    map_chart,
+    shown,
+    tables,
+    tail_charts,
+    worst,
+)
 from diffdrive_mpc.app.run_file import write_run
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.draws import Value

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,6 @@ from diffdrive_mpc.app.replay.open_loop import Replayed
 from diffdrive_mpc.app.replay.recording import Recording
 from diffdrive_mpc.app.replay.statistics import NAMES, Difference
 from diffdrive_mpc.app.replay.verdicts import Verdict
-from diffdrive_mpc.bench.html_report.numbers import from_zero
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
     Chart,
@@ -24,6 +24,7 @@ from diffdrive_mpc.bench.html_report.page import (
     Shown,
     Toggle,
     Warned,
+    from_zero,
 )
 from diffdrive_mpc.bench.html_report.run_series import run_series
 from diffdrive_mpc.bench.table import number
@@ -249,3 +250,30 @@ def _thinned(time: FloatArray, values: FloatArray) -> tuple[list[float], list[fl
     groups = np.array_split(np.arange(len(time)), min(_CHART_POINTS, len(time)))
     chosen = np.array([ticks[np.argmax(np.abs(values[ticks]))] for ticks in groups])
     return time[chosen].round(3).tolist(), [float(f"{value:.4g}") for value in values[chosen]]
+
+
+# The figures of a replay; matplotlib is loaded when one is drawn.
+
+
+def draw_path(
+    recording: Recording, replayed: Replayed, references: Sequence[Reference], counted: BoolArray, path: Path
+) -> None:
+    """Poses as they came, what the estimator made of them, and what was tracked."""
+    from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, new_figure  # noqa: PLC0415 - loads slowly
+
+    came = [
+        np.asarray(tick.measurement.pose.value, dtype=float)[:2]
+        for tick, keep in zip(recording.ticks, counted, strict=True)
+        if keep and tick.measurement.pose is not None
+    ]
+    with new_figure(path, 6.0, 6.0) as figure:
+        axes = figure.subplots()
+        for i, reference in enumerate(references):
+            line = reference.sample(np.linspace(0.0, reference.duration, 1000)).pose
+            label = "reference" if i == 0 else None
+            axes.plot(line[:, 0], line[:, 1], color=REFERENCE_COLOUR, linewidth=3.0, alpha=0.5, label=label)
+        if came:
+            axes.plot(*np.array(came).T, ".", color=colour(4), markersize=2.0, label="poses")
+        axes.plot(replayed.estimate[counted, 0], replayed.estimate[counted, 1], color=colour(0), label="estimate")
+        axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+        axes.legend()

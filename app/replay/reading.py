@@ -9,13 +9,11 @@ from typing import Literal
 
 import numpy as np
 
-from diffdrive_mpc.app.replay.bag import read_bag_drive
-from diffdrive_mpc.app.replay.bag_records import LoggedConfigs
+from diffdrive_mpc.app.replay.bag import LoggedConfigs, read_bag_drive
 from diffdrive_mpc.app.replay.own_log import is_own_csv, read_own_csv, read_own_mcap
-from diffdrive_mpc.app.replay.pose_stand_in import STAND_IN
 from diffdrive_mpc.app.replay.recording import Recording, Tick
 from diffdrive_mpc.app.replay.settings import replay_settings
-from diffdrive_mpc.app.replay.signals import read_mapped_csv
+from diffdrive_mpc.app.replay.signals import STAND_IN, read_mapped_csv
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.bags import is_bag

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -10,14 +11,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from diffdrive_mpc.app.replay.dead_time import DeadTimeWatch
-from diffdrive_mpc.app.replay.driven_path import DRIVEN, driven_paths
-from diffdrive_mpc.app.replay.figures import draw_path
-from diffdrive_mpc.app.replay.open_loop import Replayed, replay
-from diffdrive_mpc.app.replay.page import command_charts, replay_page, trust_charts
+from diffdrive_mpc.app.replay.open_loop import DeadTimeWatch, Replayed, replay
+from diffdrive_mpc.app.replay.own_log import NAME, read_commands, write_replay
+from diffdrive_mpc.app.replay.page import command_charts, draw_path, replay_page, trust_charts
 from diffdrive_mpc.app.replay.reading import PoseSource, from_mid_drive, read_recording, up_to
 from diffdrive_mpc.app.replay.recording import Recording, Tick
-from diffdrive_mpc.app.replay.replay_csv import read_commands
+from diffdrive_mpc.app.replay.signals import DRIVEN, driven_paths
 from diffdrive_mpc.app.replay.statistics import Difference, SensorRow, difference, sensor_rows
 from diffdrive_mpc.app.replay.tables import (
     command_table,
@@ -30,12 +29,13 @@ from diffdrive_mpc.app.replay.tables import (
 from diffdrive_mpc.app.replay.verdicts import Evidence, Verdict, verdicts
 from diffdrive_mpc.bench.case import Overrides
 from diffdrive_mpc.bench.controllers import chosen_model, controller_config
-from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.bench.study import Report, Study
+from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.study import Report, Study, carry_out
 from diffdrive_mpc.bench.sweep import single_settings
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.logs.record import BoolArray
+from diffdrive_mpc.models.whole_file import check_not_read
 from diffdrive_mpc.mpc import ControllerConfig, load_config, load_trajectory
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.step_result import LearnedDeadTime, StepResult
@@ -342,3 +342,20 @@ def _first_pose(recording: Recording) -> FloatArray:
     if found is None:
         raise ConfigError(f"{recording.name}: no poses, so --start-at-robot has nowhere to start")
     return np.asarray(found.value, dtype=float)
+
+
+# What `diffdrive-mpc replay` does: the study, what it found in words, and replay.csv.
+
+
+def replay_into(asked: Asked, out: Path) -> None:
+    """Replay a log into the folder `out`, and say what was found; raises as `carry_out` does."""
+    check_not_read(out / NAME, f"--out {out / NAME}")
+    with tempfile.TemporaryDirectory() as folder:
+        found = carry_out(ReplayStudy(asked, Path(folder)), out)
+        recording = found.plan.recording
+        write_replay(recording, found.replayed, found.other, out / NAME)
+    console = output_console()
+    lines = [agreement(found, by_controller=recording.by_controller), found.plan.reference_words]
+    lines += [*recording.approximated, *recording.findings]
+    for line in lines:
+        console.print(line, markup=False, highlight=False)

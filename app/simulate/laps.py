@@ -14,14 +14,13 @@ import numpy as np
 from diffdrive_mpc.app.run_log import holds_plans, repeating, run_log
 from diffdrive_mpc.app.simulate.single import asked_case, draw_figures
 from diffdrive_mpc.app.simulate.single_page import laps_page
-from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.contents import REPORT
 from diffdrive_mpc.bench.controllers import build_plant, load_reference, make_controller
 from diffdrive_mpc.bench.html_report.document import write_page
 from diffdrive_mpc.bench.html_report.page import Axis, Chart, Mark, Series
 from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.report_folder import REPORT, staged
 from diffdrive_mpc.bench.run_row import Outcome
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.models.checked_yaml import ConfigError

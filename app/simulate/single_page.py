@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from diffdrive_mpc.bench.case import AS_FILED, DIMENSIONS, NO_SCENARIO, Case
-from diffdrive_mpc.bench.html_report.configuration import case_config, configuration
-from diffdrive_mpc.bench.html_report.origin import origin
+from diffdrive_mpc.bench.html_report.origin import case_config, configuration, origin
 from diffdrive_mpc.bench.html_report.page import KeyFigure, Page, Runs, Shown, Toggle, View
 from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings

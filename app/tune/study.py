@@ -8,10 +8,8 @@ from pathlib import Path
 
 from diffdrive_mpc.app.proof.study import told_of
 from diffdrive_mpc.app.tune.optuna_study import needs_optuna
-from diffdrive_mpc.app.tune.page import front_chart, search_chart, shown
-from diffdrive_mpc.app.tune.points import Searched
-from diffdrive_mpc.app.tune.report import configuration, facts, tables
-from diffdrive_mpc.app.tune.search import Search
+from diffdrive_mpc.app.tune.report import configuration, facts, front_chart, search_chart, shown, tables
+from diffdrive_mpc.app.tune.search import Search, Searched
 from diffdrive_mpc.app.tune.tune_file import TunePlan, load_plan
 from diffdrive_mpc.app.tune.verdict import Verdict, judge
 from diffdrive_mpc.bench.campaign.draws import Value

@@ -10,9 +10,8 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from diffdrive_mpc.bench.campaign.campaign_file import MOST_RUNS, Campaign, whole_paths
-from diffdrive_mpc.bench.campaign.definition import Definition, check_factor
+from diffdrive_mpc.bench.campaign.definition import Definition, check_factor, stated
 from diffdrive_mpc.bench.campaign.draws import Value, read_factor
-from diffdrive_mpc.bench.campaign.stated import stated
 from diffdrive_mpc.bench.case import check_count
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.sim import Metrics

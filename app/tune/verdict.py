@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diffdrive_mpc.app.tune.objective import Score, Term, broken, exceeded, in_words, score, table_of, terms_of
-from diffdrive_mpc.app.tune.points import Point
-from diffdrive_mpc.app.tune.search import RunSet, Search
+from diffdrive_mpc.app.tune.search import Point, RunSet, Search
 from diffdrive_mpc.app.tune.tune_file import TunePlan
 from diffdrive_mpc.bench.campaign.draws import Value
 from diffdrive_mpc.bench.progress import ProgressBar

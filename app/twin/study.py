@@ -10,19 +10,19 @@ from typing import Any
 
 from joblib import Parallel, delayed
 
-from diffdrive_mpc.app.twin.figure import draw_held_out
 from diffdrive_mpc.app.twin.report import (
     NUMBERS,
     PLANT,
     REPORT,
+    draw_held_out,
     fit_table,
     numbers,
     parameter_table,
     plant_text,
     report_text,
 )
-from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.progress import ProgressBar, output_console
+from diffdrive_mpc.bench.report_folder import staged
 from diffdrive_mpc.bench.runner import available_cores
 from diffdrive_mpc.bench.table import rich_table
 from diffdrive_mpc.models.checked_yaml import ConfigError

@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
-from diffdrive_mpc.bench.campaign.outcome import Row
-from diffdrive_mpc.bench.campaign.task import Task, do
-from diffdrive_mpc.bench.errors import StudyFailedError, WorkerDiedError
+from diffdrive_mpc.bench.campaign.drive import Row
+from diffdrive_mpc.bench.campaign.engine import Task, do
+from diffdrive_mpc.bench.runner import StudyFailedError, WorkerDiedError
 from diffdrive_mpc.models.errors import MissingPackageError
 
 OnRow = Callable[[Task, Row], None]

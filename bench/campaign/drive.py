@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -15,21 +16,60 @@ import yaml
 from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.bench.campaign.definition import Definition
-from diffdrive_mpc.bench.campaign.outcome import Row, row_of
 from diffdrive_mpc.bench.case import Overrides
 from diffdrive_mpc.bench.command_check import Unsafe, check_commands, stated_limits
 from diffdrive_mpc.bench.controllers import build, settings_of
 from diffdrive_mpc.bench.peers import PEERS
+from diffdrive_mpc.bench.plain_values import plain
+from diffdrive_mpc.bench.run_row import CLOCK, run_columns
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
 from diffdrive_mpc.models.interface import ControlStep, Measurement, Reference, TrackingController
 from diffdrive_mpc.models.load import is_shipped
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.trust import UntrustedFileError, also_trusted
 from diffdrive_mpc.mpc.config.config_file import PARAMETERS
+from diffdrive_mpc.mpc.solver.report import SolverStatus
+from diffdrive_mpc.mpc.step_result import Mode
 from diffdrive_mpc.sim import Plant, Run, simulate
 from diffdrive_mpc.sim.plants.simulated_robot import DEFAULT, ROBOTS, load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import SURFACES
 from diffdrive_mpc.sim.sensing.sensor_set import SENSOR_SETS
+
+# The row of a run: metrics, completion, counts of what the controller did, unsafe commands, and times.
+
+
+TIME = "time_"
+"""Beginning of the names of all columns that differ when a run is repeated."""
+_WORDS = {str(status): f"solver_{status.name.lower()}" for status in SolverStatus}
+
+Row = dict[str, bool | int | float | str | None]
+
+
+def row_of(run: Run | None, unsafe: Unsafe | None, error: str, processor: float, wall: float) -> Row:
+    """The row of one run.
+
+    Parameters
+    ----------
+    run
+        What was driven; None where it ended in an error.
+    unsafe
+        Counts by the checker; None where the controller is not this project's.
+    error
+        Why it could not be driven or driven on, in one line; empty where it could.
+    processor, wall
+        What it took of the processor and of the clock [s].
+    """
+    row: Row = {"completed": run is not None and run.metrics.completed, "error": error}
+    row |= {f"unsafe_{name}": count for name, count in (asdict(unsafe) if unsafe else {}).items()}
+    row |= {f"{TIME}processor_s": processor, f"{TIME}wall_s": wall}
+    if run is None:
+        return row
+    for name, value in plain(run_columns(run)).items():
+        row[f"{TIME}{name.replace('_time', '')}" if name.startswith(CLOCK) else name] = value
+    modes, statuses = Counter(run.modes), Counter(run.solver_statuses)
+    row |= {f"ticks_{mode.lower()}": modes[mode] for mode in Mode}
+    return row | {column: statuses[words] for words, column in _WORDS.items()}
+
 
 OnTick = Callable[[int, int], None]
 _PHYSICS = "mujoco"

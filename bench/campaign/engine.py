@@ -6,19 +6,150 @@ costs nothing.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import platform
+import shutil
+import time
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from diffdrive_mpc.bench.campaign.check import check_definitions
 from diffdrive_mpc.bench.campaign.definition import Definition
-from diffdrive_mpc.bench.campaign.local import drive_here
-from diffdrive_mpc.bench.campaign.outcome import Row
-from diffdrive_mpc.bench.campaign.store import Store
-from diffdrive_mpc.bench.campaign.task import Task
-from diffdrive_mpc.bench.errors import StudyFailedError
+from diffdrive_mpc.bench.campaign.drive import Row, drive
+from diffdrive_mpc.bench.campaign.identity import LIBRARIES, identify, key_of
 from diffdrive_mpc.bench.progress import ProgressBar
-from diffdrive_mpc.bench.runner import available_cores
+from diffdrive_mpc.bench.runner import (
+    OnDone,
+    StudyFailedError,
+    WorkerDiedError,
+    available_cores,
+    processes_last,
+    run_tasks,
+)
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.whole_file import reason, whole_file
+
+# One run on its way to whoever drives it.
+
+
+class OtherVersionError(StudyFailedError):
+    """Who drives a run has other code, libraries or files than who asked for it."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A run, and the key under which it is kept."""
+
+    definition: Definition
+    key: str
+
+    @classmethod
+    def of(cls, definition: Definition) -> Task:
+        """The task for a run."""
+        return cls(definition, key_of(definition))
+
+    @property
+    def identity(self) -> dict[str, object]:
+        """What the key is the hash of."""
+        return identify(self.definition)
+
+
+def do(task: Task) -> Row:
+    """Drive the run and give its row; raises OtherVersionError where it would not be the run that was asked for."""
+    if key_of(task.definition) != task.key:
+        raise OtherVersionError(
+            f"{platform.node()} has another version of this product, of Python or of {', '.join(LIBRARIES)}, or other "
+            "files than where the campaign was started; install the same, and share the files that the campaign names"
+        )
+    return drive(task.definition)
+
+
+# Rows of runs in a folder, one file for each, under the hash of what defines the run.
+
+
+RUNS = "runs"
+_LEFT_OVER = 3600.0
+"""A draft that is older [s] has lost its writer."""
+
+
+class Store:
+    """The runs in `folder`/runs, which is made where missing; raises ConfigError if that cannot be."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / RUNS
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"--out {folder}: cannot be written to ({reason(error)}); give a folder") from error
+
+    def clear_drafts(self) -> None:
+        """Remove what writers left that were ended from outside."""
+        for draft in self._folder.glob("*/.unfinished-*"):
+            with suppress(FileNotFoundError):  # another process has just put its file in place
+                if time.time() - draft.stat().st_mtime > _LEFT_OVER:
+                    shutil.rmtree(draft, ignore_errors=True)
+
+    def keys(self) -> set[str]:
+        """Of all runs that are there."""
+        return {path.stem for path in self._folder.glob("*/*.json")}
+
+    def save(self, key: str, identity: dict[str, object], row: Row) -> None:
+        """Keep the row of the run with `key`, and beside it all that the key is the hash of."""
+        record = {"key": key, **identity, "row": row}
+        with whole_file(self._path(key)) as draft:
+            draft.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+    def load(self, key: str) -> Row | None:
+        """The row of a run; None where there is none, or a file that was cut off (by a disk that was full)."""
+        path = self._path(key)
+        try:
+            record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            row: Row = record["row"]
+        except (FileNotFoundError, ValueError, KeyError, TypeError):
+            return None
+        return row
+
+    def _path(self, key: str) -> Path:
+        return self._folder / key[:2] / f"{key}.json"
+
+
+# Drive runs in processes of this machine.
+
+
+_WORTH = 8
+"""A process that starts, and ends with the runs, costs as much as so many of them."""
+_TRIES = 3
+"""So many pools in a row may break without a run done in between."""
+
+
+def drive_here(tasks: Iterable[Task], folder: Path, jobs: int, on_done: OnDone) -> None:
+    """Drive every run that the store in `folder` does not have, in `jobs` processes at most; each keeps its own.
+
+    Runs of a process that was ended from outside are done again. Raises WorkerDiedError when that does not help,
+    OtherVersionError if a file that a run names changed meanwhile.
+    """
+    left, tries = list(tasks), 0
+    while left:
+        try:
+            processes = min(jobs, max(1, len(left) // (1 if processes_last() else _WORTH)))
+            run_tasks([partial(_keep, task, folder) for task in left], processes, on_done)
+            return
+        except WorkerDiedError:
+            kept = Store(folder).keys()
+            fewer = [task for task in left if task.key not in kept]
+            tries = 0 if len(fewer) < len(left) else tries + 1
+            if tries == _TRIES:
+                raise
+            left = fewer
+
+
+def _keep(task: Task, folder: Path) -> None:
+    row = do(task)
+    Store(folder).save(task.key, task.identity, row)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from diffdrive_mpc.bench.campaign.outcome import TIME
+from diffdrive_mpc.bench.campaign.drive import TIME
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.whole_file import whole_file
 

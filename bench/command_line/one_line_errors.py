@@ -11,8 +11,8 @@ from typing import Any, ClassVar, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from diffdrive_mpc.bench.command_line.words import typed
-from diffdrive_mpc.models.plain_text import plain_line
+from diffdrive_mpc.bench.command_line.options import typed
+from diffdrive_mpc.models.table import plain_line
 
 BAD_INPUT = 2
 """Exit code for input that cannot be used."""

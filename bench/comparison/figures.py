@@ -20,11 +20,11 @@ from diffdrive_mpc.bench.figure_style import (
     REFERENCE_COLOUR,
     boxed_legend,
     colour,
+    draw_world,
     free_name,
     new_figure,
 )
 from diffdrive_mpc.bench.study import Charts, Draw
-from diffdrive_mpc.bench.world_drawing import draw_world
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim import Run
 from diffdrive_mpc.sim.metrics.tracking_errors import metric_settings

@@ -10,8 +10,7 @@ from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.comparison.results import ComparisonResults, best_of, predictive
 from diffdrive_mpc.bench.comparison.tables import solve_times, step_times, time_percentile
 from diffdrive_mpc.bench.experiment import COMPARED, by, mean, total
-from diffdrive_mpc.bench.html_report.configuration import case_config, configuration
-from diffdrive_mpc.bench.html_report.numbers import rounded, tail
+from diffdrive_mpc.bench.html_report.origin import case_config, configuration
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
     Chart,
@@ -23,6 +22,8 @@ from diffdrive_mpc.bench.html_report.page import (
     Shown,
     Toggle,
     Warned,
+    rounded,
+    tail,
 )
 from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS, run_series
 from diffdrive_mpc.bench.html_report.run_warnings import run_warnings

@@ -17,8 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from diffdrive_mpc.bench.peers import PeerStep
-from diffdrive_mpc.bench.peers.command_limits import nearest_command
-from diffdrive_mpc.bench.peers.tracking_peer import MODEL, AboveZero, NotNegative
+from diffdrive_mpc.bench.peers.tracking_peer import MODEL, AboveZero, NotNegative, nearest_command
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.pose import ahead_and_left, wrap_angle

@@ -14,7 +14,6 @@ import numpy as np
 from pydantic import Field
 
 from diffdrive_mpc.bench.peers import LAWS, PeerStep
-from diffdrive_mpc.bench.peers.command_limits import nearest_command
 from diffdrive_mpc.bench.peers.estimator import DelayPredictor, HeldEstimator, Motion
 from diffdrive_mpc.models.checked_yaml import StrictModel, check, read_yaml
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
@@ -25,6 +24,20 @@ from diffdrive_mpc.mpc.config.schema import Limits
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
 from diffdrive_mpc.mpc.problem.formulas import formula
 from diffdrive_mpc.mpc.problem.slip import Slip
+
+# Limits of the command as peers keep them: range and slew, as the core keeps them for our controller.
+
+
+def slew_step(limits: Limits, dt: float) -> FloatArray:
+    """(2,) largest change of the command from one tick to the next [m/s, rad/s]."""
+    return np.array([limits.v_slew, limits.omega_slew]) * dt
+
+
+def nearest_command(command: FloatArray, limits: Limits, dt: float, last: FloatArray) -> FloatArray:
+    """The nearest command (2,) inside the range, and inside slew of `last` (2,)."""
+    most, step = np.array([limits.v, limits.omega]), slew_step(limits, dt)
+    return np.asarray(np.clip(np.clip(command, -most, most), last - step, last + step))
+
 
 GAINS = Path(__file__).parent / "gains.yaml"
 """Gains of every peer by its name, as the study `peers` found them."""

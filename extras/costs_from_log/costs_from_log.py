@@ -12,7 +12,7 @@ import numpy as np
 from diffdrive_mpc.extras.energy import IdentifiedConstants, identify_constants
 from diffdrive_mpc.extras.terrain import load_terrain
 from diffdrive_mpc.extras.torque import TorqueCurves, load_torque_settings
-from diffdrive_mpc.extras.torque.costs_of_curves import costs_of_curves
+from diffdrive_mpc.extras.torque.torque_curves import costs_of_curves
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs import Log, read_log

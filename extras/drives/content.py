@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from diffdrive_mpc.extras.drives.drive_file import DRIVE_FILES, Chassis, ExperimentalFile, PhysicalFile
+from diffdrive_mpc.extras.drives.drive_model import DRIVE_FILES, Chassis, ExperimentalFile, PhysicalFile
 from diffdrive_mpc.extras.drives.fitting import DriveFit
 from diffdrive_mpc.extras.drives.settings import fit_settings
 from diffdrive_mpc.models.logs.geometry import WheelGeometry

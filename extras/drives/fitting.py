@@ -13,8 +13,15 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import least_squares
 
-from diffdrive_mpc.extras.drives.drive_model import STEPS, DriveModel, Kind, drive_model, settled_state
-from diffdrive_mpc.extras.drives.equations import Channel, wheel_response
+from diffdrive_mpc.extras.drives.drive_model import (
+    STEPS,
+    Channel,
+    DriveModel,
+    Kind,
+    drive_model,
+    settled_state,
+    wheel_response,
+)
 from diffdrive_mpc.extras.drives.settings import Range, fit_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record

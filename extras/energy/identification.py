@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.turn_costs.drive_constants import DriveConstants
+from diffdrive_mpc.models.turn_costs.vehicle import DriveConstants
 
 # Samples are taken together over so long [s], with their trend: noise of a current squared would weaken what it says.
 _BLOCK = 0.3

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.extras.torque.torque_curves import TorqueCurves
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.turn_costs.drive_constants import DriveConstants
-from diffdrive_mpc.models.turn_costs.vehicle import Vehicle
+from diffdrive_mpc.models.turn_costs.vehicle import DriveConstants, Vehicle
 
 
 class PredictedEnergy(NamedTuple):

@@ -9,10 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive_mpc.extras.hybrids.hybrid_file import HybridFile, correction_content, hybrid_of, write_hybrid
-from diffdrive_mpc.extras.hybrids.hybrid_model import Correction, HybridModel, hybrid_model
-from diffdrive_mpc.extras.hybrids.settings import hybrid_settings
-from diffdrive_mpc.extras.hybrids.training import Run, runs_of, silent, trained
+from diffdrive_mpc.extras.hybrids.hybrid_model import (
+    Correction,
+    HybridFile,
+    HybridModel,
+    correction_content,
+    hybrid_model,
+    hybrid_of,
+    write_hybrid,
+)
+from diffdrive_mpc.extras.hybrids.training import Run, hybrid_settings, runs_of, silent, trained
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.fitting import Fitted

@@ -9,20 +9,47 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from pydantic import Field
 from scipy.optimize import minimize
 
-from diffdrive_mpc.extras.hybrids.equations import gate, network
-from diffdrive_mpc.extras.hybrids.hybrid_model import Correction
-from diffdrive_mpc.extras.hybrids.settings import HybridSettings
+from diffdrive_mpc.extras.hybrids.hybrid_model import Correction, gate, network
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.errors import MissingPackageError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.output_error.experiment import Experiment
-from diffdrive_mpc.models.output_error.linear_system import LinearSystem, StateResponse, settled_start
+from diffdrive_mpc.models.output_error.state_space import LinearSystem, StateResponse, settled_start
+from diffdrive_mpc.models.robot import Positive
+
+# How the network of a hybrid is trained, read from `training.yaml`.
+
+
+Count = Annotated[int, Field(ge=1)]
+Share = Annotated[float, Field(gt=0, lt=1)]
+
+
+class HybridSettings(StrictModel):
+    """The numbers of a training."""
+
+    units: Count = Field(description="of the one layer")
+    full: Share = Field(description="share of the rows at which the network counts in full [-]")
+    reach: float = Field(gt=1, description="distance at which it no longer counts, over that of full share [-]")
+    decays: tuple[Positive, ...] = Field(min_length=1, description="penalties of squared weights, the strongest first")
+    most_steps: Count = Field(description="of one search")
+    least_gain: Share = Field(description="fall of the error power of held-out blocks that it has to bring [-]")
+    seed: int = Field(ge=0)
+
+
+@cache
+def hybrid_settings() -> HybridSettings:
+    """Read the file; raises ConfigError on a mistake in it."""
+    return load_checked(HybridSettings, Path(__file__).with_name("training.yaml"))
+
 
 _FORGOTTEN = 0.01
 """What is left of a start by the linear model when errors of a segment begin to count [-]."""

@@ -9,12 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive_mpc.extras.networks.network import Architecture, Network
-from diffdrive_mpc.extras.networks.network_file import NetworkFile, network_content, write_network
-from diffdrive_mpc.extras.networks.network_model import NetworkModel, network_model
-from diffdrive_mpc.extras.networks.training import method, train
-from diffdrive_mpc.extras.networks.training_settings import TrainingSettings, training_settings
-from diffdrive_mpc.extras.networks.windows import divided, windows_of
+from diffdrive_mpc.extras.networks.network import Architecture, Network, divided, windows_of
+from diffdrive_mpc.extras.networks.network_model import (
+    NetworkFile,
+    NetworkModel,
+    network_content,
+    network_model,
+    write_network,
+)
+from diffdrive_mpc.extras.networks.training import TrainingSettings, method, train, training_settings
 from diffdrive_mpc.models.doubt import Doubt
 from diffdrive_mpc.models.identification.fitting import Fitted
 from diffdrive_mpc.models.identification.log_data import LogData

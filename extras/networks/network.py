@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.lstm_cell import hidden, next_cell
+from diffdrive_mpc.models.output_error.experiment import Experiment
 
 NETWORK = "lstm"
 """By which files and options call such a network."""
@@ -118,3 +120,106 @@ class Network:
 def gate_blocks(columns: FloatArray) -> Iterator[FloatArray]:
     """The columns (..., 4 units) of each gate."""
     yield from np.split(columns, 4, axis=-1)
+
+
+# A network's numbers in the order of `mpc/core/network.h`, and the memory that its step needs there.
+
+
+BLOCK, KEPT = 32, 6
+"""DDMPC_BLOCK and DDMPC_KEPT of `mpc/core/network.h`."""
+
+
+def _padded(count: int) -> int:
+    return -(-count // BLOCK) * BLOCK
+
+
+def packed(network: Network) -> FloatArray:
+    """(Q,) the parameters. What the network says at rest is taken off its offsets."""
+    kind, w = network.architecture, network.weights
+    unit_row, dense_row, in_row = _padded(kind.units), _padded(kind.dense), _padded(kind.units + 2)
+
+    def rows(matrix: FloatArray, width: int) -> FloatArray:
+        return np.pad(matrix, [*[(0, 0)] * (matrix.ndim - 1), (0, width - matrix.shape[-1])])
+
+    def by_gate(columns: FloatArray) -> FloatArray:
+        return np.concatenate([rows(block, unit_row) for block in gate_blocks(columns)], axis=-1)
+
+    gates = by_gate(np.vstack([w["recurrent_0"], w["input_0"]]))
+    parts = (
+        np.array([kind.window, kind.units, kind.dense]),
+        gates,
+        by_gate(w["gate_offset_0"]),
+        rows(gates.T, in_row),
+        rows(w["dense"], dense_row),
+        rows(w["dense_offset"], dense_row),
+        rows(w["dense"].T, unit_row),
+        rows(w["output"].T, dense_row),
+        w["output_offset"] - network.at_rest,
+    )
+    return np.concatenate([np.ravel(part) for part in parts])
+
+
+def work(network: Network) -> int:
+    """Reals of memory that the step needs."""
+    kind = network.architecture
+    unit_row, dense_row, in_row = _padded(kind.units), _padded(kind.dense), _padded(kind.units + 2)
+    forward = in_row + unit_row + len(GATES) * unit_row + 2 * dense_row
+    back = len(GATES) * unit_row + unit_row + in_row + dense_row
+    return forward + back + kind.window * KEPT * unit_row
+
+
+# From records to windows of commands with the twist that follows each.
+
+
+@dataclass(frozen=True)
+class Windows:
+    """K windows of W commands (K, W, 2), oldest first, and the twists (K, 2) one sample after their newest command."""
+
+    commands: FloatArray
+    twists: FloatArray
+
+    def __len__(self) -> int:
+        """Number of windows."""
+        return len(self.twists)
+
+    def part(self, first: int, stop: int) -> Windows:
+        """The windows from `first` up to, and without, `stop`."""
+        return Windows(self.commands[first:stop], self.twists[first:stop])
+
+
+def windows_of(experiments: Sequence[Experiment], window: int) -> Windows:
+    """Every window whose next sample has a reading of both outputs, in the order of time.
+
+    Raises
+    ------
+    ValueError
+        If no stretch is as long as a window.
+    """
+    commands, twists = [], []
+    for experiment in experiments:
+        if experiment.samples <= window:
+            continue
+        views = np.lib.stride_tricks.sliding_window_view(experiment.inputs, window, axis=0)[:-1].transpose(0, 2, 1)
+        counts = experiment.counts[window:].all(axis=1)
+        commands.append(views[counts])
+        twists.append(experiment.outputs[window:][counts])
+    if not commands:
+        raise ValueError(f"no stretch of the log is longer than the window of {window} samples; give a longer log")
+    return Windows(np.concatenate(commands), np.concatenate(twists))
+
+
+def fit_percent(network: Callable[[FloatArray], FloatArray], windows: Windows) -> FloatArray:
+    """(2,) FIT of v and omega over windows [%], 100 (1 - |y - yhat| / |y - mean(y)|)."""
+    error = np.linalg.norm(windows.twists - network(windows.commands), axis=0)
+    return np.asarray(100.0 * (1.0 - error / np.linalg.norm(windows.twists - windows.twists.mean(axis=0), axis=0)))
+
+
+def rmse(network: Callable[[FloatArray], FloatArray], windows: Windows) -> FloatArray:
+    """(2,) root mean square error of v [m/s] and omega [rad/s] over windows."""
+    return np.asarray(np.sqrt(np.mean((windows.twists - network(windows.commands)) ** 2, axis=0)))
+
+
+def divided(windows: Windows, shares: Sequence[float]) -> tuple[Windows, ...]:
+    """Parts of these shares, one after the other in time: neighbouring windows share their commands."""
+    cuts = [0, *np.rint(np.cumsum(shares) * len(windows)).astype(int).tolist()]
+    return tuple(windows.part(first, stop) for first, stop in pairwise(cuts))

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from diffdrive_mpc.models.lazy_names import on_first_use
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.extras.planner.checks import PlanError
-    from diffdrive_mpc.extras.planner.inputs import OBJECTIVES, Objective
+    from diffdrive_mpc.extras.planner.clearance import PlanError
+    from diffdrive_mpc.extras.planner.command import OBJECTIVES, Objective
     from diffdrive_mpc.extras.planner.planner import plan, plan_each
     from diffdrive_mpc.extras.planner.result import Plan
     from diffdrive_mpc.extras.planner.search import Found, Piece

@@ -10,8 +10,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.patches import Polygon
 
-from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, line_style, new_figure
-from diffdrive_mpc.bench.world_drawing import draw_world
+from diffdrive_mpc.bench.figure_style import REFERENCE_COLOUR, colour, draw_world, line_style, new_figure
 from diffdrive_mpc.extras.planner.clearance import outline
 from diffdrive_mpc.extras.planner.study import Asked, Plans
 from diffdrive_mpc.models.interface import FloatArray

@@ -6,23 +6,143 @@ tell keeps the schema's default and is named.
 
 from __future__ import annotations
 
+import math
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from diffdrive_mpc.models.base_effects import BaseEffects, WheelCommand
-from diffdrive_mpc.models.identification.horizon import choose_pace, round_period
-from diffdrive_mpc.models.identification.sensor_noise import sensor_noise
+from diffdrive_mpc.models.identification.noise import sensor_noise
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.geometry import WheelGeometry, firmware_track
-from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.plain_text import plain_line
+from diffdrive_mpc.models.logs.record import Record, Topics
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
-from diffdrive_mpc.models.velocity_model import CHANNELS
+from diffdrive_mpc.models.table import plain_line
+from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
+
+# Parameters of the ROS node for the robot of a bag: what its topics are called, and which messages they carry.
+
+
+NODE_FILE = "node.yaml"
+_NODE_NAMES = {"command": "cmd_vel", "odometry": "odom", "imu": "imu", "pose": "pose"}
+_TYPES = {
+    "command": ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist"),
+    "odometry": ("nav_msgs/msg/Odometry",),
+    "imu": ("sensor_msgs/msg/Imu",),
+    "pose": ("geometry_msgs/msg/PoseWithCovarianceStamped",),
+}
+
+
+def node_arguments(topics: Topics, folder: Path = Path()) -> str:
+    """Return what follows `diffdrive-mpc node` for these topics, the parameters file being in `folder`."""
+    words = ["--ros-args", "--params-file", str(folder / NODE_FILE)]
+    for role, name in _NODE_NAMES.items():
+        topic, kind = topics.get(role, (f"/{name}", ""))
+        if kind in _TYPES[role] and topic != f"/{name}":
+            words += ["-r", f"{name}:={topic}"]
+    return shlex.join(words)
+
+
+def node_text(topics: Topics) -> str:
+    """Return the parameters file, with the topic beside each value; topics that the node cannot read are named.
+
+    Topic names are remappings, which a parameters file cannot hold: the command that has them is its first line.
+    """
+    usable = {role: found for role, found in topics.items() if role in _TYPES and found[1] in _TYPES[role]}
+    values = {
+        "stamped": ("command", str("TwistStamped" in usable.get("command", ("", "TwistStamped"))[1]).lower()),
+        "use_imu": ("imu", str("imu" in usable).lower()),
+        "pose_source": ("pose", "topic" if "pose" in usable else "odometry"),
+    }
+    lines = [f"# diffdrive-mpc node --config config.yaml {node_arguments(topics)}", "/**:", "  ros__parameters:"]
+    lines += [f"    {name}: {value}{_reason(topics, role)}" for name, (role, value) in values.items()]
+    for role, (topic, kind) in topics.items():
+        if role in _TYPES and role not in usable:
+            expected = " or ".join(_TYPES[role])
+            lines.append(f"    # {topic} carries {kind}, which the node cannot read as {role}: it takes {expected}")
+    return "\n".join(lines) + "\n"
+
+
+def _reason(topics: Topics, role: str) -> str:
+    return "   # {} carries {}".format(*topics[role]) if role in topics else f"   # no {role} in the log"
+
+
+# How often the controller of an identified robot is asked, and how far it looks ahead.
+
+
+_INSTANTS = 2000
+_SAME_PERIOD = 1e-4
+"""Two periods that differ by less are the same [-]."""
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How often the controller is asked, and how far it looks.
+
+    Attributes
+    ----------
+    sample_time
+        Between two commands [s].
+    every
+        That in samples of the log.
+    horizon
+        Steps that the controller looks ahead.
+    settling
+        Time after which the slower channel has answered a step of its command, dead time included [s].
+    """
+
+    sample_time: float
+    every: int
+    horizon: int
+    settling: float
+
+
+def settling_time(model: VelocityModel) -> float:
+    """Time after which both channels stay within a share of the end of their answers to a step [s], dead time included.
+
+    The share stands in `settings.yaml`. A model without lag answers at once.
+    """
+    share = identification_settings().settled
+    # Long enough for the slowest pole to leave a thousandth.
+    slowest = max((-1.0 / pole.real for pole in model.poles), default=0.0)
+    longest = float(np.max(model.dead_time)) + 7.0 * slowest
+    if not longest > 0.0:
+        return 0.0
+    dt = longest / _INSTANTS
+    late = 0.0
+    for row, step in enumerate(np.eye(2)):
+        answer = model.discretise(dt).simulate(np.tile(step, (_INSTANTS, 1)))[:, row]
+        (unsettled,) = np.nonzero(np.abs(answer - model.dc_gain[row, row]) > share * abs(model.dc_gain[row, row]))
+        late = max(late, dt * (unsettled[-1] + 1) if unsettled.size else 0.0)
+    return late
+
+
+def round_period(dt: float) -> float:
+    """Sample time of a controller for samples `dt` [s] apart: the shortest number within 0.01 % of it [s].
+
+    Times of a log jitter: their median step is 0.0500001 s where 0.05 s was meant.
+    """
+    rounded = (float(f"{dt:.{digits}g}") for digits in range(1, 17))
+    return next((period for period in rounded if abs(period - dt) <= _SAME_PERIOD * dt), dt)
+
+
+def choose_pace(model: VelocityModel, dt: float) -> Pace:
+    """A horizon that sees a robot's answer to its end, from a log with samples of `dt` [s].
+
+    A robot that is slow beside its log is asked every few samples, so that the steps stay few.
+    """
+    settings, settling = identification_settings(), settling_time(model)
+    ahead = settings.look_ahead * settling
+    every = max(1, math.ceil(ahead / (settings.most_steps * dt) - 1e-9))
+    horizon = max(settings.least_steps, math.ceil(ahead / (every * dt) - 1e-9))
+    return Pace(every * dt, every, horizon, settling)
+
 
 MODEL_FILE, CONFIG_FILE = "model.yaml", "config.yaml"
 _UNITS = {"v": "m/s", "omega": "rad/s"}

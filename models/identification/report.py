@@ -17,9 +17,9 @@ from diffdrive_mpc.models.doubt import Doubt, lines
 from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE
 from diffdrive_mpc.models.identification.fitting import Fitted
 from diffdrive_mpc.models.identification.log_data import LogData
-from diffdrive_mpc.models.identification.log_surface import SURFACE_FILE
 from diffdrive_mpc.models.identification.poses import PoseResults
 from diffdrive_mpc.models.identification.settings import identification_settings
+from diffdrive_mpc.models.identification.slip import SURFACE_FILE
 from diffdrive_mpc.models.identification.tables import (
     delay_table,
     drift_table,
@@ -34,8 +34,7 @@ from diffdrive_mpc.models.identification.tables import (
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Finding, counted
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
-from diffdrive_mpc.models.plain_text import plain_line
-from diffdrive_mpc.models.table import Table
+from diffdrive_mpc.models.table import Table, plain_line
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 

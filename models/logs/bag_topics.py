@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2
 
-    from diffdrive_mpc.models.logs.drive_log.as_bag import DriveBag
+    from diffdrive_mpc.models.logs.drive_log.writer import DriveBag
 
-    Reader = Reader1 | Reader2 | DriveBag
+    Reader: TypeAlias = Reader1 | Reader2 | DriveBag
 
 Reading = tuple[float, ...]
 
@@ -143,8 +143,8 @@ def opened(path: Path) -> Iterator[Reader]:
     from rosbags.rosbag1 import Reader as Reader1  # noqa: PLC0415
     from rosbags.rosbag2 import Reader as Reader2  # noqa: PLC0415
 
-    from diffdrive_mpc.models.logs.drive_log.as_bag import DriveBag  # noqa: PLC0415
     from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log  # noqa: PLC0415
+    from diffdrive_mpc.models.logs.drive_log.writer import DriveBag  # noqa: PLC0415
 
     try:
         with within_bounds(path) as there:

@@ -23,11 +23,11 @@ from diffdrive_mpc.models.logs.bag_topics import (
     require_topics,
 )
 from diffdrive_mpc.models.logs.check_settings import check_settings
-from diffdrive_mpc.models.logs.clock_checks import drifting_clocks, require_one_clock
 from diffdrive_mpc.models.logs.csv_log import motor_fields
 from diffdrive_mpc.models.logs.long_logs import decimated, most_driven, needed_stride, subset
 from diffdrive_mpc.models.logs.mapping import FACTORS, LogMapping, MotorTopic, Topic, Topics, Wheels
 from diffdrive_mpc.models.logs.record import Finding, ranges
+from diffdrive_mpc.models.logs.record_checks import drifting_clocks, require_one_clock
 from diffdrive_mpc.models.logs.sampling import ABSURD, RawLog, RawStretch, Signal, increasing, unwrapped, usual_step
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,53 @@ from numpy.typing import NDArray
 from diffdrive_mpc.models.checked_yaml import ConfigError, mistakes
 from diffdrive_mpc.models.input_file import open_input
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.models.logs.growing import Growing
 from diffdrive_mpc.models.logs.record import BoolArray, Finding
-from diffdrive_mpc.models.plain_text import plain_line
+from diffdrive_mpc.models.table import plain_line
+
+# A row of numbers that grows while a long log is read, with hardly more memory than it takes in the end.
+
+
+_Scalar = TypeVar("_Scalar", bound=np.generic)
+_ROOM = 8
+"""Room for the eighth part more is made at a time, so that copying stays rare."""
+
+
+class Growing(Generic[_Scalar]):
+    """Values of one kind, in the order in which they came.
+
+    Parameters
+    ----------
+    dtype
+        Kind of the values.
+    zeros
+        Zeros to begin with.
+    width
+        Values of a row; None for a row of single values.
+    """
+
+    def __init__(self, dtype: type[_Scalar], zeros: int = 0, width: int | None = None) -> None:
+        self._shape: tuple[int, ...] = () if width is None else (width,)
+        self._values: NDArray[_Scalar] = np.zeros((zeros, *self._shape), dtype)
+        self._count = zeros
+
+    def __len__(self) -> int:
+        """Rows so far."""
+        return self._count
+
+    def extend(self, block: NDArray[_Scalar]) -> None:
+        """Put a block behind the others."""
+        end = self._count + len(block)
+        if end > len(self._values):
+            # Memory is moved by pages where it can be: no second copy beside it.
+            self._values.resize((end + end // _ROOM, *self._shape), refcheck=False)
+        self._values[self._count : end] = block
+        self._count = end
+
+    def array(self) -> NDArray[_Scalar]:
+        """All of them, (n,) or (n, width); nothing may follow."""
+        self._values.resize((self._count, *self._shape), refcheck=False)
+        return self._values
+
 
 _SEPARATORS = ",;\t"
 _BLOCK = 1 << 24

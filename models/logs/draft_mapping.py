@@ -31,7 +31,7 @@ from diffdrive_mpc.models.logs.mapping import (
     TimeUnit,
     WheelUnit,
 )
-from diffdrive_mpc.models.plain_text import plain_line
+from diffdrive_mpc.models.table import plain_line
 
 
 class _Table(StrictModel):

@@ -10,16 +10,14 @@ import numpy as np
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.logs.bags import is_bag, read_bag
 from diffdrive_mpc.models.logs.check_settings import CheckSettings, check_settings
-from diffdrive_mpc.models.logs.clock_checks import check_timing, gap_finding
 from diffdrive_mpc.models.logs.csv_log import read_csv
 from diffdrive_mpc.models.logs.diagnosis import diagnose
 from diffdrive_mpc.models.logs.diagnosis.readings import check_period, without_spikes
 from diffdrive_mpc.models.logs.diagnosis.streams import streams_of
-from diffdrive_mpc.models.logs.drive_log.identified import read_drive
-from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log
+from diffdrive_mpc.models.logs.drive_log.reader import is_drive_log, read_drive
 from diffdrive_mpc.models.logs.mapping import LogMapping, load_mapping
 from diffdrive_mpc.models.logs.record import Finding, Log, Record
-from diffdrive_mpc.models.logs.record_checks import check_commands, check_sensors
+from diffdrive_mpc.models.logs.record_checks import check_commands, check_sensors, check_timing, gap_finding
 from diffdrive_mpc.models.logs.sampling import RawLog, pieces, resample, usual_step
 
 

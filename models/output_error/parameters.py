@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from scipy import linalg
 
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.output_error.settings import estimator_settings
+from diffdrive_mpc.models.output_error.state_space import AnyArray, LinearSystem
 
 # Central differences of smooth functions: the cube root of the machine precision balances cut-off and rounding.
 _STEP = 6e-6
@@ -76,3 +79,111 @@ def joined(estimates: Sequence[ParameterEstimate]) -> ParameterEstimate:
         np.concatenate([estimate.values for estimate in estimates]),
         linalg.block_diag(*(estimate.covariance for estimate in estimates)),
     )
+
+
+# Which numbers the estimator may move: a parametrisation's, dead times, sensor offsets, input limits, in one row.
+
+
+class Parametrisation(Protocol):
+    """A way to fill A, B and C from parameters."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each parameter."""
+        ...
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """(s,) lower and upper bounds."""
+        ...
+
+    def matrices(self, parameters: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+        """A (n, n), B (n, m), C (p, n) of parameters (s,); analytic, so that a complex step passes through."""
+        ...
+
+    def recentred(self, parameters: FloatArray) -> tuple[Parametrisation, FloatArray]:
+        """The parametrisation with coordinates that suit the neighbourhood of `parameters`, and these in them."""
+        ...
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Parameters (q,): the parametrisation's, dead times [s], offsets of outputs, limits of inputs, in this order.
+
+    Attributes
+    ----------
+    parametrisation
+        What fills A, B and C.
+    inputs, outputs
+        m and p.
+    shared_dead_time
+        One dead time for all inputs instead of one each.
+    known_dead_time
+        That of every input [s], where it is known and not to be found.
+    offset
+        (p,) which outputs have a constant sensor bias.
+    limited
+        (m,) which inputs the robot clips at a level to be found.
+    """
+
+    parametrisation: Parametrisation
+    inputs: int
+    outputs: int
+    shared_dead_time: bool = False
+    known_dead_time: float | None = None
+    offset: tuple[bool, ...] = ()
+    limited: tuple[bool, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Default masks: nothing."""
+        object.__setattr__(self, "offset", self.offset or (False,) * self.outputs)
+        object.__setattr__(self, "limited", self.limited or (False,) * self.inputs)
+
+    @property
+    def counts(self) -> tuple[int, int, int, int]:
+        """Number of parameters of each kind."""
+        return len(self.parametrisation.names), len(self._dead_times), sum(self.offset), sum(self.limited)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(q,) names: dead_time, offset and limit carry the number of their input or output."""
+        offsets = [f"offset_{i}" for i, free in enumerate(self.offset) if free]
+        limits = [f"limit_{j}" for j, free in enumerate(self.limited) if free]
+        return (*self.parametrisation.names, *self._dead_times, *offsets, *limits)
+
+    @property
+    def _dead_times(self) -> tuple[str, ...]:
+        if self.known_dead_time is not None:
+            return ()
+        return ("dead_time",) if self.shared_dead_time else tuple(f"dead_time_{j}" for j in range(self.inputs))
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """(q,) lower and upper bounds."""
+        _, dead_times, offsets, limits = self.counts
+        low, high = self.parametrisation.bounds
+        longest = estimator_settings().longest_dead_time
+        return (
+            np.concatenate([low, np.zeros(dead_times), np.full(offsets, -np.inf), np.full(limits, 1e-6)]),
+            np.concatenate([high, np.full(dead_times, longest), np.full(offsets + limits, np.inf)]),
+        )
+
+    def around(self, parametrisation: Parametrisation) -> Layout:
+        """The same layout with other coordinates of its parametrisation."""
+        return replace(self, parametrisation=parametrisation)
+
+    def split(self, parameters: AnyArray) -> list[AnyArray]:
+        """The parametrisation's parameters, dead times, offsets and limits of `parameters` (q,)."""
+        return list(np.split(parameters, np.cumsum(self.counts)[:-1]))
+
+    def system(self, parameters: AnyArray) -> LinearSystem:
+        """The system that `parameters` (q,) describe."""
+        own, dead_time, offsets, limits = self.split(parameters)
+        if self.known_dead_time is not None:
+            dead_time = np.array([self.known_dead_time])
+        offset = np.zeros(self.outputs, dtype=parameters.dtype)
+        offset[np.array(self.offset)] = offsets
+        limit = np.full(self.inputs, np.inf, dtype=parameters.dtype)
+        limit[np.array(self.limited)] = limits
+        A, B, C = self.parametrisation.matrices(own)
+        return LinearSystem(A, B, C, np.broadcast_to(dead_time, self.inputs), offset, limit)

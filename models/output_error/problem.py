@@ -17,8 +17,8 @@ from scipy import linalg
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import Experiment
-from diffdrive_mpc.models.output_error.layout import Layout
-from diffdrive_mpc.models.output_error.linear_system import (
+from diffdrive_mpc.models.output_error.parameters import Layout
+from diffdrive_mpc.models.output_error.state_space import (
     AnyArray,
     LinearSystem,
     SampledSystem,

@@ -10,10 +10,10 @@ from threadpoolctl import threadpool_limits
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import Experiment, joined, parted
-from diffdrive_mpc.models.output_error.layout import Layout
-from diffdrive_mpc.models.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.output_error.parameters import Layout
 from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_prior
 from diffdrive_mpc.models.output_error.settings import estimator_settings
+from diffdrive_mpc.models.output_error.state_space import LinearSystem
 from diffdrive_mpc.models.output_error.statistics import (
     Sandwich,
     output_spread,

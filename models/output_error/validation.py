@@ -18,8 +18,8 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import Experiment, YawSource, joined, parted, twist_experiments
-from diffdrive_mpc.models.output_error.linear_system import LinearSystem, StateResponse, delayed, sample, settled_start
 from diffdrive_mpc.models.output_error.settings import estimator_settings
+from diffdrive_mpc.models.output_error.state_space import LinearSystem, StateResponse, delayed, sample, settled_start
 
 
 def fit_percent(measured: FloatArray, simulated: FloatArray) -> float:

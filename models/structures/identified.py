@@ -13,9 +13,9 @@ import numpy as np
 from diffdrive_mpc.models.doubt import Doubt, lines
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error.experiment import YawSource
-from diffdrive_mpc.models.output_error.linear_system import LinearSystem
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit
+from diffdrive_mpc.models.output_error.state_space import LinearSystem
 from diffdrive_mpc.models.structures.model_file import ModelFile, build_model, structure_name, write_parameters
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel, mean_delay
 

@@ -12,13 +12,12 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import Experiment, twist_experiments, wheel_experiments
-from diffdrive_mpc.models.output_error.layout import Layout
-from diffdrive_mpc.models.output_error.linear_system import AnyArray
-from diffdrive_mpc.models.output_error.parameters import ParameterEstimate, joined
+from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate, joined
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
-from diffdrive_mpc.models.structures.files import MbmFile, Motors, TwoPoles
+from diffdrive_mpc.models.output_error.state_space import AnyArray
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.structures.model_file import MbmFile, Motors, TwoPoles
 from diffdrive_mpc.models.structures.structure import Conditions, Found
 from diffdrive_mpc.models.structures.two_poles import (
     IdentifiedChannel,

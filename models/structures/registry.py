@@ -7,7 +7,7 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from diffdrive_mpc.models.structures.files import MbmFile, SmFile, SsmFile
+from diffdrive_mpc.models.structures.model_file import MbmFile, SmFile, SsmFile
 from diffdrive_mpc.models.structures.structure import Conditions, Found, Structure
 
 if TYPE_CHECKING:

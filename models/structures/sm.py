@@ -9,8 +9,8 @@ import numpy as np
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import YawSource, twist_experiments
 from diffdrive_mpc.models.output_error.parameters import joined
-from diffdrive_mpc.models.structures.files import SmFile, TwoPoles
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.structures.model_file import SmFile, TwoPoles
 from diffdrive_mpc.models.structures.structure import Conditions, Found
 from diffdrive_mpc.models.structures.two_poles import IdentifiedChannel, identify_channel
 from diffdrive_mpc.models.velocity_model import CHANNELS

@@ -11,8 +11,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import Experiment, YawSource, twist_experiments
-from diffdrive_mpc.models.output_error.layout import Layout
-from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, fit_output_error
 from diffdrive_mpc.models.output_error.state_space import (
@@ -28,8 +27,8 @@ from diffdrive_mpc.models.output_error.state_space import (
     real_pole_names,
     spare_state,
 )
-from diffdrive_mpc.models.structures.files import SsmFile
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.structures.model_file import SsmFile
 from diffdrive_mpc.models.structures.orders import OrderChoice, compare_orders
 from diffdrive_mpc.models.structures.registry import LARGEST_ORDER
 from diffdrive_mpc.models.structures.sm import identify_channels

@@ -12,14 +12,13 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import Experiment, joined
 from diffdrive_mpc.models.output_error.held_out import with_limit_if_better
-from diffdrive_mpc.models.output_error.layout import Layout
-from diffdrive_mpc.models.output_error.linear_system import AnyArray
-from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
+from diffdrive_mpc.models.output_error.parameters import Layout, ParameterEstimate
 from diffdrive_mpc.models.output_error.problem import OutputErrorProblem, past_prior
 from diffdrive_mpc.models.output_error.settings import estimator_settings
 from diffdrive_mpc.models.output_error.solve import OutputErrorFit, find_limits, fit_output_error
+from diffdrive_mpc.models.output_error.state_space import AnyArray
 from diffdrive_mpc.models.output_error.statistics import output_spread
-from diffdrive_mpc.models.structures.files import TwoPoles
+from diffdrive_mpc.models.structures.model_file import TwoPoles
 
 # So many points of the grid of first guesses are followed.
 _TRIED = 3

@@ -8,7 +8,6 @@ from diffdrive_mpc.models.lazy_names import on_first_use
 from diffdrive_mpc.models.turn_costs.least_radius import LIMIT_SHARE, least_radius
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.models.turn_costs.drive_constants import DriveConstants, NamedDrive, load_drive_constants
     from diffdrive_mpc.models.turn_costs.slip import IdentifiedSlip, identify_slip, identify_slip_from_poses
     from diffdrive_mpc.models.turn_costs.turn_costs import (
         SlipCoefficients,
@@ -17,7 +16,13 @@ if TYPE_CHECKING:
         load_turn_costs,
         turn_costs_text,
     )
-    from diffdrive_mpc.models.turn_costs.vehicle import Vehicle, load_vehicle
+    from diffdrive_mpc.models.turn_costs.vehicle import (
+        DriveConstants,
+        NamedDrive,
+        Vehicle,
+        load_drive_constants,
+        load_vehicle,
+    )
 
 __all__ = [
     "LIMIT_SHARE",

@@ -17,10 +17,16 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.named_file import named_file
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.slip_laws import POLYNOMIAL, polynomial_twist
-from diffdrive_mpc.models.turn_costs.drive_constants import DRIVES, NamedDrive, load_drive_constants
 from diffdrive_mpc.models.turn_costs.least_radius import LIMIT_SHARE, least_radius
 from diffdrive_mpc.models.turn_costs.torque_spline import TorqueSpline
-from diffdrive_mpc.models.turn_costs.vehicle import VEHICLES, Vehicle, load_vehicle
+from diffdrive_mpc.models.turn_costs.vehicle import (
+    DRIVES,
+    VEHICLES,
+    NamedDrive,
+    Vehicle,
+    load_drive_constants,
+    load_vehicle,
+)
 
 FLOORS = Path(__file__).parent / "floors"
 # Over which the sign of a speed goes from one to the other in a symbolic expression [m/s], and powers [W].

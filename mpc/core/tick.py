@@ -14,8 +14,7 @@ import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Stamped
 from diffdrive_mpc.models.velocity_model import ModelError
-from diffdrive_mpc.mpc.core.layout import constant_fields, pointer_shapes
-from diffdrive_mpc.mpc.core.library import load_core
+from diffdrive_mpc.mpc.core.library import constant_fields, load_core, pointer_shapes
 from diffdrive_mpc.mpc.problem.constants import Constants
 
 

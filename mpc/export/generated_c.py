@@ -8,10 +8,9 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.models.plain_text import plain_line
-from diffdrive_mpc.mpc.core.functions import OUTPUT, STEP, term_name
-from diffdrive_mpc.mpc.core.layout import constant_fields
-from diffdrive_mpc.mpc.core.library import load_core
+from diffdrive_mpc.models.table import plain_line
+from diffdrive_mpc.mpc.core.generate import OUTPUT, STEP, term_name
+from diffdrive_mpc.mpc.core.library import constant_fields, load_core
 from diffdrive_mpc.mpc.problem.constants import Problem
 from diffdrive_mpc.mpc.problem.terms import Term, parameter_places
 from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory

@@ -14,7 +14,7 @@ from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.config.solver import Solver
-from diffdrive_mpc.mpc.core.functions import generated_functions
+from diffdrive_mpc.mpc.core.generate import generated_functions
 from diffdrive_mpc.mpc.core.sources import SIZES, core_texts
 from diffdrive_mpc.mpc.export.generated_c import constants_text, sizes_text, trajectory_texts
 from diffdrive_mpc.mpc.features.registry import feature_terms, prepared

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.free_space import FreeSpace
-from diffdrive_mpc.mpc.free_space.gaps import least_gaps
 from diffdrive_mpc.mpc.free_space.guide import Guide
-from diffdrive_mpc.mpc.free_space.pieces import Pieces, PlacedFootprint
+from diffdrive_mpc.mpc.free_space.pieces import Pieces, PlacedFootprint, least_gaps
 
 _STRIDE = 2  # nodes of the way that are looked at
 _STEP = 0.15  # between two instants at which a place to wait is compared with the discs [s]

@@ -3,18 +3,47 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
 from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc.config.free_space import FreeSpace
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.features.feature import Feature, Host
 from diffdrive_mpc.mpc.free_space.keeper import FreeSpaceKeeper
 from diffdrive_mpc.mpc.free_space.surroundings import Surroundings
-from diffdrive_mpc.mpc.free_space.term import half_space_terms
-from diffdrive_mpc.mpc.hold import Hold
-from diffdrive_mpc.mpc.problem.terms import Term, parameter_places
-from diffdrive_mpc.mpc.step_result import StepResult
+from diffdrive_mpc.mpc.problem.terms import Term, half_space_function, parameter_places
+from diffdrive_mpc.mpc.step_result import Hold, StepResult
+
+# The rows of free space among the soft limits: one shipped term for each, whose C comes with the core.
+
+
+_ANYWHERE = (0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class ShippedTerm(Term):
+    """A term whose function is in the compiled library.
+
+    Attributes
+    ----------
+    symbol
+        Its name there.
+    """
+
+    symbol: str = ""
+
+
+def half_space_terms(config: FreeSpace) -> tuple[ShippedTerm, ...]:
+    """The rows of a configuration; none unless it is enabled."""
+    if not config.enabled:
+        return ()
+    function = half_space_function()
+    return tuple(
+        ShippedTerm(f"free_space_{row}", function, "soft", 0.0, None, _ANYWHERE, symbol="ddmpc_f_half_space")
+        for row in range(config.rows)
+    )
 
 
 class KeepClear(Feature):

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.free_space import FreeSpace
 from diffdrive_mpc.mpc.core.library import load_core
-from diffdrive_mpc.mpc.free_space.gaps import address, least_gaps
 from diffdrive_mpc.mpc.free_space.path_table import PathTable
-from diffdrive_mpc.mpc.free_space.pieces import Pieces, PlacedFootprint
+from diffdrive_mpc.mpc.free_space.pieces import Pieces, PlacedFootprint, address, least_gaps
 
 _STEP = 0.025  # between two offsets that are tried [m]: a doorway leaves some 4 cm
 _STRIDE = 2  # nodes from one station of the search to the next

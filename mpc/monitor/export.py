@@ -6,8 +6,8 @@ import shutil
 from pathlib import Path
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.models.plain_text import plain_line
-from diffdrive_mpc.mpc.monitor.library import source_texts
+from diffdrive_mpc.models.table import plain_line
+from diffdrive_mpc.mpc.monitor.judge import source_texts
 from diffdrive_mpc.mpc.monitor.rules import Rules
 
 _SOURCES = Path(__file__).parent / "sources"

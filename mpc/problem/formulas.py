@@ -25,6 +25,7 @@ from typing import Any
 
 import casadi as ca
 
+from diffdrive_mpc.models.lstm_cell import hidden, next_cell
 from diffdrive_mpc.models.pose import arc_displacement
 from diffdrive_mpc.models.slip_laws import track_widening
 from diffdrive_mpc.mpc.problem.slip import FLAT_SLIPS, SLIPS
@@ -354,3 +355,21 @@ def _term(name: str, formula: _Formula, parameters: int) -> ca.Function:
 def named_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX]) -> ca.Function:
     """The function `name` with these inputs and outputs."""
     return ca.Function(name, list(inputs.values()), list(outputs.values()), list(inputs), list(outputs))
+
+
+# The formulas of a network's units with their gradients, to be generated for the core (`mpc/core/network.c`).
+
+
+@cache
+def network_formulas() -> tuple[ca.Function, ...]:
+    """Cell and output of a unit, and the activation of a dense layer, as SX functions named as they are in C."""
+    names = ("enter", "keep", "candidate", "leave", "cell", "x")
+    enter, keep, candidate, leave, cell, x = (ca.SX.sym(name) for name in names)
+    before = {"enter": enter, "keep": keep, "candidate": candidate, "cell": cell}
+    now = {"leave": leave, "cell": cell}
+    after = next_cell(enter, keep, candidate, cell, ca.tanh)
+    return (
+        differentiated("ddmpc_f_cell", before, "next_cell", after, tuple(before)),
+        differentiated("ddmpc_f_hidden", now, "hidden", hidden(leave, cell, ca.tanh), tuple(now)),
+        differentiated("ddmpc_f_dense", {"x": x}, "y", ca.tanh(x), ("x",)),
+    )

@@ -24,6 +24,7 @@ from diffdrive_mpc.models.errors import wrong_type
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.trust import check_trusted
 from diffdrive_mpc.mpc.config.schema import TermConfig
+from diffdrive_mpc.mpc.problem.formulas import term, term_symbols
 from diffdrive_mpc.mpc.problem.user_functions import user_term
 
 MOST_SOFT_ROWS = 24
@@ -145,13 +146,13 @@ def all_terms(configs: Sequence[TermConfig], given: Sequence[Term]) -> tuple[Ter
         one name, or all of them together more rows of soft limits than a controller holds.
     """
     terms = (*(_load(config) for config in configs), *given)
-    for name, count in Counter(term.name for term in terms).items():
+    for name, count in Counter(one.name for one in terms).items():
         if count > 1:
             raise ConfigError(f"term '{name}': {count} terms have this name; give each a name of its own")
-    soft = [term for term in terms if term.soft]
-    rows = sum(term.rows for term in soft)
+    soft = [one for one in terms if one.soft]
+    rows = sum(one.rows for one in soft)
     if rows > MOST_SOFT_ROWS:
-        each = ", ".join(f"{term.name} {term.rows}" for term in soft)
+        each = ", ".join(f"{one.name} {one.rows}" for one in soft)
         raise ConfigError(
             f"terms with soft limits have {rows} rows together ({each}), at most {MOST_SOFT_ROWS} are held; leave some "
             "out, or make them residuals"
@@ -227,3 +228,35 @@ def _run(path: Path) -> dict[str, object]:
 
 def _is_number(value: object) -> bool:
     return isinstance(value, float | int | np.integer | np.floating) and math.isfinite(value)
+
+
+# The term that keeps one point of the robot on its side of a plane.
+
+
+PARAMETERS = 5
+"""a (2), point d (2) of the robot in its own frame [m], b."""
+
+
+def half_space(pose: ca.SX, parameters: ca.SX) -> ca.SX:
+    """How far the point d of the robot is beyond a plane, a unit vector a leading to the far side [m].
+
+    It is a . (position + R(heading) d) - b, no more than zero on the free side.
+    """
+    a, d, b = parameters[:2], parameters[2:4], parameters[4]
+    cosine, sine = ca.cos(pose[2]), ca.sin(pose[2])
+    point = pose[:2] + ca.vertcat(cosine * d[0] - sine * d[1], sine * d[0] + cosine * d[1])
+    return ca.SX(ca.dot(a, point) - b)
+
+
+def half_space_formula() -> ca.Function:
+    """The same with its gradient, as it is in C."""
+    inputs = term_symbols(PARAMETERS)
+    return term("ddmpc_f_half_space", inputs, half_space(inputs["pose"], inputs["parameters"]))
+
+
+def half_space_function() -> ca.Function:
+    """The same as a function that a term takes."""
+    pose, parameters = ca.SX.sym("pose", 3), ca.SX.sym("parameters", PARAMETERS)
+    return ca.Function(
+        "half_space", [pose, parameters], [half_space(pose, parameters)], ["pose", "parameters"], ["value"]
+    )

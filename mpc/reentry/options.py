@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import integrate_pose, wrap_angle
 from diffdrive_mpc.mpc.config.thresholds import STANDING, TURNING
-from diffdrive_mpc.mpc.reentry.motion_line import SAME_PLACE, braking_time
-from diffdrive_mpc.mpc.reentry.path_window import PathWindow
+from diffdrive_mpc.mpc.reentry.path_window import SAME_PLACE, PathWindow, braking_time
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 
 # Points on the reference that are tried.

@@ -8,7 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
+from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.mpc.config.thresholds import STANDING
+from diffdrive_mpc.mpc.reentry.quintic_path import Paths
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 
 # Paths meet themselves, so a place further along the path counts as further away: by this share of the path between,
 # and by this for the time between [m/s].
@@ -75,3 +79,161 @@ def _travel(v: FloatArray) -> FloatArray:
         return np.ones_like(v)
     at = np.minimum(np.searchsorted(moving, np.arange(v.size)), moving.size - 1)
     return np.asarray(np.sign(v[moving[at]]))
+
+
+# The pieces of a connection in time: braking, turning on the spot, driving a path; put together to a trajectory.
+
+
+# Closer than this, there is no direction from one point to another [m].
+SAME_PLACE = 0.01
+# A motion that is none at all takes this time [s]: a trajectory needs some.
+_MOMENT = 1e-3
+
+
+class MotionLine:
+    """Nodes of a motion, collected piece by piece from a start pose (3,) [m, m, rad]."""
+
+    def __init__(self, pose: FloatArray) -> None:
+        self._times = [0.0]
+        self._poses = [np.asarray(pose, dtype=float)]
+        self._rates = [np.zeros(3)]
+
+    def brake(self, v: float, omega: float, duration: float) -> None:
+        """Come to rest from the twist (v [m/s], omega [rad/s]) at constant decelerations over `duration` [s]."""
+        start = self._poses[-1]
+        for share in np.linspace(0.0, 1.0, 5):
+            passed = duration * (share - 0.5 * share * share)
+            pose = integrate_pose(start, v, omega, passed)
+            speed, heading = v * (1.0 - share), pose[2]
+            rate = np.array([speed * np.cos(heading), speed * np.sin(heading), omega * (1.0 - share)])
+            if share == 0.0:
+                self._rates[-1] = rate
+            else:
+                self._add(duration / 4.0, pose, rate)
+
+    def turn(self, angle: float, limits: TrajectoryLimits) -> None:
+        """Turn on the spot by `angle` [rad], from rest to rest."""
+        if not angle:
+            return
+        size, side, alpha = abs(angle), np.sign(angle), limits.omega_acceleration
+        peak = min(limits.omega, np.sqrt(alpha * size))
+        ramp, cruise = peak / alpha, size / peak - peak / alpha
+        start = self._poses[-1]
+        for duration, turned, rate in (
+            (ramp, 0.5 * peak * ramp, peak),
+            (cruise, size - 0.5 * peak * ramp, peak),
+            (ramp, size, 0.0),
+        ):
+            # Rounding leaves the cruise of a triangle a hair off zero.
+            if duration > 1e-9:
+                self._add(duration, start + [0.0, 0.0, side * turned], np.array([0.0, 0.0, side * rate]))
+
+    def drive(self, paths: Paths, chosen: int, speed: FloatArray, times: FloatArray, travel: float) -> None:
+        """Drive path `chosen` with speeds (K,) at times (K,) [s]; backwards where `travel` is -1.
+
+        A path that is no longer than `SAME_PLACE` is not driven: it has no direction.
+        """
+        if paths.lengths[chosen].sum() <= SAME_PLACE:
+            return
+        direction = paths.heading[chosen]
+        turned = 0.0 if travel > 0 else np.pi
+        # On the turn that the motion so far has reached.
+        heading = direction - turned
+        heading += 2 * np.pi * np.round((self._poses[-1][2] - heading[0]) / (2 * np.pi))
+        poses = np.column_stack([paths.points[chosen], heading])
+        rates = speed[:, None] * np.column_stack([np.cos(direction), np.sin(direction), paths.curvature[chosen]])
+        self._rates[-1] = rates[0]
+        for duration, pose, rate in zip(np.diff(times), poses[1:], rates[1:], strict=True):
+            self._add(float(duration), pose, rate)
+
+    def trajectory(self, name: str, end_heading: float) -> SplineTrajectory:
+        """The motion as a trajectory, counted on the turn that meets `end_heading` [rad]."""
+        if len(self._times) == 1:
+            self._add(_MOMENT, self._poses[0], np.zeros(3))
+        poses = np.array(self._poses)
+        poses[:, 2] += 2 * np.pi * np.round((end_heading - poses[-1, 2]) / (2 * np.pi))
+        return SplineTrajectory.through(name, np.array(self._times), poses, np.array(self._rates))
+
+    def _add(self, duration: float, pose: FloatArray, rate: FloatArray) -> None:
+        self._times.append(self._times[-1] + duration)
+        self._poses.append(pose)
+        self._rates.append(rate)
+
+
+def braking_time(v: float, omega: float, limits: TrajectoryLimits) -> float:
+    """Time to come to rest from a twist within the acceleration limits [s]."""
+    return max(abs(v) / limits.v_acceleration, abs(omega) / limits.omega_acceleration)
+
+
+def turning_times(angles: FloatArray, limits: TrajectoryLimits) -> FloatArray:
+    """Time to turn on the spot by each of `angles` (C,) [rad], from rest to rest [s]."""
+    size, alpha = np.abs(angles), limits.omega_acceleration
+    peak = np.minimum(limits.omega, np.sqrt(alpha * size))
+    return np.asarray(peak / alpha + size / np.maximum(peak, 1e-9))
+
+
+# The fastest speeds along many paths at once that keep to limits of speed and acceleration, by two passes.
+
+
+def path_speeds(
+    paths: Paths, enter: FloatArray, leave: FloatArray, limits: TrajectoryLimits, shares: FloatArray
+) -> FloatArray:
+    """Speed at the nodes of each path.
+
+    The bounds on each piece are those of `mpc.trajectories.path_timing.squared_speeds`, here for C paths at a time and
+    with given speeds at both ends. Where a path is too short or too tight for the wanted speeds at its ends, the
+    speeds there come out lower.
+
+    Parameters
+    ----------
+    paths
+        C paths of K nodes.
+    enter, leave
+        (C,) wanted speed at the first and last node [m/s], not negative.
+    limits
+        Speed and acceleration limits.
+    shares
+        (S,) shares of the speed limit: each path is timed at each of them [-].
+
+    Returns
+    -------
+    FloatArray
+        (S, C, K) [m/s].
+    """
+    k, lengths = np.abs(paths.curvature), paths.lengths
+    bend = np.maximum(k[:, 1:], k[:, :-1])
+    bend_change = np.abs(np.diff(paths.curvature, axis=1)) / lengths
+    with np.errstate(divide="ignore", over="ignore"):
+        cap = np.minimum((limits.omega / bend) ** 2, limits.omega_acceleration / bend_change)
+    # Nodes first, so that a step of a pass works on neighbours in memory.
+    square = np.empty((k.shape[1], shares.size, len(k)))
+    square[1:-1] = np.minimum(cap[:, 1:], cap[:, :-1]).T[:, None]
+    square[0] = np.minimum(enter**2, cap[:, 0])
+    square[-1] = np.minimum(leave**2, cap[:, -1])
+    # Slower than where it begins and ends only as far as half the acceleration brings it.
+    gone = np.concatenate([np.zeros((len(k), 1)), np.cumsum(lengths, axis=1)], axis=1)
+    ramps = np.maximum(
+        enter[:, None] ** 2 - limits.v_acceleration * gone,
+        leave[:, None] ** 2 - limits.v_acceleration * (gone[:, -1:] - gone),
+    )
+    cruise = np.maximum(((shares * limits.v) ** 2)[:, None], ramps.T[:, None])
+    square = np.minimum(square, np.minimum(cruise, limits.v**2))
+    # Rise from b0 to b1: b1 <= b0 + 2 a_max ds, and |dk/ds| b1 + |k| (b1 - b0) / (2 ds) <= alpha_max, solved for b1.
+    rise = (2.0 * limits.v_acceleration * lengths).T
+    lever = (bend / (2.0 * lengths)).T
+    total = np.maximum(bend_change.T + lever, 1e-12)
+    most, slope = limits.omega_acceleration / total, lever / total
+    for i in range(len(rise)):
+        reached = np.minimum(square[i] + rise[i], most[i] + slope[i] * square[i])
+        np.minimum(square[i + 1], reached, out=square[i + 1])
+    for i in reversed(range(len(rise))):
+        reached = np.minimum(square[i + 1] + rise[i], most[i] + slope[i] * square[i + 1])
+        np.minimum(square[i], reached, out=square[i])
+    return np.asarray(np.sqrt(np.moveaxis(square, 0, -1)))
+
+
+def travel_times(paths: Paths, speed: FloatArray) -> FloatArray:
+    """Time from the first node [s] at speeds (..., C, K), the acceleration being constant on each piece."""
+    times = np.zeros_like(speed)
+    np.cumsum(2.0 * paths.lengths / np.maximum(speed[..., 1:] + speed[..., :-1], 1e-9), axis=-1, out=times[..., 1:])
+    return times

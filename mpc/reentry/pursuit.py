@@ -13,13 +13,11 @@ from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.config.thresholds import AHEAD, BEHIND, STANDING, TURNING
 from diffdrive_mpc.mpc.estimation.estimate import Estimate
-from diffdrive_mpc.mpc.reentry.blocked import BlockedWatch
 from diffdrive_mpc.mpc.reentry.options import Course
 from diffdrive_mpc.mpc.reentry.path_window import PathWindow
 from diffdrive_mpc.mpc.reentry.reference_clock import ReferenceClock
-from diffdrive_mpc.mpc.reentry.rejoin import Rejoin
-from diffdrive_mpc.mpc.reentry.target import Standing, Target, TooFar
-from diffdrive_mpc.mpc.reentry.way_back import Room, rejoin
+from diffdrive_mpc.mpc.reentry.target import BlockedWatch, Standing, Target, TooFar
+from diffdrive_mpc.mpc.reentry.way_back import Rejoin, Room, rejoin
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 
 # Steps of the window in samples of the controller.

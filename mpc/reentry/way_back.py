@@ -8,18 +8,79 @@ limits, and the cheapest is taken: in time, in delay of the reference's clock, a
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from diffdrive_mpc.models.interface import FloatArray, Reference
-from diffdrive_mpc.mpc.reentry.motion_line import SAME_PLACE, MotionLine, turning_times
+from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
 from diffdrive_mpc.mpc.reentry.options import Course, Options, all_options
-from diffdrive_mpc.mpc.reentry.path_speeds import path_speeds, travel_times
-from diffdrive_mpc.mpc.reentry.path_window import PathWindow
+from diffdrive_mpc.mpc.reentry.path_window import (
+    SAME_PLACE,
+    MotionLine,
+    PathWindow,
+    path_speeds,
+    travel_times,
+    turning_times,
+)
 from diffdrive_mpc.mpc.reentry.quintic_path import Paths, quintic_paths
-from diffdrive_mpc.mpc.reentry.rejoin import Rejoin
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.trajectory import Trajectory
+
+# A reference that is rejoined: a connection from the robot, then the reference itself, on the reference's clock.
+
+
+@dataclass(frozen=True, eq=False)
+class Rejoin:
+    """Satisfies `models.interface.Reference`.
+
+    Attributes
+    ----------
+    connection
+        The motion from the robot to the reference.
+    reference
+        What is rejoined.
+    joins
+        Reference time at which the connection ends [s].
+    ahead
+        Length of the connection [m].
+    """
+
+    connection: Trajectory
+    reference: Reference
+    joins: float
+    ahead: float
+
+    @property
+    def name(self) -> str:
+        """Name of the reference."""
+        return self.reference.name
+
+    @property
+    def duration(self) -> float:
+        """Time at which the reference ends [s]."""
+        return self.reference.duration
+
+    @property
+    def begins(self) -> float:
+        """Reference time at which the connection begins [s]; may be negative."""
+        return self.joins - self.connection.duration
+
+    def sample(self, times: ArrayLike) -> ReferenceSample:
+        """Evaluate at `times` (n,) [s] on the reference's clock: the connection before `joins`, then the reference."""
+        times = np.atleast_1d(np.asarray(times, dtype=float))
+        after = self.reference.sample(times)
+        before = times < self.joins
+        if not before.any():
+            return after
+        part = self.connection.sample(times - self.begins)
+        start = float(self.reference.sample([self.joins]).arc_length[0]) - self.ahead
+        return ReferenceSample(
+            np.where(before[:, None], part.pose, after.pose),
+            np.where(before[:, None], part.twist, after.twist),
+            np.where(before, start + part.arc_length, after.arc_length),
+        )
+
 
 _NODES = 33
 # Between two nodes no path turns further than this [rad], unless by a cusp.

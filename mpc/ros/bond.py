@@ -16,8 +16,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from diffdrive_mpc.mpc.ros.bounded_messages import subscribe_bounded
-from diffdrive_mpc.mpc.ros.type_support import message_type
+from diffdrive_mpc.mpc.ros.conversions import message_type, subscribe_bounded
 
 TOPIC = "bond"
 # As bondcpp has them, and Nav2's nodes set them [s].

@@ -14,8 +14,8 @@ from diffdrive_mpc.mpc.ros.conversions import time_message
 from diffdrive_mpc.mpc.ros.drive_energy import DriveEnergy
 from diffdrive_mpc.mpc.ros.latency import Durations
 from diffdrive_mpc.mpc.ros.recording import Recording
+from diffdrive_mpc.mpc.ros.reference_input import tracking_error
 from diffdrive_mpc.mpc.ros.topic_watch import TopicWatch
-from diffdrive_mpc.mpc.ros.tracking_error import tracking_error
 from diffdrive_mpc.mpc.step_result import Mode, StepResult
 
 

@@ -23,30 +23,39 @@ from diffdrive_mpc.mpc.config.config_file import load_config
 from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.ros.bond import Bond
-from diffdrive_mpc.mpc.ros.bounded_messages import BATTERY_BYTES, subscribe_bounded, too_long
 from diffdrive_mpc.mpc.ros.control_loop import Begun, ControlLoop, RefusedError, Tick
-from diffdrive_mpc.mpc.ros.conversions import check_frame
+from diffdrive_mpc.mpc.ros.conversions import BATTERY_BYTES, check_frame, message_type, subscribe_bounded, too_long
 from diffdrive_mpc.mpc.ros.diagnostics import diagnostics
 from diffdrive_mpc.mpc.ros.drive_energy import DriveEnergy
-from diffdrive_mpc.mpc.ros.endpoints import deaf_to_commands, publishers_of
 from diffdrive_mpc.mpc.ros.follow_goal import Following, FrameError, lay_for_robot
 from diffdrive_mpc.mpc.ros.inbox import Inbox
-from diffdrive_mpc.mpc.ros.parameter_changes import ParameterChanges
-from diffdrive_mpc.mpc.ros.parameters import declare, fields, from_file_only, read
-from diffdrive_mpc.mpc.ros.publishers import COMMANDS, Publishers
-from diffdrive_mpc.mpc.ros.recording import Recording
-from diffdrive_mpc.mpc.ros.reference_input import MOST_BYTES, StatedReference, nothing, read_path, read_trajectory
+from diffdrive_mpc.mpc.ros.parameters import (
+    ParameterChanges,
+    declare,
+    fields,
+    from_file_only,
+    logged,
+    read,
+    refuse_what_is_not_allowed,
+)
+from diffdrive_mpc.mpc.ros.publishers import COMMANDS, Publishers, deaf_to_commands, publishers_of
+from diffdrive_mpc.mpc.ros.recording import Recording, TickRecords
+from diffdrive_mpc.mpc.ros.reference_input import (
+    MOST_BYTES,
+    SpeedLimit,
+    StatedReference,
+    nothing,
+    read_path,
+    read_speed_limit,
+    read_trajectory,
+)
 from diffdrive_mpc.mpc.ros.rivals import Others, Rivals, drive_too, publish_too
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.ros.side_process import SideProcess
-from diffdrive_mpc.mpc.ros.speed_limit import SpeedLimit, read_speed_limit
 from diffdrive_mpc.mpc.ros.surroundings_input import SurroundingsInput
-from diffdrive_mpc.mpc.ros.tick_records import TickRecords
 from diffdrive_mpc.mpc.ros.transform_listener import listen
 from diffdrive_mpc.mpc.ros.transforms.buffer import TransformError
 from diffdrive_mpc.mpc.ros.transforms.frames import Frames, Placement, moved_poses
-from diffdrive_mpc.mpc.ros.transitions import logged, refuse_what_is_not_allowed
-from diffdrive_mpc.mpc.ros.type_support import message_type
 from diffdrive_mpc.mpc.trajectories import Trajectory, load_trajectory
 from diffdrive_mpc.mpc.trajectories.planned.lay import Laid
 from diffdrive_mpc.mpc.trajectories.speed_check import check_speeds

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import wraps
 from types import NoneType
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from typing import Any, Literal, Protocol, TypeVar, get_args, get_origin
 
 from annotated_types import Ge, Gt, Le, Lt
+from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from diffdrive_mpc.models.checked_yaml import check
+from diffdrive_mpc.mpc.config.schema import ControllerConfig
+from diffdrive_mpc.mpc.controller import Controller
+from diffdrive_mpc.mpc.ros.settings import NodeSettings
 
 Value = bool | int | float | str
 Schema = TypeVar("Schema", bound=BaseModel)
@@ -147,3 +155,153 @@ def _metadata(field: FieldInfo) -> Iterator[object]:
     for kind in get_args(field.annotation):
         for item in getattr(kind, "__metadata__", ()):
             yield from item.metadata if isinstance(item, FieldInfo) else (item,)
+
+
+# Changes of parameters while the node runs: judged before, without side effects, and applied after.
+
+
+_WHILE_DRIVING = ("weights.", "limits.")
+_KNOWN = {name for schema in (NodeSettings, ControllerConfig) for name, _ in fields(schema)} | {"use_sim_time"}
+
+
+class ParameterChanges:
+    """Watches the declared parameters of a node; those of others pass.
+
+    Parameters
+    ----------
+    node
+        The node.
+    running
+        The controller that drives; None while the node is not active.
+    fixed
+        What of the controller's configuration is no parameter.
+    changed
+        Called when weights or limits of the controller that drives have changed.
+
+    Attributes
+    ----------
+    pending
+        Whether values have changed since this was last set to False.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        running: Callable[[], Controller | None],
+        fixed: Mapping[str, object] | None = None,
+        changed: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._node, self._running, self._fixed, self._changed = node, running, fixed, changed
+        self.pending = False
+        node.add_on_set_parameters_callback(self._judge)
+        node.add_post_set_parameters_callback(self._apply)
+
+    def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
+        changes = _ours(parameters)
+        fixed = [name for name, value in changes.items() if self._is_fixed_now(name, value)]
+        if fixed:
+            reason = f"{fixed[0]} cannot change while the node is active; pause, deactivate, set it, activate"
+            return SetParametersResult(successful=False, reason=reason)
+        try:
+            read(self._node, NodeSettings, changes)
+            config = read(self._node, ControllerConfig, changes, self._fixed)
+            if any(not name.startswith(_WHILE_DRIVING) for name in changes):
+                Controller(config)
+            controller = self._running()
+            if controller is not None:
+                # What cannot be changed while driving would otherwise be known only when nobody can be told any more.
+                controller.updated(*_groups(changes, config))
+        except (ValueError, OSError) as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _is_fixed_now(self, name: str, value: object) -> bool:
+        if self._running() is None or name.startswith(_WHILE_DRIVING):
+            return False
+        return bool(self._node.get_parameter(name).value != value)
+
+    def _apply(self, parameters: list[Parameter]) -> None:
+        """Between two ticks while active, else at the next activation."""
+        changes = _ours(parameters)
+        self.pending = self.pending or bool(changes)
+        controller = self._running()
+        if controller is not None and changes:
+            controller.update(*_groups(changes, read(self._node, ControllerConfig, fixed=self._fixed)))
+            self._changed()
+
+
+def _ours(parameters: Iterable[Parameter]) -> dict[str, Any]:
+    return {item.name: item.value for item in parameters if item.name in _KNOWN}
+
+
+def _groups(changes: Mapping[str, Any], config: ControllerConfig) -> list[dict[str, float]]:
+    """Changed weights and limits as `config` has them, in which what stands for None is None."""
+    return [
+        {
+            name.removeprefix(prefix): getattr(getattr(config, prefix[:-1]), name.removeprefix(prefix))
+            for name in changes
+            if name.startswith(prefix)
+        }
+        for prefix in _WHILE_DRIVING
+    ]
+
+
+# Transitions of the lifecycle say why they fail, and those that are not allowed are refused: rclpy does neither.
+
+
+class Managed(Protocol):
+    """A lifecycle node that keeps why its last failed transition failed."""
+
+    failure: str
+
+    def get_logger(self) -> RcutilsLogger:
+        """Logger of the node."""
+        ...
+
+
+NodeType = TypeVar("NodeType", bound=Managed)
+Transition = Callable[[NodeType, LifecycleState], TransitionCallbackReturn]
+
+
+def logged(transition: Transition[NodeType]) -> Transition[NodeType]:
+    """Log what a transition raises: bad input (ValueError, OSError) refuses it, anything else is an error."""
+
+    @wraps(transition)
+    def run(self: NodeType, state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            return transition(self, state)
+        except (ValueError, OSError) as error:
+            self.failure = str(error)
+            self.get_logger().error(self.failure)
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:
+            self.failure = f"{type(error).__name__}: {error}"
+            self.get_logger().fatal(self.failure)
+            return TransitionCallbackReturn.ERROR
+
+    return run
+
+
+def refuse_what_is_not_allowed(node: LifecycleNode) -> None:
+    """Let the service change_state of `node` answer no, with a warning, where rclpy ends the process.
+
+    For a transition that its state does not have, rclpy raises inside the service's callback, and `spin` with it.
+    """
+    services = {service.srv_type: service for service in node.services}
+    change = services[ChangeState].callback
+
+    def answer(request: Any, response: Any) -> Any:  # noqa: ANN401 - ROS messages have no types to check
+        wanted, state = request.transition, services[GetState].callback(None, GetState.Response()).current_state
+        # Two services have this type: one has the transitions of this state, the other those of all states.
+        known = services[GetAvailableTransitions].callback(None, GetAvailableTransitions.Response())
+        allowed = [row.transition for row in known.available_transitions if row.start_state.id == state.id]
+        # As rclpy: a label goes before the number.
+        if any(wanted.label == each.label if wanted.label else wanted.id == each.id for each in allowed):
+            return change(request, response)
+        asked = f"'{wanted.label}'" if wanted.label else str(wanted.id)
+        choice = ", ".join(f"{each.label} ({each.id})" for each in allowed) or "none"
+        node.get_logger().warning(f"transition {asked} refused: the node is {state.label}; allowed: {choice}")
+        response.success = False
+        return response
+
+    services[ChangeState].callback = answer

@@ -6,7 +6,8 @@ They are read beside the loop, in a process of its own, in the frame that they s
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import Point, Pose
@@ -16,8 +17,9 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc.config.schema import Limits
-from diffdrive_mpc.mpc.ros.bounded_messages import path_bytes
-from diffdrive_mpc.mpc.ros.conversions import NANOSECONDS, MessageError, nanoseconds, planar_pose
+from diffdrive_mpc.mpc.reentry.path_window import in_path
+from diffdrive_mpc.mpc.ros.conversions import NANOSECONDS, MessageError, nanoseconds, path_bytes, planar_pose
+from diffdrive_mpc.mpc.step_result import StepResult
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 from diffdrive_mpc.mpc.trajectories.timed_poses import lay_timed_poses
@@ -112,3 +114,51 @@ def _lay(times: list[float], poses: list[tuple[float, float, float]], limits: Li
     if not all(map(math.isfinite, rows.ravel())):
         raise MessageError("it holds a number that is not finite")
     return lay_timed_poses(rows, TrajectoryLimits.of_controller(limits), name=name, where=name)
+
+
+# Limits of the speed from outside, as Nav2's speed filter publishes them (nav2_msgs/SpeedLimit).
+
+
+SLOWEST = 1e-3
+"""A limit below is taken to be this [m/s]: to stand there is `~/hold`."""
+
+
+@dataclass(frozen=True)
+class SpeedLimit:
+    """A limit as it was stated: `value` [m/s], or in percent of the greatest speed."""
+
+    value: float
+    percentage: bool
+
+    def speed(self, greatest: float) -> float | None:
+        """The limit [m/s] for a robot with that greatest speed [m/s]; None where there is none."""
+        if self.value == 0.0:
+            return None
+        return max(SLOWEST, min(greatest, 0.01 * self.value * greatest if self.percentage else self.value))
+
+
+def read_speed_limit(message: Any) -> SpeedLimit:  # noqa: ANN401 - ROS messages have no types to check
+    """What a message states; 0 is no limit.
+
+    Raises
+    ------
+    MessageError
+        If it is no number, or negative.
+    """
+    value = float(message.speed_limit)
+    if not math.isfinite(value) or value < 0.0:
+        raise MessageError(f"its limit is {value:g}: give 0 for no limit, or a positive number")
+    return SpeedLimit(value, bool(message.percentage))
+
+
+# How far the robot is from what it tracks, as the estimate has it.
+
+
+def tracking_error(result: StepResult) -> tuple[float, float, float] | None:
+    """Distance ahead of and to the left of the pose tracked now [m], heading error [rad]; None while nothing is."""
+    if result.estimate is None or result.reference is None:
+        return None
+    x, y, theta = result.reference[0].tolist()
+    at_x, at_y, at_theta = result.estimate.pose.tolist()
+    along, across = in_path(at_x - x, at_y - y, theta)
+    return float(along), float(across), math.remainder(at_theta - theta, math.tau)

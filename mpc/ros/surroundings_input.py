@@ -21,8 +21,14 @@ from diffdrive_mpc.mpc.config.free_space import FreeSpace
 from diffdrive_mpc.mpc.controller import Controller
 from diffdrive_mpc.mpc.free_space import MovingDisc, OccupancyGrid, Surroundings
 from diffdrive_mpc.mpc.free_space.pieces import PreparedGrid, prepared_grid
-from diffdrive_mpc.mpc.ros.bounded_messages import LONGEST_NAME, too_long
-from diffdrive_mpc.mpc.ros.conversions import MessageError, check_frame, nanoseconds, planar_pose
+from diffdrive_mpc.mpc.ros.conversions import (
+    LONGEST_NAME,
+    MessageError,
+    check_frame,
+    nanoseconds,
+    planar_pose,
+    too_long,
+)
 from diffdrive_mpc.mpc.ros.inbox import Inbox
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 from diffdrive_mpc.mpc.ros.side_process import SideProcess

@@ -8,11 +8,9 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
 
-from diffdrive_mpc.mpc.ros.bounded_messages import subscribe_bounded
-from diffdrive_mpc.mpc.ros.conversions import nanoseconds
+from diffdrive_mpc.mpc.ros.conversions import message_type, nanoseconds, subscribe_bounded
 from diffdrive_mpc.mpc.ros.transforms.frames import Frames
 from diffdrive_mpc.mpc.ros.transforms.rigid import Rigid
-from diffdrive_mpc.mpc.ros.type_support import message_type
 
 # As many messages wait as for tf2's own listener.
 _DYNAMIC = QoSProfile(depth=100)

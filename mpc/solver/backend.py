@@ -7,6 +7,8 @@ are added and it is asked again.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from importlib import import_module
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -134,3 +136,16 @@ def ask(backend: Backend, program: Program, path: str, slack: float) -> tuple[So
     return solved, SolverReport(
         solved.status, path, iterations, solved.primal_residual, solved.dual_residual, soft_limits=soft
     )
+
+
+# The solvers that may be asked, by their names in the configuration (`solver.backend`).
+
+
+BACKENDS: Mapping[str, str] = {"daqp": "DaqpBackend", "osqp": "OsqpBackend"}
+"""Class of each backend; its module is `mpc.solver.NAME_backend`."""
+
+
+def load_backend(name: str) -> type[Backend]:
+    """Import the backend `name`: a solver's library is loaded only where the configuration names it."""
+    backend: type[Backend] = getattr(import_module(f"{__package__}.{name}_backend"), BACKENDS[name])
+    return backend

@@ -13,8 +13,8 @@ import yaml
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.whole_file import whole_file
+from diffdrive_mpc.mpc.trajectories.limits import load_settings
 from diffdrive_mpc.mpc.trajectories.segments import Segment
-from diffdrive_mpc.mpc.trajectories.settings import load_settings
 
 SPEEDS = (1 / 3, 2 / 3, 1.0)
 """Shares of the largest speed; Ordonez et al., 2017 drive at 0.2, 0.4 and 0.6 m/s."""

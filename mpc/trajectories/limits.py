@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from functools import cache
+from pathlib import Path
 
-from diffdrive_mpc.models.checked_yaml import ConfigError
+from pydantic import Field
+
+from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.robot import Robot, load_robot
 from diffdrive_mpc.mpc.config.schema import Limits
 
@@ -72,3 +76,54 @@ class TrajectoryLimits:
             v_acceleration=min(usual.v_acceleration, limits.v_slew),
             omega_acceleration=min(usual.omega_acceleration, limits.omega_slew),
         )
+
+
+# How trajectory files are checked and refined.
+
+
+class TrajectorySettings(StrictModel):
+    """Resolutions and tolerances of the readers of trajectory files."""
+
+    pieces_per_row: int = Field(ge=2, description="pieces into which the interval between two timed poses is cut")
+    pieces_per_waypoint: int = Field(ge=2, description="pieces into which the path between two waypoints is cut")
+    speed_excess: float = Field(ge=0, description="share by which timed poses may exceed a speed limit")
+    lateral_speed: float = Field(gt=0, description="sideways speed that timed poses may show [m/s]")
+    least_turn_radius: float = Field(gt=0, description="tightest radius of a path through waypoints [m]")
+    smoothing: float = Field(gt=0, description="distance from the drawn path that smooth timing may use [m]")
+    smooth_piece: float = Field(gt=0, description="length of the pieces into which a smoothed path is cut [m]")
+    reach_share: float = Field(gt=0, lt=1, description="share of what a robot reaches that a scaled path asks for")
+    slew_share: float = Field(gt=0, lt=1, description="share of its slew, for the same")
+    longest_duration: float = Field(gt=0, description="longest trajectory [s]")
+    longest_excitation: float = Field(gt=0, description="longest drive that is searched for [s]")
+    full_pieces: int = Field(ge=1, description="pieces of a path, above which there are fewer from point to point")
+    least_pieces_per_row: int = Field(ge=1, description="between two of very many timed poses")
+    least_pieces_per_waypoint: int = Field(ge=1, description="between two of very many waypoints")
+    most_pieces: int = Field(ge=1, description="of a path; longer ones are refused")
+    most_segments: int = Field(ge=1, description="of a file")
+    most_joints: int = Field(ge=1, description="different ones that smooth timing rounds")
+
+    def pieces_between(self, points: int, usual: int, least: int, where: str) -> int:
+        """Pieces from one of `points` to the next: the usual number, and fewer where there are very many points.
+
+        Raises
+        ------
+        models.checked_yaml.ConfigError
+            If even the `least` would make more than `most_pieces`; the message begins with `where`.
+        """
+        most = self.most_pieces // least
+        if points > most:
+            raise ConfigError(f"{where}: {points:,} points, at most {most:,}; leave some out, or split it")
+        return min(usual, max(least, self.full_pieces // max(1, points - 1)))
+
+    def check_pieces(self, count: float, where: str, remedy: str) -> None:
+        """Raise ConfigError where a path would be cut into more than `most_pieces`, before it is."""
+        if not count <= self.most_pieces:
+            raise ConfigError(
+                f"{where}: it is so long that it is cut into {count:.3g} pieces, at most {self.most_pieces:,}; {remedy}"
+            )
+
+
+@cache
+def load_settings() -> TrajectorySettings:
+    """Read the settings that ship with the package."""
+    return load_checked(TrajectorySettings, Path(__file__).parent / "settings.yaml")

@@ -3,7 +3,7 @@
 Two families of twists over time: moves that are held, and sums of sines. Of each, the one that tells most is looked for
 by differential evolution (Storn, Price, Journal of Global Optimization 1997, 11, 341-359; `scipy.optimize`); the better
 of the two is the drive. What "tells" means comes from outside, as a function of commands: see
-`models.identification.information`. Every member of a family keeps to the room and to the limits by its construction,
+`models.identification.noise`. Every member of a family keeps to the room and to the limits by its construction,
 so the search has no constraints.
 """
 
@@ -25,8 +25,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import Positive
 from diffdrive_mpc.models.whole_file import whole_file
-from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.settings import load_settings
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
 
 Worth = Callable[[FloatArray], float]
 """Of twists (K, 2), one a tick: the more, the better."""

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray, Reference, ReferenceSample
+from diffdrive_mpc.models.nonlinear_model import NonlinearModel
+from diffdrive_mpc.models.robot import load_robot
+from diffdrive_mpc.models.velocity_model import VelocityModel
+from diffdrive_mpc.mpc.config.schema import ControllerConfig, Limits
+from diffdrive_mpc.mpc.trajectories.arcs import ArcTrajectory
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
+from diffdrive_mpc.mpc.trajectories.load import load_segments
 from diffdrive_mpc.mpc.trajectories.native import NativeTrajectory
+from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,3 +83,83 @@ def starting_at(reference: Reference, pose: ArrayLike) -> MovedReference:
         reference,
         np.array([x - cos * start[0] + sin * start[1], y - sin * start[0] - cos * start[1], turn]),
     )
+
+
+# A path of segments for a robot of another size and speed than the one that it was laid out for.
+
+
+_AT_ONCE = 1e-3
+"""A robot with less lag answers at once [s]."""
+_ROOM = 1.2
+"""Tightest turn of a scaled path over the least one that the robot may drive [-]: holding the path takes the rest."""
+
+
+def scaled_to_robot(
+    name_or_path: str | Path, config: ControllerConfig, model: VelocityModel | NonlinearModel
+) -> ArcTrajectory:
+    """A path of segments, its lengths multiplied by the robot's track over that of the robot of the papers.
+
+    A robot with a least turn radius gets a path whose tightest turn is wider than that.
+    It is driven as fast as a share of what the robot can reach allows, and stops where the curvature jumps. A robot
+    reaches its limits of the command times the model's steady-state gain, as far as its wheels get so fast, and follows
+    a share of its limits of the slew. As it answers late, an acceleration takes its lag's worth more command: the same
+    share of what the speed leaves. The shares stand in `settings.yaml`.
+
+    Parameters
+    ----------
+    name_or_path
+        A trajectory made of segments.
+    config
+        Limits and wheels of the robot.
+    model
+        Of the robot.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If there is no such trajectory, it is not made of segments, or it turns on the spot where the robot may not.
+    """
+    segments, settings, limits = load_segments(name_or_path), load_settings(), config.limits
+    (v_gain, omega_gain), (v_lag, omega_lag) = np.abs(np.diag(model.dc_gain)).tolist(), model.lag.tolist()
+    length = config.wheels.encoder_track / load_robot().track
+    if limits.least_radius_of_ways:
+        length = max(length, _ROOM * limits.least_radius_of_ways / _tightest(segments, name_or_path, limits))
+    # Shares of commands and wheels that each segment would take, were it as long as in the file.
+    taken = [
+        max(
+            length * abs(one.v) / (v_gain * limits.v),
+            abs(one.omega) / (omega_gain * limits.omega),
+            (length * abs(one.v) / v_gain + 0.5 * config.wheels.track * abs(one.omega) / omega_gain)
+            / limits.wheel_speed,
+        )
+        for one in segments
+    ]
+    slower = max(taken) / settings.reach_share
+    scaled = [
+        Segment(v=one.v * length / slower, omega=one.omega / slower, duration=one.duration * slower) for one in segments
+    ]
+    fastest = [max(abs(getattr(one, name)) for one in scaled) for name in ("v", "omega")]
+    usual, slew = load_robot().reference_acceleration, settings.slew_share
+    left = slew * (1.0 - settings.reach_share)
+    bounds = TrajectoryLimits(
+        v=max(fastest[0], v_gain * limits.v),
+        omega=max(fastest[1], omega_gain * limits.omega),
+        v_acceleration=min(
+            usual.v * length / slower**2, slew * v_gain * limits.v_slew, left * v_gain * limits.v / max(v_lag, _AT_ONCE)
+        ),
+        omega_acceleration=min(
+            usual.omega / slower**2,
+            slew * omega_gain * limits.omega_slew,
+            left * omega_gain * limits.omega / max(omega_lag, _AT_ONCE),
+        ),
+    )
+    return lay_segments(scaled, bounds, name=f"{Path(name_or_path).stem} scaled to the robot", where=str(name_or_path))
+
+
+def _tightest(segments: Sequence[Segment], path: str | Path, limits: Limits) -> float:
+    """Least radius of a path [m]; raises ConfigError where it turns on the spot."""
+    turning = [one for one in segments if one.omega]
+    if any(one.v == 0.0 for one in turning):
+        name = "least_turn_radius" if limits.least_turn_radius else "least_commanded_radius"
+        raise ConfigError(f"{path}: it turns on the spot, which limits.{name} forbids; give a path of arcs, as circle")
+    return min((abs(one.v / one.omega) for one in turning), default=math.inf)

@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.mpc.trajectories.settings import load_settings
+from diffdrive_mpc.mpc.trajectories.limits import load_settings
 
 _COINCIDE = 1e-9
 """Points nearer than this are one [m]."""

@@ -17,10 +17,9 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.mpc.trajectories.clothoids import Clothoid, Joint, along, distances, joint
-from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
+from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits, load_settings
 from diffdrive_mpc.mpc.trajectories.path_timing import squared_speeds, timed
 from diffdrive_mpc.mpc.trajectories.segments import Segment, check_segments, runs, timed_run
-from diffdrive_mpc.mpc.trajectories.settings import load_settings
 from diffdrive_mpc.mpc.trajectories.smooth_path import SmoothPath
 from diffdrive_mpc.mpc.trajectories.spline import SplineTrajectory
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from diffdrive_mpc.mpc.config.schema import ControllerConfig
     from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-    from diffdrive_mpc.mpc.trajectories.timing import Timing
+    from diffdrive_mpc.mpc.trajectories.path_timing import Timing
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,7 +68,7 @@ class Trajectory(ABC):
             If shapes differ, a value is not finite, times do not increase, or the columns contradict each other.
         """
         # SciPy loads slowly, and this module is loaded by every trajectory.
-        from diffdrive_mpc.mpc.trajectories.from_arrays import trajectory_from_arrays  # noqa: PLC0415
+        from diffdrive_mpc.mpc.trajectories.timed_poses import trajectory_from_arrays  # noqa: PLC0415
 
         columns = {"t": t, "x": x, "y": y, "theta": theta, "v": v, "omega": omega}
         return trajectory_from_arrays(name, columns)
@@ -105,7 +105,7 @@ class Trajectory(ABC):
         ArgumentError
             If `speed` or `limits` has another type.
         """
-        from diffdrive_mpc.mpc.trajectories.from_arrays import trajectory_from_waypoints  # noqa: PLC0415
+        from diffdrive_mpc.mpc.trajectories.timed_poses import trajectory_from_waypoints  # noqa: PLC0415
 
         return trajectory_from_waypoints(points, limits, name=name, speed=speed, timing=timing)
 

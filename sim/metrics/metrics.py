@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray, Reference
 from diffdrive_mpc.models.table import Table, number
-from diffdrive_mpc.models.turn_costs.drive_constants import DriveConstants, papers_drive
+from diffdrive_mpc.models.turn_costs.vehicle import DriveConstants, papers_drive
 from diffdrive_mpc.sim.metrics.tracking_errors import TrackingErrors, metric_settings
 
 TIME_TOLERANCE = 1e-9

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from pydantic import Field
 
-from diffdrive_mpc.models.base_effects import PARTS, BaseEffects
+from diffdrive_mpc.models.base_effects import PARTS, BaseEffects, TwistSlew, WheelCommand
+from diffdrive_mpc.models.checked_yaml import StrictModel
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
@@ -150,3 +153,47 @@ class BaseMotion:
         if self._effects.yaw_relaxation is not None:
             body[1] = abs(wheels[1]) * self._strain
         return body if self._effects.veer is None else self._effects.veer.body(body)
+
+
+# What a base does to its commands before they become set-points: slope limits, steps and coasting of the wheels.
+
+
+_HOLD = 0.005
+"""A ramp is made of levels that are held no longer than this [s]."""
+
+
+class BaseCommands(StrictModel):
+    """Effects of a base on the way in, as `models.base_effects` has them; one left out is not there."""
+
+    twist_slew: TwistSlew | None = Field(default=None, description="acceleration limits inside the base")
+    wheel_command: WheelCommand | None = Field(default=None, description="steps, coasting and top speed of the motors")
+
+
+class CommandShaping:
+    """Follows commands as the base does. A dead time may stand before or behind it: neither depends on the clock.
+
+    Parameters
+    ----------
+    base
+        The effects.
+    sample_time
+        For which a command holds [s].
+    """
+
+    def __init__(self, base: BaseCommands, sample_time: float) -> None:
+        self._base = base
+        ramps = base.twist_slew is not None
+        self._count = math.ceil(sample_time / _HOLD - 1e-9) if ramps else 1
+        self._hold = sample_time / self._count
+        self.reset()
+
+    def reset(self) -> None:
+        """Zero command since ever."""
+        self._reached = np.zeros(2)
+
+    def levels(self, time: float, command: FloatArray) -> Iterator[tuple[float, FloatArray]]:
+        """From when [s] the motors are asked for which twist (2,), for a command (2,) from `time` on."""
+        slew, wheels = self._base.twist_slew, self._base.wheel_command
+        for part in range(self._count):
+            self._reached = command if slew is None else slew.step(self._reached, command, self._hold)
+            yield time + part * self._hold, self._reached if wheels is None else wheels.apply(self._reached)

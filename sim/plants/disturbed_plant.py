@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -9,14 +10,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffdrive_mpc.models.interface import Measurement
+from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.robot import Robot
 from diffdrive_mpc.models.wheels import WheelKinematics
-from diffdrive_mpc.sim.disturbances.disturbance_types import Span
+from diffdrive_mpc.sim.disturbances.disturbance_types import Blockade, Patch, Push, Span
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.disturbances.sensor_faults import SensorFaults
-from diffdrive_mpc.sim.plants.link import clip_command
+from diffdrive_mpc.sim.plants.chassis import WHEELS, Chassis
+from diffdrive_mpc.sim.plants.drivetrain import VelocityLoops, clip_command
 from diffdrive_mpc.sim.plants.plant import Plant, PlantAround
+from diffdrive_mpc.sim.plants.twin import Twin
 
 
 class DisturbedPlant(PlantAround):
@@ -84,3 +87,135 @@ class DisturbedPlant(PlantAround):
         false = [item for item in self._scenario.false_commands if item.holds(self.time)]
         self._plant.advance([false[-1].v, false[-1].omega] if false else sent)
         self._sent = (float(sent[0]), float(sent[1]))
+
+
+# What acts on the physics of a disturbed run, physics step by physics step.
+
+
+class DisturbedPhysics:
+    """Applies patches, slipping wheels, pushes and blockades to the chassis, and weak motors and sag to the drives.
+
+    Payload and slope are part of the chassis from the beginning.
+
+    Parameters
+    ----------
+    scenario
+        What happens when.
+    chassis, loops
+        What it happens to.
+    friction
+        Sliding friction coefficient of the floor beside the patches.
+    wheel_base
+        Distance between the axles [m].
+    stall_torque
+        Torque of a nominal motor at standstill [N m].
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        chassis: Chassis,
+        loops: VelocityLoops,
+        friction: float,
+        wheel_base: float,
+        stall_torque: float,
+    ) -> None:
+        self._scenario, self._chassis, self._loops = scenario, chassis, loops
+        self._friction, self._stall_torque = friction, stall_torque
+        ahead = np.array([wheel_base / 2 if name.startswith("front") else -wheel_base / 2 for name in WHEELS])
+        self._patches = [(patch, _wheels_under(patch), *_edges(patch, ahead)) for patch in scenario.patches]
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing has happened yet; the robot stands where its way begins."""
+        self._travelled = 0.0
+        self._position = self._chassis.pose[:2]
+        self._crossed: list[Span | None] = [None] * len(self._patches)
+        self._load = 0.0
+        self._loops.supply = 1.0
+        self._anchors: list[FloatArray | None] = [None] * len(self._scenario.blockades)
+        self._chassis.release()
+        self._set_friction(0.0)
+
+    @property
+    def crossed(self) -> list[Span]:
+        """For each patch met so far: when a wheel was first on it, and when last [s]; infinity for an endless one."""
+        return [span for span in self._crossed if span is not None]
+
+    def advance(self, twin: Twin) -> None:
+        """One control sample of `twin`, disturbed; raises RobotLostError."""
+        edges = twin.edges.tolist()
+        for k, (start, end) in enumerate(itertools.pairwise(edges)):
+            self.before_step(start, end)
+            twin.step(k, self.motors(twin.torques(k), start))
+
+    def before_step(self, start: float, end: float) -> None:
+        """Set what acts during the physics step from `start` to `end` [s]."""
+        scenario = self._scenario
+        if self._patches or scenario.slipping_wheels:
+            position = self._chassis.pose[:2]
+            self._travelled += math.hypot(*(position - self._position))
+            self._position = position
+            self._set_friction(start)
+        if scenario.pushes or scenario.blockades:
+            self._chassis.release()
+            for push in scenario.pushes:
+                self._push(push, push.share(start, end))
+            for i, blockade in enumerate(scenario.blockades):
+                if blockade.holds(start):
+                    self._hold(i, blockade)
+        if scenario.battery:
+            drop = scenario.battery.load_drop * self._load
+            self._loops.supply = max(0.0, scenario.battery.voltage(start) - drop)
+
+    def motors(self, torques: FloatArray, time: float) -> FloatArray:
+        """(4,) wheel torques [N m] that the motors really give at `time` [s] instead of `torques`."""
+        for motor in self._scenario.weak_motors:
+            if motor.holds(time):
+                torques[WHEELS.index(motor.wheel)] *= motor.factor
+        self._load = float(np.mean(np.abs(torques))) / self._stall_torque
+        return torques
+
+    def _push(self, push: Push, share: float) -> None:
+        """Push for `share` of the step: the mean keeps the momentum exact where a push is no multiple of the step."""
+        forward, left = push.force * math.cos(push.direction), push.force * math.sin(push.direction)
+        self._chassis.push(share * forward, share * left, share * push.yaw_torque, push.height)
+
+    def _hold(self, i: int, blockade: Blockade) -> None:
+        """Spring and damper to where the body was when obstacle `i` caught it."""
+        pose, (v, lateral, omega) = self._chassis.pose, self._chassis.twist
+        anchor = self._anchors[i]
+        anchor = self._anchors[i] = pose if anchor is None else anchor
+        x, y, turned = pose - anchor
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        forward = -blockade.stiffness * (c * x + s * y) - blockade.damping * v
+        left = -blockade.stiffness * (c * y - s * x) - blockade.damping * lateral
+        torque = -blockade.yaw_stiffness * turned - blockade.yaw_damping * omega
+        self._chassis.push(forward, left, torque, blockade.height)
+
+    def _set_friction(self, time: float) -> None:
+        friction = np.full(4, self._friction)
+        for i, (patch, wheels, enters, leaves) in enumerate(self._patches):
+            inside = wheels & (enters <= self._travelled) & (self._travelled < leaves)
+            friction[inside] = patch.coefficient(self._friction)
+            self._note(i, time, bool(inside.any()), patch)
+        for slipping in self._scenario.slipping_wheels:
+            if slipping.holds(time):
+                friction[WHEELS.index(slipping.wheel)] = slipping.friction
+        self._chassis.set_friction(friction)
+
+    def _note(self, i: int, time: float, on_it: bool, patch: Patch) -> None:
+        if on_it:
+            span = self._crossed[i]
+            self._crossed[i] = (time if span is None else span[0], math.inf if patch.length is None else time)
+
+
+def _wheels_under(patch: Patch) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """(4,) whether the patch lies under the wheels of that side."""
+    return np.array([patch.side == "both" or name.endswith(patch.side) for name in WHEELS])
+
+
+def _edges(patch: Patch, ahead: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(4,) distance travelled [m] at which each wheel, `ahead` (4,) of the middle [m], enters and leaves the patch."""
+    length = math.inf if patch.length is None else patch.length
+    return patch.start - ahead, patch.start + length - ahead

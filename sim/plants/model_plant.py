@@ -15,7 +15,7 @@ from diffdrive_mpc.models.robot import Robot, load_robot
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.plants.base_motion import BaseMotion
-from diffdrive_mpc.sim.plants.link import clip_command
+from diffdrive_mpc.sim.plants.drivetrain import clip_command
 from diffdrive_mpc.sim.plants.surface import Slip
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 from diffdrive_mpc.sim.sensing.sensors import Sensors

@@ -9,24 +9,22 @@ from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.models.robot import Robot, load_robot
-from diffdrive_mpc.models.turn_costs.drive_constants import DriveConstants, papers_drive
+from diffdrive_mpc.models.turn_costs.vehicle import DriveConstants, papers_drive
 from diffdrive_mpc.models.wheels import WheelKinematics
 from diffdrive_mpc.sim.disturbances.disturbance_types import Span
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
-from diffdrive_mpc.sim.plants.base_commands import BaseCommands, CommandShaping
+from diffdrive_mpc.sim.plants.base_motion import BaseCommands, CommandShaping
 from diffdrive_mpc.sim.plants.chassis import Chassis
-from diffdrive_mpc.sim.plants.disturbed_physics import DisturbedPhysics
-from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, SpeedObserver, VelocityLoops
-from diffdrive_mpc.sim.plants.link import DelayLine, clip_command
+from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPhysics
+from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, DelayLine, SpeedObserver, VelocityLoops, clip_command
 from diffdrive_mpc.sim.plants.twin import Twin
 from diffdrive_mpc.sim.plants.twin_parameters import Firmware, TwinParameters, load_firmware, load_twin_parameters
-from diffdrive_mpc.sim.sensing.battery import Battery
-from diffdrive_mpc.sim.sensing.power_readings import PowerReadings
+from diffdrive_mpc.sim.sensing.power_readings import Battery, PowerReadings
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 from diffdrive_mpc.sim.sensing.sensors import TIME_TOLERANCE, Sensors
 
 if TYPE_CHECKING:
-    from diffdrive_mpc.sim.worlds.world import World
+    from diffdrive_mpc.sim.worlds.world_file import World
 
 # Spawn keys of the sensors' streams are 0, 1, 2, ...: this one can never meet them.
 _ENCODER_PHASE_KEY = 1_000
@@ -142,7 +140,7 @@ class MujocoPlant:
 
     @property
     def motors(self) -> FloatArray:
-        """(steps, 2, 4) torques [N m] and wheel speeds [rad/s] in the sample before; see `sim.plants.motor_work`.
+        """(steps, 2, 4) torques [N m] and wheel speeds [rad/s] in the sample before; see `sim.plants.drivetrain`.
 
         Front left, front right, rear left, rear right. They are written over by the next sample.
         """

@@ -13,7 +13,7 @@ from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.results import ReadOnlyArrays
 from diffdrive_mpc.models.robot import NotNegative, Positive, Robot, load_robot
-from diffdrive_mpc.sim.plants.motor_work import MotorWork, motor_work, stacked
+from diffdrive_mpc.sim.plants.drivetrain import MotorWork, motor_work, stacked
 from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.plants.surface import Slip
 from diffdrive_mpc.sim.plants.twin_parameters import PARAMETERS
@@ -126,7 +126,7 @@ class Drive(ReadOnlyArrays):
     true_twist
         (K, 3) forward and lateral speed [m/s], yaw rate [rad/s].
     motor_torque, motor_speed, motor_power, motor_square
-        (K, 4) what `sim.plants.motor_work` says of the sample that begins here; NaN for a plant without motors.
+        (K, 4) what `sim.plants.drivetrain` says of the sample that begins here; NaN for a plant without motors.
     """
 
     time: FloatArray

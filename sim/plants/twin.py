@@ -7,8 +7,7 @@ import numpy as np
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.core.library import address, load_twin
 from diffdrive_mpc.sim.plants.chassis import Chassis
-from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, SpeedObserver, VelocityLoops
-from diffdrive_mpc.sim.plants.link import DelayLine
+from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, DelayLine, SpeedObserver, VelocityLoops
 
 
 class Twin:

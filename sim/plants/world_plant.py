@@ -10,11 +10,11 @@ from diffdrive_mpc.models.interface import FloatArray, Measurement
 from diffdrive_mpc.sim.disturbances.disturbance_types import Span
 from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPlant
 from diffdrive_mpc.sim.plants.plant import Plant, PlantAround, RobotLostError
-from diffdrive_mpc.sim.worlds.contacts import Contact
+from diffdrive_mpc.sim.worlds.passage import Contact
 from diffdrive_mpc.sim.worlds.scene import Scene
 from diffdrive_mpc.sim.worlds.settings import world_settings
 from diffdrive_mpc.sim.worlds.sight import Eyes, Seen
-from diffdrive_mpc.sim.worlds.world import World
+from diffdrive_mpc.sim.worlds.world_file import World
 
 
 class TouchedError(RobotLostError):

@@ -13,8 +13,7 @@ from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 
 from diffdrive_mpc.sim.ros import messages
-from diffdrive_mpc.sim.ros.base_settings import LockStep, RealTime
-from diffdrive_mpc.sim.ros.simulated_base import SimulatedBase
+from diffdrive_mpc.sim.ros.simulated_base import LockStep, RealTime, SimulatedBase
 
 Spin = Callable[[float], None]
 """Handles at most one message, waiting for it at most so long [s]."""

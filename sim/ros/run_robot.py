@@ -17,10 +17,9 @@ from rclpy.signals import SignalHandlerOptions
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.sim.plants.plant import Plant
-from diffdrive_mpc.sim.ros.bag_recorder import Storage, bag_recorder
-from diffdrive_mpc.sim.ros.base_settings import BaseSettings
+from diffdrive_mpc.sim.ros.messages import Storage, bag_recorder
 from diffdrive_mpc.sim.ros.pace import SteppedClock, WallClock, drive_in_lock_step, drive_in_real_time
-from diffdrive_mpc.sim.ros.simulated_base import SimulatedBase
+from diffdrive_mpc.sim.ros.simulated_base import BaseSettings, SimulatedBase
 from diffdrive_mpc.sim.sensing.sensor_set import SensorSet
 
 NODE_NAME = "simulated_robot"

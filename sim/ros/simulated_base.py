@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+import math
+from collections.abc import Callable, Mapping
+from functools import reduce
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from numpy.typing import ArrayLike
+from pydantic import Field
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
@@ -16,13 +20,144 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 
+from diffdrive_mpc.models.checked_yaml import StrictModel, check, load_checked
 from diffdrive_mpc.models.logs.drive_log.topics import DRIVE, TICK
 from diffdrive_mpc.sim.plants.plant import Plant
 from diffdrive_mpc.sim.ros import messages
-from diffdrive_mpc.sim.ros.bag_recorder import MessageRecorder
-from diffdrive_mpc.sim.ros.base_settings import BaseSettings
-from diffdrive_mpc.sim.ros.command_inbox import CommandInbox
+from diffdrive_mpc.sim.ros.messages import MessageRecorder
 from diffdrive_mpc.sim.sensing.odometry import Odometry
+
+# Settings of the simulated base: topics' rates, command timeout, lock step.
+
+
+SHIPPED = Path(__file__).parent / "base.yaml"
+
+Ticks = Annotated[int, Field(ge=1, le=1000)]
+Seconds = Annotated[float, Field(gt=0, le=60)]
+
+
+class Every(StrictModel):
+    """Control samples from one message of a topic to the next."""
+
+    odometry: Ticks = Field(description="odom")
+    imu: Ticks = Field(description="imu")
+    joint_states: Ticks = Field(description="joint_states")
+    ground_truth: Ticks = Field(description="ground_truth/pose and ground_truth/twist")
+
+
+class LockStep(StrictModel):
+    """How the clock and the commands take turns."""
+
+    # A sensor's latency may be 2 s: stamps of poses from before the start must not fall below zero.
+    first_tick: int = Field(ge=200, le=1_000_000, description="control samples on /clock at the start")
+    settling_time: Seconds = Field(
+        description="real time without a new connection before the first tick [s]; others may be about to come"
+    )
+    answer_timeout: Seconds = Field(description="real time to wait for the command to a tick [s]")
+    clock_repeat: Seconds = Field(description="real time after which an unanswered /clock is sent again [s]")
+
+
+class RealTime(StrictModel):
+    """How the base keeps pace with the wall clock."""
+
+    most_behind: Seconds = Field(description="delay beyond which lost time is given up [s]")
+
+
+class BaseSettings(StrictModel):
+    """All settings of the simulated base."""
+
+    stamped: bool = Field(description="commands are TwistStamped; false: Twist")
+    command_timeout: Seconds = Field(description="robot time without a command until the base stops [s]")
+    odometry_pose: Literal["dead_reckoning", "pose_sensor"] = Field(description="where the pose in odom comes from")
+    every: Every
+    lock_step: LockStep
+    real_time: RealTime
+
+
+def load_base_settings(path: str | Path | None = None, changes: Mapping[str, object] | None = None) -> BaseSettings:
+    """Read base settings; without a path, the shipped ones.
+
+    Parameters
+    ----------
+    path
+        A YAML file with all settings.
+    changes
+        Values that replace those of the file, by dotted key such as "lock_step.answer_timeout"; None leaves the file's.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the file cannot be read or a value is missing, unknown or out of range.
+    """
+    settings = load_checked(BaseSettings, path or SHIPPED)
+    values = settings.model_dump()
+    for key, value in (changes or {}).items():
+        if value is not None:
+            *groups, name = key.split(".")
+            reduce(dict.__getitem__, groups, values)[name] = value
+    return check(BaseSettings, values, "base settings")
+
+
+# The commands that reached the base: which one holds, and whether it answers a tick.
+
+
+STOP = (0.0, 0.0)
+
+
+class CommandInbox:
+    """Keeps the newest sound command and lets it lapse.
+
+    Times are whole nanoseconds on the robot's clock.
+
+    Parameters
+    ----------
+    timeout
+        How long a command holds after its receipt [ns]; as old may its stamp be.
+    tolerance
+        How far the stamp of an answer may be from its tick [ns].
+    """
+
+    def __init__(self, timeout: int, tolerance: int) -> None:
+        self._timeout, self._tolerance = timeout, tolerance
+        self._command = STOP
+        self._received: int | None = None
+        self._stamp = 0
+
+    def put(self, v: float, omega: float, stamp: int, now: int) -> str:
+        """Take in a command v [m/s], omega [rad/s] that arrives at `now`.
+
+        Parameters
+        ----------
+        stamp
+            Of its header; 0 where it has none or nobody set it.
+
+        Returns
+        -------
+        str
+            Why the command was refused, in one sentence; empty where it was not.
+        """
+        if not (math.isfinite(v) and math.isfinite(omega)):
+            return f"command v = {v}, omega = {omega} is not finite; it is ignored"
+        if stamp and abs(now - stamp) > self._timeout:
+            age = f"{1e-9 * abs(now - stamp):.3f} s {'old' if stamp < now else 'ahead'}"
+            return f"the stamp of the command is {age}; it is ignored: has the sender the same clock (use_sim_time)?"
+        self._command, self._stamp, self._received = (v, omega), stamp, now
+        return ""
+
+    def command(self, now: int) -> tuple[float, float]:
+        """The command that holds at `now`: v [m/s], omega [rad/s]; zero once the last one has lapsed."""
+        return STOP if self.lapsed(now) or self._received is None else self._command
+
+    def lapsed(self, now: int) -> bool:
+        """Whether a command had been received, and none has come for longer than the timeout."""
+        return self._received is not None and now - self._received > self._timeout
+
+    def answers(self, tick: int) -> bool:
+        """Whether the newest command belongs to the tick at this time: by its stamp, else by when it was received."""
+        if self._received is None:
+            return False
+        return abs((self._stamp or self._received) - tick) <= self._tolerance
+
 
 # What the node says of each tick; with it a recording in real time, too, can be replayed exactly.
 _SAID_BY_CONTROLLER = (TICK, DRIVE)

@@ -22,8 +22,16 @@ from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.sim.plants.plant import RobotLostError
 from diffdrive_mpc.sim.twin.fitting import TwinFit, fit_twin
 from diffdrive_mpc.sim.twin.free_run import most_telling
-from diffdrive_mpc.sim.twin.held_out import Held, Prediction, drift_of, fit_percent, hold_model, hold_twin
-from diffdrive_mpc.sim.twin.identified import Identified, identified
+from diffdrive_mpc.sim.twin.held_out import (
+    Held,
+    Identified,
+    Prediction,
+    drift_of,
+    fit_percent,
+    hold_model,
+    hold_twin,
+    identified,
+)
 from diffdrive_mpc.sim.twin.nominal import nominal_robot
 from diffdrive_mpc.sim.twin.problem import Problem, Together, one_by_one
 from diffdrive_mpc.sim.twin.settings import twin_settings

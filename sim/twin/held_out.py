@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from diffdrive_mpc.models.base_effects import PoseMount
+from diffdrive_mpc.models.base_effects import BaseEffects, PoseMount, respond
+from diffdrive_mpc.models.checked_yaml import ConfigError
+from diffdrive_mpc.models.identification.effects.free_run import free_run
 from diffdrive_mpc.models.identification.poses import PoseDrift, pose_drift
 from diffdrive_mpc.models.identification.settings import identification_settings
 from diffdrive_mpc.models.interface import FloatArray
@@ -15,9 +18,156 @@ from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import Experiment, joined, parted
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
 from diffdrive_mpc.models.results import ReadOnlyArrays
+from diffdrive_mpc.models.structures.model_file import ModelFile, build_model
+from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.sim.twin.fitting import TwinFit
 from diffdrive_mpc.sim.twin.free_run import drive, readings, stretch
-from diffdrive_mpc.sim.twin.identified import Identified
+from diffdrive_mpc.sim.twin.nominal import Nominal
+from diffdrive_mpc.sim.twin.settings import twin_settings
+
+# The identified velocity model beside a twin: what it predicts of a log, and where the fit of the twin begins.
+
+
+_LOOP = 0.03
+"""Of a model's lag, what the motors' loops of the plant have of their own [s], about."""
+_LEAST_LAG = 0.01
+
+
+@dataclass(frozen=True)
+class Identified:
+    """A velocity model seen through the sensors of a log.
+
+    Attributes
+    ----------
+    model, effects
+        The model, and what its base does around it.
+    point
+        Of a model with effects, its parameters by the names of `models.identification.effects.free_run`; else empty.
+    sensors
+        "encoders.yaw_ratio", "gyro.offset", and where the model's file has them "encoders.delay", "encoders.lag".
+    limits
+        (2,) levels at which the robot clips its commands.
+    """
+
+    model: VelocityModel
+    effects: BaseEffects
+    point: Mapping[str, float]
+    sensors: Mapping[str, float]
+    limits: FloatArray
+
+    def readings(self, run: Experiment) -> FloatArray:
+        """(K, 2) v of the encoders and omega as the model means it, from the commands and the first readings."""
+        if self.point:
+            return np.asarray(free_run(self.point, run)[:, [0, -1]])
+        return np.asarray(self.body(run) + np.array([0.0, self.sensors["gyro.offset"]]))
+
+    def body(self, run: Experiment) -> FloatArray:
+        """(K, 2) v [m/s] in metres of the encoders, and true yaw rate [rad/s]."""
+        first = np.array([run.outputs[np.argmax(run.counts[:, row]), row] for row in (0, -1)])
+        start = np.linalg.solve(self.model.dc_gain, first - np.array([0.0, self.sensors["gyro.offset"]]))
+        commands = np.clip(run.inputs, -self.limits, self.limits)
+        return respond(self.model, self.effects, commands, run.dt, start).body
+
+    def start(self, nominal: Nominal) -> dict[str, float]:
+        """Where the fit of a twin begins, as near to this model as the plant can be by a glance."""
+        gain, dead_time = self.model.dc_gain, float(self.model.dead_time.mean())
+        lag = np.maximum(self.model.lag - dead_time - _LOOP, _LEAST_LAG)
+        ratio = self.sensors["encoders.yaw_ratio"]
+        found = {
+            "dead_time": dead_time,
+            "gain_v": float(gain[0, 0]),
+            "lag_v": float(lag[0]),
+            "lag_omega": float(lag[1]),
+            "track": float(gain[1, 1] * ratio),
+        }
+        if ratio > 1.0:
+            # Coulomb friction: effective over geometric track is 1 + (wheel base / track)^2.
+            skid = nominal.track_of_encoders * float(np.sqrt(ratio - 1.0))
+            found["wheel_base"] = skid / nominal.robot.twin.chassis.wheel_base
+        if self.effects.twist_slew is not None:
+            found |= {f"slew_{channel}": getattr(self.effects.twist_slew, channel) for channel in CHANNELS}
+        if self.effects.veer is not None:
+            found["veer"] = -self.effects.veer.yaw_per_metre * nominal.track_of_encoders * ratio
+        names = {"encoders.delay": "encoders_delay", "encoders.lag": "encoders_lag", "gyro.offset": "gyro_offset"}
+        return found | {names[name]: value for name, value in self.sensors.items() if name in names}
+
+
+def identified(content: ModelFile, runs: Sequence[Experiment]) -> Identified:
+    """A model file and the sensors of a log, which are found from the `runs` to fit where the file does not say them.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If the model has effects of a base, but not the sensors that they were found through.
+    """
+    model, effects = build_model(content), content.base_effects
+    known: dict[str, float] = {}
+    if content.uncertainty is not None:
+        known = dict(zip(content.uncertainty.parameters, content.uncertainty.value, strict=True))
+    sensors = {name: known[name] for name in known if name.startswith(("encoders.", "gyro."))}
+    if "encoders.yaw_ratio" not in sensors:
+        sensors["encoders.yaw_ratio"] = _yaw_ratio(runs)
+    limits = content.limits.model_dump() if content.limits else {}
+    most = np.array([limits.get(channel) or np.inf for channel in CHANNELS])
+    plain = effects.model_copy(update={"pose_mount": None}) == BaseEffects()
+    if plain:
+        found = Identified(model, effects, {}, sensors | {"gyro.offset": 0.0}, most)
+        sensors.setdefault("gyro.offset", _offset(found, runs))
+        return Identified(model, effects, {}, sensors, most)
+    if "gyro.offset" not in sensors or content.structure != "sm":
+        raise ConfigError(
+            f"model '{content.name}': its base effects stand there without the sensors that they were found through; "
+            "give a file that `identify --effects` wrote"
+        )
+    point = _point(content.model_dump(), effects, sensors) | {
+        f"limit.{channel}": limits[channel] for channel in CHANNELS if limits.get(channel)
+    }
+    return Identified(model, effects, point, sensors, most)
+
+
+def _point(content: Mapping[str, Any], effects: BaseEffects, sensors: Mapping[str, float]) -> dict[str, float]:
+    """An SM file with effects, as `models.identification.effects` names its numbers."""
+    point: dict[str, float] = {"encoders.delay": 0.0, **sensors}
+    for channel in CHANNELS:
+        linear = content["channels"][channel]
+        point[f"gain.{channel}"] = linear["gain"]
+        point[f"lag.{channel}"] = 1.0 / linear["natural_frequency"]
+        point[f"spread.{channel}"] = float(np.arccosh(max(linear["damping"], 1.0)))
+        point[f"dead_time.{channel}"] = content["dead_time"][channel]
+    if effects.twist_slew is not None:
+        point |= {"slew.v": effects.twist_slew.v, "slew.omega": effects.twist_slew.omega}
+    if effects.wheel_command is not None:
+        wheels = effects.wheel_command
+        turning = point["gain.omega"] * point["encoders.yaw_ratio"]
+        point["encoders.track"] = wheels.track * point["gain.v"] / turning
+        point |= {"wheels.resolution": wheels.resolution, "wheels.coasting": wheels.coasting_speed}
+        point |= {"wheels.top_speed": wheels.top_speed} if wheels.top_speed else {}
+    if effects.yaw_relaxation is not None:
+        point["relaxation"] = effects.yaw_relaxation.angle
+    if effects.veer is not None:
+        point["veer"] = effects.veer.yaw_per_metre
+    return point
+
+
+def _yaw_ratio(runs: Sequence[Experiment]) -> float:
+    """Yaw rate by the encoders over that of the gyro; 1 without a gyro."""
+    if runs[0].outputs.shape[1] < _WITH_GYRO:
+        return 1.0
+    both = np.concatenate([run.outputs[run.counts[:, 1] & run.counts[:, 2]] for run in runs])
+    wheels, gyro = (both[:, 1:] - both[:, 1:].mean(axis=0)).T
+    shared = float(wheels @ gyro)
+    return float(wheels @ wheels) / shared if shared > 0 else 1.0
+
+
+_WITH_GYRO = 3
+"""Readings of a log with a gyro: v and omega of the encoders, omega of the gyro."""
+
+
+def _offset(model: Identified, runs: Sequence[Experiment]) -> float:
+    """Mean of what the model leaves of omega."""
+    low, high = (twin_settings().parameters["gyro_offset"].low, twin_settings().parameters["gyro_offset"].high)
+    left = [(run.outputs[:, -1] - model.readings(run)[:, 1])[run.counts[:, -1]] for run in runs]
+    return float(np.clip(np.mean(np.concatenate(left)), low, high))
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Annotated
 
-from diffdrive_mpc.models.robot import Robot, load_robot
+from pydantic import Field
+
+from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.robot import Positive, Robot, load_robot
 from diffdrive_mpc.sim.plants.make import PHYSICS
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc.sim.plants.twin_parameters import ChassisParameters, load_twin_parameters
@@ -65,3 +71,64 @@ def robot_body(plant: str = PHYSICS) -> Body | None:
 
 def _body(robot: Robot, chassis: ChassisParameters) -> Body:
     return Body(robot.track, chassis.wheel_base, robot.wheel_radius, chassis.body_size, chassis.body_height)
+
+
+# Typed looks of robot, floors and marks.
+
+
+Share = Annotated[float, Field(ge=0, le=1)]
+Colour = tuple[Share, Share, Share]
+
+
+class Line(StrictModel):
+    """A line in space."""
+
+    colour: Colour = Field(description="red, green, blue")
+    radius: Positive = Field(description="half its thickness [m]")
+
+
+class Marks(StrictModel):
+    """What is drawn into the scene."""
+
+    reference: Line
+    band: Colour
+    way: Line
+    plan: Line
+
+
+class Floor(StrictModel):
+    """A chequered floor."""
+
+    shades: tuple[Colour, Colour] = Field(description="of its squares")
+    mirrors: Share = Field(description="how much it mirrors")
+
+
+class Sky(StrictModel):
+    """What is behind the floor."""
+
+    above: Colour = Field(description="overhead")
+    below: Colour = Field(description="at the horizon")
+
+
+class Looks(StrictModel):
+    """Of everything in a picture."""
+
+    body: Colour = Field(description="box of the robot")
+    top: Colour = Field(description="its deck")
+    front: Colour = Field(description="the mark at its front")
+    tyre: Colour = Field(description="rubber")
+    rim: Colour = Field(description="wheels inside their tyres")
+    sensor: Colour = Field(description="the turret on the deck")
+    sky: Sky
+    marks: Marks
+    floors: dict[str, Floor] = Field(description="by name of the surface; others look like `default`")
+
+    def floor(self, surface: str) -> Floor:
+        """That of a surface by shipped name; for others the default one."""
+        return self.floors.get(surface, self.floors["default"])
+
+
+@cache
+def load_looks() -> Looks:
+    """Read the shipped looks; raises ConfigError when the file has a mistake."""
+    return load_checked(Looks, Path(__file__).parent / "looks.yaml")

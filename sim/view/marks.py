@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import wrap_angle
-from diffdrive_mpc.sim.view.looks import Line, load_looks
+from diffdrive_mpc.sim.view.body import Line, load_looks
 
 _SPACING = 0.05  # [m], of the points of lines
 _THIN = 0.0005  # [m], half the thickness of what lies on the floor

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.sim.view.cameras import chase, overview
 from diffdrive_mpc.sim.view.marks import draw_marks
 from diffdrive_mpc.sim.view.scene import Scene
-from diffdrive_mpc.sim.view.shots import Camera, Shots
+from diffdrive_mpc.sim.view.shots import Camera, Shots, chase, overview
 
 READY = b"READY\n"
 _MOST_SHAPES = 20_000

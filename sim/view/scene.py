@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diffdrive_mpc.models.interface import FloatArray
-from diffdrive_mpc.sim.view.body import Body
-from diffdrive_mpc.sim.view.cameras import FIELD_OF_VIEW
-from diffdrive_mpc.sim.view.looks import Colour, load_looks
+from diffdrive_mpc.sim.view.body import Body, Colour, load_looks
 from diffdrive_mpc.sim.view.marks import ribbon
+from diffdrive_mpc.sim.view.shots import FIELD_OF_VIEW
 
 _SPOKES = 5
 _SHADE_HEIGHT = 0.006  # [m], over the floor and what lies on it

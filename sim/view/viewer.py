@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 from diffdrive_mpc.models.errors import DiffdriveMpcError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.sim.view.body import Body
-from diffdrive_mpc.sim.view.cameras import overview
 from diffdrive_mpc.sim.view.marks import draw_marks
 from diffdrive_mpc.sim.view.scene import Scene
+from diffdrive_mpc.sim.view.shots import overview
 
 if TYPE_CHECKING:
     from typing import Self

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from diffdrive_mpc.bench.drive import simulate
-    from diffdrive_mpc.bench.parameter_sweep import sweep
+    from diffdrive_mpc.bench.sweep import sweep
     from diffdrive_mpc.models.checked_yaml import ConfigError
     from diffdrive_mpc.models.compiled.compiler import NotCompiledError
     from diffdrive_mpc.models.errors import ArgumentError, DiffdriveMpcError, MissingPackageError
@@ -53,7 +53,7 @@ _HOMES = {
     "load_trajectory": "mpc.trajectories.load",
     "make_plant": "sim.plants.make",
     "simulate": "bench.drive",
-    "sweep": "bench.parameter_sweep",
+    "sweep": "bench.sweep",
 }
 
 __all__ = [

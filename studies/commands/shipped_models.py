@@ -44,7 +44,7 @@ def drives(
     """Fit the drive models again, on drives of the simulated robot with changes of direction."""
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from diffdrive_mpc.models.load import PARAMETERS  # noqa: PLC0415
-    from studies.shipped_models.drive_fitting import fit_drives  # noqa: PLC0415
+    from studies.shipped_models.model_fitting import fit_drives  # noqa: PLC0415
 
     folder = out or PARAMETERS
     folder.mkdir(parents=True, exist_ok=True)
@@ -63,7 +63,7 @@ def train(
     """Train the network again, on a five-minute drive of the simulated robot; needs the extra `learn`."""
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from diffdrive_mpc.models.load import PARAMETERS  # noqa: PLC0415
-    from studies.shipped_models.network_fitting import fit_network  # noqa: PLC0415
+    from studies.shipped_models.model_fitting import fit_network  # noqa: PLC0415
 
     folder = out or PARAMETERS
     folder.mkdir(parents=True, exist_ok=True)
@@ -90,8 +90,11 @@ def calibrate(
     from diffdrive_mpc.bench.progress import ProgressBar, output_console  # noqa: PLC0415
     from diffdrive_mpc.sim.plants.twin_parameters import FIRMWARE_FILE, load_firmware  # noqa: PLC0415
     from studies.shipped_models.calibration import calibrate as fit_firmware  # noqa: PLC0415
-    from studies.shipped_models.calibration import neighbour_errors  # noqa: PLC0415
-    from studies.shipped_models.calibration_tables import calibration_table, neighbours_table  # noqa: PLC0415
+    from studies.shipped_models.calibration import (  # noqa: PLC0415
+        calibration_table,
+        neighbour_errors,
+        neighbours_table,
+    )
 
     if check and out is not None:
         raise ValueError(f"--out {out}: --check writes nothing; give one of them")

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from diffdrive_mpc.bench.case import parse_seeds, split_names, split_numbers
-from diffdrive_mpc.bench.command_line.study_options import Jobs, file_option, out_option, parts_option
+from diffdrive_mpc.bench.command_line.options import Jobs, file_option, out_folder, out_option, parts_option
 
 _QUICK = 2
 """Runs of each part of `worlds --quick`."""
@@ -23,6 +23,8 @@ EXAMPLES = {
     "robustness": "Example: python -m studies robustness --out results --only mass_left,frozen_pose --models sm,ssm",
     "worlds": "Example: python -m studies worlds --out results --quick --controllers mpc,rpp+stop",
     "speed": "Example: python -m studies speed --out results --quick --peers ours,acados",
+    "monitor": "Example: python -m studies monitor --out watched --seeds 2 --hours 0.2",
+    "real-logs": "Example: python -m studies real-logs husky --data logs --out husky",
     "loop-speed": "Example: python -m studies loop-speed --out results --models ssm --trajectories circle,s",
 }
 
@@ -58,7 +60,7 @@ def reproduce(
 ) -> None:
     """Repeat the papers' experiments on the simulated robot and say which findings hold: minutes on two cores."""
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
-    from studies.reproduce.settings import PARTS, load_study  # noqa: PLC0415 - --help does without it
+    from studies.reproduce.published import PARTS, load_study  # noqa: PLC0415 - --help does without it
     from studies.reproduce.study import ReproduceStudy  # noqa: PLC0415
 
     parts = PARTS if only is None else split_names(only, "--only")
@@ -231,12 +233,15 @@ def energy_front(
 ) -> None:
     """Energy against tracking error as the weight of energy in the controller grows; minutes on two cores."""
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
-    from studies.energy_front import settings  # noqa: PLC0415 - --help does without it
-    from studies.energy_front.study import EnergyFrontStudy  # noqa: PLC0415
+    from studies.energy_front.study import (  # noqa: PLC0415 - --help does without it
+        HERE,
+        EnergyFrontStudy,
+        load_study,
+        small,
+    )
 
-    asked = settings.load_study(study)
-    folder = study.parent if study else settings.HERE
-    carry_out(EnergyFrontStudy(settings.quick(asked) if quick else asked, folder), out, jobs)
+    asked = load_study(study)
+    carry_out(EnergyFrontStudy(small(asked) if quick else asked, study.parent if study else HERE), out, jobs)
 
 
 def torque(
@@ -252,11 +257,11 @@ def torque(
 ) -> None:
     """What a turn costs: torque, least radius and energy, measured, learned and predicted; minutes on two cores."""
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
-    from studies.torque import settings  # noqa: PLC0415 - --help does without it
+    from studies.torque.settings import load_study, small  # noqa: PLC0415 - --help does without it
     from studies.torque.study import TorqueStudy  # noqa: PLC0415
 
-    asked = settings.load_study(study)
-    asked = settings.quick(asked) if quick else asked
+    asked = load_study(study)
+    asked = small(asked) if quick else asked
     if surfaces is not None:
         asked = asked.model_copy(update={"surfaces": split_names(surfaces, "--surfaces")})
     carry_out(TorqueStudy(asked), out, jobs)
@@ -275,14 +280,58 @@ def saving(
 ) -> None:
     """Drive energy-optimal and distance-optimal paths of the same ends, and say what is saved: minutes on two cores."""
     from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
-    from studies.saving import settings  # noqa: PLC0415 - --help does without it
+    from studies.saving.settings import load_study, small  # noqa: PLC0415 - --help does without it
     from studies.saving.study import SavingStudy  # noqa: PLC0415
 
-    asked = settings.load_study(study)
-    asked = settings.quick(asked) if quick else asked
+    asked = load_study(study)
+    asked = small(asked) if quick else asked
     if surfaces is not None:
         asked = asked.model_copy(update={"surfaces": split_names(surfaces, "--surfaces")})
     carry_out(SavingStudy(asked), out, jobs)
+
+
+def monitor(
+    *,
+    out: Annotated[Path, out_option("monitor.md, monitor.json and figures/", "out/monitor")] = Path("out/monitor"),
+    rules: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Rules: a shipped name, or the path of a YAML file.")
+    ] = "default",
+    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Drives of each fault.")] = 20,
+    hours: Annotated[float, typer.Option(min=0.01, max=1000, help="Hours of nominal drives.")] = 10.0,
+    tuning: Annotated[bool, typer.Option("--tuning", help="The seeds that the rules were tuned on.")] = False,
+    jobs: Jobs = None,
+) -> None:
+    """Break controllers on purpose and drive for hours with sound ones: what the monitor catches, when, and what not.
+
+    The exit code is 1 when a fault was missed or found late, or a nominal drive alarmed; the report is written all the
+    same.
+    """
+    from diffdrive_mpc.bench.command_line.one_line_errors import FAILED  # noqa: PLC0415 - --help does without it
+    from diffdrive_mpc.bench.study import carry_out  # noqa: PLC0415
+    from studies.monitor.study import MonitorStudy, complaint  # noqa: PLC0415
+
+    found = complaint(carry_out(MonitorStudy(rules, seeds, hours, tuning=tuning), out, jobs))
+    if found:
+        typer.echo(f"error: {found}", err=True)
+        raise typer.Exit(FAILED)
+
+
+def real_logs(
+    log: Annotated[str, typer.Argument(help="husky, warthog-asphalt or warthog-gravel.")],
+    *,
+    data: Annotated[Path, typer.Option(envvar="DIFFDRIVE_MPC_DATA", help="Folder with the logs.", show_default=False)],
+    out: Annotated[
+        Path,
+        typer.Option(
+            parser=out_folder, metavar="PATH", help="Folder for proof.md, model.yaml, config.yaml and surface.yaml."
+        ),
+    ],
+    seeds: Annotated[int, typer.Option(min=0, help="Closed-loop runs of each kind; 0 for none.")] = 3,
+) -> None:
+    """Identify a real robot with the effects of its base, score it on held-out rows, and drive its stand-in."""
+    from studies.real_logs.study import prove_log  # noqa: PLC0415 - --help and other commands do without it
+
+    prove_log(log, data, out, seeds)
 
 
 STUDIES: dict[str, Callable[..., None]] = {
@@ -296,5 +345,7 @@ STUDIES: dict[str, Callable[..., None]] = {
     "energy-front": energy_front,
     "speed": speed,
     "loop-speed": loop_speed,
+    "real-logs": real_logs,
+    "monitor": monitor,
 }
 """The studies by the names of their commands, `python -m studies NAME`."""

@@ -20,9 +20,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.turn_costs import load_drive_constants, load_turn_costs
 from studies.documents.documents import insert
-from studies.torque.diagnostic_log import write_diagnostic_log
-from studies.torque.measurements import diagnostic_commands, plant_of
-from studies.torque.power_drives import drawn, driven, record
+from studies.torque.measurements import diagnostic_commands, drawn, driven, plant_of, record, write_diagnostic_log
 from studies.torque.settings import load_study
 from studies.torque.study import radius_text
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.report_folder import staged
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.whole_file import whole_file
 

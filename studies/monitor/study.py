@@ -16,9 +16,8 @@ from diffdrive_mpc.bench.runner import run_tasks
 from diffdrive_mpc.bench.study import Report, Study
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.mpc.monitor.rules import Rules, load_rules
-from studies.monitor.drives import nominal_case
 from studies.monitor.faults import FAULTS, Held
-from studies.monitor.trial import AFTER, HARM, Trial, faulty_trial, nominal_trial
+from studies.monitor.trial import AFTER, HARM, Trial, faulty_trial, nominal_case, nominal_trial
 
 FIRST_SEED = {True: (0, 0), False: (10_000, 20_000)}
 """Of faulty and of nominal drives: those that rules were tuned on, and those that are reported."""

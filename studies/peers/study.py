@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +11,7 @@ from typing import Annotated
 import numpy as np
 import yaml
 from pydantic import Field
+from scipy.stats import qmc
 
 from diffdrive_mpc.bench.case import MOST_CASES
 from diffdrive_mpc.bench.peers import LAWS
@@ -23,7 +24,81 @@ from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_che
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.sim import make_plant, simulate
-from studies.peers.search import Search, Values
+
+# A search with a fixed number of evaluations: a Sobol scan, then the best one refined gain by gain.
+
+
+Values = dict[str, float]
+Objective = Callable[[Values], float]
+_DIGITS = 4
+
+
+@dataclass
+class Search:
+    """Minimises a function of positive values within ranges, on a logarithmic scale.
+
+    Attributes
+    ----------
+    objective
+        What is to be small.
+    ranges
+        Lowest and highest value of each.
+    evaluations
+        How often `objective` may be called.
+    tried
+        Every setting with its objective, in order.
+    """
+
+    objective: Objective
+    ranges: Mapping[str, tuple[float, float]]
+    evaluations: int
+    tried: list[tuple[Values, float]] = field(default_factory=list)
+
+    @property
+    def best(self) -> tuple[Values, float]:
+        """The setting with the least objective; of equals the first."""
+        return min(self.tried, key=lambda one: one[1])
+
+    def scan(self, count: int, seed: int) -> None:
+        """Try the middle of the ranges and `count` - 1 points of a scrambled Sobol sequence."""
+        low, high = np.log(np.array(list(self.ranges.values()), dtype=float)).T
+        points = qmc.Sobol(len(low), seed=seed).random_base2(int(np.ceil(np.log2(max(count, 2)))))
+        for point in [np.full(len(low), 0.5), *points][:count]:
+            self._try(dict(zip(self.ranges, np.exp(low + point * (high - low)).tolist(), strict=True)))
+
+    def refine(self, factor: float) -> None:
+        """Multiply and divide one value after another by `factor`, which shrinks to its root when nothing helps."""
+        while len(self.tried) < self.evaluations:
+            before = self.best[1]
+            for name in self.ranges:
+                if not self._step(name, factor):
+                    self._step(name, 1 / factor)
+            if self.best[1] >= before:
+                factor = float(np.sqrt(factor))
+                if factor < 1.01:
+                    return
+
+    def _step(self, name: str, factor: float) -> bool:
+        """Go on in one direction as long as it helps; whether it did."""
+        helped = False
+        while len(self.tried) < self.evaluations:
+            values, least = self.best
+            low, high = self.ranges[name]
+            moved = values | {name: float(np.clip(values[name] * factor, low, high))}
+            if moved == values or not self._try(moved) < least:
+                return helped
+            helped = True
+        return helped
+
+    def _try(self, values: Values) -> float:
+        rounded = {name: float(f"{value:.{_DIGITS}g}") for name, value in values.items()}
+        for known, found in self.tried:
+            if known == rounded:
+                return found
+        found = self.objective(rounded)
+        self.tried.append((rounded, found))
+        return found
+
 
 GAINS_FILE = "gains.yaml"
 _FOLDER = Path(__file__).parent

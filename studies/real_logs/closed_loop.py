@@ -10,13 +10,13 @@ import numpy as np
 
 from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.identification.configuration import CONFIG_FILE, MODEL_FILE
-from diffdrive_mpc.models.identification.log_surface import SURFACE_FILE as SURFACE
+from diffdrive_mpc.models.identification.slip import SURFACE_FILE as SURFACE
 from diffdrive_mpc.models.load import load_model
 from diffdrive_mpc.models.robot import TwistBounds
 from diffdrive_mpc.mpc import Controller, load_config
 from diffdrive_mpc.mpc.config.config_file import replace_values
 from diffdrive_mpc.mpc.config.schema import Limits
-from diffdrive_mpc.mpc.trajectories.scaled import scaled_to_robot
+from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
 from diffdrive_mpc.sim import make_plant, simulate
 from studies.real_logs.protocol import Proof
 

@@ -20,8 +20,7 @@ from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.structures.registry import STRUCTURES
 from diffdrive_mpc.sim.plants.open_loop import random_commands
 from studies.reproduce.drives import predict_path
-from studies.reproduce.published import Finding, Published, PublishedCost
-from studies.reproduce.settings import CostStudy
+from studies.reproduce.published import CostStudy, Finding, Published, PublishedCost
 
 _SEED = 0
 _BYTES_PER_MB = 1e6

@@ -23,8 +23,7 @@ from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.sim.plants.open_loop import load_command_parameters, random_commands
 from studies.real_logs.protocol import divide, load_protocol
 from studies.reproduce.drives import record_of
-from studies.reproduce.published import Finding, Published, PublishedDriveErrors
-from studies.reproduce.settings import DriveStudy
+from studies.reproduce.published import DriveStudy, Finding, Published, PublishedDriveErrors
 
 NO_MODEL, PHYSICAL, EXPERIMENTAL, SM = "no model", "physical", "experimental", "SM"
 KINDS: Mapping[str, Kind] = {PHYSICAL: "drive_physical", EXPERIMENTAL: "drive_experimental"}

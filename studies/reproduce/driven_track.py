@@ -16,8 +16,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
-from studies.reproduce.published import Finding, Published
-from studies.reproduce.settings import TrackStudy
+from studies.reproduce.published import Finding, Published, TrackStudy
 from studies.reproduce.virtual_track import TrackLine, fit_line
 
 _SEED = 400

@@ -13,7 +13,7 @@ from diffdrive_mpc.models.discrete_model import DiscreteModel, zero_order_hold
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.nonlinear_model import NonlinearModel
-from diffdrive_mpc.models.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.output_error.state_space import LinearSystem
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.mpc.trajectories import load_segments
@@ -24,7 +24,7 @@ from diffdrive_mpc.sim.plants.open_loop import (
     random_commands,
     step_commands,
 )
-from studies.reproduce.settings import PaperRange
+from studies.reproduce.published import PaperRange
 
 StepKind = Literal["wheels", "v", "omega"]
 STEP_KINDS: tuple[StepKind, ...] = ("wheels", "v", "omega")

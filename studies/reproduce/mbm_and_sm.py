@@ -29,8 +29,7 @@ from studies.reproduce.drives import (
     predict_path,
     sampled,
 )
-from studies.reproduce.published import Finding, Published, each
-from studies.reproduce.settings import MbmSmStudy
+from studies.reproduce.published import Finding, MbmSmStudy, Published, each
 
 MBM, MBM_TRACKS, SM = "MBM", "MBM, own tracks", "SM"
 COMPARED = (MBM, MBM_TRACKS, SM)

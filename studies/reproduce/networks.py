@@ -12,10 +12,8 @@ import numpy as np
 
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.extras.networks.finding import simulate_records
-from diffdrive_mpc.extras.networks.network import Architecture, Network
-from diffdrive_mpc.extras.networks.training import train
-from diffdrive_mpc.extras.networks.training_settings import training_settings
-from diffdrive_mpc.extras.networks.windows import divided, fit_percent, rmse, windows_of
+from diffdrive_mpc.extras.networks.network import Architecture, Network, divided, fit_percent, rmse, windows_of
+from diffdrive_mpc.extras.networks.training import train, training_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import twist_experiments
@@ -28,8 +26,7 @@ from studies.reproduce.drives import (
     dead_reckon,
     pose_error,
 )
-from studies.reproduce.published import Finding, Published, PublishedNetwork, each
-from studies.reproduce.settings import NetworkStudy
+from studies.reproduce.published import Finding, NetworkStudy, Published, PublishedNetwork, each
 from studies.reproduce.state_space import (
     FIT_COLUMNS,
     PAPERS_ORDER,

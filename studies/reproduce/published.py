@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
+from diffdrive_mpc.models.robot import NotNegative, Positive
 from diffdrive_mpc.models.structures.model_file import ChannelFit
 
 Four = tuple[float, float, float, float]
@@ -194,3 +196,155 @@ class Finding:
 def each(flags: ArrayLike) -> tuple[bool, ...]:
     """Flags (repetitions,) as plain truth values."""
     return tuple(bool(flag) for flag in np.atleast_1d(flags))
+
+
+# What `reproduce` runs, read from `study.yaml` or, for a quick one, from `quick.yaml`.
+
+
+PARTS = ("mbm_sm", "ssm", "lstm", "cost", "virtual_track", "drive_models", "slip_scatter", "turning")
+"""Names of the parts, in the order of the report."""
+
+Count = Annotated[int, Field(ge=1)]
+
+
+class MbmSmStudy(StrictModel):
+    """MBM and SM from steps, held against each other on trajectories."""
+
+    trajectories: Annotated[tuple[str, ...], Field(min_length=1)]
+    free_drives: Count
+    free_duration: Positive = Field(description="[s]")
+
+
+class PaperRange(StrictModel):
+    """How fast the set-points of the paper's free drives went."""
+
+    v: Positive = Field(description="[m/s]")
+    omega: Positive = Field(description="[rad/s]")
+
+
+class SsmStudy(StrictModel):
+    """SSM of several orders from one free drive."""
+
+    train_duration: Positive = Field(description="[s]")
+    largest_order: int = Field(ge=2, le=5)
+    test_drives: Count
+    free_drives: Count
+    free_duration: Positive = Field(description="[s]")
+    paper_range: PaperRange
+
+
+class LongerTraining(StrictModel):
+    """Where a training differs from the paper's."""
+
+    dropout: float = Field(ge=0, lt=1)
+    decay: float = Field(ge=0)
+    patience: Count
+    most_epochs: Count
+
+
+class NetworkStudy(StrictModel):
+    """LSTM beside SSM from one free drive, and networks of Table 2."""
+
+    train_duration: Positive = Field(description="[s]")
+    free_drives: Count
+    free_duration: Positive = Field(description="[s]")
+    paper_range: PaperRange
+    rows: tuple[tuple[int, ...], ...] = Field(description="of Table 2, in groups that are trained one after the other")
+    longer: LongerTraining
+
+
+class CostStudy(StrictModel):
+    """Simulations that are timed."""
+
+    runs: int = Field(ge=2, description="a spread takes two")
+    steps: Count
+    simulation_steps: dict[str, Count] = Field(description="of the whole simulations, by model")
+
+
+class DriveStudy(StrictModel):
+    """Drive models on drives with changes of direction, and on logs."""
+
+    drives: Count = Field(description="to fit, and as many held out")
+    duration: Positive = Field(description="of each [s]")
+    v: Positive = Field(description="largest set-point [m/s]")
+    omega: Positive = Field(description="largest set-point [rad/s]")
+    repetitions: Count = Field(description="how many of the repetitions")
+    logs: tuple[str, ...] = Field(description="of studies/real_logs/protocol.yaml")
+
+
+class TrackStudy(StrictModel):
+    """P3's tests driven, and drives in which one thing stays."""
+
+    surfaces: Annotated[tuple[str, ...], Field(min_length=1)]
+    tests: Annotated[tuple[tuple[Positive, Positive], ...], Field(min_length=3)] = Field(
+        description="v [m/s], yaw rate [rad/s]"
+    )
+    duration: Positive = Field(description="of a drive [s]")
+    settling: Positive = Field(description="of it that does not count [s]")
+    v: Positive = Field(description="that stays [m/s]")
+    yaw_rate: Positive = Field(description="that stays [rad/s]")
+    yaw_rates: Annotated[tuple[Positive, ...], Field(min_length=3)] = Field(description="[rad/s]")
+    speeds: Annotated[tuple[Positive, ...], Field(min_length=3)] = Field(description="[m/s]")
+
+
+class ScatterFloor(StrictModel):
+    """A plant and what it drives on."""
+
+    plant: str = Field(description="as `make_plant` takes it")
+    surface: str
+
+    @property
+    def name(self) -> str:
+        """In tables."""
+        return self.surface if self.plant.startswith("model:") else f"{self.plant} {self.surface}"
+
+
+class ScatterStudy(StrictModel):
+    """P4's scatter of poses that are predicted over some time with the slip that was learned."""
+
+    floors: Annotated[tuple[ScatterFloor, ...], Field(min_length=1)]
+    drifts: Annotated[tuple[Positive, ...], Field(min_length=1)] = Field(
+        description="by what the configuration's drifts of slip are multiplied"
+    )
+    settling: NotNegative = Field(description="of the drive, before errors scale what is foreseen [s]")
+    learning: Positive = Field(description="of the drive, before errors count [s]")
+    duration: Positive = Field(description="of the drive [s]")
+    horizon: Positive = Field(description="how far ahead [s]")
+    path: Positive = Field(description="how long a path by commands alone is drawn [s]")
+    side: Positive = Field(description="of the square that is driven in [m]")
+    v: Positive = Field(description="largest speed [m/s]")
+    yaw_rate: Positive = Field(description="largest yaw rate [rad/s]")
+    estimator: dict[str, float] = Field(description="keys of `estimator` in the configuration")
+
+
+class TurningStudy(StrictModel):
+    """P4's steady turns, its learned torque curves and the energy that they foresee; the rest as in `torque`."""
+
+    radii: Annotated[tuple[Positive, ...], Field(min_length=3)] = Field(description="of steady turns, ascending [m]")
+    speeds: Annotated[tuple[Positive, ...], Field(min_length=2)] = Field(description="of steady turns, ascending [m/s]")
+    smooth_floor: str = Field(description="that stands in for the laboratory's vinyl")
+    settling: NotNegative = Field(description="of a steady turn, that is not measured [s]")
+    hold: Positive = Field(description="of it that is [s]")
+    floors: Annotated[tuple[str, ...], Field(min_length=1)] = Field(description="on which torques are learned")
+    seeds: Annotated[tuple[int, ...], Field(min_length=1)] = Field(description="of drives whose energy is foreseen")
+    turns: Count = Field(description="of such a drive")
+    plans: Count = Field(description="that are timed on each floor")
+
+
+class ReproduceSettings(StrictModel):
+    """All parts; a repetition has drives and noise of its own."""
+
+    repetitions: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)]
+    mbm_sm: MbmSmStudy
+    ssm: SsmStudy
+    lstm: NetworkStudy
+    cost: CostStudy
+    drive_models: DriveStudy
+    driven_track: TrackStudy
+    slip_scatter: ScatterStudy
+    turning: TurningStudy
+
+
+def load_study(*, quick: bool = False) -> ReproduceSettings:
+    """Read the study; raises ConfigError when its file has a mistake."""
+    return load_checked(ReproduceSettings, Path(__file__).parent / ("quick.yaml" if quick else "study.yaml"))

@@ -19,15 +19,14 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import ahead_and_left
 from diffdrive_mpc.models.slip_laws import POLYNOMIAL
 from diffdrive_mpc.mpc import Controller, load_config
-from diffdrive_mpc.mpc.estimation.belief import Belief
+from diffdrive_mpc.mpc.estimation.estimate import Belief
 from diffdrive_mpc.mpc.problem.slip import PRIORS, Slip
 from diffdrive_mpc.mpc.trajectories.excitation import slip_excitation
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import lay_segments
 from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.plants.surface import load_surface
-from studies.reproduce.published import Finding, Published
-from studies.reproduce.settings import ScatterFloor, ScatterStudy
+from studies.reproduce.published import Finding, Published, ScatterFloor, ScatterStudy
 
 _INSIDE = 0.95
 """Share of the errors that an ellipse should hold."""

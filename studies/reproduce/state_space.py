@@ -12,7 +12,7 @@ from diffdrive_mpc.models.doubt import lines
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.output_error.state_space import LinearSystem
 from diffdrive_mpc.models.output_error.validation import validate
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
 from diffdrive_mpc.models.structures.orders import OrderRow
@@ -27,8 +27,7 @@ from studies.reproduce.drives import (
     predict_path,
     sampled,
 )
-from studies.reproduce.published import Finding, Published, each
-from studies.reproduce.settings import SsmStudy
+from studies.reproduce.published import Finding, Published, SsmStudy, each
 
 PAPERS_ORDER = 2
 """The order that the paper settles on."""

@@ -42,8 +42,7 @@ from studies.reproduce.networks import (
     row_table,
     train_rows,
 )
-from studies.reproduce.published import Finding, load_published
-from studies.reproduce.settings import PARTS, ReproduceSettings
+from studies.reproduce.published import PARTS, Finding, ReproduceSettings, load_published
 from studies.reproduce.slip_scatter import (
     SlipScatter,
     scatter_of,

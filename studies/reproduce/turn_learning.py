@@ -19,9 +19,8 @@ from diffdrive_mpc.extras.torque import TorqueCurves, load_torque_settings
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.turn_costs import LIMIT_SHARE
 from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop
-from studies.reproduce.published import Finding, Published
-from studies.reproduce.settings import TurningStudy
-from studies.reproduce.turn_plans import planning_times
+from studies.reproduce.published import Finding, Published, TurningStudy
+from studies.reproduce.turning import planning_times
 from studies.torque.measurements import (
     diagnostic_drive,
     own_least_radius,

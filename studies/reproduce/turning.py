@@ -6,16 +6,20 @@ with its printed parameters stands the simulated robot of `python -m studies tor
 
 from __future__ import annotations
 
+import contextlib
+import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from diffdrive_mpc.bench.table import Table, number
+from diffdrive_mpc.extras.planner import PlanError, plan
 from diffdrive_mpc.extras.terrain import load_terrain, side_torques
 from diffdrive_mpc.models.interface import FloatArray
-from studies.reproduce.published import Finding, Published
-from studies.reproduce.settings import TurningStudy
+from diffdrive_mpc.models.turn_costs import load_turn_costs
+from studies.reproduce.published import Finding, Published, TurningStudy
 from studies.torque.measurements import plant_of, steady_turns
 from studies.torque.outcome import parts_of
 from studies.torque.settings import load_study
@@ -206,3 +210,26 @@ def _speed_does_not_matter(turns: Sequence[SteadyTurns], where: str, alike: floa
         f"{100 * apart:.0f} % apart",
         (apart < alike,),
     )
+
+
+# How long the planner takes beside P4's SBMPO: plans of least energy within 10 m by 10 m at 0.6 m/s, as there.
+
+
+_AREA, _SPEED, _FROM = 10.0, 0.6, 6.0
+
+
+def planning_times(costs: str, count: int, seed: int) -> tuple[float, ...]:
+    """Processor times of `count` plans [s] with the turn costs of that name, each from a corner to a goal ahead.
+
+    The heading at the goal is that of the straight line, turned by up to a quarter of a circle. A goal that cannot be
+    planned takes its time, too.
+    """
+    rng, robot, took = np.random.default_rng(seed), load_turn_costs(costs), []
+    for _ in range(count):
+        goal = rng.uniform([_FROM, 0.0], _AREA)
+        heading = math.atan2(goal[1], goal[0]) + rng.uniform(-math.pi / 4, math.pi / 4)
+        begin = time.process_time()
+        with contextlib.suppress(PlanError):
+            plan(robot, [0.0, 0.0, 0.0], [*goal, heading], minimise="energy", speed=_SPEED)
+        took.append(time.process_time() - begin)
+    return tuple(took)

@@ -11,8 +11,7 @@ from matplotlib.patches import Circle, Polygon
 
 from diffdrive_mpc.bench.figure_style import MARKERS, REFERENCE_COLOUR, colour, line_style, new_figure
 from diffdrive_mpc.models.interface import FloatArray
-from studies.saving.drives import Driven
-from studies.saving.outcome import AIMS, PairOutcome, Saved
+from studies.saving.drives import AIMS, Driven, PairOutcome, Saved
 from studies.saving.scenarios import Planned, ScenarioOutcome
 
 _COLUMNS = 6

@@ -16,8 +16,7 @@ from diffdrive_mpc.models.turn_costs import SlipCoefficients, TurnCosts, load_tu
 from diffdrive_mpc.mpc.free_space import MovingDisc, Surroundings
 from diffdrive_mpc.sim.plants.make import plant_outline
 from studies.saving.drives import Driven, drive_closed, drive_open
-from studies.saving.pairs import Pose
-from studies.saving.settings import Place, Post, SavingStudySettings, Scenario
+from studies.saving.settings import Place, Pose, Post, SavingStudySettings, Scenario
 from studies.torque.measurements import diagnostic_drive, plant_of, sides
 from studies.torque.outcome import map_back
 from studies.torque.settings import load_study as load_torque_study

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
+import numpy as np
 from pydantic import Field, model_validator
+from scipy.stats import qmc
 
 from diffdrive_mpc.extras.planner import PlanSettings, load_plan_settings
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
@@ -101,7 +103,7 @@ def load_study(path: Path | None = None) -> SavingStudySettings:
     return load_checked(SavingStudySettings, path or FOLDER / "study.yaml")
 
 
-def quick(study: SavingStudySettings) -> SavingStudySettings:
+def small(study: SavingStudySettings) -> SavingStudySettings:
     """Two pairs on one floor and the first scenario, to see that it works."""
     return study.model_copy(
         update={
@@ -110,3 +112,38 @@ def quick(study: SavingStudySettings) -> SavingStudySettings:
             "scenarios": study.scenarios[:1],
         }
     )
+
+
+# Starts and goals, drawn.
+
+
+Pose = tuple[float, float, float]
+"""x, y [m], theta [rad]."""
+
+
+class Pair(NamedTuple):
+    """Where the robot rests at first and in the end."""
+
+    start: Pose
+    goal: Pose
+
+    @property
+    def distance(self) -> float:
+        """Straight from one to the other [m]."""
+        return float(np.hypot(self.goal[0] - self.start[0], self.goal[1] - self.start[1]))
+
+
+def draw_pairs(asked: Drawn, count: int, seed: int) -> list[Pair]:
+    """So many pairs from a seed: distance, where the goal lies, and where the robot is to look there.
+
+    A Latin hypercube: each of the three is spread evenly over its range, one pair to each of `count` slices, so that
+    neither near goals nor goals straight ahead can be in the majority. A floor is the same everywhere: all start at
+    the origin and look along x.
+    """
+    unit = qmc.LatinHypercube(d=3, seed=np.random.default_rng(seed)).random(count)
+    low, high = np.array([[asked.distance[0], -np.pi, -np.pi], [asked.distance[1], np.pi, np.pi]])
+    rows = low + unit * (high - low)
+    return [
+        Pair((0.0, 0.0, 0.0), (float(far * np.cos(bearing)), float(far * np.sin(bearing)), float(heading)))
+        for far, bearing, heading in rows
+    ]

@@ -19,9 +19,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.sim.plants.make import plant_outline
-from studies.saving.drives import Driven
-from studies.saving.outcome import AIMS, PairOutcome, Saved, measure_pair, worse_arrival
-from studies.saving.pairs import draw_pairs
+from studies.saving.drives import AIMS, Driven, PairOutcome, Saved, measure_pair, worse_arrival
 from studies.saving.scenarios import (
     ScenarioOutcome,
     check_scenario,
@@ -29,7 +27,7 @@ from studies.saving.scenarios import (
     measure_loaded,
     measure_nominal,
 )
-from studies.saving.settings import SavingStudySettings, Scenario
+from studies.saving.settings import SavingStudySettings, Scenario, draw_pairs
 from studies.torque.measurements import plant_of
 
 _MEASURES: dict[str, Callable[[SavingStudySettings, Scenario], ScenarioOutcome]] = {

@@ -7,7 +7,7 @@ each command channel with a lag of its own; its track sets the yaw gain. Nothing
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -16,6 +16,7 @@ import numpy as np
 import yaml
 from pydantic import Field
 
+from diffdrive_mpc.bench.table import Table
 from diffdrive_mpc.models.checked_yaml import ConfigError, StrictModel, load_checked
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
@@ -226,3 +227,26 @@ def write_firmware(firmware: Firmware, path: str | Path) -> None:
     """Write firmware parameters, with what was adjusted and what remains as a comment on top."""
     text = yaml.safe_dump(firmware.model_dump(), sort_keys=False, default_flow_style=None, width=120)
     Path(path).write_text(_HEADER + text, encoding="utf-8")
+
+
+# How well the published model predicts the simulated robot, as tables.
+
+
+def calibration_table(firmware: Firmware) -> Table:
+    """FIT of the target model, run free from commands alone, on the held-out drives."""
+    fits = validate_calibration(firmware)
+    rows = [
+        (str(fit.seed), "smoothed" if fit.smooth else "in steps", f"{fit.v:.2f}", f"{fit.omega:.2f}")
+        for fit in sorted(fits, key=lambda fit: not fit.smooth)
+    ]
+    title = "The published SSM against the simulated robot, drives held out from calibration"
+    return Table(title, ("seed", "set-points", "FIT v [%]", "FIT omega [%]"), tuple(rows), text_columns=2)
+
+
+def neighbours_table(errors: Mapping[str, Sequence[float]]) -> Table:
+    """What `neighbour_errors` found."""
+    rows = [(name, *(f"{error:.3f}" for error in around)) for name, around in errors.items()]
+    title = "Error on the drives of the calibration with one parameter moved either way, over that without [-]"
+    return Table(
+        title, ("parameter", "less", "more"), tuple((*row, "at its bound")[:3] for row in rows), text_columns=1
+    )

@@ -21,8 +21,7 @@ from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.robot import Positive
-from diffdrive_mpc.models.structures.files import SmFile
-from diffdrive_mpc.models.structures.model_file import build_model
+from diffdrive_mpc.models.structures.model_file import SmFile, build_model
 from diffdrive_mpc.models.structures.sm import identify_sm
 from diffdrive_mpc.models.velocity_model import CHANNELS
 from diffdrive_mpc.sim.plants.open_loop import random_commands

@@ -9,6 +9,7 @@ import datetime
 import itertools
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from datetime import date
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,22 +18,32 @@ import numpy as np
 import yaml
 from scipy.optimize import minimize_scalar
 
-from diffdrive_mpc.bench.atomic import staged
+from diffdrive_mpc.bench.report_folder import staged
 from diffdrive_mpc.bench.table import Table
+from diffdrive_mpc.extras.drives.content import drive_content
+from diffdrive_mpc.extras.drives.drive_model import write_drive
+from diffdrive_mpc.extras.drives.fitting import fit_drive
+from diffdrive_mpc.extras.networks.network import Architecture, divided, fit_percent, windows_of
+from diffdrive_mpc.extras.networks.network_model import network_content, write_network
+from diffdrive_mpc.extras.networks.training import method, train, training_settings
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
-from diffdrive_mpc.models.editor_line import kept_editor_line
+from diffdrive_mpc.models.function_structure import function_structures
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.load import PARAMETERS, load_linear_model
 from diffdrive_mpc.models.logs.geometry import identify_track, side_difference
-from diffdrive_mpc.models.output_error.experiment import Experiment
+from diffdrive_mpc.models.named_file import kept_editor_line
+from diffdrive_mpc.models.output_error.experiment import Experiment, twist_experiments
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
-from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
+from diffdrive_mpc.models.output_error.validation import pooled_fit_percent, score
 from diffdrive_mpc.models.robot import Positive, load_robot
-from diffdrive_mpc.models.structures.files import Motors, TwoPoles
+from diffdrive_mpc.models.structures.model_file import Motors, TwoPoles
 from diffdrive_mpc.models.structures.two_poles import IdentifiedChannel, identify_channel
 from diffdrive_mpc.models.velocity_model import CHANNELS, VelocityModel
 from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop, random_commands, step_commands
+from studies.reproduce.drive_models import EXPERIMENTAL, KINDS, PHYSICAL, twin_records
+from studies.reproduce.drives import RobotLogs
+from studies.reproduce.published import load_study
 
 _SOURCE = (
     "digital twin of this project: mujoco plant, surface default, sensors default. Not from the paper, not from a robot"
@@ -262,3 +273,114 @@ def _yaml(name: str, data: dict[str, Any]) -> str:
     }
     body |= {key: value for key, value in data.items() if key not in body and key != "warnings"}
     return head + yaml.safe_dump(body, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+
+
+# The shipped drive models: Ivanjko et al., Modelling of Mobile Robot Dynamics, on the simulated robot.
+
+
+_REPETITION = 43
+"""Whose drives these are: of no study, so no seed is shared with one."""
+_NOTES = {
+    EXPERIMENTAL: "The structure is the paper's, whose Pioneer 3DX has two samples of 0.1 s and a lag of 0.1 s; its "
+    "threshold's line and its slope limits are not in the text. All numbers here are of the simulated robot. The gain "
+    "is ours.",
+    PHYSICAL: "The structure is the paper's, and so are K and T_A. Its gear ratio is not in the text and its I_0 "
+    "implausible. Mass, radius and track are those of the simulated robot; logs of velocities determine K_R over the "
+    "two inertias and T_I only, so K_R and I_A follow from them, with I_0 = 0: with the rotors of the simulated robot "
+    "in it I_A would be negative. I_A is less than half that of the chassis: the robot answers quicker in yaw than "
+    "forward, which one controller for both wheels cannot.",
+}
+
+
+def fit_drives(folder: Path) -> Table:
+    """Drive, fit, write `p2_experimental.yaml` and `p2_physical.yaml` into `folder`, and tell their FIT.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+    """
+    train, held_out = twin_records(load_study().drive_models, _REPETITION)
+    rows = []
+    for name, kind in KINDS.items():
+        fit = fit_drive(kind, train)
+        scores = [score(fit.simulate(part), twist_experiments(part)).fit_percent for part in (train, held_out)]
+        file = function_structures()[kind].name
+        fields = {
+            "name": f"P2 {name}",
+            "provenance": {
+                "origin": "identified",
+                "source": "digital twin of this project: mujoco plant, default surface and sensors. Not from a robot",
+                "method": "least squares on the free run, two starts, dead time in samples searched downhill",
+                "experiments": [record.name for record in train],
+                "date": date.today().isoformat(),
+                "notes": _NOTES[name],
+            },
+            "fit_percent": _channels(scores[0]),
+            "validation_fit_percent": _channels(scores[1]),
+            "warnings": [f"{one} lies on a bound of the search: the data do not determine it" for one in fit.at_bound],
+        }
+        write_drive(folder / f"{file}.yaml", drive_content(fit, fields))
+        rows.append((name, *(f"{value:.2f}" for value in (*scores[0], *scores[1]))))
+    columns = ("model", "FIT v [%]", "FIT omega [%]", "held out: FIT v [%]", "held out: FIT omega [%]")
+    return Table("Drive models on drives of the simulated robot", columns, tuple(rows), text_columns=1)
+
+
+def _channels(fit: np.ndarray) -> dict[str, float]:
+    return {"v": round(float(fit[0]), 2), "omega": round(float(fit[1]), 2)}
+
+
+# The shipped network: trained on a drive of the simulated robot as P1 trained its own on one of the real robot.
+
+
+_NETWORK_FITTING_REPETITION = 41
+"""Whose drives these are: of no study, so no seed is shared with one."""
+
+
+def fit_network(folder: Path, on_progress: Callable[[int, int], None] | None = None) -> Table:
+    """Drive for five minutes, train the paper's network, write it into `folder` as lstm.yaml, and tell its FIT.
+
+    Raises
+    ------
+    models.errors.MissingPackageError
+        If what trains is not installed.
+    """
+    tell = on_progress or (lambda *_: None)
+    study, settings, kind = load_study().ssm, training_settings(), Architecture()
+    logs = RobotLogs(_NETWORK_FITTING_REPETITION)
+    tell(0, 2)
+    drive = logs.free(1, study.train_duration, study.paper_range)
+    held_out = logs.free(study.free_drives, study.free_duration, study.paper_range)
+    tell(1, 2)
+    training, validation, test = divided(windows_of(twist_experiments(drive), kind.window), settings.shares)
+    found = train(kind, training, validation, settings)
+    network = found.network
+    other = windows_of(twist_experiments(held_out), kind.window)
+    parts = {"training": training, "validation": validation, "test": test, "other drives": other}
+    fits = {name: fit_percent(network, part) for name, part in parts.items()}
+    content = network_content(
+        network,
+        name="LSTM",
+        sample_time=drive[0].dt,
+        fit_percent=_network_fitting_channels(fits["training"]),
+        validation_fit_percent=_network_fitting_channels(fits["other drives"]),
+        provenance={
+            "origin": "identified",
+            "source": "a free drive of the simulated robot (mujoco, default surface and sensors), as the experiment of "
+            "Guffanti, Pavon, Sensors 2025, 25(18), 5821",
+            "method": method(kind, settings, found),
+            "experiments": [record.name for record in drive],
+            "date": date.today().isoformat(),
+            "notes": "Architecture, optimiser and stopping rule are the paper's (Table 2, row 2); its weights and data "
+            "are not public. The paper does not say how it divided the data, nor the rate of the optimiser. Validated "
+            "on other drives of the same kind. What the network says at rest is taken off what it says.",
+        },
+    )
+    write_network(folder / "lstm.yaml", network, content)
+    rows = [(name, str(len(parts[name])), *(f"{value:.2f}" for value in fit)) for name, fit in fits.items()]
+    columns = ("part", "windows", "FIT v [%]", "FIT omega [%]")
+    return Table("The network on drives of the simulated robot", columns, tuple(rows), text_columns=1)
+
+
+def _network_fitting_channels(fit: FloatArray) -> dict[str, float]:
+    return {"v": round(float(fit[0]), 2), "omega": round(float(fit[1]), 2)}

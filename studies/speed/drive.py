@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from diffdrive_mpc.bench.counters import Effort
-from diffdrive_mpc.bench.peers.command_limits import nearest_command
+from diffdrive_mpc.bench.peers.tracking_peer import nearest_command
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import Controller, load_trajectory

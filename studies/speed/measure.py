@@ -14,7 +14,7 @@ import numpy as np
 
 from diffdrive_mpc.bench.controllers import controller_config
 from diffdrive_mpc.bench.counters import Effort
-from diffdrive_mpc.bench.peers.command_limits import slew_step
+from diffdrive_mpc.bench.peers.tracking_peer import slew_step
 from diffdrive_mpc.bench.turns import TurnTimes, take_turns
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.velocity_model import VelocityModel

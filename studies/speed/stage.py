@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from diffdrive_mpc.bench.peers.command_limits import slew_step
+from diffdrive_mpc.bench.peers.tracking_peer import slew_step
 from diffdrive_mpc.models.discrete_model import DiscreteModel
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.pose import arc_displacement

@@ -14,9 +14,8 @@ from diffdrive_mpc.bench.study import Report, Study
 from studies.speed.measure import SpeedProblem, load_problem, measure
 from studies.speed.process.environment import REQUIREMENTS, PeerEnvironment, peer_environment
 from studies.speed.process.subject import SubjectError
-from studies.speed.results import Missing, SpeedRecord, SpeedResults
+from studies.speed.results import Missing, SpeedRecord, SpeedResults, detailed_horizon, speed_tables
 from studies.speed.settings import SpeedSettings
-from studies.speed.tables import detailed_horizon, speed_tables
 
 
 class SpeedStudy(Study[list[list[SpeedProblem]], SpeedResults]):

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import FloatArray
+from diffdrive_mpc.models.logs.record import Record
+from diffdrive_mpc.models.turn_costs import DriveConstants
 from diffdrive_mpc.models.turn_costs.least_radius import LIMIT_SHARE
+from diffdrive_mpc.models.whole_file import whole_file
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
+from diffdrive_mpc.sim.plants.make import make_plant
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.open_loop import Drive, drive_open_loop
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc.sim.plants.surface import load_surface
+from diffdrive_mpc.sim.sensing.power_readings import READINGS, Battery, PowerReadings, power_read
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
-from studies.torque.settings import Diagnostic, Measured, Unseen
+from studies.torque.settings import Diagnostic, Measured, Unseen, load_study
 
 KEPT_SHARE = 0.90
 """Below this share of the commanded curvature a turn is not kept; whole pulses a second make up to 0.05."""
@@ -163,3 +170,117 @@ def unseen_commands(asked: Unseen, seed: int, sample_time: float, least: float) 
     share = np.minimum(since / asked.ramp, 1.0)[:, None] if asked.ramp else np.ones((len(since), 1))
     before, after = (np.repeat(part, count, axis=0) for part in (levels[:-1], levels[1:]))
     return np.asarray(before + share * (after - before))
+
+
+# A drive of the simulated robot whose battery and motors are read once for each of several drive constants.
+
+
+class Driven(NamedTuple):
+    """What happened, n ticks; the physics does not depend on what is read."""
+
+    dt: float
+    command: FloatArray
+    speeds: FloatArray
+    """(n, 4) as the encoders say [rad/s]"""
+    motors: FloatArray
+    """(n, steps, 2, 4) in the sample before the tick"""
+
+
+def driven(plant: MujocoPlant, commands: FloatArray) -> Driven:
+    """Drive, and keep what every motor did in every step."""
+    plant.reset(np.zeros(3))
+    speeds, motors = [], []
+    done = np.zeros_like(plant.motors)
+    for command in commands:
+        measured = plant.measure().wheel_speeds
+        assert measured is not None
+        speeds.append(np.asarray(measured.value))
+        motors.append(done)
+        plant.advance(command)
+        done = plant.motors.copy()
+    return Driven(plant.sample_time, commands, np.array(speeds), np.array(motors))
+
+
+def record(drive: Driven, constants: DriveConstants, seed: int, battery: Battery | None = None) -> Record:
+    """What a log of the drive holds with sensors of power, for a robot with these constants."""
+    sensor = load_sensor_set("power").power
+    assert sensor is not None
+    reads = PowerReadings(sensor, battery or Battery(voltage=16.8, resistance=0.1), constants, seed)
+    rows = []
+    for motors in drive.motors:
+        reads.take(motors)
+        rows.append(reads.value)
+    read = np.array(rows)
+    sides = 0.5 * (drive.speeds[:, :2] + drive.speeds[:, 2:])
+    return Record(
+        "drive",
+        0.0,
+        drive.dt,
+        drive.command,
+        wheels=sides,
+        wheel_speeds=drive.speeds,
+        battery=read[:, :2],
+        motor_current=read[:, 2:4] + read[:, 4:],
+        motor_currents=read[:, 2:],
+    )
+
+
+def drawn(usual: DriveConstants, rng: np.random.Generator) -> DriveConstants:
+    """Constants of another robot with the same gears: a half to twice, and a computer of 2 to 20 W."""
+    torque, resistance = np.exp(rng.uniform(np.log(0.5), np.log(2.0), 2))
+    changes = {
+        "torque_constant": usual.torque_constant * torque,
+        "resistance": usual.resistance * resistance,
+        "idle_power": rng.uniform(2.0, 20.0),
+        "regeneration": bool(rng.random() < 0.5),
+        "driver_efficiency": rng.uniform(0.85, 1.0),
+    }
+    return usual.model_copy(update=changes)
+
+
+# The diagnostic drive of the simulated robot as a log with battery and motors, as a real robot would have left it.
+
+
+_COLUMNS = (
+    "t_s",
+    "v_ref_m_s",
+    "omega_ref_rad_s",
+    "v_wheel_m_s",
+    "omega_wheel_rad_s",
+    *(f"wheel_{wheel}_rad_s" for wheel in ("fl", "fr", "rl", "rr")),
+    "omega_gyro_rad_s",
+    "pose_t_s",
+    *(f"pose_{part}" for part in ("x_m", "y_m", "theta_rad")),
+    *READINGS,
+)
+# Before and after the turns it stands [s]: what is drawn at rest is told by that.
+_REST = 3.0
+
+
+def write_diagnostic_log(robot: str, surface: str, path: str | Path, seed: int = 0) -> None:
+    """Drive the turns of the torque study open loop, with rest before and after, and write a CSV log.
+
+    Its columns are those of `simulate --log` that a robot has; sensors are the set `power`.
+
+    Raises
+    ------
+    models.checked_yaml.ConfigError
+        If robot or floor do not exist, or the file cannot be written.
+    """
+    asked = load_study().diagnostic
+    plant = make_plant(f"mujoco:{robot}", surface=surface, sensors="power", seed=seed)
+    hold, rest = (round(time / plant.sample_time) for time in (asked.hold, _REST))
+    commands = diagnostic_commands(asked.radii, asked.speeds, hold, rest)
+    plant.reset(np.zeros(3))
+    with whole_file(path) as draft, draft.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(_COLUMNS)
+        for command in commands:
+            found = plant.measure()
+            parts = [found.wheel_twist, found.wheel_speeds, found.yaw_rate]
+            assert all(part is not None for part in parts)
+            read = [np.ravel(part.value) for part in parts if part is not None]
+            pose = [""] * 4 if found.pose is None else [found.pose.time, *np.ravel(found.pose.value)]
+            cells = np.concatenate([[plant.time], command, *read])
+            writer.writerow([*map(repr, cells.tolist()), *pose, *map(repr, power_read(plant).tolist())])
+            plant.advance(command)

@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive_mpc.extras.energy import predict_energy
 from diffdrive_mpc.extras.terrain import FittedShear, Terrain, fit_shear, load_terrain, side_torques
 from diffdrive_mpc.extras.torque import TorqueCurves, TorqueSettings, load_torque_settings
-from diffdrive_mpc.extras.torque.costs_of_curves import costs_of_curves
+from diffdrive_mpc.extras.torque.torque_curves import costs_of_curves
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.turn_costs import (
     DriveConstants,

@@ -67,7 +67,7 @@ def load_study(path: Path | None = None) -> TorqueStudySettings:
     return load_checked(TorqueStudySettings, path or Path(__file__).parent / "study.yaml")
 
 
-def quick(study: TorqueStudySettings) -> TorqueStudySettings:
+def small(study: TorqueStudySettings) -> TorqueStudySettings:
     """One floor, one speed and few turns, to see that it works."""
     measured = study.measured.model_copy(
         update={"radii": study.measured.radii[::3], "speeds": (0.4,), "settling": 1.0, "hold": 1.0}

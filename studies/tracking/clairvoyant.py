@@ -13,7 +13,7 @@ import time
 import numpy as np
 
 from diffdrive_mpc.bench.peers import PeerStep
-from diffdrive_mpc.bench.peers.command_limits import nearest_command
+from diffdrive_mpc.bench.peers.tracking_peer import nearest_command
 from diffdrive_mpc.models.interface import FloatArray, Measurement, Reference
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from studies.tracking.clairvoyant_program import (

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from pydantic import Field
 
-from diffdrive_mpc.bench.peers.command_limits import slew_step
+from diffdrive_mpc.bench.peers.tracking_peer import slew_step
 from diffdrive_mpc.models.checked_yaml import StrictModel, load_checked
 from diffdrive_mpc.models.interface import FloatArray, ReferenceSample
 from diffdrive_mpc.mpc.config.schema import ControllerConfig

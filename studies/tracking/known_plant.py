@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive_mpc.models.load import load_linear_model
 from diffdrive_mpc.models.output_error.experiment import Experiment
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
-from diffdrive_mpc.models.structures.files import TwoPoles, side_by_side
+from diffdrive_mpc.models.structures.model_file import TwoPoles, side_by_side
 from diffdrive_mpc.models.structures.two_poles import identify_channel
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import load_trajectory

@@ -13,9 +13,20 @@ from pandas import DataFrame
 
 from diffdrive_mpc.bench.cells import Cell, figure, load_tables
 from diffdrive_mpc.bench.experiment import by, mean, total
-from diffdrive_mpc.bench.html_report.configuration import configuration
-from diffdrive_mpc.bench.html_report.numbers import rounded
-from diffdrive_mpc.bench.html_report.page import Axis, Chart, KeyFigure, Mark, Runs, Series, Shown, Toggle, View, Warned
+from diffdrive_mpc.bench.html_report.origin import configuration
+from diffdrive_mpc.bench.html_report.page import (
+    Axis,
+    Chart,
+    KeyFigure,
+    Mark,
+    Runs,
+    Series,
+    Shown,
+    Toggle,
+    View,
+    Warned,
+    rounded,
+)
 from diffdrive_mpc.bench.html_report.run_series import HOW_TO_READ, PEAKS
 from diffdrive_mpc.bench.spec import Experiment, SpecStudy, load_experiment
 from diffdrive_mpc.bench.study import Report

@@ -15,7 +15,7 @@ from diffdrive_mpc.bench.peers import PEERS
 from diffdrive_mpc.bench.statistics import Estimate, Rate, mean, median
 from diffdrive_mpc.bench.table import Table, number
 from diffdrive_mpc.sim import Run
-from studies.worlds.stop_oracle import stop_was_possible
+from studies.worlds.settings import stop_was_possible
 
 _KEPT = 10
 """Every so many ticks the place is kept, for pictures."""

@@ -17,8 +17,7 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc import Controller, load_config, load_trajectory, make_plant, simulate
 from diffdrive_mpc.app.animation.animate import write_film
-from diffdrive_mpc.app.animation.film import Film, read_size
-from diffdrive_mpc.app.animation.film_file import film_path
+from diffdrive_mpc.app.animation.film import Film, film_path, read_size
 from diffdrive_mpc.app.animation.pictures import pictures
 from diffdrive_mpc.app.animation.playback import from_columns
 from diffdrive_mpc.app.animation.recording import read_recording

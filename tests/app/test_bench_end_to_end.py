@@ -12,7 +12,7 @@ from log_parts import TEXTS, read_columns
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.bench.contents import CONTENTS
+from diffdrive_mpc.bench.report_folder import CONTENTS
 
 runner = CliRunner()
 

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc import MissingPackageError, NotCompiledError
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.bench.errors import NotReproducibleError
+from diffdrive_mpc.bench.runner import NotReproducibleError
 from diffdrive_mpc.sim import Run, simulate
 from studies.cli import app as studies_app
 

@@ -13,10 +13,8 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.commission.commissioning import Asked, NeedsAPersonError, commission
-from diffdrive_mpc.app.commission.drawn_robot import drawn_robot, write_drawn_robot
-from diffdrive_mpc.app.commission.ledger import Gate, Ledger, key_of
-from diffdrive_mpc.app.commission.run import commission_into
-from diffdrive_mpc.app.commission.settings import DriveSettings
+from diffdrive_mpc.app.commission.ledger import DriveSettings, Gate, Ledger, key_of
+from diffdrive_mpc.app.commission.run import commission_into, drawn_robot, write_drawn_robot
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc import load_config
 from diffdrive_mpc.mpc.trajectories.model_excitation import Room

@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.doctor import computer, examination, pictures, product, real_time, ros
-from diffdrive_mpc.app.doctor.finding import Finding
-from diffdrive_mpc.app.doctor.machine import Machine
+from diffdrive_mpc.app.doctor.machine import Finding, Machine
 from diffdrive_mpc.models.compiled.cache import CACHE_VARIABLE
 
 

@@ -25,9 +25,9 @@ from diffdrive_mpc.bench.conditions import load_conditions
 from diffdrive_mpc.bench.spec import load_experiment
 from diffdrive_mpc.extras.terrain import load_terrain
 from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
-from diffdrive_mpc.models.editor_line import EDITOR_LINE, kept_editor_line
 from diffdrive_mpc.models.load import load_model, model_path
 from diffdrive_mpc.models.logs.mapping import load_mapping
+from diffdrive_mpc.models.named_file import EDITOR_LINE, kept_editor_line
 from diffdrive_mpc.models.turn_costs import load_drive_constants, load_turn_costs, load_vehicle
 from diffdrive_mpc.models.velocity_model import ModelError
 from diffdrive_mpc.mpc import load_config, load_trajectory

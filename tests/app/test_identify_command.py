@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from diffdrive_mpc import identify
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.identification.page import remedies
-from diffdrive_mpc.bench.contents import CONTENTS
+from diffdrive_mpc.bench.report_folder import CONTENTS
 from diffdrive_mpc.models import load_model
 from diffdrive_mpc.models.doubt import VERDICTS
 from diffdrive_mpc.models.load import model_path, read_model_file

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.identification import study, trial_drives
-from diffdrive_mpc.bench.contents import CONTENTS
+from diffdrive_mpc.bench.report_folder import CONTENTS
 
 runner = CliRunner()
 COLUMNS = drive(seconds=12.0)

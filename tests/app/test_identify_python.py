@@ -10,8 +10,8 @@ import diffdrive_mpc
 from diffdrive_mpc import Controller, identify, load_config, load_model
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification import Identification
+from diffdrive_mpc.models.identification.configuration import NODE_FILE
 from diffdrive_mpc.models.identification.from_logs import FILES
-from diffdrive_mpc.models.identification.node_parameters import NODE_FILE
 from diffdrive_mpc.models.robot import SampleTime
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from diffdrive_mpc.app.proof.boundaries import Boundary, find_boundaries
-from diffdrive_mpc.app.proof.maps import drawn_map, map_runs
+from diffdrive_mpc.app.proof.boundaries import Boundary, drawn_map, find_boundaries, map_runs
 from diffdrive_mpc.app.proof.proof_file import Axis, Map, Search
 from diffdrive_mpc.app.proof.report import Outcomes, facts, is_unsafe, tables, worst
 from diffdrive_mpc.bench.campaign.definition import Definition

@@ -11,7 +11,7 @@ from opened_report import check_report, content_of
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.app.proof.maps import map_runs
+from diffdrive_mpc.app.proof.boundaries import map_runs
 from diffdrive_mpc.app.proof.proof_file import load_proof
 from diffdrive_mpc.bench.campaign.check import check_definitions
 from diffdrive_mpc.bench.campaign.definition import Definition
@@ -95,7 +95,7 @@ def test_a_proof_leaves_report_table_figures_and_worst_runs(
     assert "figures are those of the file, to the last bit" in " ".join(said.split())
     assert (tmp_path / "worst.csv").stat().st_size > 0
     # A repeated proof drives nothing, and says the same.
-    monkeypatch.setattr("diffdrive_mpc.bench.campaign.task.drive", None)
+    monkeypatch.setattr("diffdrive_mpc.bench.campaign.engine.drive", None)
     call(*words)
     body = report.partition("## How often")[2]
     assert (out / "prove.md").read_text(encoding="utf-8").partition("## How often")[2] == body

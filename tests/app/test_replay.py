@@ -13,9 +13,8 @@ from diffdrive_mpc.app.replay.open_loop import replay
 from diffdrive_mpc.app.replay.own_log import read_own_csv
 from diffdrive_mpc.app.replay.study import Asked, ReplayStudy
 from diffdrive_mpc.bench.case import Case
-from diffdrive_mpc.bench.controllers import build
+from diffdrive_mpc.bench.controllers import LatePlant, build
 from diffdrive_mpc.bench.html_report.page import Chart
-from diffdrive_mpc.bench.late_plant import LatePlant
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.mpc import load_trajectory
 from diffdrive_mpc.mpc.config.config_file import load_config

@@ -9,9 +9,9 @@ from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.app.replay.assembly import Readings, assembled, on_grid
-from diffdrive_mpc.app.replay.driven_path import driven_paths
 from diffdrive_mpc.app.replay.own_log import read_own_csv
 from diffdrive_mpc.app.replay.reading import from_mid_drive, read_recording
+from diffdrive_mpc.app.replay.signals import driven_paths
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.sim import simulate

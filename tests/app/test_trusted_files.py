@@ -10,7 +10,7 @@ import yaml
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.app.replay.bag_records import LoggedConfigs, recorded_drive
+from diffdrive_mpc.app.replay.bag import LoggedConfigs, recorded_drive
 from diffdrive_mpc.bench.case import Case
 from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.models.checked_yaml import ConfigError

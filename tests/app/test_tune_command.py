@@ -63,7 +63,7 @@ def test_a_tuning_leaves_configuration_report_and_study(
     assert text.startswith(f"# Tuned from ssm: {sentence}.\n")
     assert ("# was " in text) == found["meta"]["improved"]
     # A repeated tuning drives nothing, and says the same.
-    monkeypatch.setattr("diffdrive_mpc.bench.campaign.task.drive", None)
+    monkeypatch.setattr("diffdrive_mpc.bench.campaign.engine.drive", None)
     call(*words, "--points", 11)
     assert (out / "tune.md").read_text(encoding="utf-8").partition("## ")[2] == report.partition("## ")[2]
     assert (out / "config.yaml").read_text(encoding="utf-8") == text

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diffdrive_mpc.app.tune.objective import broken, exceeded, in_words, score, terms_of
-from diffdrive_mpc.app.tune.points import Point, Searched
+from diffdrive_mpc.app.tune.search import Point, Searched
 from diffdrive_mpc.app.tune.tune_file import Constraint, Objective
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.engine import Driven

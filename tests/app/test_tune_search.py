@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from tune_parts import searched, small_plan
 
-from diffdrive_mpc.app.tune.step_time import predicted_p99
+from diffdrive_mpc.app.tune.objective import predicted_p99
 from diffdrive_mpc.app.tune.tune_file import StepTime
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.campaign.engine import Driven, drive_all

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import yaml
 
-from diffdrive_mpc.app.tune.points import Searched
-from diffdrive_mpc.app.tune.search import Search
+from diffdrive_mpc.app.tune.search import Search, Searched
 from diffdrive_mpc.app.tune.tune_file import TunePlan, load_plan
 from diffdrive_mpc.bench.campaign.engine import Place
 from diffdrive_mpc.bench.progress import ProgressBar

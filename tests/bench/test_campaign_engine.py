@@ -20,13 +20,10 @@ from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.bench.campaign import drive as drive_module
 from diffdrive_mpc.bench.campaign import identity
 from diffdrive_mpc.bench.campaign.definition import Definition
-from diffdrive_mpc.bench.campaign.drive import built, drive, drive_whole
-from diffdrive_mpc.bench.campaign.engine import Place, drive_all, failed
+from diffdrive_mpc.bench.campaign.drive import TIME, built, drive, drive_whole
+from diffdrive_mpc.bench.campaign.engine import OtherVersionError, Place, Store, Task, do, drive_all, failed
 from diffdrive_mpc.bench.campaign.identity import key_of
-from diffdrive_mpc.bench.campaign.outcome import TIME
 from diffdrive_mpc.bench.campaign.parquet import read_table
-from diffdrive_mpc.bench.campaign.store import Store
-from diffdrive_mpc.bench.campaign.task import OtherVersionError, Task, do
 from diffdrive_mpc.bench.progress import ProgressBar
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.mpc.config.config_file import PARAMETERS
@@ -71,7 +68,7 @@ def test_a_repeated_campaign_drives_nothing(campaign: Path, tmp_path: Path, monk
     def none_is_driven(_: object) -> None:
         raise AssertionError("driven again")
 
-    monkeypatch.setattr("diffdrive_mpc.bench.campaign.task.drive", none_is_driven)
+    monkeypatch.setattr("diffdrive_mpc.bench.campaign.engine.drive", none_is_driven)
     call("campaign", campaign, "--out", out, "--jobs", "1")
     # Times included: nothing was measured again.
     assert read_table(out / "results.parquet").equals(before)

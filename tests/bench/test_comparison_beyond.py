@@ -20,9 +20,8 @@ from diffdrive_mpc.bench.comparison.properties import measure_properties, predic
 from diffdrive_mpc.bench.comparison.results import ComparisonResults
 from diffdrive_mpc.bench.comparison.study import ComparisonStudy
 from diffdrive_mpc.bench.comparison.tables import side_by_side_table
-from diffdrive_mpc.bench.controllers import build, controller_config
+from diffdrive_mpc.bench.controllers import LatePlant, build, controller_config
 from diffdrive_mpc.bench.experiment import frame
-from diffdrive_mpc.bench.late_plant import LatePlant
 from diffdrive_mpc.bench.machine import describe_run
 from diffdrive_mpc.bench.run_row import Outcome, row_of
 from diffdrive_mpc.bench.study import write_report

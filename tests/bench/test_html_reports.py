@@ -13,8 +13,8 @@ from opened_report import check_page, check_report, content_of, opened
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.bench.html_report.configuration import case_config
 from diffdrive_mpc.bench.html_report.document import json_text, page_text
+from diffdrive_mpc.bench.html_report.origin import case_config
 from diffdrive_mpc.bench.html_report.page import (
     Axis,
     Chart,

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from diffdrive_mpc.bench.atomic import staged
-from diffdrive_mpc.bench.contents import CONTENTS
+from diffdrive_mpc.bench.report_folder import CONTENTS, staged
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.whole_file import scratch_folder
 

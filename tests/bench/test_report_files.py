@@ -15,7 +15,6 @@ from bench_parts import quick_outcome
 from bench_parts import rows as rows_of
 from pandas import DataFrame
 
-from diffdrive_mpc.bench.atomic import staged
 from diffdrive_mpc.bench.comparison.figures import draw_case, drawings
 from diffdrive_mpc.bench.comparison.plan import default_settings
 from diffdrive_mpc.bench.comparison.results import ComparisonResults, describe, incomplete, json_row
@@ -31,6 +30,7 @@ from diffdrive_mpc.bench.comparison.tables import (
 )
 from diffdrive_mpc.bench.figure_style import file_name, free_name
 from diffdrive_mpc.bench.machine import describe_run
+from diffdrive_mpc.bench.report_folder import staged
 from diffdrive_mpc.bench.run_row import Outcome, driver_names
 from diffdrive_mpc.bench.study import markdown, write_report
 from diffdrive_mpc.bench.table import Table

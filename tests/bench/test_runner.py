@@ -11,8 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from diffdrive_mpc.app.cli import app
-from diffdrive_mpc.bench.errors import WorkerDiedError
-from diffdrive_mpc.bench.runner import lasting_processes, run_tasks
+from diffdrive_mpc.bench.runner import WorkerDiedError, lasting_processes, run_tasks
 
 
 def slow_square(number: int) -> int:

@@ -14,10 +14,9 @@ from bench_parts import Arc, DisplacedUnicycle, quick_outcome
 
 from diffdrive_mpc.bench.controllers import run_case
 from diffdrive_mpc.bench.counters import CoreCounters, Effort
-from diffdrive_mpc.bench.errors import NotReproducibleError
 from diffdrive_mpc.bench.peers import PeerStep
 from diffdrive_mpc.bench.peers.kanayama import KanayamaController
-from diffdrive_mpc.bench.runner import run_tasks
+from diffdrive_mpc.bench.runner import NotReproducibleError, run_tasks
 from diffdrive_mpc.bench.timing import quiet_core, replay, time_outcomes
 from diffdrive_mpc.bench.turns import BLOCK, COLD, TurnTimes
 from diffdrive_mpc.models.interface import FloatArray, Measurement, TrackingController

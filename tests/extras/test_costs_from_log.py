@@ -14,7 +14,7 @@ from diffdrive_mpc.app.cli import app
 from diffdrive_mpc.extras.costs_from_log.costs_from_log import learn_log, settled
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.turn_costs import load_drive_constants, load_turn_costs
-from studies.torque.diagnostic_log import write_diagnostic_log
+from studies.torque.measurements import write_diagnostic_log
 
 SLIPPERY = load_turn_costs("fsu_bot-slippery")
 

@@ -7,8 +7,8 @@ import pytest
 from log_parts import drive, write_csv, write_mapping
 
 from diffdrive_mpc.extras.drives.drive_model import DriveModel, drive_model
+from diffdrive_mpc.extras.drives.finding import told_by
 from diffdrive_mpc.extras.drives.fitting import fit_drive
-from diffdrive_mpc.extras.drives.priors import told_by
 from diffdrive_mpc.models import identify, load_model
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.identification.log_data import LogData

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from diffdrive_mpc.extras.drives.drive_file import PhysicalFile
-from diffdrive_mpc.extras.drives.drive_model import DriveModel, drive_model
-from diffdrive_mpc.extras.drives.equations import Channel, experimental_step
+from diffdrive_mpc.extras.drives.drive_model import Channel, DriveModel, PhysicalFile, drive_model, experimental_step
 from diffdrive_mpc.extras.drives.fitting import fit_drive
 from diffdrive_mpc.models.checked_yaml import ConfigError, check, read_yaml
 from diffdrive_mpc.models.load import load_model, model_path

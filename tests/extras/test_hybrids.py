@@ -11,10 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from log_parts import drive, write_csv, write_mapping
 
-from diffdrive_mpc.extras.hybrids.hybrid_file import HybridFile, correction_content, write_hybrid
-from diffdrive_mpc.extras.hybrids.hybrid_model import HybridModel, hybrid_model
-from diffdrive_mpc.extras.hybrids.settings import hybrid_settings
-from diffdrive_mpc.extras.hybrids.training import runs_of, segments, trained
+from diffdrive_mpc.extras.hybrids.hybrid_model import (
+    HybridFile,
+    HybridModel,
+    correction_content,
+    hybrid_model,
+    write_hybrid,
+)
+from diffdrive_mpc.extras.hybrids.training import hybrid_settings, runs_of, segments, trained
 from diffdrive_mpc.models import ModelError, identify, load_model
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import MissingPackageError
@@ -23,7 +27,7 @@ from diffdrive_mpc.models.identification.model_comparison import compare_models
 from diffdrive_mpc.models.load import load_base_effects, load_linear_model, model_path, read_model_file
 from diffdrive_mpc.models.logs import Record
 from diffdrive_mpc.models.output_error.experiment import Experiment
-from diffdrive_mpc.models.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.output_error.state_space import LinearSystem
 from diffdrive_mpc.models.structures.model_file import build_model
 from diffdrive_mpc.mpc import Controller, load_config
 

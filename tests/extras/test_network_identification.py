@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from log_parts import drive, write_csv, write_mapping
 
-from diffdrive_mpc.extras.networks.network import Architecture
-from diffdrive_mpc.extras.networks.training import train
-from diffdrive_mpc.extras.networks.training_settings import training_settings
-from diffdrive_mpc.extras.networks.windows import divided, fit_percent, rmse, windows_of
+from diffdrive_mpc.extras.networks.network import Architecture, divided, fit_percent, rmse, windows_of
+from diffdrive_mpc.extras.networks.training import train, training_settings
 from diffdrive_mpc.models import identify, load_model
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.errors import MissingPackageError

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from diffdrive_mpc.extras.energy import predict_energy
 from diffdrive_mpc.extras.terrain import load_terrain
 from diffdrive_mpc.extras.torque import TorqueCurves
-from diffdrive_mpc.extras.torque.costs_of_curves import costs_of_curves
+from diffdrive_mpc.extras.torque.torque_curves import costs_of_curves
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.pose import integrate_pose
 from diffdrive_mpc.models.slip_laws import polynomial_twist

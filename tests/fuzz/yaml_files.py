@@ -25,14 +25,13 @@ from diffdrive_mpc.models.checked_yaml import read_yaml
 from diffdrive_mpc.models.file_kind import PACKAGE
 from diffdrive_mpc.models.logs.mapping import load_mapping
 from diffdrive_mpc.models.turn_costs import load_turn_costs
-from diffdrive_mpc.models.turn_costs.drive_constants import load_drive_constants
-from diffdrive_mpc.models.turn_costs.vehicle import load_vehicle
+from diffdrive_mpc.models.turn_costs.vehicle import load_drive_constants, load_vehicle
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc.monitor.judge import Judge
 from diffdrive_mpc.mpc.monitor.rules import load_rules
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.sim.disturbances.scenario import load_scenario
-from diffdrive_mpc.sim.ros.base_settings import load_base_settings
+from diffdrive_mpc.sim.ros.simulated_base import load_base_settings
 from diffdrive_mpc.sim.worlds.world_file import load_world
 from fuzz import mutation, shrink
 from fuzz.case import Case, FaultError

@@ -5,8 +5,7 @@ import numpy as np
 from diffdrive_mpc.models.base_effects import BaseEffects, respond
 from diffdrive_mpc.models.interface import FloatArray
 from diffdrive_mpc.models.logs.record import Record
-from diffdrive_mpc.models.structures.files import SmFile
-from diffdrive_mpc.models.structures.model_file import build_model
+from diffdrive_mpc.models.structures.model_file import SmFile, build_model
 
 DT = 0.05
 ENCODER_TRACK = 0.5

@@ -5,7 +5,7 @@ import numpy as np
 from diffdrive_mpc.models import VelocityModel, load_model
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.experiment import Experiment
-from diffdrive_mpc.models.output_error.linear_system import LinearSystem
+from diffdrive_mpc.models.output_error.state_space import LinearSystem
 
 DT = 0.02
 

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diffdrive_mpc.bench.sweep import parse_setting
-from diffdrive_mpc.models.bounded_yaml import DEEPEST, parse_yaml
-from diffdrive_mpc.models.checked_yaml import ConfigError, read_yaml
+from diffdrive_mpc.models.checked_yaml import DEEPEST, ConfigError, parse_yaml, read_yaml
 from diffdrive_mpc.mpc.config.config_file import load_config
 
 BOMB = "\n".join(["a0: &a0 [x, x]"] + [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 30)])

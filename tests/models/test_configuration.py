@@ -10,8 +10,8 @@ from diffdrive_mpc.models.identification.configuration import configure
 from diffdrive_mpc.models.logs.geometry import WheelGeometry
 from diffdrive_mpc.models.logs.record import Record
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
-from diffdrive_mpc.models.structures.files import SmFile
 from diffdrive_mpc.models.structures.identified import IdentifiedModel
+from diffdrive_mpc.models.structures.model_file import SmFile
 
 CHANNEL = {"gain": 0.9, "natural_frequency": 10.0, "damping": 1.2}
 WHEELS = {"track": 0.5, "top_speed": 0.4}

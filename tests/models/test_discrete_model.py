@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from diffdrive_mpc.models import ModelError, load_model
-from diffdrive_mpc.models.structures.files import TwoPoles, side_by_side
+from diffdrive_mpc.models.structures.model_file import TwoPoles, side_by_side
 
 SSM = load_model("ssm")
 dead_times = st.tuples(st.floats(0, 0.12), st.floats(0, 0.12))

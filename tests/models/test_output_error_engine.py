@@ -8,14 +8,17 @@ from identification_parts import DT, published_ssm, set_points, single, system, 
 from scipy import signal
 
 from diffdrive_mpc.models import load_model
-from diffdrive_mpc.models.output_error.layout import Layout
-from diffdrive_mpc.models.output_error.linear_system import StateResponse, delayed, sample, settled_start
+from diffdrive_mpc.models.output_error.parameters import Layout
 from diffdrive_mpc.models.output_error.problem import OutputErrorProblem
 from diffdrive_mpc.models.output_error.state_space import (
     LocalStateSpace,
+    StateResponse,
     balanced,
+    delayed,
     from_impulse_response,
     impulse_response,
+    sample,
+    settled_start,
 )
 from diffdrive_mpc.models.output_error.statistics import sandwich, spike_weights
 from diffdrive_mpc.models.output_error.validation import simulate_experiment

@@ -15,7 +15,7 @@ from diffdrive_mpc import Controller, load_config, load_trajectory
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.turn_costs import load_turn_costs
 from diffdrive_mpc.models.turn_costs.turn_costs import FLOORS
-from diffdrive_mpc.mpc.energy.energy_term import energy_function, energy_terms, with_least_radius
+from diffdrive_mpc.mpc.energy.feature import energy_function, energy_terms, with_least_radius
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.sim import make_plant, simulate

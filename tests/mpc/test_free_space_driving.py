@@ -11,8 +11,7 @@ from diffdrive_mpc.mpc import Controller, Mode
 from diffdrive_mpc.mpc.config.footprint import Footprint
 from diffdrive_mpc.mpc.config.schema import ControllerConfig
 from diffdrive_mpc.mpc.free_space import Corridor, MovingDisc, OccupancyGrid, Surroundings, SurroundingsError
-from diffdrive_mpc.mpc.free_space.gaps import least_gaps
-from diffdrive_mpc.mpc.free_space.pieces import PlacedFootprint, pieces_of
+from diffdrive_mpc.mpc.free_space.pieces import PlacedFootprint, least_gaps, pieces_of
 from diffdrive_mpc.sim import make_plant
 
 FAR = 5.0

@@ -14,9 +14,8 @@ from diffdrive_mpc.mpc.free_space import (
     Surroundings,
     SurroundingsError,
 )
-from diffdrive_mpc.mpc.free_space.gaps import address, gap_to, least_gaps
-from diffdrive_mpc.mpc.free_space.pieces import PlacedFootprint, pieces_of, rectangles
-from diffdrive_mpc.mpc.problem.half_space import half_space_formula, half_space_function
+from diffdrive_mpc.mpc.free_space.pieces import PlacedFootprint, address, gap_to, least_gaps, pieces_of, rectangles
+from diffdrive_mpc.mpc.problem.terms import half_space_formula, half_space_function
 from diffdrive_mpc.mpc.trajectories import load_trajectory
 
 CONFIG = FreeSpace()

@@ -10,7 +10,7 @@ from diffdrive_mpc.mpc.reentry.options import Course
 from diffdrive_mpc.mpc.reentry.path_window import PathWindow
 from diffdrive_mpc.mpc.reentry.way_back import rejoin
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits
-from diffdrive_mpc.mpc.trajectories.scaled import scaled_to_robot
+from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
 from diffdrive_mpc.mpc.trajectories.segments import Segment, lay_segments
 from diffdrive_mpc.sim import make_plant
 

@@ -13,14 +13,12 @@ import pytest
 ROOT = Path(__file__).parents[2]
 ROOM = ROOT / "mpc" / "monitor"
 HELPERS = {
-    "models.bounded_yaml",
     "models.checked_yaml",
     "models.compiled",
     "models.errors",
     "models.input_file",
     "models.named_file",
-    "models.plain_text",
-    "models.read_files",
+    "models.table",
     "models.suggestions",
     "models.trust",
 }

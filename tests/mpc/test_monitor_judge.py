@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from diffdrive_mpc.mpc.monitor.judge import Judge, rule_names
-from diffdrive_mpc.mpc.monitor.library import load_judge
+from diffdrive_mpc.mpc.monitor.judge import Judge, load_judge, rule_names
 from diffdrive_mpc.mpc.monitor.rules import FOLDER, Rules, load_rules
 from oracle.judge import OracleJudge
 

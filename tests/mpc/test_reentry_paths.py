@@ -7,10 +7,8 @@ from hypothesis import strategies as st
 
 from diffdrive_mpc.models.pose import wrap_angle
 from diffdrive_mpc.mpc import load_trajectory
-from diffdrive_mpc.mpc.reentry.motion_line import MotionLine, turning_times
 from diffdrive_mpc.mpc.reentry.options import Course
-from diffdrive_mpc.mpc.reentry.path_speeds import path_speeds, travel_times
-from diffdrive_mpc.mpc.reentry.path_window import PathWindow
+from diffdrive_mpc.mpc.reentry.path_window import MotionLine, PathWindow, path_speeds, travel_times, turning_times
 from diffdrive_mpc.mpc.reentry.quintic_path import quintic_paths
 from diffdrive_mpc.mpc.reentry.way_back import rejoin
 from diffdrive_mpc.mpc.trajectories.limits import TrajectoryLimits

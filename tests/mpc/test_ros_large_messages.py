@@ -14,9 +14,8 @@ from rclpy.serialization import serialize_message
 from ros_parts import CONFIG, DT, stack
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
-from diffdrive_mpc.mpc.ros.bounded_messages import LONGEST_NAME, path_bytes
 from diffdrive_mpc.mpc.ros.control_loop import LoopState
-from diffdrive_mpc.mpc.ros.conversions import stamped_pose_message
+from diffdrive_mpc.mpc.ros.conversions import LONGEST_NAME, path_bytes, stamped_pose_message
 from diffdrive_mpc.mpc.ros.reference_input import read_path
 from diffdrive_mpc.mpc.ros.side_process import SideProcess
 from diffdrive_mpc.mpc.step_result import Mode

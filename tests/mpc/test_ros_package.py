@@ -16,9 +16,8 @@ import yaml
 from rclpy.context import Context
 from ros_parts import stack
 
-from diffdrive_mpc.app.commands.monitor import monitor
-from diffdrive_mpc.mpc.monitor.ros.node import CHECKED, UNCHECKED
-from diffdrive_mpc.mpc.monitor.ros.settings import MonitorSettings
+from diffdrive_mpc.app.commands.ros import monitor
+from diffdrive_mpc.mpc.monitor.ros.node import CHECKED, UNCHECKED, MonitorSettings
 from diffdrive_mpc.mpc.ros.node import TrackingNode
 from diffdrive_mpc.mpc.ros.settings import NodeSettings
 

@@ -12,8 +12,8 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.models.velocity_model import VelocityModel
 from diffdrive_mpc.mpc import load_config, load_trajectory
-from diffdrive_mpc.mpc.trajectories.scaled import scaled_to_robot
-from diffdrive_mpc.mpc.trajectories.settings import load_settings
+from diffdrive_mpc.mpc.trajectories.limits import load_settings
+from diffdrive_mpc.mpc.trajectories.moved import scaled_to_robot
 
 PATHS = ("circle", "square", "s", "cane", "figure8", "k_turn")
 size = st.floats(0.1, 10.0)

@@ -15,7 +15,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from rosgraph_msgs.msg import Clock
 
-from diffdrive_mpc.sim.ros.base_settings import load_base_settings
+from diffdrive_mpc.sim.ros.simulated_base import load_base_settings
 
 DOMAIN = own_domain()
 """Each test process has a domain of its own: nobody else's robot can be driven by mistake."""

@@ -13,7 +13,7 @@ from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim.disturbances.disturbance_types import Payload, Slope
 from diffdrive_mpc.sim.disturbances.scenario import Scenario
 from diffdrive_mpc.sim.plants.chassis import WHEELS, Chassis
-from diffdrive_mpc.sim.plants.disturbed_physics import DisturbedPhysics
+from diffdrive_mpc.sim.plants.disturbed_plant import DisturbedPhysics
 from diffdrive_mpc.sim.plants.drivetrain import VelocityLoops
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diffdrive_mpc.models.robot import load_robot
-from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, SpeedObserver, VelocityLoops
-from diffdrive_mpc.sim.plants.link import DelayLine
+from diffdrive_mpc.sim.plants.drivetrain import CommandShaper, DelayLine, SpeedObserver, VelocityLoops
 from diffdrive_mpc.sim.plants.twin_parameters import load_firmware, load_twin_parameters
 
 ROBOT, TWIN = load_robot(), load_twin_parameters()

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from diffdrive_mpc.sim.plants.drivetrain import motor_work
 from diffdrive_mpc.sim.plants.make import make_plant
-from diffdrive_mpc.sim.plants.motor_work import motor_work
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot, load_simulated_robot

@@ -20,11 +20,9 @@ from diffdrive_mpc.sim.log_mcap import write_log as write_mcap
 from diffdrive_mpc.sim.plants.mujoco_plant import MujocoPlant
 from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from diffdrive_mpc.sim.run import Run
-from diffdrive_mpc.sim.sensing.battery import Battery
-from diffdrive_mpc.sim.sensing.power_readings import READINGS, PowerReadings
+from diffdrive_mpc.sim.sensing.power_readings import READINGS, Battery, PowerReadings
 from diffdrive_mpc.sim.sensing.sensor_set import PowerSensor, load_sensor_set
-from studies.torque.measurements import diagnostic_commands
-from studies.torque.power_drives import Driven, drawn, driven, record
+from studies.torque.measurements import Driven, diagnostic_commands, drawn, driven, record
 
 EXACT = PowerSensor(**dict.fromkeys(PowerSensor.model_fields, 0.0))
 CONSTANTS = ("torque_constant", "resistance", "idle_power")

@@ -10,8 +10,8 @@ from diffdrive_mpc.models.robot import load_robot
 from diffdrive_mpc.sim import make_plant
 from diffdrive_mpc.sim.plants.open_loop import drive_open_loop
 from diffdrive_mpc.sim.plants.plant import RobotLostError
-from diffdrive_mpc.sim.ros.base_settings import BaseSettings, load_base_settings
 from diffdrive_mpc.sim.ros.run_robot import run_robot
+from diffdrive_mpc.sim.ros.simulated_base import BaseSettings, load_base_settings
 from diffdrive_mpc.sim.sensing.sensor_set import load_sensor_set
 
 DT = load_robot().sample_time

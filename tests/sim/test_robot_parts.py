@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from diffdrive_mpc.models.interface import Measurement, Stamped
 from diffdrive_mpc.models.pose import integrate_pose, wrap_angle
 from diffdrive_mpc.sim.ros import messages
-from diffdrive_mpc.sim.ros.base_settings import load_base_settings
-from diffdrive_mpc.sim.ros.command_inbox import STOP, CommandInbox
 from diffdrive_mpc.sim.ros.pace import SteppedClock, WallClock
+from diffdrive_mpc.sim.ros.simulated_base import STOP, CommandInbox, load_base_settings
 from diffdrive_mpc.sim.sensing.odometry import Odometry
 
 SECOND = 10**9

@@ -14,7 +14,7 @@ from diffdrive_mpc.sim.plants.open_loop import drive_open_loop, random_commands
 from diffdrive_mpc.sim.plants.simulated_robot import SimulatedRobot, load_simulated_robot
 from diffdrive_mpc.sim.twin.fitting import fit_twin
 from diffdrive_mpc.sim.twin.free_run import most_telling
-from diffdrive_mpc.sim.twin.identified import identified
+from diffdrive_mpc.sim.twin.held_out import identified
 from diffdrive_mpc.sim.twin.nominal import nominal_robot
 from diffdrive_mpc.sim.twin.problem import Problem
 from diffdrive_mpc.sim.twin.space import space_of

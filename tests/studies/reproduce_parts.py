@@ -12,8 +12,7 @@ from studies.reproduce.cost import Cost
 from studies.reproduce.drives import PoseError, Spread
 from studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, SM, MbmSmResult
 from studies.reproduce.networks import NetworkResult, NetworkRow, NetworkRows
-from studies.reproduce.published import load_published
-from studies.reproduce.settings import load_study
+from studies.reproduce.published import load_published, load_study
 from studies.reproduce.slip_scatter import LEARNED, NOMINAL, TRUE, Foresight, SlipScatter
 from studies.reproduce.state_space import (
     IDENTIFIED,

@@ -17,8 +17,7 @@ from studies.reproduce.drive_models import (
     velocity_errors,
 )
 from studies.reproduce.driven_track import DrivenTrack, drive_tests, driven_track_findings
-from studies.reproduce.published import load_published
-from studies.reproduce.settings import load_study
+from studies.reproduce.published import load_published, load_study
 from studies.reproduce.virtual_track import fit_line
 
 STUDY = load_study(quick=True).driven_track

@@ -7,8 +7,7 @@ from opened_report import check_report
 from typer.testing import CliRunner
 
 from studies.cli import app
-from studies.energy_front.settings import HERE, load_study
-from studies.energy_front.study import Driven, fronts
+from studies.energy_front.study import HERE, Driven, fronts, load_study
 
 
 @pytest.fixture(scope="module")

@@ -12,10 +12,9 @@ from typer.testing import CliRunner
 from diffdrive_mpc.mpc.monitor.judge import rule_names
 from diffdrive_mpc.mpc.monitor.rules import load_rules
 from studies.cli import app
-from studies.monitor.drives import nominal_case
 from studies.monitor.faults import FAULTS, Fault, Sent
 from studies.monitor.study import MonitorStudy, Watched, complaint
-from studies.monitor.trial import HARM, faulty_trial, nominal_trial
+from studies.monitor.trial import HARM, faulty_trial, nominal_case, nominal_trial
 
 RULES = load_rules()
 SEED = 90_000

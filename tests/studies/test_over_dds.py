@@ -17,7 +17,7 @@ from diffdrive_mpc.bench.controllers import build
 from diffdrive_mpc.models.logs.bag_topics import COMMANDS, opened, read_topic
 from diffdrive_mpc.models.logs.mapping import Topic
 from diffdrive_mpc.sim import simulate
-from diffdrive_mpc.sim.ros.base_settings import SHIPPED
+from diffdrive_mpc.sim.ros.simulated_base import SHIPPED
 from studies.ros.compare import COMPARED, compare, comparison_table, timing_table
 from studies.ros.two_processes import DriveFailedError, drive_over_dds, own_domain, running
 

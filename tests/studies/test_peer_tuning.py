@@ -8,8 +8,7 @@ import pytest
 from diffdrive_mpc.bench.peers import LAWS
 from diffdrive_mpc.bench.peers.tracking_peer import law_kind, load_gains
 from diffdrive_mpc.models.checked_yaml import ConfigError
-from studies.peers.search import Search
-from studies.peers.study import PeersStudy, load_settings
+from studies.peers.study import PeersStudy, Search, load_settings
 
 RANGES = {"a": (0.1, 10.0), "b": (1.0, 1000.0)}
 

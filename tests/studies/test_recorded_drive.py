@@ -12,7 +12,7 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.interface import Stamped
 from diffdrive_mpc.sim import simulate
 from diffdrive_mpc.sim.ros import messages
-from diffdrive_mpc.sim.ros.bag_recorder import bag_recorder
+from diffdrive_mpc.sim.ros.messages import bag_recorder
 from studies.ros.recorded_drive import loop_timing, read_drive
 
 DT = 0.0202

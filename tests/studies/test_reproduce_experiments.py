@@ -26,8 +26,7 @@ from studies.reproduce.drives import (
     trajectory_commands,
 )
 from studies.reproduce.mbm_and_sm import COMPARED, DATA, MBM, MBM_TRACKS, compare_mbm_and_sm
-from studies.reproduce.published import load_published
-from studies.reproduce.settings import CostStudy, MbmSmStudy, SsmStudy, load_study
+from studies.reproduce.published import CostStudy, MbmSmStudy, SsmStudy, load_published, load_study
 from studies.reproduce.state_space import IDENTIFIED, PRINTED, compare_orders
 from studies.reproduce.study import ReproduceStudy
 from studies.reproduce.turn_learning import learn_turns

@@ -10,7 +10,7 @@ import pytest
 from reproduce_parts import made_up, report_of, write_made_up
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.contents import CONTENTS
+from diffdrive_mpc.bench.report_folder import CONTENTS
 from studies.cli import app
 from studies.documents.documents import REPRODUCE, sections
 

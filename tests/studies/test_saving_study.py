@@ -18,11 +18,9 @@ from diffdrive_mpc.models.checked_yaml import ConfigError
 from diffdrive_mpc.models.turn_costs import load_turn_costs, load_vehicle
 from diffdrive_mpc.mpc import load_config
 from studies.cli import app
-from studies.saving.drives import Driven, drive_closed, drive_open, standing_from
-from studies.saving.outcome import PairOutcome, Saved, worse_arrival
-from studies.saving.pairs import Pair, draw_pairs
+from studies.saving.drives import Driven, PairOutcome, Saved, drive_closed, drive_open, standing_from, worse_arrival
 from studies.saving.scenarios import gap_to_posts, loaded_costs
-from studies.saving.settings import Drawn, SavingStudySettings, load_study, quick
+from studies.saving.settings import Drawn, Pair, SavingStudySettings, draw_pairs, load_study, small
 
 STUDY = load_study()
 
@@ -155,9 +153,9 @@ def test_pairs_that_were_tuned_on_are_not_reported() -> None:
 
 
 def test_quick_is_a_part_of_the_whole() -> None:
-    small = quick(STUDY)
-    assert {*small.surfaces} <= {*STUDY.surfaces} and small.pairs.count < STUDY.pairs.count
-    assert small.pairs.seed == STUDY.pairs.seed
+    quick = small(STUDY)
+    assert {*quick.surfaces} <= {*STUDY.surfaces} and quick.pairs.count < STUDY.pairs.count
+    assert quick.pairs.seed == STUDY.pairs.seed
     load_config(STUDY.configuration)
 
 

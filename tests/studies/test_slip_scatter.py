@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diffdrive_mpc.bench.plain_values import plain
-from studies.reproduce.settings import ScatterFloor, load_study
+from studies.reproduce.published import ScatterFloor, load_study
 from studies.reproduce.slip_scatter import Foresight, scatter_of
 
 

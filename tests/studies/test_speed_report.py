@@ -14,11 +14,11 @@ from studies.speed.results import (
     SpeedRecord,
     SpeedResults,
     growth_exponent,
+    speed_tables,
     time_statistics,
 )
 from studies.speed.settings import load_speed_settings
 from studies.speed.study import SpeedStudy
-from studies.speed.tables import speed_tables
 
 META = {
     "version": "1",

@@ -16,7 +16,7 @@ from diffdrive_mpc.sim.plants.simulated_robot import load_simulated_robot
 from studies.cli import app
 from studies.torque.measurements import own_least_radius, plant_of, steady_turns, unseen_commands
 from studies.torque.outcome import measure_floor, parts_of
-from studies.torque.settings import load_study, quick
+from studies.torque.settings import load_study, small
 
 STUDY = load_study()
 TRACK, LIMIT = 0.39, 4.6
@@ -100,14 +100,14 @@ def test_a_floor_without_friction_and_a_robot_without_a_vehicle_are_refused(tmp_
 
 
 def test_quick_is_a_part_of_the_whole() -> None:
-    small = quick(STUDY)
-    assert {*small.surfaces} <= {*STUDY.surfaces}
-    assert {*small.measured.radii} <= {*STUDY.measured.radii}
+    quick = small(STUDY)
+    assert {*quick.surfaces} <= {*STUDY.surfaces}
+    assert {*quick.measured.radii} <= {*STUDY.measured.radii}
     assert not {*STUDY.fit_radii} & {*STUDY.measured.radii}, "what is fitted is not what it is held against"
 
 
 def test_our_own_robot_has_a_vehicle_and_no_least_radius() -> None:
-    asked = quick(STUDY).model_copy(update={"robot": "default"})
+    asked = small(STUDY).model_copy(update={"robot": "default"})
     vehicle, constants = parts_of(asked)
     build = load_simulated_robot("default")
     assert constants == load_drive_constants()

@@ -10,7 +10,7 @@ from opened_report import check_report
 from tracking_parts import made_up, tiny_study, write_made_up
 from typer.testing import CliRunner
 
-from diffdrive_mpc.bench.contents import CONTENTS
+from diffdrive_mpc.bench.report_folder import CONTENTS
 from diffdrive_mpc.models.checked_yaml import ConfigError
 from studies.cli import app
 from studies.documents.documents import TRACKING, copy_report, sections, with_report

@@ -18,8 +18,7 @@ from diffdrive_mpc.sim import make_plant, simulate
 from diffdrive_mpc.sim.plants.world_plant import WorldPlant
 from diffdrive_mpc.sim.worlds.sight import Eyes, Seen, SeenDisc, SeenGrid
 from studies.worlds.results import measured
-from studies.worlds.settings import cases, load_settings
-from studies.worlds.stop_oracle import known_at, stop_was_possible
+from studies.worlds.settings import cases, known_at, load_settings, stop_was_possible
 from studies.worlds.study import WorldsStudy
 
 PERSON = "description: a person on the way\ntime_limit: 12\nway: {waypoints: [[0, 0], [2, 0], [4, 0]], speed: 0.5}\n"

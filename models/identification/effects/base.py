@@ -29,8 +29,8 @@ from diffdrive_mpc.models.output_error import doubts
 from diffdrive_mpc.models.output_error.experiment import YawSource, joined, parted
 from diffdrive_mpc.models.output_error.parameters import ParameterEstimate
 from diffdrive_mpc.models.output_error.validation import pooled_fit_percent
-from diffdrive_mpc.models.structures.files import SmFile
 from diffdrive_mpc.models.structures.identified import IdentifiedModel, rounded
+from diffdrive_mpc.models.structures.model_file import SmFile
 from diffdrive_mpc.models.velocity_model import CHANNELS
 
 METHOD = (

@@ -12,7 +12,7 @@ import numpy as np
 
 from diffdrive_mpc.models.logs.check_settings import CheckSettings, check_settings
 from diffdrive_mpc.models.logs.diagnosis.agreement import check_parts, compare, relations
-from diffdrive_mpc.models.logs.diagnosis.clipping import check_clipping
+from diffdrive_mpc.models.logs.diagnosis.readings import check_clipping
 from diffdrive_mpc.models.logs.diagnosis.scales import check_axes, check_presence, check_signs, check_units
 from diffdrive_mpc.models.logs.diagnosis.shifts import check_shifts
 from diffdrive_mpc.models.logs.diagnosis.streams import COMMAND, Streams, answer

@@ -11,8 +11,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
-from diffdrive_mpc.mpc.monitor.ros.node import MonitorNode
-from diffdrive_mpc.mpc.monitor.ros.settings import MonitorSettings
+from diffdrive_mpc.mpc.monitor.ros.node import MonitorNode, MonitorSettings
 
 _LONGEST_WAIT = 0.1  # for which a signal may wait [s]
 

@@ -8,6 +8,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry, Path
+from pydantic import Field
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
@@ -17,11 +18,63 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from diffdrive_mpc.models.checked_yaml import check
+from diffdrive_mpc.models.checked_yaml import StrictModel, check
 from diffdrive_mpc.mpc.monitor.judge import Judge
-from diffdrive_mpc.mpc.monitor.ros.messages import Message, command, planar, seconds
-from diffdrive_mpc.mpc.monitor.ros.settings import MonitorSettings
 from diffdrive_mpc.mpc.monitor.rules import load_rules
+
+# ROS messages to plain numbers and back: the monitor's own, so that no mistake of the controller's is made twice.
+
+
+Message = Any
+"""ROS messages have no types to check."""
+
+
+def seconds(stamp: Message) -> float:
+    """A stamp [s]."""
+    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+
+
+def planar(pose: Message) -> tuple[float, float, float]:
+    """(3,) x [m], y [m], yaw [rad] of a pose; NaN where its orientation is none."""
+    q = pose.orientation
+    norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
+    if not abs(norm - 1.0) < 0.02:
+        return (math.nan, math.nan, math.nan)
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return (pose.position.x, pose.position.y, yaw)
+
+
+def command(twist: tuple[float, float], stamp: Message, frame: str, *, stamped: bool) -> Message:
+    """A command v [m/s], omega [rad/s]."""
+    plain = Twist()
+    plain.linear.x, plain.angular.z = twist
+    if not stamped:
+        return plain
+    message = TwistStamped(twist=plain)
+    message.header.stamp, message.header.frame_id = stamp, frame
+    return message
+
+
+# Settings of the monitor's process, beside its rules.
+
+
+class MonitorSettings(StrictModel, strict=True):
+    """Topics, frames and what is watched. They are its ROS parameters, with these descriptions, read at start-up."""
+
+    rules: str = Field("default", min_length=1, description="rules: a shipped name or the path of a YAML file [-]")
+    controller: str = Field(
+        "diffdrive_mpc", min_length=1, description="name of the controller's node: its reference_path and mode are read"
+    )
+    stamped: bool = Field(True, description="commands are TwistStamped; false: Twist [-]")
+    use_pose_topic: bool = Field(
+        False, description="references are in map_frame, where `pose` says where the robot is; false: in odom_frame [-]"
+    )
+    use_imu: bool = Field(True, description="the yaw rate on `imu` tells how the robot turns; false: its wheels [-]")
+    odom_frame: str = Field("odom", min_length=1, description="frame_id that odometry must have [-]")
+    map_frame: str = Field("map", min_length=1, description="frame_id that poses must have [-]")
+    base_frame: str = Field("base_link", min_length=1, description="child_frame_id that odometry must have [-]")
+    exclusive: bool = Field(True, description="another publisher on `cmd_vel` stops the robot [-]")
+
 
 UNCHECKED, CHECKED = "cmd_vel_unchecked", "cmd_vel"
 """Topics of commands: what the controller sends, and what the base gets."""
