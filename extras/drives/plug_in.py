@@ -10,8 +10,8 @@ PHYSICAL = FunctionStructure(
     title="p2_physical",
     rank=10,
     package=__package__,
-    loader="drive_file:load_drive",
-    file="drive_file:PhysicalFile",
+    loader="drive_model:load_drive",
+    file="drive_model:PhysicalFile",
     finder_function="finding:find_physical",
     shipped=Path(__file__).with_name("p2_physical.yaml"),
 )
@@ -21,8 +21,8 @@ EXPERIMENTAL = FunctionStructure(
     title="p2_experimental",
     rank=20,
     package=__package__,
-    loader="drive_file:load_drive",
-    file="drive_file:ExperimentalFile",
+    loader="drive_model:load_drive",
+    file="drive_model:ExperimentalFile",
     finder_function="finding:find_experimental",
     shipped=Path(__file__).with_name("p2_experimental.yaml"),
 )

@@ -27,9 +27,9 @@ __all__ = [
 __getattr__ = on_first_use(
     __name__,
     {
-        "PlanError": "checks",
-        "OBJECTIVES": "inputs",
-        "Objective": "inputs",
+        "PlanError": "clearance",
+        "OBJECTIVES": "command",
+        "Objective": "command",
         "plan": "planner",
         "plan_each": "planner",
         "Plan": "result",

@@ -43,12 +43,10 @@ __all__ = [
 ]
 _SLIP = ("IdentifiedSlip", "identify_slip", "identify_slip_from_poses")
 _COSTS = ("SlipCoefficients", "TorqueTable", "TurnCosts", "load_turn_costs", "turn_costs_text")
-_DRIVE = ("DriveConstants", "NamedDrive", "load_drive_constants")
-_VEHICLE = ("Vehicle", "load_vehicle")
+_VEHICLE = ("DriveConstants", "NamedDrive", "Vehicle", "load_drive_constants", "load_vehicle")
 _HOMES = {
     "slip": _SLIP,
     "turn_costs": _COSTS,
-    "drive_constants": _DRIVE,
     "vehicle": _VEHICLE,
 }
 __getattr__ = on_first_use(__name__, {name: home for home, names in _HOMES.items() for name in names})
