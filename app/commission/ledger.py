@@ -204,7 +204,7 @@ class CommissionSettings(StrictModel):
 @cache
 def commission_settings() -> CommissionSettings:
     """Read the settings; raises ConfigError on a mistake in them."""
-    return load_checked(CommissionSettings, Path(__file__).with_suffix(".yaml"))
+    return load_checked(CommissionSettings, Path(__file__).with_name("settings.yaml"))
 
 
 # What a commissioning found, as its report says it.

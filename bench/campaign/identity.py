@@ -10,7 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from diffdrive_mpc import models, mpc, sim
-from diffdrive_mpc.bench import case, command_check, controllers, peers
+from diffdrive_mpc.bench import case, command_check, controllers, peers, run_row
 from diffdrive_mpc.bench.campaign.definition import Definition
 from diffdrive_mpc.bench.machine import package_version
 from diffdrive_mpc.models.checked_yaml import read_yaml
@@ -18,7 +18,7 @@ from diffdrive_mpc.models.checked_yaml import read_yaml
 LIBRARIES = ("numpy", "scipy", "casadi", "osqp", "daqp", "mujoco", "control")
 """Packages whose version can change a number of a run."""
 _KINDS = frozenset({".py", ".c", ".h", ".yaml", ".csv", ".npz", ".xml"})
-_HERE = ("definition.py", "drive.py", "identity.py", "outcome.py")
+_HERE = ("definition.py", "drive.py", "identity.py")
 
 
 @lru_cache(maxsize=1)
@@ -29,7 +29,7 @@ def product_hash() -> str:
     wheel has the hash of the checkout that it was built from.
     """
     rooms = [_folder(room) for room in (models, mpc, sim, peers)]
-    single = [Path(str(one.__file__)) for one in (case, controllers, command_check)]
+    single = [Path(str(one.__file__)) for one in (case, controllers, command_check, run_row)]
     single += [command_check.STATED, *(Path(__file__).with_name(name) for name in _HERE)]
     found = [(path.relative_to(room.parent), path) for room in rooms for path in room.rglob("*")]
     named = {str(name): path for name, path in found if path.suffix in _KINDS and path.is_file()}
